@@ -1,0 +1,1 @@
+"""Declarations of components and scenes, written against the public names of phfmu only."""

@@ -1,0 +1,89 @@
+"""phfmu: port-Hamiltonian DAEs as co-simulation components whose energy balance is exact.
+
+Public names are loaded when they are first used, so that importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_WHERE = {
+    "phfmu.declare.variable": ("Variable", "state", "algebraic", "parameter", "time"),
+    "phfmu.declare.port": ("Domain", "Port", "ELECTRICAL", "TRANSLATIONAL", "ROTATIONAL", "HYDRAULIC"),
+    "phfmu.declare.energy": ("Energy", "ClosedPair", "energy", "strain_energy"),
+    "phfmu.declare.phdae": (
+        "PHDAE", "Block", "Holonomic", "Observable", "block", "skew", "damping", "observable",
+    ),
+    "phfmu.declare.check": ("check", "Problem"),
+    "phfmu.discretise.collocated": ("Collocated",),
+    "phfmu.discretise.model": ("Model", "discretise", "default_scheme"),
+    "phfmu.discretise.terms": ("DeclarationError",),
+    "phfmu.engine.status": ("Status", "StepFailure"),
+    "phfmu.engine.python": ("PythonInstance",),
+    "phfmu.engine.native": ("NativeInstance",),
+    "phfmu.fmu.reader": ("FMUInstance",),
+    "phfmu.fmu.export": ("export",),
+    "phfmu.network.network": ("Network",),
+    "phfmu.network.scene": ("Scene", "Event"),
+    "phfmu.network.run": ("run",),
+}  # fmt: skip
+_OWNER = {name: module for module, names in _WHERE.items() for name in names}
+
+if TYPE_CHECKING:
+    from phfmu.declare.check import Problem as Problem, check as check
+    from phfmu.declare.energy import (
+        ClosedPair as ClosedPair,
+        Energy as Energy,
+        energy as energy,
+        strain_energy as strain_energy,
+    )
+    from phfmu.declare.phdae import (
+        PHDAE as PHDAE,
+        Block as Block,
+        Holonomic as Holonomic,
+        Observable as Observable,
+        block as block,
+        damping as damping,
+        observable as observable,
+        skew as skew,
+    )
+    from phfmu.declare.port import (
+        ELECTRICAL as ELECTRICAL,
+        HYDRAULIC as HYDRAULIC,
+        ROTATIONAL as ROTATIONAL,
+        TRANSLATIONAL as TRANSLATIONAL,
+        Domain as Domain,
+        Port as Port,
+    )
+    from phfmu.declare.variable import (
+        Variable as Variable,
+        algebraic as algebraic,
+        parameter as parameter,
+        state as state,
+        time as time,
+    )
+    from phfmu.discretise.collocated import Collocated as Collocated
+    from phfmu.discretise.model import Model as Model, default_scheme as default_scheme, discretise as discretise
+    from phfmu.discretise.terms import DeclarationError as DeclarationError
+    from phfmu.engine.native import NativeInstance as NativeInstance
+    from phfmu.engine.python import PythonInstance as PythonInstance
+    from phfmu.engine.status import Status as Status, StepFailure as StepFailure
+    from phfmu.fmu.export import export as export
+    from phfmu.fmu.reader import FMUInstance as FMUInstance
+    from phfmu.network.network import Network as Network
+    from phfmu.network.run import run as run
+    from phfmu.network.scene import Event as Event, Scene as Scene
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _OWNER:
+        raise AttributeError(f"module 'phfmu' has no attribute '{name}'")
+    from importlib import import_module
+
+    return getattr(import_module(_OWNER[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_OWNER])

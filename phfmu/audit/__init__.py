@@ -1,0 +1,61 @@
+"""Where every joule went: ledger rows and their closure, the crash-safe log, the report."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .analysis import DEFAULT_RTOL, Violation, summarise, verdict
+    from .archive import Recovered, metadata, read, recover
+    from .block import Block, Layout, PortKey, make_block
+    from .ledger import Ledger, Sink
+    from .report import audit_table
+    from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+    from .stream import AuditWriter
+    from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
+
+_HOME = {
+    "analysis": ("DEFAULT_RTOL", "Violation", "summarise", "verdict"),
+    "archive": ("Recovered", "metadata", "read", "recover"),
+    "block": ("Block", "Layout", "PortKey", "make_block"),
+    "ledger": ("Ledger", "Sink"),
+    "report": ("audit_table",),
+    "rows": ("ComponentRow", "EventRow", "JunctionRow", "NetworkRow", "PortRow"),
+    "stream": ("AuditWriter",),
+    "summary": ("ComponentSummary", "JunctionSummary", "LedgerSummary", "NetworkSummary", "PortSummary"),
+}
+
+__all__ = [
+    "DEFAULT_RTOL",
+    "AuditWriter",
+    "Block",
+    "ComponentRow",
+    "ComponentSummary",
+    "EventRow",
+    "JunctionRow",
+    "JunctionSummary",
+    "Layout",
+    "Ledger",
+    "LedgerSummary",
+    "NetworkRow",
+    "NetworkSummary",
+    "PortKey",
+    "PortRow",
+    "PortSummary",
+    "Recovered",
+    "Sink",
+    "Violation",
+    "audit_table",
+    "make_block",
+    "metadata",
+    "read",
+    "recover",
+    "summarise",
+    "verdict",
+]
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOME.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,178 @@
+"""Reading the audit log back: streams, also torn ones, and the Parquet files they become.
+
+A stream that was cut off anywhere (kill -9, power, full disk) gives back every complete batch.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .columns import COLUMNS, SCHEMA_VERSION
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SCHEMA_KEY = b"phfmu.audit.schema"
+_ROW_GROUP = 1 << 17
+
+
+def stream_path(path: str | os.PathLike[str]) -> Path:
+    """The stream beside X.parquet is X.arrows; ValueError for another ending."""
+    path = Path(path)
+    if path.suffix not in (".parquet", ".arrows"):
+        raise ValueError(f"audit log {str(path)!r} must end in .parquet, e.g. {path.stem}.audit.parquet")
+    return path.with_suffix(".arrows")
+
+
+class _Stream:
+    """Iterates over the complete batches of a stream; `torn` tells whether an incomplete one ended it."""
+
+    def __init__(self, path: Path) -> None:
+        import pyarrow as pa
+
+        self.torn = False
+        self._file = pa.OSFile(str(path), "rb")
+        try:
+            self._reader = pa.ipc.open_stream(self._file)
+        except (OSError, pa.ArrowInvalid) as error:
+            self._file.close()
+            raise ValueError(
+                f"{path} was cut off in its header or is not an audit stream; it holds no rows ({error})"
+            ) from error
+        self.schema: pa.Schema = self._reader.schema
+
+    def __iter__(self) -> Iterator["pa.RecordBatch"]:
+        import pyarrow as pa
+
+        with self._file:
+            while True:
+                try:
+                    batch = self._reader.read_next_batch()
+                except StopIteration:
+                    return
+                except (OSError, pa.ArrowInvalid):
+                    self.torn = True
+                    return
+                yield batch
+
+
+def _used(columns: set[str]) -> list[str]:
+    """Columns to keep, in the order of the schema; `row` stays so that an empty run is a table too."""
+    return [name for name in COLUMNS if name in columns or name == "row"]
+
+
+def compact(stream: Path, target: Path) -> tuple[int, bool]:
+    """Write the complete batches of a stream as Parquet without its empty columns; rows and torn.
+
+    Two passes, so that memory does not grow with the run; the target appears only when it is whole.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    first = _Stream(stream)
+    _check_schema(first.schema.metadata, stream)
+    columns: set[str] = set()
+    rows = 0
+    for batch in first:
+        rows += batch.num_rows
+        columns |= {
+            name for name, c in zip(batch.schema.names, batch.columns, strict=True) if c.null_count < len(c)
+        }
+    keep = _used(columns)
+    schema = pa.schema([first.schema.field(name) for name in keep], metadata=first.schema.metadata)
+    partial = target.with_name(target.name + ".partial")
+    try:
+        with pq.ParquetWriter(partial, schema, compression="zstd") as writer:
+            group: list[pa.RecordBatch] = []
+            for batch in _Stream(stream):
+                group.append(batch.select(keep))
+                if sum(b.num_rows for b in group) >= _ROW_GROUP:
+                    writer.write_table(_table(group, schema))
+                    group = []
+            if group:
+                writer.write_table(_table(group, schema))
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+    return rows, first.torn
+
+
+def _table(batches: list["pa.RecordBatch"], schema: "pa.Schema") -> "pa.Table":
+    import pyarrow as pa
+
+    return pa.Table.from_batches(batches, schema).unify_dictionaries().combine_chunks()
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What came out of a broken run's stream; torn if it ended in an incomplete batch."""
+
+    path: Path
+    rows: int
+    torn: bool
+
+
+def recover(path: str | os.PathLike[str]) -> Recovered:
+    """Turn the stream of a broken run (X.arrows, or named by its X.parquet) into X.parquet and remove it.
+
+    Errors: FileNotFoundError without a stream; ValueError if not even its header is complete.
+    """
+    stream = stream_path(path)
+    if not stream.exists():
+        raise FileNotFoundError(
+            f"no stream {stream} to recover; a run that ended well leaves only its Parquet file"
+        )
+    target = stream.with_suffix(".parquet")
+    rows, torn = compact(stream, target)
+    stream.unlink()
+    return Recovered(target, rows, torn)
+
+
+def read(path: str | os.PathLike[str]) -> "pa.Table":
+    """The audit table of a Parquet file or of a stream, also one still being written; empty columns left out.
+
+    Errors: FileNotFoundError; ValueError for a file that is not an audit log, or of a newer schema.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = Path(path)
+    if not path.exists():
+        stream = path.with_suffix(".arrows")
+        hint = f"; its run did not end: `phfmu audit recover {stream}`" if stream.exists() else ""
+        raise FileNotFoundError(f"no audit log {path}{hint}")
+    if path.suffix == ".arrows":
+        source = _Stream(path)
+        _check_schema(source.schema.metadata, path)
+        table = _table(list(source), source.schema)
+        return table.select(_used({n for n in table.column_names if table[n].null_count < table.num_rows}))
+    try:
+        with pq.ParquetFile(path) as file:
+            _check_schema(file.schema_arrow.metadata, path)
+            return file.read()
+    except pa.ArrowInvalid as error:
+        raise ValueError(f"{path} is not an audit log: {error}") from error
+
+
+def _check_schema(metadata: Mapping[bytes, bytes] | None, path: Path) -> None:
+    found = (metadata or {}).get(SCHEMA_KEY)
+    if found is None:
+        raise ValueError(f"{path} is not an audit log: it lacks the key {SCHEMA_KEY.decode()!r}")
+    if int(found) > SCHEMA_VERSION:
+        raise ValueError(
+            f"{path} has audit schema {int(found)}, this phfmu reads up to {SCHEMA_VERSION}; update phfmu"
+        )
+
+
+def metadata(table: "pa.Table") -> dict[str, Any]:
+    """The log's metadata: the writer's keys, phfmu.audit.schema and phfmu.audit.versions; JSON is decoded."""
+    decoded: dict[str, Any] = {}
+    for key, value in (table.schema.metadata or {}).items():
+        try:
+            decoded[key.decode()] = json.loads(value)
+        except ValueError:
+            decoded[key.decode()] = value.decode()
+    return decoded

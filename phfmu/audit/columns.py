@@ -1,0 +1,186 @@
+"""The columns of the audit table, and rows or blocks turned into them.
+
+One wide table: the column `row` says what a row is (component, port, junction, network, event) and thereby
+which columns it fills; the others are null. SI units; power positive INTO the component.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .block import Block
+from .rows import ESTIMATED, ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+
+SCHEMA_VERSION = 1
+
+# column -> i64 | i32 | f64 | name (dictionary-encoded string) | text
+COLUMNS = {
+    "row": "name",
+    "step": "i64",
+    "t0": "f64",  # [s], of an event: its time
+    "h": "f64",  # [s]
+    "component": "name",
+    "port": "name",
+    "index": "i32",  # of the pair within a vector port, from 1
+    "junction": "name",
+    "kind": "name",  # of a port: how y was formed; of an event: what happened
+    "quality": "name",  # exact | estimated
+    "u": "f64",  # input held over the step, in the port's unit
+    "y": "f64",  # its conjugate mean
+    "H": "f64",  # [J] network: sum over the components at the end of the step
+    "H0": "f64",  # [J]
+    "H1": "f64",  # [J]
+    "dH": "f64",  # [J]
+    "dissipated": "f64",  # [J]
+    "supplied": "f64",  # [J]
+    "external": "f64",  # [J] supplied through ports without a junction
+    "residual": "f64",  # [J] component: dH + dissipated - supplied; junction: sum of supplied
+    "residual_rel": "f64",  # |residual| / (scale + |supplied| + |dissipated|)
+    "scale": "f64",  # [J] sum of |H_s|; where null, max(|H0|, |H1|)
+    "exchanged": "f64",  # [J] junction: half the sum of |supplied|
+    "junction_residual": "f64",  # [J] network: sum over the junctions
+    "unexplained": "f64",  # [J] network: balance - junction_residual
+    "cum_dissipated": "f64",
+    "cum_external": "f64",
+    "cum_junction_residual": "f64",
+    "cum_unexplained": "f64",
+    "newton": "i32",
+    "newton_residual": "f64",
+    "substeps": "i32",
+    "rollbacks": "i32",
+    "r_max": "f64",
+    "cond": "f64",
+    "iterations": "i32",
+    "evals": "i32",
+    "method": "name",
+    "accepted_by": "name",
+    "status": "name",
+    "energy_jump": "f64",  # [J] event
+    "message": "text",
+}
+
+DTYPES = {"i64": np.int64, "i32": np.int32, "f64": np.float64, "name": np.int32, "text": object}
+
+_FIELDS: dict[str, tuple[str, ...]] = {
+    "component": (
+        *("component", "H0", "H1", "dH", "dissipated", "supplied", "residual", "scale", "quality"),
+        *("residual_rel", "newton", "newton_residual", "substeps", "rollbacks"),
+    ),
+    "port": ("component", "port", "index", "junction", "kind", "quality", "u", "y", "supplied"),
+    "junction": (
+        *("junction", "residual", "exchanged", "r_max", "cond", "iterations", "evals"),
+        *("method", "accepted_by"),
+    ),
+    "network": (
+        *("H", "dH", "dissipated", "external", "junction_residual", "unexplained", "status"),
+        *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained"),
+    ),
+    "event": ("kind", "component", "energy_jump", "message"),
+}
+# a row's column whose attribute has another name
+_ATTRIBUTE = {"residual_rel": "relative"}
+
+Row = ComponentRow | PortRow | JunctionRow | NetworkRow | EventRow
+Encode = Callable[[str, Sequence[str | None]], NDArray[np.int32]]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """n rows of one kind: column -> (values [n], valid [n] or None for all). Names are codes, -1 for null."""
+
+    n: int
+    columns: dict[str, tuple[NDArray[Any], NDArray[np.bool_] | None]]
+
+
+def _filled(column: str, values: Sequence[Any], encode: Encode) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    kind = COLUMNS[column]
+    if kind == "name":
+        codes = encode(column, values)
+        return codes, codes >= 0
+    valid = np.array([value is not None for value in values], bool)
+    if kind == "text":
+        return np.array(values, object), valid
+    return np.array([0 if value is None else value for value in values], DTYPES[kind]), valid
+
+
+def rows_section(
+    kind: str, rows: Sequence[tuple[int | None, float, float | None, Row]], encode: Encode
+) -> Section:
+    """Rows of one kind, each with its step, t0 and h."""
+    columns = {
+        "row": _filled("row", [kind] * len(rows), encode),
+        "step": _filled("step", [row[0] for row in rows], encode),
+        "t0": _filled("t0", [row[1] for row in rows], encode),
+        "h": _filled("h", [row[2] for row in rows], encode),
+    }
+    for column in _FIELDS[kind]:
+        attribute = _ATTRIBUTE.get(column, column)
+        columns[column] = _filled(column, [getattr(row[3], attribute) for row in rows], encode)
+    return Section(len(rows), {name: entry for name, entry in columns.items() if entry[1].any()})
+
+
+def block_sections(block: Block, encode: Encode) -> list[Section]:
+    """Component, port, junction and network rows of a block, without a loop over its steps."""
+    layout = block.layout
+    quality = [ESTIMATED if name in layout.estimated else "exact" for name in layout.components]
+    sections = [
+        _repeat(
+            block,
+            "component",
+            {"component": list(layout.components), "quality": quality},
+            {
+                "H0": block.H0,
+                "H1": block.H1,
+                "dH": block.dH,
+                "dissipated": block.dissipated,
+                "supplied": block.supplied,
+                "residual": block.residual,
+                "residual_rel": block.relative,
+                "scale": block.scale,
+                "newton": block.newton,
+                "substeps": block.substeps,
+            },
+            encode,
+        )
+    ]
+    if layout.ports:
+        names = {
+            name: [getattr(port, name) for port in layout.ports]
+            for name in ("component", "port", "index", "junction", "kind", "quality")
+        }
+        values = {"supplied": block.port_energy, "u": block.port_u, "y": block.port_y}
+        sections.append(_repeat(block, "port", names, values, encode))
+    if layout.junctions:
+        values = {"residual": block.junction_residual, "exchanged": block.junction_exchanged}
+        sections.append(_repeat(block, "junction", {"junction": list(layout.junctions)}, values, encode))
+    network = {name: column[:, None] for name, column in block.network.items()}
+    sections.append(_repeat(block, "network", {}, network, encode))
+    return sections
+
+
+def _repeat(
+    block: Block,
+    kind: str,
+    names: dict[str, list[Any]],
+    values: Mapping[str, NDArray[Any] | None],
+    encode: Encode,
+) -> Section:
+    """m rows a step: constant columns tiled over the n steps, tables [n,m] flattened."""
+    present = {name: table for name, table in values.items() if table is not None}
+    n, m = next(iter(present.values())).shape
+    columns: dict[str, tuple[NDArray[Any], NDArray[np.bool_] | None]] = {
+        "row": (np.full(n * m, encode("row", [kind])[0]), None),
+        "step": (np.repeat(block.step, m), None),
+        "t0": (np.repeat(block.t0, m), None),
+        "h": (np.repeat(block.h, m), None),
+    }
+    for name, entries in names.items():
+        constant, valid = _filled(name, entries, encode)
+        if valid.any():
+            columns[name] = np.tile(constant, n), None if valid.all() else np.tile(valid, n)
+    for name, table in present.items():
+        columns[name] = table.ravel(), None
+    return Section(n * m, columns)

@@ -1,0 +1,117 @@
+"""Rows of the energy ledger, one kind a dataclass.
+
+Power is positive INTO the component. Energies are in joule, times in seconds. None means absent, not zero.
+"""
+
+import math
+from dataclasses import dataclass
+
+ESTIMATED = "estimated"
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentRow:
+    """One component over one step; None means that the component has no such thing.
+
+    residual = dH + dissipated - supplied. `scale` [J] is the sum over its energies of |H_s|, needed where
+    terms of both signs cancel in H; without it max(|H0|, |H1|) is taken. `quality` is "estimated" where a
+    port's supplied energy is a quadrature and not the step's own.
+    """
+
+    component: str
+    H0: float
+    H1: float
+    dH: float
+    dissipated: float | None = None
+    supplied: float | None = None
+    scale: float | None = None
+    quality: str = "exact"
+    newton: int | None = None
+    newton_residual: float | None = None
+    substeps: int | None = None
+    rollbacks: int | None = None
+
+    @property
+    def residual(self) -> float:
+        return self.dH + (self.dissipated or 0.0) - (self.supplied or 0.0)
+
+    @property
+    def magnitude(self) -> float:
+        """What the residual is measured against: scale + |supplied| + |dissipated|."""
+        stored = max(abs(self.H0), abs(self.H1)) if self.scale is None else self.scale
+        return stored + abs(self.supplied or 0.0) + abs(self.dissipated or 0.0)
+
+    @property
+    def relative(self) -> float:
+        """|residual| / magnitude; infinite for what is not a finite number, 0 at rest."""
+        residual, magnitude = abs(self.residual), self.magnitude
+        if not (math.isfinite(residual) and math.isfinite(magnitude)):
+            return math.inf
+        if residual == 0.0:
+            return 0.0
+        return residual / magnitude if magnitude > 0.0 else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class PortRow:
+    """One effort/flow pair over one step: supplied = h u y, with u the input held and y its conjugate mean.
+
+    `index` numbers the pairs of a vector port from 1. `kind` says how y was formed: step-conjugate, mean,
+    displacement or endpoint. `quality` is "exact" or "estimated".
+    """
+
+    component: str
+    port: str
+    supplied: float
+    u: float | None = None
+    y: float | None = None
+    index: int | None = None
+    junction: str | None = None
+    kind: str = "step-conjugate"
+    quality: str = "exact"
+
+
+@dataclass(frozen=True, slots=True)
+class JunctionRow:
+    """One junction over one step; residual and exchanged (sum of |supplied| / 2) come from its ports if None.
+
+    `r_max` is the largest interface residual, `cond` the condition estimate of the interface matrix.
+    """
+
+    junction: str
+    residual: float | None = None
+    exchanged: float | None = None
+    r_max: float | None = None
+    cond: float | None = None
+    iterations: int | None = None
+    evals: int | None = None
+    method: str | None = None
+    accepted_by: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkRow:
+    """All components over one step, and the running sums; None where nothing of the kind exists."""
+
+    H: float
+    dH: float
+    dissipated: float | None
+    external: float | None
+    junction_residual: float | None
+    unexplained: float
+    cum_dissipated: float | None
+    cum_external: float | None
+    cum_junction_residual: float | None
+    cum_unexplained: float
+    status: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """Something outside the steps: init, impulse, step-halved, rollback, nonconverged, reprojection, ..."""
+
+    t: float
+    kind: str
+    component: str | None = None
+    energy_jump: float | None = None
+    message: str | None = None

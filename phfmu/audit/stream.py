@@ -1,0 +1,200 @@
+"""Writing the audit log: an Arrow IPC stream while the run is under way, a Parquet file once it is over."""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from .archive import SCHEMA_KEY, compact, stream_path
+from .columns import COLUMNS, DTYPES, SCHEMA_VERSION, Row, Section, block_sections, rows_section
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from .block import Block
+    from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+
+FLUSH_ROWS = 1024
+FLUSH_SECONDS = 0.5
+
+_VERSIONS_KEY = b"phfmu.audit.versions"
+_PACKAGES = ("phfmu", "casadi", "numpy", "pyarrow")
+
+
+class AuditWriter:
+    """Writes the rows of a `Ledger` to X.arrows and compacts them to X.parquet on close.
+
+    Use as a context manager: on an exception the log is closed and compacted all the same. `metadata` are
+    free keys (units per port, model hash, options); values that are not strings are kept as JSON.
+    Errors: ValueError for an ending other than .parquet; FileExistsError if a broken run's stream is there.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], metadata: Mapping[str, Any] | None = None) -> None:
+        import pyarrow as pa
+
+        self.stream = stream_path(path)
+        self.path = self.stream.with_suffix(".parquet")
+        if self.stream.exists():
+            raise FileExistsError(
+                f"{self.stream} is left from a run that did not end; "
+                f"keep its rows with `phfmu audit recover {self.stream}` or delete it"
+            )
+        self._codes: dict[str, dict[str, int]] = {
+            name: {} for name, kind in COLUMNS.items() if kind == "name"
+        }
+        self._names: dict[str, pa.Array] = {}
+        self._rows: dict[str, list[tuple[int | None, float, float | None, Row]]] = {}
+        self._sections: list[Section] = []
+        self._pending = 0
+        self._flushed_at = time.monotonic()
+        self._schema = _schema(metadata or {})
+        self._file: Any = pa.OSFile(str(self.stream), "wb")
+        options = pa.ipc.IpcWriteOptions(compression="lz4", emit_dictionary_deltas=True)
+        self._writer = pa.ipc.new_stream(self._file, self._schema, options=options)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write_step(
+        self,
+        step: int,
+        t0: float,
+        h: float,
+        components: Sequence["ComponentRow"],
+        ports: Sequence["PortRow"],
+        junctions: Sequence["JunctionRow"],
+        network: "NetworkRow",
+    ) -> None:
+        """Take the rows of one step."""
+        self._check_open()
+        groups = (("component", components), ("port", ports), ("junction", junctions), ("network", [network]))
+        for kind, rows in groups:
+            self._rows.setdefault(kind, []).extend((step, t0, h, row) for row in rows)
+            self._pending += len(rows)
+        self._flush_if_due()
+
+    def write_block(self, block: "Block") -> None:
+        """Take n steps at once, column by column."""
+        self._check_open()
+        sections = block_sections(block, self._encode)
+        self._sections += sections
+        self._pending += sum(section.n for section in sections)
+        self._flush_if_due()
+
+    def write_event(self, event: "EventRow") -> None:
+        """Take one event."""
+        self._check_open()
+        self._rows.setdefault("event", []).append((None, event.t, None, event))
+        self._pending += 1
+        self._flush_if_due()
+
+    def flush(self) -> None:
+        """Hand all pending rows to the operating system as one batch; call it before raising an error."""
+        self._check_open()
+        self._flushed_at = time.monotonic()
+        if not self._pending:
+            return
+        for kind, rows in self._rows.items():
+            if rows:
+                self._sections.append(rows_section(kind, rows, self._encode))
+        sections, self._sections, self._rows, self._pending = self._sections, [], {}, 0
+        self._writer.write_batch(self._batch(sections))
+
+    def close(self) -> Path:
+        """Flush, compact to Parquet, remove the stream and return the Parquet path; again is harmless."""
+        if self._file is not None:
+            self.flush()
+            self._writer.close()
+            self._file.close()
+            self._file = None
+            compact(self.stream, self.path)
+            self.stream.unlink()
+        return self.path
+
+    def _check_open(self) -> None:
+        if self._file is None:
+            raise ValueError(f"audit log {self.path} is closed; open a new AuditWriter for another run")
+
+    def _flush_if_due(self) -> None:
+        if self._pending >= FLUSH_ROWS or time.monotonic() - self._flushed_at >= FLUSH_SECONDS:
+            self.flush()
+
+    def _encode(self, column: str, names: Sequence[str | None]) -> np.ndarray[Any, np.dtype[np.int32]]:
+        codes = self._codes[column]
+        return np.array(
+            [-1 if name is None else codes.setdefault(name, len(codes)) for name in names], np.int32
+        )
+
+    def _dictionary(self, column: str) -> "pa.Array":
+        import pyarrow as pa
+
+        known = self._names.get(column)
+        if known is None or len(known) != len(self._codes[column]):
+            known = self._names[column] = pa.array(list(self._codes[column]), pa.string())
+        return known
+
+    def _batch(self, sections: list[Section]) -> "pa.RecordBatch":
+        import pyarrow as pa
+
+        n = sum(section.n for section in sections)
+        arrays = []
+        for column, kind in COLUMNS.items():
+            type_ = pa.int32() if kind == "name" else self._schema.field(column).type
+            if any(column in section.columns for section in sections):
+                values, null = _joined(column, sections, n)
+                array = pa.array(values, type_, mask=null, from_pandas=False)
+            else:
+                array = pa.nulls(n, type_)
+            if kind == "name":
+                array = pa.DictionaryArray.from_arrays(array, self._dictionary(column))
+            arrays.append(array)
+        return pa.RecordBatch.from_arrays(arrays, schema=self._schema)
+
+
+def _joined(column: str, sections: list[Section], n: int) -> tuple[Any, Any]:
+    """One column of all sections, one after the other, and where it is null."""
+    values, null = np.zeros(n, DTYPES[COLUMNS[column]]), np.ones(n, bool)
+    start = 0
+    for section in sections:
+        if column in section.columns:
+            part, valid = section.columns[column]
+            values[start : start + section.n] = part
+            null[start : start + section.n] = False if valid is None else ~valid
+        start += section.n
+    return values, null
+
+
+def _schema(metadata: Mapping[str, Any]) -> "pa.Schema":
+    import pyarrow as pa
+
+    versions = {"python": sys.version.split()[0]}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    keys: dict[bytes, bytes] = {
+        key.encode(): (value if isinstance(value, str) else json.dumps(value)).encode()
+        for key, value in metadata.items()
+    }
+    keys |= {SCHEMA_KEY: str(SCHEMA_VERSION).encode(), _VERSIONS_KEY: json.dumps(versions).encode()}
+    types = {
+        "i64": pa.int64(),
+        "i32": pa.int32(),
+        "f64": pa.float64(),
+        "name": pa.dictionary(pa.int32(), pa.string()),
+        "text": pa.string(),
+    }
+    return pa.schema([pa.field(name, types[kind]) for name, kind in COLUMNS.items()], metadata=keys)

@@ -1,0 +1,1 @@
+"""Declarations: variables, ports, energies, and the frozen PHDAE."""

@@ -1,0 +1,68 @@
+"""Additive terms of the Hamiltonian and the closed-form pair."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import casadi as ca
+
+from phfmu.declare.variable import Variable, _sx
+
+Kind = Literal["quadratic", "strain", "general"]
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """One additive term H_s(x) of the Hamiltonian, in joule.
+
+    kind:       "quadratic" (constant Hessian), "strain" (phi(C(x)) with quadratic C), "general"
+    invariant:  C(x) for the strain form; `phi` maps a scalar symbol to the energy
+    correct:    state symbols that take the directionality correction of a general term (default: all of its states)
+    owner:      member of a network the term belongs to ("" in a single component)
+    """
+
+    expr: ca.SX
+    kind: Kind
+    invariant: ca.SX | None = None
+    phi: Callable[[ca.SX], ca.SX] | None = None
+    correct: tuple[Variable, ...] = ()
+    owner: str = ""
+
+
+def energy(expr: Any, *, correct: tuple[Variable, ...] = (), owner: str = "") -> Energy:
+    """A term given by its expression; the declaration recognises quadratic terms by their constant Hessian."""
+    return Energy(ca.SX(_sx(expr)), "general", correct=correct, owner=owner)
+
+
+def resolve_kind(term: Energy, states: ca.SX) -> Energy:
+    """`term` with kind "quadratic" where its Hessian with respect to `states` does not depend on them."""
+    if term.kind != "general" or not states.numel():
+        return term
+    hessian = ca.hessian(term.expr, states)[0]
+    constant = not any(ca.which_depends(ca.vec(hessian), states, 1, False)) if hessian.nnz() else True
+    return replace(term, kind="quadratic") if constant else term
+
+
+def strain_energy(invariant: Any, phi: Callable[[ca.SX], ca.SX], *, owner: str = "") -> Energy:
+    """phi(C(x)) with a quadratic invariant C, e.g. a squared distance: keeps linear and angular momentum."""
+    invariant = ca.SX(_sx(invariant))
+    return Energy(phi(invariant), "strain", invariant, phi, owner=owner)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedPair:
+    """A closed-form discrete gradient pair for states whose E depends on x.
+
+    With increment d = x' - x:   ebar(x, d) replaces E d,   zbar(x, d) replaces z,   zbar^T ebar = H(x + d) - H(x).
+    `E`, `z`: the continuous counterparts with E^T z = grad H;  `hamiltonian`: H(x).  k = 1 only.
+    """
+
+    variables: tuple[Variable, ...]
+    hamiltonian: ca.SX
+    E: ca.SX
+    z: ca.SX
+    ebar: Callable[[ca.SX, ca.SX], ca.SX]
+    zbar: Callable[[ca.SX, ca.SX], ca.SX]
+    owner: str = ""

@@ -1,0 +1,194 @@
+"""The declaration of a port-Hamiltonian DAE.
+
+    E(x) x' = (J(x) - R(x)) z(x) + B(x) u,      y = B(x)^T z(x),      E^T z = grad H,
+
+semi-explicit: x = (x1, x2) with states x1 (E11 regular) and algebraic variables x2 = z2 (zero rows of E).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import casadi as ca
+
+from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
+from phfmu.declare.port import Port
+from phfmu.declare.variable import Variable, _sx
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A square block of J or R on the rows and columns of `variables` (stacked)."""
+
+    variables: tuple[Variable, ...]
+    matrix: ca.SX
+    owner: str = ""
+
+
+def block(variables: Sequence[Variable], matrix: Any, *, owner: str = "") -> Block:
+    """A block of R (symmetric, positive semidefinite) or J (skew) on the stacked `variables`."""
+    return Block(tuple(variables), ca.SX(_sx(matrix)), owner)
+
+
+def skew(rows: Variable, cols: Variable, matrix: Any, *, owner: str = "") -> Block:
+    """The block of J with J[rows, cols] = matrix and J[cols, rows] = -matrix^T."""
+    g = ca.SX(_sx(matrix))
+    if g.numel() == 1 and rows.n == cols.n > 1:
+        g = g * ca.SX.eye(rows.n)
+    top = ca.horzcat(ca.SX(rows.n, rows.n), g)
+    return Block((rows, cols), ca.vertcat(top, ca.horzcat(-g.T, ca.SX(cols.n, cols.n))), owner)
+
+
+def damping(variable: Variable, value: Any, *, owner: str = "") -> Block:
+    """The block R = diag(value) on `variable`."""
+    v = ca.SX(_sx(value))
+    v = ca.repmat(v, variable.n) if v.numel() == 1 else v
+    return Block((variable,), ca.diag(v), owner)
+
+
+@dataclass(frozen=True, eq=False)
+class Holonomic:
+    """Constraints g(q) = 0 with multiplier lambda: 0 = Dg z_v, and -Dg^T lambda on the rows of v (q' = z_v)."""
+
+    multiplier: Variable
+    g: ca.SX
+    owner: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Observable:
+    """A named expression of x, z, x2, parameters and time that is reported but not integrated."""
+
+    name: str
+    expr: ca.SX
+    unit: str = "1"
+    description: str = ""
+
+
+def observable(name: str, expr: Any, *, unit: str = "1", description: str = "") -> Observable:
+    """A reported expression; a vector expression is named `name[1]`, `name[2]`, ..."""
+    return Observable(name, ca.SX(_sx(expr)), unit, description)
+
+
+@dataclass(frozen=True, eq=False)
+class PHDAE:
+    """A frozen declaration; lists of small terms, so that a network of models is a concatenation.
+
+    energies:    H = sum of the terms
+    E:           variable -> mass matrix block (constant or a function of parameters; diagonal or not); absent = identity
+    structure:   blocks of J;  dissipation: blocks of R
+    closed:      closed-form discrete gradient pairs for states with E(x)
+    z:           variable -> given costate expression (only checked; z is derived from H and E)
+    monitors:    rows that must vanish but are not equations of a step (filled by compose)
+    """
+
+    name: str
+    states: tuple[Variable, ...] = ()
+    algebraics: tuple[Variable, ...] = ()
+    parameters: tuple[Variable, ...] = ()
+    energies: tuple[Energy, ...] = ()
+    E: Mapping[Variable, Any] = field(default_factory=dict)
+    structure: tuple[Block, ...] = ()
+    dissipation: tuple[Block, ...] = ()
+    ports: tuple[Port, ...] = ()
+    constraints: tuple[Holonomic, ...] = ()
+    closed: tuple[ClosedPair, ...] = ()
+    observables: tuple[Observable, ...] = ()
+    z: Mapping[Variable, Any] = field(default_factory=dict)
+    members: tuple[str, ...] = ("",)
+    junctions: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        x = self.x
+        object.__setattr__(self, "energies", tuple(resolve_kind(e, x) for e in self.energies))
+
+    @property
+    def x(self) -> ca.SX:
+        """All states stacked (n1 x 1)."""
+        return ca.vertcat(*(v.sx for v in self.states))
+
+    @property
+    def hamiltonian(self) -> ca.SX:
+        """H(x), the sum of all terms."""
+        total = ca.SX(0)
+        for term in self.energies:
+            total += term.expr
+        for pair in self.closed:
+            total += pair.hamiltonian
+        return total
+
+    def port(self, name: str) -> Port:
+        """The port called `name`; KeyError names the ports there are."""
+        for port in self.ports:
+            if port.name == name:
+                return port
+        raise KeyError(f"{self.name} has no port '{name}'; it has: {', '.join(p.name for p in self.ports) or 'none'}")
+
+    def with_starts(self, values: Mapping[str, float]) -> PHDAE:
+        """A copy with start values (states, algebraics, parameters, inputs) replaced by scalar name, e.g. `q[2]`.
+
+        KeyError lists close names when one is unknown.
+        """
+        left = dict(values)
+        swap: dict[int, Variable] = {}
+
+        def renew(v: Variable) -> Variable:
+            starts = list(v.start)
+            for i, name in enumerate(v.names()):
+                if name in left:
+                    starts[i] = float(left.pop(name))
+            if v.size is not None and v.name in left:
+                starts = [float(left.pop(v.name))] * v.n
+            new = replace(v, start=tuple(starts)) if tuple(starts) != v.start else v
+            swap[id(v)] = new
+            return new
+
+        ports = []
+        fields = {f: tuple(renew(v) for v in getattr(self, f)) for f in ("states", "algebraics", "parameters")}
+        for port in self.ports:
+            starts = list(_starts(port))
+            for i, name in enumerate(port.input_names()):
+                if name in left:
+                    starts[i] = float(left.pop(name))
+            on = {swap.get(id(v), v): m for v, m in port.on.items()}
+            ports.append(replace(port, start=tuple(starts), on=on))
+        if left:
+            raise KeyError(self.unknown_name(next(iter(left))))
+        return replace(
+            self,
+            **fields,
+            ports=tuple(ports),
+            E={swap[id(v)]: m for v, m in self.E.items()},
+            z={swap[id(v)]: m for v, m in self.z.items()},
+            structure=tuple(_swapped(b, swap) for b in self.structure),
+            dissipation=tuple(_swapped(b, swap) for b in self.dissipation),
+            constraints=tuple(replace(c, multiplier=swap[id(c.multiplier)]) for c in self.constraints),
+            closed=tuple(replace(c, variables=tuple(swap[id(v)] for v in c.variables)) for c in self.closed),
+            energies=tuple(replace(e, correct=tuple(swap[id(v)] for v in e.correct)) for e in self.energies),
+        )
+
+    def settable_names(self) -> list[str]:
+        """Names that `--set` and events accept."""
+        names = [n for f in (self.states, self.algebraics, self.parameters) for v in f for n in v.names()]
+        return names + [n for p in self.ports if p.external for n in p.input_names()]
+
+    def unknown_name(self, name: str) -> str:
+        """The message for a name that does not exist, with close ones."""
+        from difflib import get_close_matches
+
+        close = get_close_matches(name, self.settable_names(), 5)
+        hint = f"; did you mean {', '.join(close)}?" if close else ""
+        return f"{self.name} has no parameter, state or input '{name}'{hint}"
+
+
+def _starts(port: Port) -> tuple[float, ...]:
+    from phfmu.declare.variable import _values
+
+    return _values(port.name, "start", port.start, port.n)
+
+
+def _swapped(b: Block, swap: Mapping[int, Variable]) -> Block:
+    return replace(b, variables=tuple(swap[id(v)] for v in b.variables))

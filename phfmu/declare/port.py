@@ -1,0 +1,94 @@
+"""Domains and power ports.
+
+A port is a block B of the input matrix with its conjugate pair:  y = B^T z,  power into the component = u^T y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import casadi as ca
+
+from phfmu.declare.variable import Number, Variable
+
+Given = Literal["effort", "flow"]
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A physical domain: names and units of effort and flow; their product is a power in watt."""
+
+    name: str
+    effort: str
+    effort_unit: str
+    flow: str
+    flow_unit: str
+
+
+ELECTRICAL = Domain("electrical", "v", "V", "i", "A")
+TRANSLATIONAL = Domain("translational", "force", "N", "velocity", "m/s")
+ROTATIONAL = Domain("rotational", "torque", "N.m", "speed", "rad/s")
+HYDRAULIC = Domain("hydraulic", "pressure", "Pa", "flow", "m3/s")
+
+
+@dataclass(frozen=True, eq=False)
+class Port:
+    """A power port: B acts on the rows of `on`, y = B^T z; positive power flows INTO the component.
+
+    on:      variable -> coefficient matrix (len(variable) x size), may depend on x and parameters
+    given:   which member of the pair is the input u ("effort" or "flow")
+    size:    number of scalar pairs; None = a scalar port
+    source:  expression (size x 1) of `time` and parameters: the port is fed from inside the model and its
+             work is booked here; None = the input is free
+    bound:   algebraic variable that feeds the port from inside a composed network; None = free
+    start:   input value before anyone sets it
+    """
+
+    name: str
+    domain: Domain
+    given: Given
+    on: Mapping[Variable, Any]
+    size: int | None = None
+    source: Any = None
+    bound: tuple[ca.SX, ...] | None = None
+    start: Number = 0.0
+    nominal: Number = 1.0
+    description: str = ""
+    owner: str = ""
+    u: ca.SX = field(default=None, repr=False)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.u is None:
+            object.__setattr__(self, "u", ca.SX.sym("u." + self.name, self.n))
+
+    @property
+    def n(self) -> int:
+        """Number of scalar pairs."""
+        return self.size or 1
+
+    @property
+    def external(self) -> bool:
+        """True if the input comes from outside the model."""
+        return self.source is None and self.bound is None
+
+    def _names(self, member: str) -> list[str]:
+        base = f"{self.name}.{member}"
+        return [base] if self.size is None else [f"{base}[{i + 1}]" for i in range(self.size)]
+
+    def input_names(self) -> list[str]:
+        """Names of the scalar inputs u, e.g. `terminal.v[1]`."""
+        return self._names(self.domain.effort if self.given == "effort" else self.domain.flow)
+
+    def output_names(self, suffix: str = "") -> list[str]:
+        """Names of the scalar outputs y, e.g. `terminal.i[1]` or with suffix `_step`."""
+        return self._names((self.domain.flow if self.given == "effort" else self.domain.effort) + suffix)
+
+    @property
+    def input_unit(self) -> str:
+        return self.domain.effort_unit if self.given == "effort" else self.domain.flow_unit
+
+    @property
+    def output_unit(self) -> str:
+        return self.domain.flow_unit if self.given == "effort" else self.domain.effort_unit

@@ -1,0 +1,132 @@
+"""Variables of a declaration: states, algebraic variables and parameters, scalar or vector."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+Role = Literal["state", "algebraic", "parameter"]
+Number = float | Sequence[float] | np.ndarray
+
+#: The one symbol for time; sources and observables may depend on it.
+time: ca.SX = ca.SX.sym("time")
+
+
+def _values(name: str, what: str, value: Number, size: int) -> tuple[float, ...]:
+    array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+    if array.size == 1:
+        array = np.full(size, array[0])
+    if array.size != size:
+        raise ValueError(f"{name}: {what} has {array.size} entries, the variable has {size}")
+    return tuple(float(v) for v in array)
+
+
+class _Arithmetic:
+    """Lets a Variable stand for its symbol in expressions."""
+
+    sx: ca.SX
+
+    def __SX__(self) -> ca.SX:  # noqa: N807  (CasADi's conversion hook)
+        return self.sx
+
+    def __getitem__(self, index: Any) -> ca.SX:
+        return self.sx[index]
+
+    def __neg__(self) -> ca.SX:
+        return -self.sx
+
+    def __add__(self, other: Any) -> ca.SX:
+        return self.sx + _sx(other)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> ca.SX:
+        return self.sx - _sx(other)
+
+    def __rsub__(self, other: Any) -> ca.SX:
+        return _sx(other) - self.sx
+
+    def __mul__(self, other: Any) -> ca.SX:
+        return self.sx * _sx(other)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> ca.SX:
+        return self.sx / _sx(other)
+
+    def __rtruediv__(self, other: Any) -> ca.SX:
+        return _sx(other) / self.sx
+
+    def __pow__(self, other: Any) -> ca.SX:
+        return self.sx ** _sx(other)
+
+    def __matmul__(self, other: Any) -> ca.SX:
+        return ca.mtimes(self.sx, _sx(other))
+
+
+def _sx(value: Any) -> Any:
+    return value.sx if isinstance(value, _Arithmetic) else value
+
+
+@dataclass(frozen=True, eq=False)
+class Variable(_Arithmetic):
+    """A named symbol (n x 1) with unit, start and nominal values.
+
+    `z` is the symbol of its effort (costate) z; for algebraic variables z is the variable itself.
+    Identity is object identity: two calls give two different variables.
+    """
+
+    name: str
+    role: Role
+    size: int | None
+    unit: str
+    start: tuple[float, ...]
+    nominal: tuple[float, ...]
+    description: str
+    sx: ca.SX = field(repr=False)
+    z: ca.SX = field(repr=False)
+
+    @property
+    def n(self) -> int:
+        """Number of scalar entries."""
+        return self.size or 1
+
+    def names(self) -> list[str]:
+        """Scalar names, `[1]`-based for vectors."""
+        return [self.name] if self.size is None else [f"{self.name}[{i + 1}]" for i in range(self.size)]
+
+
+def make_variable(
+    role: Role, name: str, size: int | None, unit: str, start: Number, nominal: Number, description: str
+) -> Variable:
+    """Build a variable with fresh symbols; `size=None` is a scalar."""
+    n = 1 if size is None else size
+    sx = ca.SX.sym(name, n)
+    z = sx if role != "state" else ca.SX.sym("z." + name, n)
+    starts = _values(name, "start", start, n)
+    return Variable(name, role, size, unit, starts, _values(name, "nominal", nominal, n), description, sx, z)
+
+
+def state(
+    name: str, size: int | None = None, *, unit: str = "1", start: Number = 0.0, nominal: Number = 1.0, description: str = ""
+) -> Variable:
+    """A differential variable, part of x1.  `nominal`: typical magnitude, scales the stopping test."""
+    return make_variable("state", name, size, unit, start, nominal, description)
+
+
+def algebraic(
+    name: str, size: int | None = None, *, unit: str = "1", start: Number = 0.0, nominal: Number = 1.0, description: str = ""
+) -> Variable:
+    """An algebraic variable, part of x2 = z2 (multiplier, node voltage, source current)."""
+    return make_variable("algebraic", name, size, unit, start, nominal, description)
+
+
+def parameter(
+    name: str, value: Number, size: int | None = None, *, unit: str = "1", description: str = ""
+) -> Variable:
+    """A constant that may be changed before (and by events during) a run."""
+    return make_variable("parameter", name, size, unit, value, 1.0, description)

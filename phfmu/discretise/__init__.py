@@ -1,0 +1,1 @@
+"""From a declaration to plans: discrete gradients, schemes, and the planner."""

@@ -1,0 +1,157 @@
+"""Collocation at k Gauss nodes with discrete gradients: order 2k, exact power balance with R and ports.
+
+Unknowns per node i: increments D_i = h x1'(t + c_i h) and algebraic values x2_i.  With X_i = x + sum_j a_ij D_j,
+
+    E11(X_i) D_i = h [(J - R) Z_i + B u_i]_1,   0 = [(J - R) Z_i + B u_i]_2,   y_i = B^T Z_i,   x' = x + sum_i b_i D_i,
+
+and E11^T Z_i = W_i, the node gradients of `gradients.py`.  k = 1 is the scheme (21) of Kinon, Morandin, Schulze
+(Appl. Numer. Math. 2026), for holonomic models their (44).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from phfmu.discretise import constraints, gradients
+from phfmu.discretise.arguments import EMPTY, Arguments
+from phfmu.discretise.quadrature import nodes
+from phfmu.discretise.spec import Spec, substituted
+from phfmu.discretise.terms import DeclarationError, Term, Terms
+
+@dataclass(frozen=True)
+class Collocated:
+    """k Gauss nodes; gradient "per-term" | "joint-gonzalez" (k = 1) | "nodal" (k = 1: the midpoint baseline MP).
+
+    `two_level`: holonomic models keep position and velocity constraints both (GGL form, odd k).
+    """
+
+    k: int = 1
+    gradient: str = "per-term"
+    name: str = "collocated"
+    two_level: bool = False
+
+    @property
+    def joint(self) -> bool:
+        return self.gradient == "joint-gonzalez"
+
+    def prepare(self, terms: Terms) -> Terms:
+        """Check that the scheme fits the model; returns the terms to discretise."""
+        if terms.closed_states and self.k > 1:
+            raise DeclarationError(
+                f"{terms.model.name}: the closed-form pair has order 2 only; use --order 2, or flux coordinates for "
+                f"order {2 * self.k}"
+            )
+        if self.joint and self.k > 1:
+            raise DeclarationError("joint-gonzalez has order 2 only; use --gradient per-term for a higher order")
+        if terms.velocity_of and self.k % 2 == 0 and any(t.kind == "constraint" for t in terms.terms):
+            raise DeclarationError(
+                f"{terms.model.name}: order {2 * self.k} with holonomic constraints drifts off the velocity constraint; "
+                "use --order 2 or 6"
+            )
+        return constraints.prepare(terms) if self.two_level else terms
+
+    def specs(self, term: Term) -> list[Spec]:
+        """Kernels of one term."""
+        build = getattr(self, "_" + term.kind, None)
+        return [] if build is None else build(term)
+
+    # -- terms ------------------------------------------------------------------------------------------------------
+
+    def _energy(self, term: Term) -> list[Spec]:
+        nd, args = nodes(self.k), Arguments(term, self.k)
+        x, data = term.local["x"], term.data
+        d = args.matrix("D", x.numel())
+        kind = term.key[1][0]
+        if self.gradient == "nodal" and kind != "quadratic":
+            w, dh = gradients.nodal(data["H"], x, d, nd)
+        elif kind == "quadratic":
+            w, dh = gradients.quadratic(data["H"], x, d, nd)
+        elif kind == "strain":
+            w, dh = gradients.strain(data["C"], data["phi"], term.local["z"], x, d, nd)
+        else:
+            w, dh = gradients.general(data["H"], x, d, nd, np.array(term.key[1][1]))
+        return [self._costates(term, args, w, dh)]
+
+    def _joint(self, term: Term) -> list[Spec]:
+        args, x = Arguments(term, self.k), term.local["x"]
+        d = args.matrix("D", x.numel())
+        return [self._costates(term, args, *gradients.joint_gonzalez(term.data["H"], x, d, nodes(self.k)))]
+
+    def _costates(self, term: Term, args: Arguments, w: ca.SX, dh: ca.SX) -> Spec:
+        out = [(("W", j, i), 0, w[j, i] * term.data["scale"][j]) for i in range(self.k) for j in range(w.shape[0])]
+        return Spec(0, args.x, args.p, args.y, out, stored=dh)
+
+    def _closed(self, term: Term) -> list[Spec]:
+        args, x, data = Arguments(term, 1), term.local["x"], term.data
+        d = args.matrix("D", x.numel())
+        ebar, zbar = substituted([data["ebar"], data["zbar"]], [(term.local["z"], d)])
+        dh = gradients.at(data["H"], x, x + d) - data["H"]
+        rows = range(x.numel())
+        costates = Spec(0, args.x, args.p, args.y, [(("W", j, 0), 0, zbar[j]) for j in rows], stored=dh)
+        return [costates, Spec(1, args.x, args.p, args.y, [(("row", j, 0), 0, ebar[j]) for j in rows])]
+
+    def _mass(self, term: Term) -> list[Spec]:
+        args = Arguments(term, self.k)
+        d = args.matrix("D", 1)
+        return [Spec(1, EMPTY, args.p, args.y, [(("row", 0, i), 0, term.data["m"] * d[i]) for i in range(self.k)])]
+
+    def _massblock(self, term: Term) -> list[Spec]:
+        args, n = Arguments(term, self.k), len(term.rows)
+        pairs, e = self._at_nodes(term, args)
+        out = []
+        d = e["D"]
+        for i in range(self.k):
+            (matrix,) = substituted([term.data["E"]], pairs[i])
+            (z,) = substituted([term.data["z"]], pairs[i])
+            lhs, back = ca.mtimes(matrix, d[:n, i]), ca.mtimes(matrix.T, z)
+            out += [(("row", j, i), 0, lhs[j]) for j in range(n)]
+            out += [(("costate", j, i), 0, back[j]) for j in range(n)]
+        return [Spec(1, args.x, args.p, args.y, out)]
+
+    def _at_nodes(self, term: Term, args: Arguments) -> tuple[list[list[tuple[ca.SX, ca.SX]]], dict[str, ca.SX]]:
+        """Per node the substitution of local symbols by their node values; and the argument matrices by kind."""
+        nd, made = nodes(self.k), {}
+        local = term.local
+        if "x" in local:
+            made["D"] = args.matrix("D", local["x"].numel())
+        step = args.symbol("h", 0, 0) if "t" in local else None
+        for kind in ("z", "a", "u"):
+            if kind in local:
+                made[kind] = args.matrix(kind, local[kind].numel())
+        pairs = []
+        for i in range(self.k):
+            at = [(local[kind], made[kind][:, i]) for kind in ("z", "a", "u") if kind in local]
+            if "x" in local:
+                at.append((local["x"], local["x"] + ca.mtimes(made["D"], ca.DM(nd.a[i]))))
+            if step is not None:
+                at.append((local["t"], local["t"] + nd.c[i] * step))
+            pairs.append(at)
+        return pairs, made
+
+    def _flow(self, term: Term) -> list[Spec]:
+        args = Arguments(term, self.k)
+        pairs, _ = self._at_nodes(term, args)
+        out, lost = [], None
+        for i in range(self.k):
+            (f,) = substituted([term.data["f"]], pairs[i])
+            for j, (kind, _) in enumerate(term.rows):
+                out.append((("row", j, i), int(kind == "x"), f[j] if kind == "y" else -f[j]))
+            if "loss" in term.data:
+                (loss,) = substituted([term.data["loss"]], pairs[i])
+                lost = nodes(self.k).b[i] * loss + (0 if lost is None else lost)
+        return [Spec(1, args.x, args.p, args.y, out, lost=lost)]
+
+    def _source(self, term: Term) -> list[Spec]:
+        args = Arguments(term, self.k)
+        pairs, _ = self._at_nodes(term, args)
+        out = [(("S", 0, i), 0, substituted([term.data["s"]], pairs[i])[0]) for i in range(self.k)]
+        return [Spec(0, args.x, args.p, args.y, out)]
+
+    def _constraint(self, term: Term) -> list[Spec]:
+        return constraints.two_level(term, self.k) if self.two_level else constraints.collocated(term, self.k)
+
+    def _shift(self, term: Term) -> list[Spec]:
+        return constraints.shift(term, self.k)

@@ -1,0 +1,275 @@
+"""Extraction: walk a declaration once and list its terms and constant triplets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from phfmu.declare.energy import Energy
+from phfmu.declare.phdae import PHDAE, Block
+from phfmu.declare.port import Port
+from phfmu.declare.variable import Variable, _sx
+from phfmu.discretise.terms import DeclarationError, Locator, Pair, Terms, components, make_term
+
+
+def extract(model: PHDAE, *, joint: bool = False) -> Terms:
+    """All terms of `model`; `joint` merges the energies of each member into one term (joint Gonzalez gradient)."""
+    members = list(model.members)
+    free = [p for p in model.ports if p.external]
+    rest = [p for p in model.ports if not p.external]
+    pairs = [Pair(p, j, _member(members, p.owner)) for p in (*free, *rest) for j in range(p.n)]
+    out = Terms(
+        model,
+        n1=sum(v.n for v in model.states),
+        na=sum(v.n for v in model.algebraics),
+        np=sum(v.n for v in model.parameters),
+        pairs=pairs,
+        nu=sum(p.n for p in free),
+        members=members,
+    )
+    locator = Locator(model, pairs)
+    mass = _masses(model, out, locator)
+    _closed(model, out, locator)
+    _blocks(model, out, locator)
+    _ports(out, locator)
+    _velocities(out)
+    for c in model.constraints:
+        for j, (_, multiplier) in enumerate(locator.of(c.multiplier)):
+            out.terms.append(
+                make_term("constraint", {"g": c.g[j]}, locator, f"constraint '{c.multiplier.name}'",
+                          rows=[("a", multiplier)], owner=_member(members, c.owner))
+            )  # fmt: skip
+    _energies(model, out, locator, mass, joint)
+    row = 0
+    for o in model.observables:
+        n = o.expr.numel()
+        rows = [("o", row + j) for j in range(n)]
+        out.observable_names += [o.name] if n == 1 else [f"{o.name}[{j + 1}]" for j in range(n)]
+        out.terms.append(make_term("observable", {"f": ca.vec(o.expr)}, locator, f"observable '{o.name}'", rows=rows))
+        row += n
+    return out
+
+
+def _member(members: Sequence[str], owner: str) -> int:
+    return members.index(owner) if owner in members else 0
+
+
+def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
+    """Rows of E other than identity; returns the diagonal entries, state index -> expression."""
+    diagonal: dict[int, ca.SX] = {}
+    solved: list[int] = []
+    for v, value in model.E.items():
+        matrix = ca.SX(_sx(value))
+        where = [i for _, i in locator.of(v)]
+        if matrix.numel() == 1 and v.n > 1:
+            matrix = matrix * ca.SX.eye(v.n)
+        elif matrix.shape == (v.n, 1) and v.n > 1:
+            matrix = ca.diag(matrix)
+        if matrix.shape != (v.n, v.n):
+            raise DeclarationError(f"E of '{v.name}' is {matrix.shape[0]} x {matrix.shape[1]}, expected {v.n} x {v.n}")
+        kinds = {locator.find(s, f"E of '{v.name}'")[0] for s in ca.symvar(matrix)}
+        if matrix.sparsity().is_diag() and kinds <= {"p"}:
+            for j, i in enumerate(where):
+                diagonal[i] = matrix[j, j]
+                out.terms.append(
+                    make_term("mass", {"m": matrix[j, j]}, locator, f"E of '{v.name}'", rows=[("x", i)], extra=[v.sx[j]])
+                )
+        else:
+            solved += where
+            z = v.z
+            exprs = {"E": matrix, "z": z}
+            out.terms.append(
+                make_term("massblock", exprs, locator, f"E of '{v.name}'", rows=[("x", i) for i in where],
+                          extra=[*ca.vertsplit(v.sx), *ca.vertsplit(z)])
+            )  # fmt: skip
+    out.solved_costates = tuple(solved)
+    return diagonal
+
+
+def _closed(model: PHDAE, out: Terms, locator: Locator) -> None:
+    for pair in model.closed:
+        x = ca.vertcat(*(v.sx for v in pair.variables))
+        d = ca.SX.sym("d", x.numel())
+        where = [i for v in pair.variables for _, i in locator.of(v)]
+        out.closed_states.update(where)
+        exprs = {"H": pair.hamiltonian, "E": pair.E, "z": pair.z}
+        # d is no model symbol: it enters through a second locator that maps it onto inputs of the kernel
+        ebar, zbar = pair.ebar(x, d), pair.zbar(x, d)
+        probe = Locator(model, out.pairs)
+        for j in range(d.numel()):
+            probe.where[d[j].element_hash()] = ("d", where[j])
+        term = make_term("closed", exprs | {"ebar": ebar, "zbar": zbar}, _WithIncrement(probe), "closed-form pair",
+                         rows=[("x", i) for i in where], owner=_member(out.members, pair.owner),
+                         extra=[*ca.vertsplit(x), *ca.vertsplit(d)])  # fmt: skip
+        out.terms.append(term)
+
+
+class _WithIncrement(Locator):
+    """A locator that files the increment symbols under the (otherwise unused) kind z."""
+
+    def __init__(self, base: Locator):
+        self.where = {k: (("z", v[1]) if v[0] == "d" else v) for k, v in base.where.items()}
+
+
+def _rows(variables: Sequence[Variable], locator: Locator) -> tuple[list[tuple[str, int]], ca.SX]:
+    rows = [r for v in variables for r in locator.of(v)]
+    for kind, _ in rows:
+        if kind not in ("x", "a"):
+            raise DeclarationError("blocks of J and R act on states and algebraic variables only")
+    return rows, ca.vertcat(*(v.z for v in variables))
+
+
+def _constant(entry: ca.SX) -> float | None:
+    return float(entry) if entry.is_constant() else None
+
+
+def _source(row: tuple[str, int]) -> tuple[str, int]:
+    return ("z", row[1]) if row[0] == "x" else row
+
+
+def _blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
+    for what, blocks in (("J", model.structure), ("R", model.dissipation)):
+        for b in blocks:
+            rows, z = _rows(b.variables, locator)
+            label = f"{what} block on {', '.join(v.name for v in b.variables)}"
+            if b.matrix.shape != (len(rows), len(rows)):
+                raise DeclarationError(f"{label} is {b.matrix.shape[0]} x {b.matrix.shape[1]}, expected {len(rows)} square")
+            owner = _member(out.members, b.owner)
+            if what == "R":
+                _dissipation(out, locator, b, rows, z, owner, label)
+            else:
+                _interconnection(out, locator, b, rows, z, owner, label)
+
+
+def _dissipation(out: Terms, locator: Locator, b: Block, rows: list, z: ca.SX, owner: int, label: str) -> None:
+    for part in components(b.matrix):
+        zp = ca.vertcat(*(z[i] for i in part))
+        f = -ca.mtimes(b.matrix[part, part], zp)
+        exprs = {"f": f, "loss": -ca.dot(zp, f)}
+        out.terms.append(make_term("flow", exprs, locator, label, rows=[rows[i] for i in part], owner=owner))
+
+
+def _interconnection(out: Terms, locator: Locator, b: Block, rows: list, z: ca.SX, owner: int, label: str) -> None:
+    varying = ca.SX(b.matrix)
+    i_row, i_col = b.matrix.sparsity().get_triplet()
+    for r, c in zip(i_row, i_col, strict=True):
+        value = _constant(b.matrix[r, c])
+        if value is not None:
+            varying[r, c] = 0
+            if value:
+                out.constants.append((*rows[r], *_source(rows[c]), value))
+    varying = ca.sparsify(varying)
+    for part in components(varying):
+        zp = ca.vertcat(*(z[i] for i in part))
+        f = ca.mtimes(varying[part, part], zp)
+        out.terms.append(make_term("flow", {"f": f}, locator, label, rows=[rows[i] for i in part], owner=owner))
+
+
+def _ports(out: Terms, locator: Locator) -> None:
+    first: dict[int, int] = {}
+    for i, pair in enumerate(out.pairs):
+        first.setdefault(id(pair.port), i)
+    for port in dict.fromkeys(p.port for p in out.pairs):
+        _port(out, locator, port, first[id(port)])
+        if port.source is not None:
+            s = ca.SX(_sx(port.source))
+            for j in range(port.n):
+                i = first[id(port)] + j
+                out.terms.append(make_term("source", {"s": s[j]}, locator, f"source of '{port.name}'", rows=[("u", i)]))
+
+
+def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
+    varying_f: dict[tuple[str, int], ca.SX] = {}
+    for v, coefficient in port.on.items():
+        b = ca.SX(_sx(coefficient))
+        if b.numel() == 1 and v.n == port.n > 1:
+            b = b * ca.SX.eye(v.n)
+        if b.shape != (v.n, port.n):
+            raise DeclarationError(f"port '{port.name}': B on '{v.name}' is {b.shape[0]} x {b.shape[1]}, "
+                                   f"expected {v.n} x {port.n}")  # fmt: skip
+        rows = locator.of(v)
+        i_row, i_col = b.sparsity().get_triplet()
+        for r, j in zip(i_row, i_col, strict=True):
+            pair = first + j
+            back = None if port.bound is None else locator.find(port.bound[j], f"port '{port.name}'")
+            value = _constant(b[r, j])
+            if value is not None:
+                if value:
+                    out.constants.append((*rows[r], "u", pair, value))
+                    out.constants.append(("y", pair, *_source(rows[r]), value))
+                    if back:
+                        out.constants.append((*back, *_source(rows[r]), -value))
+                continue
+            y = b[r, j] * v.z[r]
+            targets = [(rows[r], b[r, j] * port.u[j]), (("y", pair), y)] + ([(back, -y)] if back else [])
+            for target, expr in targets:
+                varying_f[target] = varying_f.get(target, ca.SX(0)) + expr
+    if varying_f:
+        f = ca.vertcat(*varying_f.values())
+        out.terms.append(make_term("flow", {"f": f}, locator, f"port '{port.name}'", rows=list(varying_f)))
+
+
+def _velocities(out: Terms) -> None:
+    """q -> v for rows q' = z_v (one constant unit entry): where the multiplier of g(q) acts."""
+    rows: dict[int, list[tuple[str, int, float]]] = {}
+    for row_kind, row, kind, source, value in out.constants:
+        if row_kind == "x":
+            rows.setdefault(row, []).append((kind, source, value))
+    out.velocity_of = {q: s[0][1] for q, s in rows.items() if len(s) == 1 and s[0][0] == "z" and s[0][2] == 1.0}
+
+
+def _energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
+    if joint:
+        for owner in dict.fromkeys(e.owner for e in model.energies):
+            group = [e for e in model.energies if e.owner == owner]
+            _joint(model, out, locator, mass, group)
+        return
+    for e in model.energies:
+        states = _states_of(e.expr, locator)
+        scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
+        exprs = {"H": e.expr, "scale": scale}
+        tag: tuple = (e.kind,)
+        if e.kind == "strain":
+            c = ca.SX.sym("c")
+            assert e.invariant is not None and e.phi is not None
+            # phi(c) keeps its own symbol: c is filed as a costate, a kind energies never use otherwise
+            probe = _WithIncrement(locator)
+            probe.where[c.element_hash()] = ("z", -1)
+            exprs |= {"C": e.invariant, "phi": e.phi(c)}
+            term = make_term("energy", exprs, probe, "energy", rows=[("x", i) for _, i in states],
+                             owner=_member(out.members, e.owner), extra=[*(s for s, _ in states), c], tag=tag)  # fmt: skip
+            out.terms.append(term)
+            continue
+        if e.kind == "general":
+            chosen = {i for v in e.correct for _, i in locator.of(v)} or {i for _, i in states}
+            nominal = _nominals(model)
+            tag = (e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
+        out.terms.append(make_term("energy", exprs, locator, "energy", rows=[("x", i) for _, i in states],
+                                   owner=_member(out.members, e.owner), extra=[s for s, _ in states], tag=tag))  # fmt: skip
+
+
+def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], group: list[Energy]) -> None:
+    total = ca.SX(0)
+    for e in group:
+        total += e.expr
+    states = _states_of(total, locator)
+    scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
+    out.terms.append(make_term("joint", {"H": total, "scale": scale}, locator, "energy",
+                               rows=[("x", i) for _, i in states], owner=_member(out.members, group[0].owner),
+                               extra=[s for s, _ in states]))  # fmt: skip
+
+
+def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
+    found = []
+    for s in ca.symvar(expr):
+        kind, i = locator.find(s, "energy")
+        if kind == "x":
+            found.append((s, i))
+        elif kind != "p":
+            raise DeclarationError(f"the energy depends on '{s}'; H may depend on states and parameters only")
+    return found
+
+
+def _nominals(model: PHDAE) -> list[float]:
+    return [v.nominal[j] for v in model.states for j in range(v.n)]

@@ -1,0 +1,167 @@
+"""Discrete gradients of one energy term at the k Gauss nodes of a step.
+
+With increments D_i (x' = x + sum b_i D_i, D_i = h F_i) every function here returns node gradients W_i and the
+energy difference dH such that the directionality condition
+
+    sum_i b_i D_i^T W_i = H(x') - H(x) = dH
+
+holds exactly: this is the only property the power balance needs.  k = 1 gives discrete gradients in the sense of
+Gonzalez (J. Nonlinear Sci. 6, 1996).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+
+from phfmu.discretise.quadrature import Nodes, gauss
+
+#: Below this squared relative increment a corrected gradient drops its correction: the quadrature defect is then
+#: smaller than the round-off of the quotient.
+GUARD = 1e-6
+#: The threshold of the joint Gonzalez quotient on |dx|^2 (Kinon, Morandin, Schulze 2026, section 6.3).
+JOINT_GUARD = 1e-12
+
+Gradient = tuple[ca.SX, ca.SX]
+
+
+def degree(expr: ca.SX, x: ca.SX, most: int = 8) -> int | None:
+    """Degree of `expr` as a polynomial in x, or None if it is not one of degree <= `most`."""
+    t, d = ca.SX.sym("t"), ca.SX.sym("d", x.numel())
+    g = ca.substitute(expr, x, x + t * d)
+    for n in range(most + 1):
+        if not ca.depends_on(g, t):
+            return n
+        g = ca.simplify(ca.gradient(g, t))
+    return None
+
+
+def at(expr: ca.SX, x: ca.SX, value: ca.SX) -> ca.SX:
+    """`expr` with x replaced by `value`."""
+    return ca.substitute(expr, x, value)
+
+
+def _end(x: ca.SX, d: ca.SX, nd: Nodes) -> ca.SX:
+    return x + ca.mtimes(d, ca.DM(nd.b))
+
+
+def _point(x: ca.SX, d: ca.SX, nd: Nodes, t: float) -> ca.SX:
+    return x + ca.mtimes(d, ca.DM(nd.integral(t)))
+
+
+def quadratic(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
+    """H with constant Hessian: W_i = grad H(X_i); dH = grad H((x + x')/2)^T (x' - x)."""
+    grad = ca.gradient(h, x)
+    w = [at(grad, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
+    step = ca.mtimes(d, ca.DM(nd.b))
+    return ca.horzcat(*w), ca.dot(at(grad, x, x + step / 2), step)
+
+
+def nodal(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
+    """Gradients at the nodes, uncorrected (Gauss collocation; k = 1 is the midpoint rule MP): dH is H(x') - H(x)."""
+    grad = ca.gradient(h, x)
+    w = [at(grad, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
+    return ca.horzcat(*w), at(h, x, _end(x, d, nd)) - h
+
+
+def general(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> Gradient:
+    """W_i = 1/b_i sum_q w_q l_i(t_q) grad H(x(t_q)) + alpha metric D_i with m Gauss points.
+
+    Polynomial H of degree p: m = ceil(p k / 2) makes alpha vanish.  Else m = k + 2 and alpha closes the balance.
+    `metric`: nonnegative weights of the states that take the correction.
+    """
+    grad = ca.gradient(h, x)
+    p = degree(h, x)
+    m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
+    w = _projected([at(grad, x, _point(x, d, nd, t)) for t in gauss(m)[0]], m, nd)
+    if p is not None:
+        # the path integral of the same quadrature: H(x') - H(x) without the cancellation
+        return w, sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
+    dh = at(h, x, _end(x, d, nd)) - h
+    return _corrected(w, dh, d, nd, metric), dh
+
+
+def _projected(values: list[ca.SX], m: int, nd: Nodes) -> ca.SX:
+    """Project the integrand given at m Gauss points on the Lagrange basis of the nodes."""
+    t, w = gauss(m)
+    columns = []
+    for i in range(nd.k):
+        total = ca.SX(values[0].numel(), 1)
+        for q in range(m):
+            total += w[q] * nd.value(t[q])[i] / nd.b[i] * values[q]
+        columns.append(total)
+    return ca.horzcat(*columns)
+
+
+def _corrected(w: ca.SX, dh: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> ca.SX:
+    md = ca.mtimes(ca.diag(ca.DM(metric)), d)
+    num = dh - sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
+    den = sum((nd.b[i] * ca.dot(d[:, i], md[:, i]) for i in range(nd.k)), ca.SX(0))
+    return w + guarded(num, den, GUARD) * md
+
+
+def guarded(num: ca.SX, den: ca.SX, guard: float) -> ca.SX:
+    """num / den where den > guard, else 0; finite in value and derivative on both sides."""
+    active = den > guard
+    return ca.if_else(active, num / ca.if_else(active, den, 1), 0)
+
+
+def strain(
+    c: ca.SX, phi: ca.SX, s: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes
+) -> Gradient:
+    """H = phi(C(x)), C quadratic: W_i = S_i grad C(X_i), with the strain carried as an energy variable.
+
+    Cd_i = grad C(X_i)^T D_i,  Chat(t) = C(x) + sum_j (int_0^t l_j) Cd_j,  S_i = 1/b_i sum_q w_q l_i phi'(Chat(t_q)).
+    `phi` is an expression of the scalar symbol `s`.  Linear and angular momentum maps of C are kept.
+    """
+    grad_c, dphi = ca.gradient(c, x), ca.gradient(phi, s)
+    g = [at(grad_c, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
+    cd = ca.horzcat(*(ca.dot(g[i], d[:, i]) for i in range(nd.k)))
+
+    def chat(t: float) -> ca.SX:
+        return c + ca.mtimes(cd, ca.DM(nd.integral(t)))
+
+    p = degree(phi, s)
+    m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
+    stress = _projected([at(dphi, s, chat(t)) for t in gauss(m)[0]], m, nd)
+    dc = ca.mtimes(cd, ca.DM(nd.b))
+    if p is not None:
+        dh = sum((nd.b[i] * cd[i] * stress[i] for i in range(nd.k)), ca.SX(0))
+    else:
+        dh = at(phi, s, c + dc) - at(phi, s, c)
+        stress = _corrected(stress, dh, cd, nd, np.ones(1))
+    return ca.horzcat(*(stress[i] * g[i] for i in range(nd.k))), dh
+
+
+def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
+    """The seed's gradient over all of x (k = 1): W = grad H(m) + (dH - grad H(m)^T D)/|D|^2 D.
+
+    For polynomial H the numerator is the exact odd Taylor remainder sum_j D^jH(m)[D..D]/(2^(j-1) j!), j = 3, 5, ..,
+    which has no cancellation near x' = x.
+    """
+    if nd.k != 1:
+        raise ValueError("the joint Gonzalez gradient exists for order 2 only; use the per-term gradient for order 4 or 6")
+    m = x + d / 2
+    grad = at(ca.gradient(h, x), x, m)
+    p = degree(h, x)
+    direct = at(h, x, x + d) - h
+    num = direct - ca.dot(grad, d) if p is None else _taylor_remainder(h, x, d, m, p)
+    dh = direct if p is None else num + ca.dot(grad, d)
+    return grad + guarded(num, ca.dot(d, d), JOINT_GUARD) * d, dh
+
+
+def _taylor_remainder(h: ca.SX, x: ca.SX, d: ca.SX, m: ca.SX, p: int) -> ca.SX:
+    t = ca.SX.sym("t")
+    g = at(h, x, m + t * d)
+    total, factorial = ca.SX(0), 1.0
+    for j in range(1, p + 1):
+        g = ca.gradient(g, t)
+        factorial *= j
+        if j >= 3 and j % 2:
+            total += at(g, t, ca.SX(0)) / (2.0 ** (j - 1) * factorial)
+    return total
+
+
+EnergyRule = Callable[..., Gradient]

@@ -1,0 +1,170 @@
+"""From a declaration to canonical terms: small local functions plus the indices they act on.
+
+Two terms that differ only in their symbols get the same key, so a scheme discretises each kind of term once and
+the plan holds one kernel with many instances.  Value kinds used throughout:
+
+    x state   z costate of a state   a algebraic variable   u input of a scalar port pair   p parameter   t time
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.port import Port
+from phfmu.declare.variable import Variable, time
+
+
+class DeclarationError(ValueError):
+    """The declaration cannot be turned into terms; the message names the entry and the remedy."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One scalar power-port pair: `port` entry `j`; `owner` is its member id."""
+
+    port: Port
+    j: int
+    owner: int
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A canonical local function.
+
+    kind:   energy | joint | closed | flow | constraint | source | observable | mass
+    key:    equal keys = equal functions
+    local:  per value kind the local symbols (SX column), in the order of `index`
+    index:  per value kind the global indices
+    data:   kind-specific expressions in the local symbols
+    rows:   (row kind, index) of each output; row kinds x, a, y (pair output), o (observable)
+    """
+
+    kind: str
+    key: tuple[Any, ...]
+    local: dict[str, ca.SX]
+    index: dict[str, tuple[int, ...]]
+    data: dict[str, Any]
+    rows: tuple[tuple[str, int], ...] = ()
+    owner: int = 0
+
+
+@dataclass
+class Terms:
+    """All terms of a declaration, the constant triplets (row kind, row, source kind, source, value), and sizes."""
+
+    model: PHDAE
+    n1: int = 0
+    na: int = 0
+    np: int = 0
+    pairs: list[Pair] = field(default_factory=list)
+    nu: int = 0
+    members: list[str] = field(default_factory=list)
+    terms: list[Term] = field(default_factory=list)
+    constants: list[tuple[str, int, str, int, float]] = field(default_factory=list)
+    solved_costates: tuple[int, ...] = ()
+    velocity_of: dict[int, int] = field(default_factory=dict)
+    closed_states: set[int] = field(default_factory=set)
+    observable_names: list[str] = field(default_factory=list)
+
+
+class Locator:
+    """Where each scalar symbol of a model lives: element hash -> (value kind, index)."""
+
+    def __init__(self, model: PHDAE, pairs: Sequence[Pair]):
+        self.where: dict[int, tuple[str, int]] = {time.element_hash(): ("t", 0)}
+        for kind, variables in (("x", model.states), ("a", model.algebraics), ("p", model.parameters)):
+            i = 0
+            for v in variables:
+                for j in range(v.n):
+                    self.where[v.sx[j].element_hash()] = (kind, i)
+                    if kind == "x":
+                        self.where[v.z[j].element_hash()] = ("z", i)
+                    i += 1
+        for i, pair in enumerate(pairs):
+            self.where[pair.port.u[pair.j].element_hash()] = ("u", i)
+
+    def find(self, symbol: ca.SX, context: str) -> tuple[str, int]:
+        """Kind and index of a scalar symbol; DeclarationError names the symbol and the entry it stands in."""
+        try:
+            return self.where[symbol.element_hash()]
+        except KeyError:
+            raise DeclarationError(
+                f"{context}: symbol '{symbol}' is not a state, algebraic variable, parameter or input of this model; "
+                "list its variable in the declaration"
+            ) from None
+
+    def of(self, variable: Variable) -> list[tuple[str, int]]:
+        return [self.find(variable.sx[j], variable.name) for j in range(variable.n)]
+
+
+KINDS = ("x", "z", "a", "u", "p", "t")
+
+
+def canonical(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Sequence[ca.SX] = ()) -> tuple:
+    """Replace the symbols of `exprs` by pool symbols; returns (new exprs, key, local symbols, indices).
+
+    `extra` symbols (scalars) are listed first even if they do not occur.
+    """
+    symbols: list[ca.SX] = []
+    seen: set[int] = set()
+    for s in [*extra, *ca.symvar(ca.vertcat(*(ca.vec(e) for e in exprs)))]:
+        if s.element_hash() not in seen:
+            seen.add(s.element_hash())
+            symbols.append(s)
+    by_kind: dict[str, list[tuple[ca.SX, int]]] = {k: [] for k in KINDS}
+    for s in symbols:
+        kind, i = locator.find(s, context)
+        by_kind[kind].append((s, i))
+    local = {k: ca.SX.sym(k, len(found)) for k, found in by_kind.items() if found}
+    index = {k: tuple(i for _, i in found) for k, found in by_kind.items() if found}
+    olds = [s for k in KINDS for s, _ in by_kind[k]]
+    news = [local[k][j] for k in KINDS for j in range(len(by_kind[k]))]
+    replaced = ca.substitute([ca.SX(e) for e in exprs], olds, news) if olds else [ca.SX(e) for e in exprs]
+    inputs = [local[k] for k in KINDS if k in local]
+    text = ca.Function("f", inputs, replaced, {"allow_free": True}).serialize()
+    return replaced, (tuple((k, len(v)) for k, v in index.items()), text), local, index
+
+
+def make_term(
+    kind: str,
+    exprs: dict[str, ca.SX],
+    locator: Locator,
+    context: str,
+    *,
+    rows: Iterable[tuple[str, int]] = (),
+    owner: int = 0,
+    extra: Sequence[ca.SX] = (),
+    tag: Any = None,
+) -> Term:
+    """A canonical term from named expressions; `tag` joins the key when kinds alone do not tell terms apart."""
+    rows = tuple(rows)
+    new, key, local, index = canonical(list(exprs.values()), locator, context, extra)
+    full_key = (kind, tag, tuple(r[0] for r in rows), *key)
+    return Term(kind, full_key, local, index, dict(zip(exprs, new, strict=True)), rows, owner)
+
+
+def components(pattern: ca.SX) -> list[list[int]]:
+    """Index sets of the connected components of a square matrix's sparsity (structural zeros only)."""
+    n = pattern.shape[0]
+    parent = list(range(n))
+
+    def root(i: int) -> int:
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        return i
+
+    used = set()
+    rows, cols = pattern.sparsity().get_triplet()
+    for r, c in zip(rows, cols, strict=True):
+        parent[root(r)] = root(c)
+        used.update((r, c))
+    sets: dict[int, list[int]] = {}
+    for i in sorted(used):
+        sets.setdefault(root(i), []).append(i)
+    return list(sets.values())

@@ -1,0 +1,173 @@
+"""C sources -> shared library, cached by content.
+
+Compiler: `python -m ziglang cc` if ziglang is installed (any target), else the system's cc, gcc or clang (host only).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+#: contraction to fused multiply-add would make results depend on the target
+FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC", "-s")
+SUFFIX = {"linux": ".so", "macos": ".dylib", "windows": ".dll"}
+SYSTEM = {"linux": "linux-gnu.2.17", "darwin": "macos", "win32": "windows-gnu"}
+MACHINE = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
+
+
+class CompilerMissing(RuntimeError):
+    """No compiler for the target; the message says how to install one."""
+
+
+class CompileError(RuntimeError):
+    """The compiler refused the sources; the message holds its output."""
+
+
+@dataclass(frozen=True)
+class Build:
+    """A compiled library; `reused`: it came from the cache."""
+
+    path: Path
+    reused: bool
+    compiler: str
+    target: str
+
+
+def cache_folder() -> Path:
+    """PHFMU_CACHE_DIR, else the user cache folder of the platform / phfmu. Not created here."""
+    if chosen := os.environ.get("PHFMU_CACHE_DIR"):
+        return Path(chosen)
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "phfmu"
+
+
+def host_target() -> str:
+    """Target triple of this machine; glibc 2.17 so that the library runs on older systems too."""
+    machine = MACHINE.get(platform.machine().lower(), platform.machine().lower())
+    system = next((s for key, s in SYSTEM.items() if sys.platform.startswith(key)), sys.platform)
+    return f"{machine}-{system}"
+
+
+def suffix(target: str) -> str:
+    """File name extension of a shared library for the target."""
+    return SUFFIX.get(target.split("-")[1], ".so")
+
+
+@dataclass(frozen=True)
+class _Compiler:
+    command: tuple[str, ...]
+    version: str
+    flags: tuple[str, ...]
+
+
+def _zig(target: str) -> _Compiler | None:
+    if importlib.util.find_spec("ziglang") is None:
+        return None
+    flags = ("-target", target, "-fno-sanitize=undefined")
+    version = f"zig {importlib.metadata.version('ziglang')}"
+    return _Compiler((sys.executable, "-m", "ziglang", "cc"), version, flags)
+
+
+def _system(target: str) -> _Compiler | None:
+    if target != host_target():
+        return None
+    for name in ("cc", "gcc", "clang"):
+        if path := shutil.which(name):
+            lines = subprocess.run([path, "--version"], capture_output=True, text=True).stdout.splitlines()
+            return _Compiler((path,), lines[0] if lines else name, ())
+    return None
+
+
+def _find(target: str, only: str | None) -> _Compiler:
+    found = None
+    if only in (None, "zig"):
+        found = _zig(target)
+    if found is None and only in (None, "cc"):
+        found = _system(target)
+    if found is None:
+        host = " and no cc, gcc or clang was found" if target == host_target() else "; a system compiler builds only "
+        host += "" if target == host_target() else f"for this machine ({host_target()})"
+        raise CompilerMissing(
+            f'no C compiler for {target}: ziglang is not installed{host}. Install one with: pip install "phfmu[native]"'
+        )
+    return found
+
+
+def _key(sources: Mapping[str, str | Path], command: Sequence[str], version: str) -> str:
+    digest = hashlib.sha256(repr((list(command), version)).encode())
+    for name in sorted(sources):
+        source = sources[name]
+        content = source.read_bytes() if isinstance(source, Path) else source.encode()
+        digest.update(f"\0{name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()[:32]
+
+
+def _build(sources: Mapping[str, str | Path], compiler: _Compiler, flags: Sequence[str], out: Path) -> None:
+    """Compiles into a private folder and moves the result into place, so that others never see half a file."""
+    cache = cache_folder()
+    env = os.environ | {
+        "ZIG_GLOBAL_CACHE_DIR": str(cache / "zig"),
+        "ZIG_LOCAL_CACHE_DIR": str(cache / "zig" / "local"),
+    }
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent) as folder:
+        work = Path(folder)
+        files, folders = [], [work]
+        for name, source in sorted(sources.items()):
+            path = source if isinstance(source, Path) else work / name
+            if isinstance(source, str):
+                path.write_text(source)
+            elif path.parent not in folders:
+                folders.append(path.parent)
+            if name.endswith(".c"):
+                files.append(str(path))
+        includes = [f"-I{f}" for f in folders]
+        result = work / ("library" + out.suffix)
+        command = [*compiler.command, *flags, *includes, *files, "-o", str(result), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, env=env)
+        if done.returncode != 0:
+            raise CompileError(f"{compiler.version} failed ({done.returncode}):\n{done.stderr[-4000:]}")
+        os.replace(result, out)
+
+
+def compile(
+    sources: Mapping[str, str | Path],
+    target: str | None = None,
+    out: Path | None = None,
+    *,
+    flags: Sequence[str] = (),
+    compiler: str | None = None,
+) -> Build:
+    """Shared library of C sources for a target (default: this machine), from the cache if it is there.
+
+    `sources`: file name -> text or path; names not ending in .c are only included. `out`: copy of the result.
+    `flags`: further compiler flags. `compiler`: "zig" or "cc" to insist on one.
+    Errors: CompilerMissing, CompileError.
+    """
+    target = target or host_target()
+    found = _find(target, compiler)
+    options = (*FLAGS, *found.flags, *flags)
+    key = _key(sources, (*found.command[1:], *options), found.version)
+    path = cache_folder() / "lib" / f"{key}{suffix(target)}"
+    reused = path.exists()
+    if not reused:
+        _build(sources, found, options, path)
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, out)
+    return Build(out or path, reused, found.version, target)

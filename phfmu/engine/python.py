@@ -1,0 +1,270 @@
+"""The reference engine: an instance stepped in Python, one statement of the method after the other."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.discretise.model import Model
+from phfmu.engine.evaluate import Evaluator
+from phfmu.engine.newton import Newton, Outcome
+from phfmu.engine.status import Status, StepFailure
+
+Array = NDArray[np.float64]
+
+DEPTH = 6  # halvings of a step before it is given up
+
+
+@dataclass
+class State:
+    """Everything a step depends on and changes; a copy of it is a saved state."""
+
+    x: Array
+    carry: Array
+    w: Array
+    h_last: float
+    a: Array
+    u: Array
+    p: Array
+    t: float
+    y_step: Array
+    energy: Array
+    stored: Array
+    dissipated: Array
+    supplied: Array
+    last: dict[str, Array] = field(default_factory=dict)
+    end: dict[str, Array] | None = None
+    counts: dict[str, int] = field(default_factory=dict)
+
+
+class PythonInstance:
+    """A component a master can step; see `NativeInstance` for the fast twin with the same methods.
+
+    Inputs u (nu) are held over a step.  `output()` gives the step-conjugate means, so that h u^T y is the supplied
+    energy exactly.  StepFailure leaves the instance at its last accepted step.
+    """
+
+    def __init__(self, model: Model):
+        self.model = model
+        self._step, self._instant = Evaluator(model.step), Evaluator(model.instant)
+        self._newton, self._solver = Newton(self._step), Newton(self._instant)
+        self.reset()
+
+    # -- state ------------------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Back to the start values; the algebraic variables are solved for the start."""
+        m, plan = self.model, self.model.step
+        self._s = State(
+            np.append(m.x0, m.t0), np.zeros(plan.nx), np.zeros(plan.nw), 0.0, m.a0.copy(), np.tile(m.u0, plan.k),
+            m.p0.copy(), m.t0, np.zeros(plan.nq), np.zeros(plan.nq), np.zeros(plan.ncomp), np.zeros(plan.ncomp),
+            np.zeros(plan.ncomp),
+        )  # fmt: skip
+        self._s.counts = dict.fromkeys(("steps", "iterations", "restarts", "line_searches", "substeps"), 0)
+        self.initialise()
+
+    def initialise(self) -> None:
+        """Solve the instant system; step means take their instantaneous values."""
+        s, plan = self._s, self.model.step
+        s.end = None
+        end = self._end_values()
+        s.a = end["a"].copy()
+        s.y_step = end["y"].copy()
+        s.w = np.zeros(plan.nw)
+        s.w[plan.mean_w] = s.a[plan.mean_a]
+        s.h_last = 0.0
+        s.last = {n: np.zeros(plan.ncomp) for n in ("stored", "dissipated", "supplied")} | {"pairs": np.zeros(plan.nq)}
+
+    def get_state(self) -> State:
+        """A complete copy; stepping after `set_state` gives the same bits."""
+        return copy.deepcopy(self._s)
+
+    def set_state(self, state: State) -> None:
+        self._s = copy.deepcopy(state)
+
+    def set_input(self, u: Array) -> None:
+        """Inputs (nu), held over the next steps."""
+        u = np.asarray(u, float)
+        if not np.isfinite(u).all():
+            raise ValueError(f"{self.model.name}: input {int(np.flatnonzero(~np.isfinite(u))[0]) + 1} is {u}, not finite")
+        self._s.u = np.tile(u, self.model.step.k)
+        self._s.end = None
+
+    def set_node_inputs(self, u: Array) -> None:
+        """Inputs at the k quadrature nodes of the next step (k x nu)."""
+        self._s.u = np.asarray(u, float).ravel().copy()
+        self._s.end = None
+
+    def set_parameters(self, p: Array) -> None:
+        self._s.p = np.asarray(p, float).copy()
+        self._s.end = None
+
+    @property
+    def parameters(self) -> Array:
+        return self._s.p.copy()
+
+    def set_x(self, t: float, x: Array) -> None:
+        """Place the state; call `initialise` afterwards."""
+        self._s.x[:-1], self._s.x[-1], self._s.t = x, t, t
+        self._s.carry[:] = 0.0
+        self._s.end = None
+
+    # -- stepping ---------------------------------------------------------------------------------------------------
+
+    def do_step(self, t: float, h: float, parts: int = 1) -> None:
+        """One communication step over [t, t + h] in `parts` equal internal steps."""
+        if not h > 0 or not np.isfinite(h):
+            raise ValueError(f"{self.model.name}: step h = {h} must be positive and finite")
+        before = self.get_state()
+        s, plan = self._s, self.model.step
+        for name, n in (("stored", plan.ncomp), ("dissipated", plan.ncomp), ("supplied", plan.ncomp), ("pairs", plan.nq)):
+            s.last[name] = np.zeros(n)
+        y, a = np.zeros(plan.nq), np.zeros(plan.na)
+        try:
+            for i in range(parts):
+                for y_part, a_part, weight in self._advance(t + i * h / parts, h / parts, 0):
+                    y += weight / h * y_part
+                    a += weight / h * a_part
+        except StepFailure:
+            counts = self._s.counts
+            self._s = before
+            self._s.counts = counts
+            raise
+        s.y_step, s.a, s.t = y, a, t + h
+        s.x[-1] = t + h
+        s.energy += s.last["pairs"]
+        s.stored += s.last["stored"]
+        s.dissipated += s.last["dissipated"]
+        s.supplied += s.last["supplied"]
+        s.counts["steps"] += 1
+        s.end = None
+
+    def _advance(self, t: float, h: float, depth: int) -> list[tuple[Array, Array, float]]:
+        s = self._s
+        s.x[-1] = t
+        outcome = self._attempts(h)
+        if outcome.status is Status.OK:
+            return [self._accept(outcome, h)]
+        if depth == DEPTH:
+            name = self.model.row_names[outcome.row] if outcome.row >= 0 else ""
+            raise StepFailure(
+                outcome.status, self.model.name, t, h, equation=name, residual=outcome.residual,
+                iterations=outcome.iterations, tried=f"two starts, line search and {2**DEPTH} substeps",
+            )  # fmt: skip
+        s.counts["substeps"] += 1
+        first = self._advance(t, h / 2, depth + 1)
+        return first + self._advance(t + h / 2, h / 2, depth + 1)
+
+    def _attempts(self, h: float) -> Outcome:
+        """Newton from the extrapolated last step, from zero increments, then both with line search."""
+        s, plan = self._s, self.model.step
+        rest = np.where(plan.increments == 1, 0.0, s.w)
+        starts = [rest]
+        if s.h_last > 0:
+            ratio = (h / s.h_last) ** plan.guess_pow
+            starts.insert(0, np.add.reduceat(plan.guess_val * ratio * s.w[plan.guess_idx], plan.guess_ptr[:-1]))
+        fixed = (s.x, np.append(s.u, h), s.p, h)
+        outcome = Outcome(Status.NO_CONVERGENCE, rest)
+        for damped in (False, True):
+            for start in starts:
+                outcome = self._newton.attempt(start, fixed, damped)
+                s.counts["iterations"] += outcome.iterations
+                if outcome.status is Status.OK:
+                    s.counts["line_searches"] += damped
+                    s.counts["restarts"] += start is rest and len(starts) == 2
+                    return outcome
+        return outcome
+
+    def _accept(self, outcome: Outcome, h: float) -> tuple[Array, Array, float]:
+        """Book the ledger at the converged unknowns and move the state."""
+        s, plan = self._s, self.model.step
+        fixed = (s.x, np.append(s.u, h), s.p, h)
+        self._newton.residual(outcome.w, fixed)
+        stored, lost = self._step.ledger(s.x, s.p)
+        y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
+        u_nodes = self._step.Y[plan.pair_src].reshape(plan.k, plan.nq)
+        pairs = h * plan.weights @ (y_nodes * u_nodes)
+        s.last["stored"] += stored
+        s.last["dissipated"] += h * lost
+        s.last["pairs"] += pairs
+        s.last["supplied"] += np.bincount(plan.pair_owner, pairs, plan.ncomp)
+        s.w, s.h_last = outcome.w.copy(), h
+        change = np.bincount(plan.update_x, plan.update_c * outcome.w[plan.update_w], plan.nx) + s.carry
+        total = s.x[:-1] + change
+        s.carry = change - (total - s.x[:-1])
+        s.x[:-1] = total
+        a = np.bincount(plan.mean_a, plan.mean_c * outcome.w[plan.mean_w], plan.na)
+        return plan.weights @ y_nodes, a, h
+
+    # -- reading ----------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        return self._s.t
+
+    @property
+    def x(self) -> Array:
+        return self._s.x[:-1].copy()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """steps, iterations, restarts, line_searches, substeps since the reset."""
+        return dict(self._s.counts)
+
+    def output(self) -> Array:
+        """Step-conjugate means of the external pairs (nu)."""
+        return self._s.y_step[: self.model.step.nu].copy()
+
+    def ledger(self) -> dict[str, Array]:
+        """Of the last communication step: stored, dissipated, supplied per component, pairs per scalar pair [J]."""
+        return {k: v.copy() for k, v in self._s.last.items()}
+
+    def signals(self) -> dict[str, Array]:
+        """All values by block: x, a, y_step, energy, supplied, dissipated, residual, a_end, y_end, observables, H."""
+        s, end = self._s, self._end_values()
+        return {
+            "x": s.x.copy(), "a": s.a.copy(), "y_step": s.y_step.copy(), "energy": s.energy.copy(),
+            "supplied": s.supplied.copy(), "dissipated": s.dissipated.copy(),
+            "residual": s.stored + s.dissipated - s.supplied, "a_end": end["a"].copy(), "y_end": end["y"].copy(),
+            "observables": end["o"].copy(), "H": end["H"].copy(),
+        }  # fmt: skip
+
+    def _end_values(self) -> dict[str, Array]:
+        """Solve the instant system for the present state (cached until something changes)."""
+        s, plan = self._s, self.model.instant
+        if s.end is None:
+            w = np.zeros(plan.nw)
+            w[plan.mean_w] = s.a[plan.mean_a]
+            held = s.u.reshape(self.model.step.k, -1)[-1] if s.u.size else s.u
+            fixed = (s.x, np.append(held, 1.0), s.p, 1.0)
+            if plan.nw:
+                outcome = self._solver.attempt(w, fixed, False)
+                if outcome.status is not Status.OK:
+                    name = self.model.instant_names[outcome.row] if outcome.row >= 0 else ""
+                    raise StepFailure(outcome.status, self.model.name, s.t, 0.0, equation=name,
+                                      residual=outcome.residual, iterations=outcome.iterations)  # fmt: skip
+                w = outcome.w
+            r = self._instant.residual(s.x, np.concatenate([w, fixed[1]]), s.p, 1.0)
+            stored, _ = self._instant.ledger(s.x, s.p)
+            s.end = {
+                "a": w[plan.mean_w], "y": r[plan.nw : plan.nw + plan.nq].copy(),
+                "o": r[plan.nw + plan.nq :].copy(), "H": stored,
+            }  # fmt: skip
+        return s.end
+
+    def sensitivity(self) -> Array:
+        """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu), by the implicit function theorem."""
+        plan, s = self.model.step, self._s
+        nw, nu = plan.nw, plan.nu
+        values = self._step.products(plan.derivative, s.h_last)
+        d = plan.derivative
+        full = np.zeros((nw + nu, nw + nu))
+        np.add.at(full, (d.row, d.col), values)
+        if nw == 0:
+            return full[nw:, nw:]
+        self._newton.factor(s.h_last)
+        dw = np.column_stack([self._newton.solve(full[:nw, nw + j]) for j in range(nu)]) if nu else np.zeros((nw, 0))
+        return full[nw:, nw:] + full[nw:, :nw] @ dw

@@ -1,0 +1,86 @@
+/* Gather and scatter: Z, R, V, A, derivative blocks and ledger of one system. */
+#include <string.h>
+
+#include "system.h"
+
+static void powers(const double *hp, const double *value, const signed char *power, int n, double *out) {
+    for (int i = 0; i < n; i++)
+        out[i] = value[i] * hp[power[i]];
+}
+
+/* Coefficients depend on h only: multiplied once per step size, not once per evaluation. */
+void ph_eval_h(ph_system *s, double h) {
+    const ph_plan *p = s->plan;
+    s->y[p->nv - 1] = h;
+    if (h == s->hp[1])
+        return;
+    s->hp[0] = 1.0;
+    s->hp[1] = h;
+    s->hp[2] = h * h;
+    powers(s->hp, p->matrix_value, p->matrix_power, p->matrix_ptr[p->nnz], s->products);
+    powers(s->hp, p->derivative_value, p->derivative_power, p->derivative_ptr[p->nderivative],
+           s->derivatives);
+    powers(s->hp, p->const_val, p->const_pow, p->nconst, s->constants);
+}
+
+/* Z and R at (x, Y); slots: Jacobian entries into V too; late: pair outputs and observables too. */
+void ph_eval(ph_system *s, int slots, int late) {
+    const ph_plan *p = s->plan;
+    double *y = s->y, *z = s->y + p->nv, *r = s->r;
+    const ph_point at = {s->x, y, s->p, s->hp};
+    int i = 0, nconst = late ? p->nconst : p->nconst_early;
+    memset(z, 0, sizeof(double) * (size_t)p->nz);
+    memset(r, 0, sizeof(double) * (size_t)p->nrow);
+    for (int stage = 0; stage < 2; stage++) {
+        for (; i < p->ngroup && p->groups[i].stage == stage; i++) {
+            const ph_group *g = &p->groups[i];
+            const ph_kernel *kernel = &ph_kernels[g->kernel];
+            double *target = stage ? r : z;
+            if (g->late && !late)
+                continue;
+            if (slots)
+                kernel->full(g, &at, target, s->v);
+            else
+                kernel->value(g, &at, target);
+        }
+        if (stage == 0)
+            for (int l = 0; l < nconst; l++)
+                r[p->const_row[l]] += s->constants[l] * y[p->const_src[l]];
+    }
+}
+
+/* out[e] = sum of c V[s] V[t]; the lists have no write conflicts. */
+static void sums(const int *ptr, const int *s, const int *t, const double *c, const double *v, int n,
+                 double *out) {
+    int l = 0;
+    for (int e = 0; e < n; e++) {
+        double sum = 0.0;
+        for (; l < ptr[e + 1]; l++)
+            sum += c[l] * v[s[l]] * v[t[l]];
+        out[e] = sum;
+    }
+}
+
+void ph_eval_matrix(ph_system *s) {
+    const ph_plan *p = s->plan;
+    sums(p->matrix_ptr, p->matrix_s, p->matrix_t, s->products, s->v, p->nnz, s->a);
+}
+
+/* out: nderivative. */
+void ph_eval_derivatives(ph_system *s, double *out) {
+    const ph_plan *p = s->plan;
+    sums(p->derivative_ptr, p->derivative_s, p->derivative_t, s->derivatives, s->v, p->nderivative, out);
+}
+
+/* stored, lost: ncomp each, overwritten; lost is a rate, to be multiplied by the step. */
+void ph_eval_ledger(ph_system *s, double *stored, double *lost) {
+    const ph_plan *p = s->plan;
+    const ph_point at = {s->x, s->y, s->p, s->hp};
+    memset(stored, 0, sizeof(double) * (size_t)p->ncomp);
+    memset(lost, 0, sizeof(double) * (size_t)p->ncomp);
+    for (int i = 0; i < p->ngroup; i++) {
+        const ph_kernel *kernel = &ph_kernels[p->groups[i].kernel];
+        if (kernel->ledger)
+            kernel->ledger(&p->groups[i], &at, stored, lost);
+    }
+}

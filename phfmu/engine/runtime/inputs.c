@@ -1,0 +1,57 @@
+/* Inputs of a step: held values, or values at its quadrature nodes carried to substeps. */
+#include <string.h>
+
+#include "system.h"
+
+void ph_set_input(ph_instance *in, const double *u) {
+    const ph_plan *p = in->model->step;
+    for (int i = 0; i < p->k; i++)
+        for (int j = 0; j < p->nu; j++)
+            in->u[i * p->nu + j] = u[j];
+    in->head->held = 1;
+    in->head->dirty = 1;
+}
+
+int ph_set_node_inputs(ph_instance *in, const double *u) {
+    const ph_plan *p = in->model->step;
+    if (!p->nodes)
+        return PH_ARGUMENT;
+    if (p->nu > 0)
+        memcpy(in->u, u, sizeof(double) * (size_t)(p->nu * p->k));
+    in->head->held = p->k == 1;
+    in->head->theta = 0.0;
+    in->head->dirty = 1;
+    return PH_OK;
+}
+
+/* u (nu) = interpolation polynomial of the node values at theta in [0, 1]. */
+void ph_inputs_at(ph_instance *in, double theta, double *u) {
+    const ph_plan *p = in->model->step;
+    for (int i = 0; i < p->k && !in->head->held; i++) {
+        in->basis[i] = 1.0;
+        for (int m = 0; m < p->k; m++)
+            if (m != i)
+                in->basis[i] *= (theta - p->nodes[m]) / (p->nodes[i] - p->nodes[m]);
+    }
+    for (int j = 0; j < p->nu; j++) {
+        u[j] = in->u[j];
+        if (in->head->held)
+            continue;
+        u[j] = 0.0;
+        for (int i = 0; i < p->k; i++)
+            u[j] += in->basis[i] * in->u[i * p->nu + j];
+    }
+}
+
+/* u (nu*k) = inputs at the nodes of the part [from, from + length] of the step. */
+void ph_resample(ph_instance *in, double from, double length, double *u) {
+    const ph_plan *p = in->model->step;
+    if (p->nu == 0)
+        return;
+    if (in->head->held || length == 1.0) {
+        memcpy(u, in->u, sizeof(double) * (size_t)(p->nu * p->k));
+        return;
+    }
+    for (int i = 0; i < p->k; i++)
+        ph_inputs_at(in, from + length * p->nodes[i], u + i * p->nu);
+}

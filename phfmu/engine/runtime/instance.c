@@ -1,0 +1,272 @@
+/* Memory of an instance: layout, start values, inputs, parameters, save and restore. */
+#include <math.h>
+#include <string.h>
+
+#include "system.h"
+
+/* Hands out the parts of one block; without a block it only counts. */
+typedef struct block {
+    char *base;
+    size_t used;
+} block;
+
+static void *take(block *b, size_t bytes) {
+    size_t at = b->used;
+    b->used += (bytes + 15) / 16 * 16;
+    return b->base ? b->base + at : NULL;
+}
+
+static double *doubles(block *b, int n) {
+    return take(b, sizeof(double) * (size_t)n);
+}
+static int *ints(block *b, int n) {
+    return take(b, sizeof(int) * (size_t)n);
+}
+
+void ph_layout(const ph_model *model, int *offset) {
+    const ph_plan *p = model->step;
+    const int length[PH_NBLOCK] = {p->nx + 1, p->na,    p->nq, p->nq, p->ncomp,
+                                   p->ncomp,  p->ncomp, p->na, p->nq, model->instant->nobs,
+                                   p->ncomp};
+    offset[0] = 0;
+    for (int i = 0; i < PH_NBLOCK; i++)
+        offset[i + 1] = offset[i] + length[i];
+}
+
+static void lay_state(ph_instance *in, block *b) {
+    const ph_plan *p = in->model->step;
+    const int length[PH_NROW] = {p->ncomp, p->ncomp, p->ncomp, p->nq};
+    in->head = take(b, sizeof(ph_head));
+    in->table = doubles(b, in->offset[PH_NBLOCK]);
+    in->rest = doubles(b, p->nx);
+    in->table_rest = doubles(b, p->nq + 3 * p->ncomp);
+    for (int i = 0; i < PH_NROW; i++)
+        in->row[i] = doubles(b, length[i]);
+    in->u = doubles(b, p->nu * p->k);
+    in->p = doubles(b, p->np);
+    in->x_old = doubles(b, p->nx + 1);
+    in->u_old = doubles(b, p->nu * p->k);
+    in->step.last = doubles(b, p->nw);
+    in->step.pivot = ints(b, p->nw);
+    in->instant.last = doubles(b, in->model->instant->nw);
+    in->instant.pivot = ints(b, in->model->instant->nw);
+}
+
+static void lay_lu(ph_lu *lu, const ph_plan *p, block *b) {
+    lu->n = p->nw;
+    lu->nnz = p->nnz;
+    lu->capacity = p->lucap;
+    lu->colptr = p->colptr;
+    lu->rowind = p->matrix_row;
+    lu->order = p->order;
+    lu->prefer = p->pivot_row;
+    lu->pivot = ints(b, lu->n);
+    lu->where = ints(b, lu->n);
+    lu->start = ints(b, lu->n + 1);
+    lu->lower = ints(b, lu->n);
+    lu->index = ints(b, lu->capacity);
+    lu->value = doubles(b, lu->capacity);
+    lu->inverse = doubles(b, lu->n);
+    lu->place = ints(b, lu->nnz);
+    lu->work = doubles(b, lu->n);
+    lu->mark = ints(b, lu->n);
+    lu->stack = ints(b, lu->n);
+    lu->child = ints(b, lu->n);
+}
+
+static void lay_system(ph_system *s, const ph_plan *p, block *b) {
+    s->plan = p;
+    s->y = doubles(b, p->nv + p->nz);
+    s->r = doubles(b, p->nrow);
+    s->v = doubles(b, p->nslot);
+    s->a = doubles(b, p->nnz);
+    s->scaled = doubles(b, p->nnz);
+    s->scale = doubles(b, p->nw);
+    s->rhs = doubles(b, p->nw);
+    s->dw = doubles(b, p->nw);
+    s->base = doubles(b, p->nw);
+    s->products = doubles(b, p->matrix_ptr[p->nnz]);
+    s->derivatives = doubles(b, p->derivative_ptr[p->nderivative]);
+    s->constants = doubles(b, p->nconst);
+    s->blocks = doubles(b, p->nderivative);
+    lay_lu(&s->lu, p, b);
+}
+
+static size_t lay_out(ph_instance *in, block *b) {
+    size_t begin;
+    take(b, sizeof(ph_instance));
+    begin = b->used;
+    lay_state(in, b);
+    in->state_size = b->used - begin;
+    lay_system(&in->step, in->model->step, b);
+    lay_system(&in->instant, in->model->instant, b);
+    in->backup = take(b, in->state_size);
+    in->stored = doubles(b, in->model->step->ncomp);
+    in->lost = doubles(b, in->model->step->ncomp);
+    in->basis = doubles(b, in->model->step->k);
+    return b->used;
+}
+
+static int plan_fits(const ph_plan *p, const ph_model *model) {
+    const ph_plan *step = model->step;
+    if (p->nx != step->nx || p->nu != step->nu || p->np != step->np || p->nq != step->nq ||
+        p->na != step->na || p->ncomp != step->ncomp || p->nv != p->nw + p->nu * p->k + 1 ||
+        p->nrow != p->nw + p->nq * p->k + p->nobs)
+        return 0;
+    for (int i = 0; i < p->ngroup; i++) {
+        const ph_group *g = &p->groups[i];
+        const ph_kernel *kernel;
+        if (g->kernel < 0 || g->kernel >= ph_nkernel)
+            return 0;
+        kernel = &ph_kernels[g->kernel];
+        if (g->nx != kernel->nx || g->ny != kernel->ny || g->np != kernel->np || g->no != kernel->no ||
+            g->nj != kernel->nj)
+            return 0;
+    }
+    return 1;
+}
+
+static int model_fits(const ph_model *model) {
+    return model->stamp == PH_STAMP && model->token == ph_kernel_token && model->instant->k == 1 &&
+           plan_fits(model->step, model) && plan_fits(model->instant, model);
+}
+
+size_t ph_size(const ph_model *model) {
+    ph_instance in = {0};
+    block b = {0};
+    if (!model_fits(model))
+        return 0;
+    in.model = model;
+    ph_layout(model, in.offset);
+    return lay_out(&in, &b);
+}
+
+int ph_init(void *memory, const ph_model *model) {
+    ph_instance *in = memory;
+    block b = {0};
+    if (!model_fits(model))
+        return PH_ABI;
+    memset(memory, 0, ph_size(model));
+    b.base = memory;
+    in->model = model;
+    ph_layout(model, in->offset);
+    lay_out(in, &b);
+    for (int i = 0; i < 2; i++) {
+        ph_system *s = i ? &in->instant : &in->step;
+        s->x = in->table;
+        s->p = in->p;
+        s->last_h = &in->head->last_h[i];
+        s->count = in->count;
+        s->v[0] = 1.0;
+        s->hp[1] = NAN;
+        s->empty = -1;
+    }
+    ph_reset(in);
+    return PH_OK;
+}
+
+/* Algebraic unknowns of both systems start from the values a. */
+void ph_seed(ph_instance *in, const double *a) {
+    for (int i = 0; i < 2; i++) {
+        ph_system *s = i ? &in->instant : &in->step;
+        const ph_plan *p = s->plan;
+        for (int l = 0; l < p->nmean; l++)
+            if (!p->increments[p->mean_w[l]])
+                s->last[p->mean_w[l]] = a[p->mean_a[l]];
+    }
+    in->head->parts = 0;
+}
+
+static void copy(double *to, const double *from, int n) {
+    if (n > 0)
+        memcpy(to, from, sizeof(double) * (size_t)n);
+}
+
+void ph_reset(ph_instance *in) {
+    const ph_model *m = in->model;
+    const ph_plan *p = m->step;
+    memset(in->head, 0, in->state_size);
+    in->head->token = m->token;
+    in->head->size = in->state_size;
+    for (int i = 0; i < 2; i++) {
+        ph_system *s = i ? &in->instant : &in->step;
+        s->lu.ready = 0;
+        if (s->plan->nw > 0)
+            s->pivot[0] = -1;
+    }
+    copy(in->p, m->p0, p->np);
+    ph_set_x(in, m->t0, m->x0);
+    ph_set_algebraic(in, m->a0);
+    ph_set_input(in, m->u0);
+}
+
+void ph_set_algebraic(ph_instance *in, const double *a) {
+    copy(in->table + in->offset[PH_A], a, in->model->step->na);
+    copy(in->table + in->offset[PH_A_END], a, in->model->step->na);
+    ph_seed(in, a);
+    in->head->dirty = 1;
+}
+
+void ph_set_x(ph_instance *in, double t, const double *x) {
+    int nx = in->model->step->nx;
+    copy(in->table, x, nx);
+    in->table[nx] = t;
+    for (int i = 0; i < nx; i++)
+        in->rest[i] = 0.0;
+    in->head->dirty = 1;
+}
+
+void ph_set_parameters(ph_instance *in, const double *p) {
+    copy(in->p, p, in->model->step->np);
+    in->head->parts = 0;
+    in->head->dirty = 1;
+}
+
+const double *ph_parameters(const ph_instance *in) {
+    return in->p;
+}
+
+const double *ph_input(const ph_instance *in) {
+    return in->u;
+}
+
+size_t ph_state_size(const ph_instance *in) {
+    return in->state_size;
+}
+
+void ph_save(const ph_instance *in, void *out) {
+    memcpy(out, in->head, in->state_size);
+}
+
+int ph_load(ph_instance *in, const void *from) {
+    ph_head head;
+    int status;
+    memcpy(&head, from, sizeof(head));
+    if (head.token != in->model->token || head.size != in->state_size)
+        return PH_ABI;
+    memcpy(in->head, from, in->state_size);
+    status = ph_lu_adopt(&in->step.lu, in->step.pivot);
+    return status ? status : ph_lu_adopt(&in->instant.lu, in->instant.pivot);
+}
+
+const double *ph_signals(const ph_instance *in) {
+    return in->table;
+}
+
+const double *ph_ledger(const ph_instance *in, int row) {
+    return row >= 0 && row < PH_NROW ? in->row[row] : NULL;
+}
+
+const long long *ph_counts(const ph_instance *in) {
+    return in->count;
+}
+
+const ph_report *ph_last_report(const ph_instance *in) {
+    return &in->report;
+}
+
+#define TEXT(name, text) text,
+const char *ph_status_text(int status) {
+    static const char *const texts[] = {PH_STATUS_LIST(TEXT)};
+    return status >= 0 && status < PH_NSTATUS ? texts[status] : "unknown status";
+}

@@ -1,0 +1,209 @@
+/* Sparse LU by columns (Gilbert and Peierls, SIAM J. Sci. Stat. Comput. 9, 1988) with fixed column
+ * order, threshold pivoting and refactorisation with the pivots of the last full factorisation. */
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "system.h"
+
+#define PREFER 0.01 /* the planned pivot is taken from this fraction of the column maximum on */
+#define GROWTH 1e-3 /* an old pivot is kept down to this fraction */
+#define ROUNDING (4.0 * DBL_EPSILON) /* a column that cancels down to this is dependent on the others */
+
+/* Rows reached from column j of A through the columns of L found so far, in elimination order in
+ * stack[top..n). During factorisation L is indexed by rows, not by pivot steps. */
+static int reach(ph_lu *lu, int j) {
+    int n = lu->n, top = n, column = lu->order[j];
+    for (int e = lu->colptr[column]; e < lu->colptr[column + 1]; e++) {
+        int depth = 0;
+        if (lu->mark[lu->rowind[e]] == j)
+            continue;
+        /* The path of the search grows from the bottom of the stack, the result from its top. */
+        lu->stack[0] = lu->rowind[e];
+        while (depth >= 0) {
+            int row = lu->stack[depth], k = lu->where[row], q, end;
+            if (lu->mark[row] != j) {
+                lu->mark[row] = j;
+                lu->child[depth] = k < 0 ? 0 : lu->lower[k];
+            }
+            end = k < 0 ? 0 : lu->start[k + 1];
+            for (q = lu->child[depth]; q < end; q++)
+                if (lu->mark[lu->index[q]] != j)
+                    break;
+            if (q < end) {
+                lu->child[depth++] = q + 1;
+                lu->stack[depth] = lu->index[q];
+            } else {
+                lu->stack[--top] = row;
+                depth--;
+            }
+        }
+    }
+    return top;
+}
+
+/* Numbers of column j, pattern given; leaves U in value and the rest in work. */
+static void eliminate(ph_lu *lu, int j, const double *a) {
+    double *x = lu->work;
+    int column = lu->order[j];
+    for (int e = lu->colptr[column]; e < lu->colptr[column + 1]; e++)
+        x[lu->rowind[e]] = a[e];
+    for (int q = lu->start[j]; q < lu->lower[j]; q++) {
+        int k = lu->index[q], row = lu->pivot[k];
+        double xk = x[row];
+        x[row] = 0.0;
+        lu->value[q] = xk;
+        for (int l = lu->lower[k]; l < lu->start[k + 1]; l++)
+            x[lu->index[l]] -= lu->value[l] * xk;
+    }
+}
+
+/* Pivot row among the candidates index[lower[j]..end), or -1. */
+static int choose(const ph_lu *lu, int j, int end, const double *a) {
+    const double *x = lu->work;
+    int best = -1, prefer = lu->prefer[j], column = lu->order[j];
+    double most = 0.0, original = 0.0;
+    for (int e = lu->colptr[column]; e < lu->colptr[column + 1]; e++)
+        if (fabs(a[e]) > original)
+            original = fabs(a[e]);
+    for (int q = lu->lower[j]; q < end; q++) {
+        double size = fabs(x[lu->index[q]]);
+        if (size > most) {
+            most = size;
+            best = lu->index[q];
+        }
+    }
+    if (best < 0 || !isfinite(most) || most <= ROUNDING * original)
+        return -1;
+    if (prefer >= 0 && lu->where[prefer] < 0 && lu->mark[prefer] == j && fabs(x[prefer]) >= PREFER * most)
+        best = prefer;
+    return best;
+}
+
+/* Columns of the factors from the first to the last; a = NULL: pattern only, for the pivots given. */
+int ph_lu_full(ph_lu *lu, const double *a) {
+    int n = lu->n, q = 0;
+    lu->ready = 0;
+    memset(lu->work, 0, sizeof(double) * (size_t)n);
+    for (int i = 0; i < n; i++)
+        lu->mark[i] = lu->where[i] = -1;
+    for (int j = 0; j < n; j++) {
+        int top = reach(lu, j), row, at;
+        if (n - top > lu->capacity - q)
+            return PH_LU_CAPACITY;
+        lu->start[j] = q;
+        for (int i = top; i < n; i++)
+            if (lu->where[lu->stack[i]] >= 0)
+                lu->index[q++] = lu->where[lu->stack[i]];
+        lu->lower[j] = q;
+        for (int i = top; i < n; i++)
+            if (lu->where[lu->stack[i]] < 0)
+                lu->index[q++] = lu->stack[i];
+        if (a)
+            eliminate(lu, j, a);
+        row = a ? choose(lu, j, q, a) : lu->pivot[j];
+        for (at = lu->lower[j]; at < q && lu->index[at] != row; at++) {
+        }
+        lu->failed = lu->order[j];
+        if (at == q)
+            return PH_SINGULAR;
+        lu->index[at] = lu->index[--q];
+        lu->where[row] = j;
+        lu->pivot[j] = row;
+        lu->start[j + 1] = q;
+        if (!a)
+            continue;
+        lu->inverse[j] = 1.0 / lu->work[row];
+        lu->work[row] = 0.0;
+        for (int l = lu->lower[j]; l < q; l++) {
+            lu->value[l] = lu->work[lu->index[l]] * lu->inverse[j];
+            lu->work[lu->index[l]] = 0.0;
+        }
+    }
+    for (int j = 0; j < n; j++)
+        for (int l = lu->lower[j]; l < lu->start[j + 1]; l++)
+            lu->index[l] = lu->where[lu->index[l]];
+    for (int e = 0; e < lu->nnz; e++)
+        lu->place[e] = lu->where[lu->rowind[e]];
+    lu->ready = 1;
+    return PH_OK;
+}
+
+/* Same pattern and pivots, new numbers, the same operations in the same order as the full
+ * factorisation. Returns PH_SINGULAR when a pivot has become too small beside its column. */
+int ph_lu_refactor(ph_lu *lu, const double *a) {
+    double *restrict x = lu->work;
+    double *restrict value = lu->value;
+    const int *restrict index = lu->index;
+    for (int j = 0; j < lu->n; j++) {
+        int column = lu->order[j], lower = lu->lower[j], end = lu->start[j + 1];
+        double pivot, most = 0.0;
+        for (int e = lu->colptr[column]; e < lu->colptr[column + 1]; e++)
+            x[lu->place[e]] = a[e];
+        for (int q = lu->start[j]; q < lower; q++) {
+            int k = index[q], last = lu->start[k + 1];
+            double xk = x[k];
+            x[k] = 0.0;
+            value[q] = xk;
+            for (int l = lu->lower[k]; l < last; l++)
+                x[index[l]] -= value[l] * xk;
+        }
+        pivot = x[j];
+        x[j] = 0.0;
+        lu->inverse[j] = 1.0 / pivot;
+        for (int q = lower; q < end; q++) {
+            double xi = x[index[q]];
+            x[index[q]] = 0.0;
+            value[q] = xi * lu->inverse[j];
+            if (fabs(xi) > most)
+                most = fabs(xi);
+        }
+        if (!(fabs(pivot) >= GROWTH * most) || pivot == 0.0)
+            return PH_SINGULAR;
+    }
+    return PH_OK;
+}
+
+/* Refactorisation, and only if that is refused a new pivot search; count: ph_count counters. */
+int ph_lu_factor(ph_lu *lu, const double *a, long long *count) {
+    count[PH_FACTORED]++;
+    if (lu->ready && ph_lu_refactor(lu, a) == PH_OK)
+        return PH_OK;
+    count[PH_PIVOTED]++;
+    return ph_lu_full(lu, a);
+}
+
+/* Takes over pivot rows (n, pivot[0] = -1: none) and rebuilds their pattern if they are new. */
+int ph_lu_adopt(ph_lu *lu, const int *pivot) {
+    if (lu->n == 0)
+        return PH_OK;
+    if (pivot[0] < 0) {
+        lu->ready = 0;
+        return PH_OK;
+    }
+    if (lu->ready && memcmp(pivot, lu->pivot, sizeof(int) * (size_t)lu->n) == 0)
+        return PH_OK;
+    memcpy(lu->pivot, pivot, sizeof(int) * (size_t)lu->n);
+    return ph_lu_full(lu, NULL);
+}
+
+/* x = A^-1 b with the last factor; b and x: n, may not overlap. */
+void ph_lu_solve(ph_lu *lu, const double *b, double *x) {
+    double *restrict y = lu->work;
+    const double *restrict value = lu->value;
+    const int *restrict index = lu->index;
+    for (int j = 0; j < lu->n; j++)
+        y[j] = b[lu->pivot[j]];
+    for (int j = 0; j < lu->n; j++) {
+        double yj = y[j];
+        for (int l = lu->lower[j]; l < lu->start[j + 1]; l++)
+            y[index[l]] -= value[l] * yj;
+    }
+    for (int j = lu->n - 1; j >= 0; j--) {
+        double yj = y[j] * lu->inverse[j];
+        y[j] = 0.0;
+        x[lu->order[j]] = yj;
+        for (int q = lu->start[j]; q < lu->lower[j]; q++)
+            y[index[q]] -= value[q] * yj;
+    }
+}

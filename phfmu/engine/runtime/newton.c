@@ -1,0 +1,207 @@
+/* Newton's method for one system: start values, row scaling, damping, polish, attempts.
+ *
+ * The row-scaled matrix is factored, delta on the multiplier diagonals in the factor only; the residual
+ * is exact, so redundant constraints get their minimum-norm multipliers. */
+#include <math.h>
+#include <string.h>
+
+#include "system.h"
+
+#define MAX_ITERATIONS 30
+#define TOLERANCE 1e-9  /* on max |dw_i| / (nominal_i + |w_i|) */
+#define STAGNATION 1e-6 /* below it, an update that no longer halves is rounding */
+#define DELTA 1e-10
+#define MIN_DAMPING (1.0 / 64.0)
+
+/* Scale of every row = 1 / its largest entry, scaled matrix, factors. */
+int ph_newton_factor(ph_system *s) {
+    const ph_plan *p = s->plan;
+    double *restrict scale = s->scale;
+    double *restrict scaled = s->scaled;
+    const double *restrict a = s->a;
+    for (int i = 0; i < p->nw; i++)
+        scale[i] = 0.0;
+    for (int e = 0; e < p->nnz; e++) {
+        double size = fabs(a[e]);
+        int i = p->matrix_row[e];
+        scale[i] = size > scale[i] ? size : scale[i];
+    }
+    s->empty = -1;
+    for (int i = 0; i < p->nw; i++) {
+        if (!(scale[i] > 0.0))
+            s->empty = i;
+        scale[i] = 1.0 / scale[i];
+    }
+    if (s->empty >= 0)
+        return PH_SINGULAR;
+    for (int e = 0; e < p->nnz; e++)
+        scaled[e] = a[e] * scale[p->matrix_row[e]];
+    for (int i = 0; i < p->nreg; i++)
+        scaled[p->regularised[i]] += DELTA;
+    return ph_lu_factor(&s->lu, scaled, s->count);
+}
+
+/* rhs = scale R; returns its 2-norm. */
+static double scale_residual(ph_system *s) {
+    double sum = 0.0;
+    for (int i = 0; i < s->plan->nw; i++) {
+        s->rhs[i] = s->scale[i] * s->r[i];
+        sum += s->rhs[i] * s->rhs[i];
+    }
+    return sqrt(sum);
+}
+
+/* w = base - damping dw; returns the scaled norm of dw, not finite if any entry is not. */
+static double move(ph_system *s, const double *base, double damping) {
+    double *w = s->y, most = 0.0, sum = 0.0;
+    for (int i = 0; i < s->plan->nw; i++) {
+        double size, dw = s->dw[i];
+        w[i] = base[i] - damping * dw;
+        size = fabs(dw) / (s->plan->nominal[i] + fabs(w[i]));
+        sum += size;
+        most = size > most ? size : most;
+    }
+    return isfinite(sum) ? most : sum;
+}
+
+/* Halves the update until the scaled residual falls; near the rounding floor the full one is taken. */
+static int damp(ph_system *s, double norm, double *damping) {
+    memcpy(s->base, s->y, sizeof(double) * (size_t)s->plan->nw);
+    for (*damping = 1.0; *damping >= MIN_DAMPING; *damping *= 0.5) {
+        double next;
+        s->update = move(s, s->base, *damping);
+        if (!isfinite(s->update))
+            return PH_NOT_FINITE;
+        ph_eval(s, 0, 0);
+        next = scale_residual(s);
+        if (next < norm || s->update <= STAGNATION)
+            return PH_OK;
+    }
+    return PH_NO_CONVERGENCE;
+}
+
+static int finite_rows(const ph_system *s) {
+    double sum = 0.0;
+    for (int i = 0; i < s->plan->nrow; i++)
+        sum += s->r[i] - s->r[i];
+    return sum == 0.0;
+}
+
+/* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
+int ph_newton(ph_system *s, int damped) {
+    double previous = INFINITY;
+    s->update = INFINITY;
+    for (s->iterations = 1; s->iterations <= MAX_ITERATIONS; s->iterations++) {
+        double norm, damping = 1.0;
+        int status;
+        ph_eval(s, 1, 0);
+        ph_eval_matrix(s);
+        status = ph_newton_factor(s);
+        if (status)
+            return status;
+        norm = scale_residual(s);
+        if (!isfinite(norm))
+            return PH_NOT_FINITE;
+        ph_lu_solve(&s->lu, s->rhs, s->dw);
+        s->count[PH_ITERATIONS]++;
+        if (damped) {
+            status = damp(s, norm, &damping);
+            if (status)
+                return status;
+        } else {
+            s->update = move(s, s->y, 1.0);
+            if (!isfinite(s->update))
+                return PH_NOT_FINITE;
+        }
+        if (damping == 1.0 &&
+            (s->update <= TOLERANCE || (s->update <= STAGNATION && s->update > 0.5 * previous))) {
+            ph_eval(s, 0, 0);
+            scale_residual(s);
+            ph_lu_solve(&s->lu, s->rhs, s->dw);
+            move(s, s->y, 1.0);
+            ph_eval(s, 0, 1);
+            return finite_rows(s) ? PH_OK : PH_NOT_FINITE;
+        }
+        previous = s->update;
+    }
+    return PH_NO_CONVERGENCE;
+}
+
+static double power(double base, int n) {
+    double result = 1.0;
+    for (; n > 0; n--)
+        result *= base;
+    for (; n < 0; n++)
+        result /= base;
+    return result;
+}
+
+/* Start from the last step, carried over to the new step size. */
+static void start_guess(ph_system *s, double h) {
+    const ph_plan *p = s->plan;
+    double ratio = h / *s->last_h;
+    for (int i = 0; i < p->nw; i++) {
+        double sum = 0.0;
+        for (int l = p->guess_ptr[i]; l < p->guess_ptr[i + 1]; l++)
+            sum += p->guess_val[l] * s->last[p->guess_idx[l]] * power(ratio, p->guess_pow[l]);
+        s->y[i] = sum;
+    }
+}
+
+/* Start from rest: increments zero, algebraic values as they were. */
+static void start_rest(ph_system *s) {
+    for (int i = 0; i < s->plan->nw; i++)
+        s->y[i] = s->plan->increments[i] ? 0.0 : s->last[i];
+}
+
+/* Solves for step size h at the x, u and p in place: plain from the guess, plain from rest, damped
+ * from the guess, damped from rest. Nothing but Y, R and work space is written. */
+int ph_solve(ph_system *s, double h) {
+    int status = PH_OK, guessed = *s->last_h > 0.0;
+    ph_eval_h(s, h);
+    s->count[PH_SOLVES]++;
+    if (s->plan->nw == 0) {
+        s->iterations = 0;
+        s->update = 0.0;
+        ph_eval(s, 0, 1);
+        return finite_rows(s) ? PH_OK : PH_NOT_FINITE;
+    }
+    for (int attempt = 0; attempt < 4; attempt++) {
+        int damped = attempt >= 2, rest = attempt % 2;
+        if (!rest && !guessed)
+            continue;
+        if (rest)
+            start_rest(s);
+        else
+            start_guess(s, h);
+        status = ph_newton(s, damped);
+        if (status)
+            continue;
+        s->count[PH_RESTARTS] += rest && guessed;
+        s->count[PH_LINE_SEARCHES] += damped;
+        return PH_OK;
+    }
+    return status;
+}
+
+/* Why a solve failed: the row with the largest scaled residual (the first one that is not finite), and
+ * for a singular matrix the empty row and the unknown without a pivot. */
+void ph_explain(const ph_system *s, int status, ph_report *report) {
+    *report = (ph_report){.status = status, .row = -1, .column = -1};
+    report->update = s->update;
+    report->iterations = s->iterations;
+    if (status == PH_SINGULAR) {
+        report->row = s->empty;
+        report->column = s->empty < 0 ? s->lu.failed : -1;
+        return;
+    }
+    for (int i = 0; i < s->plan->nw; i++) {
+        double size = fabs(s->scale[i] * s->r[i]);
+        if (size <= report->residual)
+            continue;
+        report->residual = size;
+        report->row = i;
+        if (!isfinite(size))
+            return;
+    }
+}

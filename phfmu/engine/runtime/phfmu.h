@@ -1,0 +1,161 @@
+/* Instances of a discretised model: create, set inputs, step, read, save.
+ *
+ * An instance lives in one block of memory given by the caller; nothing is allocated later and there
+ * are no globals. Units are SI, power is positive into the component. Functions return a ph_status;
+ * after a failed step the instance is exactly at its last accepted step. */
+#ifndef PHFMU_H
+#define PHFMU_H
+
+#include <stddef.h>
+
+#include "plan.h"
+
+#ifndef PH_API
+#ifdef _WIN32
+#define PH_API __declspec(dllexport)
+#else
+#define PH_API __attribute__((visibility("default")))
+#endif
+#endif
+
+#define PH_STATUS_LIST(X)                                                                                    \
+    X(PH_OK, "step accepted")                                                                                \
+    X(PH_NO_CONVERGENCE, "Newton's method did not converge, not even on the smallest substep")               \
+    X(PH_SINGULAR, "the Newton matrix is singular: an equation is missing or redundant")                     \
+    X(PH_NOT_FINITE, "a value is not finite")                                                                \
+    X(PH_LU_CAPACITY, "the factors of the Newton matrix outgrew the reserved memory")                        \
+    X(PH_ABI, "model tables and compiled runtime do not belong together")                                    \
+    X(PH_ARGUMENT, "an argument is out of range")                                                            \
+    X(PH_NO_SENSITIVITY, "the sensitivity needs a last step that is one undivided step")
+
+#define PH_STATUS_NAME(name, text) name,
+typedef enum ph_status { PH_STATUS_LIST(PH_STATUS_NAME) PH_NSTATUS } ph_status;
+#undef PH_STATUS_NAME
+
+/* Blocks of the signal table, in this order. Up to PH_RESIDUAL they belong to the last step; the
+ * blocks from PH_A_END on hold at the present time and are solved for only when asked (ph_refresh). */
+typedef enum ph_block {
+    PH_X,           /* nx state, then the time */
+    PH_A,           /* na algebraic variables, means of the step */
+    PH_Y_STEP,      /* nq pair outputs, step-conjugate means */
+    PH_ENERGY,      /* nq cumulative energy through each pair */
+    PH_SUPPLIED,    /* ncomp cumulative energy supplied through ports */
+    PH_DISSIPATED,  /* ncomp cumulative dissipated energy */
+    PH_RESIDUAL,    /* ncomp cumulative stored + dissipated - supplied */
+    PH_A_END,       /* na algebraic variables now */
+    PH_Y_END,       /* nq pair outputs now */
+    PH_OBSERVABLES, /* nobs */
+    PH_H,           /* ncomp stored energy now */
+    PH_NBLOCK
+} ph_block;
+
+/* Blocks of the ledger of the last communication step. */
+typedef enum ph_row {
+    PH_ROW_STORED,     /* ncomp change of stored energy */
+    PH_ROW_DISSIPATED, /* ncomp */
+    PH_ROW_SUPPLIED,   /* ncomp */
+    PH_ROW_PAIR,       /* nq energy through each pair */
+    PH_NROW
+} ph_row;
+
+typedef enum ph_count {
+    PH_STEPS,         /* communication steps accepted */
+    PH_SOLVES,        /* nonlinear systems solved for steps */
+    PH_ITERATIONS,    /* Newton iterations, polish not counted */
+    PH_FACTORED,      /* factorisations of the Newton matrix */
+    PH_PIVOTED,       /* those with a new pivot search */
+    PH_RESTARTS,      /* solved from the second start */
+    PH_LINE_SEARCHES, /* solved with line search */
+    PH_SUBSTEPS,      /* halvings of a step */
+    PH_FAILED,        /* communication steps refused */
+    PH_INSTANTS,      /* evaluations of the end values */
+    PH_NCOUNT
+} ph_count;
+
+/* Why the last solve failed; row and column are -1 where they do not apply. */
+typedef struct ph_report {
+    int status;
+    int row;         /* row of the largest scaled residual, or the row without entries */
+    int column;      /* unknown without a pivot */
+    int iterations;  /* of the last attempt */
+    int instant;     /* 1: in the system of the end values, 0: in a step */
+    double residual; /* its scaled value */
+    double update;   /* last scaled update norm */
+    double time;     /* start of the refused substep */
+    double h;        /* its length */
+} ph_report;
+
+typedef struct ph_instance ph_instance;
+
+/* Bytes of memory an instance needs; 0 if model and runtime do not belong together. */
+PH_API size_t ph_size(const ph_model *model);
+/* memory: ph_size bytes aligned for double, owned by the caller; model must outlive it. */
+PH_API int ph_init(void *memory, const ph_model *model);
+/* Back to the start values of the model (state, algebraic guess, inputs, parameters, ledger). */
+PH_API void ph_reset(ph_instance *in);
+/* Solves the instant system: algebraic variables, outputs, observables and H become valid, and the
+ * step means take their values. */
+PH_API int ph_initialise(ph_instance *in);
+
+/* u: nu, held over the step. */
+PH_API void ph_set_input(ph_instance *in, const double *u);
+/* u: k*nu, node-major: the values at the quadrature nodes of the next step. */
+PH_API int ph_set_node_inputs(ph_instance *in, const double *u);
+PH_API void ph_set_parameters(ph_instance *in, const double *p);  /* p: np */
+PH_API void ph_set_x(ph_instance *in, double t, const double *x); /* x: nx */
+PH_API void ph_set_algebraic(ph_instance *in, const double *a);   /* a: na, start values */
+PH_API const double *ph_parameters(const ph_instance *in);        /* np */
+PH_API const double *ph_input(const ph_instance *in);             /* k*nu */
+
+/* One step over [t, t+h]; ph_step_parts takes it as n equal internal steps. */
+PH_API int ph_step(ph_instance *in, double t, double h);
+PH_API int ph_step_parts(ph_instance *in, double t, double h, int n);
+
+/* A column the caller gives: row i goes to data + i*stride; not wanted if data is NULL. */
+typedef struct ph_column {
+    double *data;
+    ptrdiff_t stride;
+} ph_column;
+
+typedef struct ph_record {
+    const double *input;    /* one row of held inputs a step, or NULL: inputs stay */
+    ptrdiff_t input_stride; /* in doubles */
+    int parts;              /* internal steps per step */
+    ph_column signals;      /* whole signal table, end values included */
+    ph_column x;            /* nx */
+    ph_column a;            /* na */
+    ph_column y_step;       /* nq */
+    ph_column pairs;        /* nq energies of the step */
+    ph_column stored;       /* ncomp of the step */
+    ph_column dissipated;   /* ncomp of the step */
+    ph_column supplied;     /* ncomp of the step */
+    ph_column energy;       /* ncomp stored energy at the end of the step */
+    ph_column counts;       /* 2: iterations and solves of the step */
+} ph_record;
+
+/* Steps k = 0..n-1 from t0 + k h; *done: steps accepted. record may be NULL. */
+PH_API int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record, int *done);
+
+/* offset: PH_NBLOCK+1 places of the blocks in the signal table, the last one its length. */
+PH_API void ph_layout(const ph_model *model, int *offset);
+/* The table, owned by the instance, valid until it is freed. */
+PH_API const double *ph_signals(const ph_instance *in);
+/* Brings the end values up to date; costs nothing if they are. */
+PH_API int ph_refresh(ph_instance *in);
+/* Ledger of the last communication step: ncomp values, or nq for PH_ROW_PAIR. */
+PH_API const double *ph_ledger(const ph_instance *in, int row);
+/* S: nu*nu row-major, S[i,j] = d (step mean of external output i) / d (held input j), last step. */
+PH_API int ph_sensitivity(ph_instance *in, double *s);
+/* The same for the outputs at the present time. */
+PH_API int ph_sensitivity_end(ph_instance *in, double *s);
+
+/* Complete state, without pointers: restored into any instance of the model the same bits follow. */
+PH_API size_t ph_state_size(const ph_instance *in);
+PH_API void ph_save(const ph_instance *in, void *out);
+PH_API int ph_load(ph_instance *in, const void *from);
+
+PH_API const long long *ph_counts(const ph_instance *in); /* PH_NCOUNT, since ph_init */
+PH_API const ph_report *ph_last_report(const ph_instance *in);
+PH_API const char *ph_status_text(int status);
+
+#endif

@@ -1,0 +1,116 @@
+/* The plan: one discretised system as index tables, sums of products and kernels.
+ *
+ * Mirror of the Python dataclasses; all tables are constant and shared by every instance. The Python
+ * side reads the field lists from this header: one field a line, a plain size or a pointer to const.
+ * A name a_b stands for the attribute a_b of the Python object, or for a.b. */
+#ifndef PH_PLAN_H
+#define PH_PLAN_H
+
+#include <stdint.h>
+
+#define PH_VERSION 1
+#define PH_STAMP                                                                                             \
+    (((uint64_t)PH_VERSION << 48) | ((uint64_t)sizeof(ph_model) << 32) | ((uint64_t)sizeof(ph_plan) << 16) | \
+     (uint64_t)sizeof(ph_group))
+
+/* All instances of one kernel. Index tables are instance-major. */
+typedef struct ph_group {
+    int n;                    /* instances */
+    int stage;                /* 0: outputs go to Z, 1: outputs go to rows */
+    int late;                 /* 1: touches no residual row, skipped during the iteration */
+    int slot;                 /* first Jacobian entry in V */
+    int kernel;               /* index into ph_kernels */
+    int nx, ny, np, no, nj;   /* local sizes, checked against the kernel table */
+    const int *xi;            /* n*nx */
+    const int *yi;            /* n*ny */
+    const int *pi;            /* n*np */
+    const int *oi;            /* n*no */
+    const signed char *power; /* no: power of h on each output */
+    const int *owner;         /* n: component of each instance */
+} ph_group;
+
+/* Spaces: x = [old state nx | time], v = [w nw | u nu*k | h], Y = [v | Z nz], rows R =
+ * [residual nw | pair outputs nq*k | observables nobs]. */
+typedef struct ph_plan {
+    int nx, nw, nu, k, nz, np, nq, nobs, na, ncomp, nv, nrow;
+    int nslot;                       /* length of V, V[0] = 1 */
+    int ngroup;                      /* stage 0 groups come first */
+    int nconst;                      /* triplets R[row] += val h^pow Y[src] */
+    int nconst_early;                /* those of residual rows, which come first */
+    int nnz;                         /* nonzeros of A */
+    int nderivative;                 /* entries of the other derivative blocks */
+    int nreg;                        /* regularised diagonal entries */
+    int nupdate, nmean;              /* entries of the update and of the algebraic report */
+    int lucap;                       /* room for the entries of L + U */
+    const ph_group *groups;          /* ngroup */
+    const int *const_row;            /* nconst */
+    const int *const_src;            /* nconst */
+    const double *const_val;         /* nconst */
+    const signed char *const_pow;    /* nconst */
+    const int *colptr;               /* nw+1: columns of A */
+    const int *matrix_row;           /* nnz: rows of A, ascending inside a column */
+    const int *matrix_ptr;           /* nnz+1: products of each entry */
+    const int *matrix_s;             /* first factor, index into V */
+    const int *matrix_t;             /* second factor, index into V */
+    const double *matrix_value;      /* coefficient */
+    const signed char *matrix_power; /* power of h */
+    const int *order;                /* nw: pivot columns */
+    const int *pivot_row;            /* nw: preferred row of each pivot column, or -1 */
+    const int *regularised;          /* nreg: entries of A that get delta in the factor */
+    const int *derivative_row;       /* nderivative: residual row, or nw + output */
+    const int *derivative_col;       /* nderivative: unknown, or nw + held input */
+    const int *derivative_ptr;       /* nderivative+1 */
+    const int *derivative_s;
+    const int *derivative_t;
+    const double *derivative_value;
+    const signed char *derivative_power;
+    const int *update_x;           /* nupdate: x[update_x] += update_c w[update_w] */
+    const int *update_w;           /* nupdate */
+    const double *update_c;        /* nupdate */
+    const int *mean_a;             /* nmean: a[mean_a] = sum mean_c w[mean_w] */
+    const int *mean_w;             /* nmean */
+    const double *mean_c;          /* nmean */
+    const int *guess_ptr;          /* nw+1: start values from the last step */
+    const int *guess_idx;          /* guess_ptr[nw] */
+    const double *guess_val;       /* guess_ptr[nw] */
+    const signed char *guess_pow;  /* guess_ptr[nw]: power of h / last h */
+    const signed char *increments; /* nw: 1 = increment, zero in the second start */
+    const double *weights;         /* k: quadrature weights */
+    const double *nodes;           /* k: quadrature nodes on [0, 1]; NULL if not Gauss */
+    const int *pair_src;           /* k*nq: Y index of the input of each pair at each node */
+    const int *pair_owner;         /* nq: component of each pair */
+    const double *nominal;         /* nw: size of each unknown */
+} ph_plan;
+
+typedef struct ph_model {
+    uint64_t stamp;         /* PH_STAMP of the writer */
+    uint64_t token;         /* ph_kernel_token of the kernels the plans index into */
+    double t0;              /* start time */
+    const double *x0;       /* nx */
+    const double *a0;       /* na */
+    const double *u0;       /* nu */
+    const double *p0;       /* np */
+    const ph_plan *step;    /* one step of the scheme */
+    const ph_plan *instant; /* algebraic variables, outputs, observables and H at one instant */
+} ph_model;
+
+/* Where kernels read: x old state, y = Y, p parameters, hp = {1, h, h^2}. */
+typedef struct ph_point {
+    const double *x, *y, *p, *hp;
+} ph_point;
+
+/* One entry of the kernel table: loops over a group with kernel and gather inlined (group.inc).
+ * value: target += h^power out; full: the same and the Jacobian slots into V;
+ * ledger: stored[owner] += , lost[owner] += (NULL if the kernel has none). */
+typedef struct ph_kernel {
+    void (*value)(const ph_group *, const ph_point *, double *target);
+    void (*full)(const ph_group *, const ph_point *, double *target, double *slots);
+    void (*ledger)(const ph_group *, const ph_point *, double *stored, double *lost);
+    int nx, ny, np, no, nj;
+} ph_kernel;
+
+extern const ph_kernel ph_kernels[];
+extern const int ph_nkernel;
+extern const uint64_t ph_kernel_token;
+
+#endif

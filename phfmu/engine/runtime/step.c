@@ -1,0 +1,191 @@
+/* Steps: solve, book the ledger, update the state; halve a step that does not solve. */
+#include <math.h>
+#include <string.h>
+
+#include "system.h"
+
+#define DEPTH 6 /* smallest substep: h / 2^DEPTH */
+
+/* sum += term; rest keeps what rounding owes. */
+static void add(double *sum, double *rest, double term) {
+    double y = term - *rest, t = *sum + y;
+    *rest = (t - *sum) - y;
+    *sum = t;
+}
+
+/* Ledger, means and state after a converged solve; weight = part of the communication step. */
+static void accept(ph_instance *in, double h, double weight) {
+    ph_system *s = &in->step;
+    const ph_plan *p = s->plan;
+    double *x = in->table, *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
+    ph_eval_ledger(s, in->stored, in->lost);
+    for (int c = 0; c < p->ncomp; c++) {
+        in->row[PH_ROW_STORED][c] += in->stored[c];
+        in->row[PH_ROW_DISSIPATED][c] += h * in->lost[c];
+    }
+    for (int j = 0; j < p->nq; j++) {
+        double y = 0.0, power = 0.0, energy;
+        for (int i = 0; i < p->k; i++) {
+            double part = p->weights[i] * s->r[p->nw + i * p->nq + j];
+            y += part;
+            power += part * s->y[p->pair_src[i * p->nq + j]];
+        }
+        energy = h * power;
+        mean[j] += weight * y;
+        in->row[PH_ROW_PAIR][j] += energy;
+        in->row[PH_ROW_SUPPLIED][p->pair_owner[j]] += energy;
+    }
+    for (int l = 0; l < p->nmean; l++)
+        a[p->mean_a[l]] += weight * p->mean_c[l] * s->y[p->mean_w[l]];
+    for (int l = 0; l < p->nupdate; l++)
+        add(&x[p->update_x[l]], &in->rest[p->update_x[l]], p->update_c[l] * s->y[p->update_w[l]]);
+    memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
+    *s->last_h = h;
+}
+
+/* The part [from, from + weight] of the communication step [t, t+h]. */
+static int advance(ph_instance *in, double t, double h, double from, double weight) {
+    ph_system *s = &in->step;
+    int status;
+    in->table[s->plan->nx] = t + h * from;
+    ph_resample(in, from, weight, s->y + s->plan->nw);
+    status = ph_solve(s, h * weight);
+    if (status) {
+        ph_explain(s, status, &in->report);
+        in->report.instant = 0;
+        in->report.time = t + h * from;
+        in->report.h = h * weight;
+        return status;
+    }
+    accept(in, h * weight, weight);
+    in->head->parts++;
+    return PH_OK;
+}
+
+/* Internal step i of n; on failure it is halved, and its halves again, down to DEPTH. The place is
+ * counted in smallest substeps; its alignment tells how long the next substep may be. */
+static int walk(ph_instance *in, double t, double h, int i, int n) {
+    const int all = 1 << DEPTH;
+    for (int at = 0, length; at < all; at += length) {
+        for (length = all; at % length; length /= 2) {
+        }
+        for (;; length /= 2) {
+            double from = (i + (double)at / all) / n, weight = (double)length / all / n;
+            int status = advance(in, t, h, from, weight);
+            if (status == PH_OK)
+                break;
+            if (length == 1)
+                return status;
+            in->count[PH_SUBSTEPS]++;
+        }
+    }
+    return PH_OK;
+}
+
+static void clear(double *values, int n) {
+    for (int i = 0; i < n; i++)
+        values[i] = 0.0;
+}
+
+/* Sums of the communication step start at zero. */
+static void begin(ph_instance *in, double h) {
+    const ph_plan *p = in->step.plan;
+    double *a = in->table + in->offset[PH_A];
+    memcpy(in->x_old, in->table, sizeof(double) * (size_t)(p->nx + 1));
+    if (p->nu > 0)
+        memcpy(in->u_old, in->u, sizeof(double) * (size_t)(p->nu * p->k));
+    for (int i = 0; i < PH_ROW_PAIR; i++)
+        clear(in->row[i], p->ncomp);
+    clear(in->row[PH_ROW_PAIR], p->nq);
+    clear(in->table + in->offset[PH_Y_STEP], p->nq);
+    for (int l = 0; l < p->nmean; l++)
+        a[p->mean_a[l]] = 0.0;
+    in->head->parts = 0;
+    in->head->step_h = h;
+}
+
+/* Books the step into the cumulative sums. */
+static void finish(ph_instance *in, double t) {
+    const ph_plan *p = in->step.plan;
+    double *energy = in->table + in->offset[PH_ENERGY], *supplied = in->table + in->offset[PH_SUPPLIED];
+    double *dissipated = in->table + in->offset[PH_DISSIPATED];
+    double *residual = in->table + in->offset[PH_RESIDUAL], *rest = in->table_rest;
+    for (int j = 0; j < p->nq; j++)
+        add(&energy[j], rest++, in->row[PH_ROW_PAIR][j]);
+    for (int c = 0; c < p->ncomp; c++) {
+        double stored = in->row[PH_ROW_STORED][c], lost = in->row[PH_ROW_DISSIPATED][c];
+        double given = in->row[PH_ROW_SUPPLIED][c];
+        add(&supplied[c], rest++, given);
+        add(&dissipated[c], rest++, lost);
+        add(&residual[c], rest++, stored + lost - given);
+    }
+    if (in->step.lu.ready)
+        memcpy(in->step.pivot, in->step.lu.pivot, sizeof(int) * (size_t)p->nw);
+    in->table[p->nx] = t;
+    in->head->theta = 1.0;
+    in->head->dirty = 1;
+    in->count[PH_STEPS]++;
+}
+
+int ph_step_parts(ph_instance *in, double t, double h, int n) {
+    if (!(h > 0.0) || !isfinite(h) || !isfinite(t) || n < 1)
+        return PH_ARGUMENT;
+    ph_save(in, in->backup);
+    begin(in, h);
+    for (int i = 0; i < n; i++) {
+        int status = walk(in, t, h, i, n);
+        if (status == PH_OK)
+            continue;
+        in->count[PH_FAILED]++;
+        ph_load(in, in->backup);
+        return status;
+    }
+    finish(in, t + h);
+    return PH_OK;
+}
+
+int ph_step(ph_instance *in, double t, double h) {
+    return ph_step_parts(in, t, h, 1);
+}
+
+static void put(const ph_column *column, int row, const double *from, int n) {
+    if (column->data && n > 0)
+        memcpy(column->data + row * column->stride, from, sizeof(double) * (size_t)n);
+}
+
+static void write_row(ph_instance *in, const ph_record *r, int row) {
+    const ph_plan *p = in->step.plan;
+    const int *offset = in->offset;
+    put(&r->signals, row, in->table, offset[PH_NBLOCK]);
+    put(&r->x, row, in->table, p->nx);
+    put(&r->a, row, in->table + offset[PH_A], p->na);
+    put(&r->y_step, row, in->table + offset[PH_Y_STEP], p->nq);
+    put(&r->pairs, row, in->row[PH_ROW_PAIR], p->nq);
+    put(&r->stored, row, in->row[PH_ROW_STORED], p->ncomp);
+    put(&r->dissipated, row, in->row[PH_ROW_DISSIPATED], p->ncomp);
+    put(&r->supplied, row, in->row[PH_ROW_SUPPLIED], p->ncomp);
+    put(&r->energy, row, in->table + offset[PH_H], p->ncomp);
+}
+
+int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record, int *done) {
+    const ph_record nothing = {.parts = 1};
+    const ph_record *r = record ? record : &nothing;
+    for (*done = 0; *done < n; ++*done) {
+        double before[2] = {(double)in->count[PH_ITERATIONS], (double)in->count[PH_SOLVES]}, spent[2];
+        int status;
+        if (r->input)
+            ph_set_input(in, r->input + *done * r->input_stride);
+        status = ph_step_parts(in, t0 + *done * h, h, r->parts);
+        if (status)
+            return status;
+        spent[0] = (double)in->count[PH_ITERATIONS] - before[0];
+        spent[1] = (double)in->count[PH_SOLVES] - before[1];
+        put(&r->counts, *done, spent, 2);
+        if (r->signals.data || r->energy.data)
+            status = ph_refresh(in);
+        write_row(in, r, *done);
+        if (status)
+            return status;
+    }
+    return PH_OK;
+}

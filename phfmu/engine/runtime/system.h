@@ -1,0 +1,113 @@
+/* Internals of the runtime: sparse factorisation, one nonlinear system, one instance. */
+#ifndef PH_SYSTEM_H
+#define PH_SYSTEM_H
+
+#include "phfmu.h"
+
+/* Sparse LU of a matrix in CSC form with fixed column order. Step j eliminates column order[j] with
+ * row pivot[j]. Column j of the factors is kept at start[j]..start[j+1]: first U (pivot steps, in
+ * elimination order), from lower[j] on L (pivot steps of the rows); diagonal as reciprocal. */
+typedef struct ph_lu {
+    int n, nnz, capacity;
+    const int *colptr, *rowind, *order, *prefer;
+    int *pivot, *where; /* n each, inverse permutations of each other */
+    int *start, *lower; /* n+1, n */
+    int *index;         /* capacity */
+    double *value;      /* capacity */
+    double *inverse;    /* n */
+    int *place;         /* nnz: where[rowind] */
+    double *work;       /* n, zero between calls */
+    int *mark, *stack, *child;
+    int failed; /* column without a pivot */
+    int ready;  /* pivots and pattern are valid */
+} ph_lu;
+
+int ph_lu_factor(ph_lu *lu, const double *a, long long *count);
+int ph_lu_full(ph_lu *lu, const double *a);
+int ph_lu_refactor(ph_lu *lu, const double *a);
+int ph_lu_adopt(ph_lu *lu, const int *pivot);
+void ph_lu_solve(ph_lu *lu, const double *b, double *x);
+
+/* One plan with its work space. The first block points into the state of the instance. */
+typedef struct ph_system {
+    const ph_plan *plan;
+    const double *x, *p;
+    double *last;   /* nw: last converged unknowns */
+    double *last_h; /* step they belong to, 0 = start values */
+    int *pivot;     /* nw, pivots the state remembers; pivot[0] = -1: none */
+
+    double *y;           /* nv+nz */
+    double *r;           /* nrow */
+    double *v;           /* nslot */
+    double *a;           /* nnz */
+    double *scaled;      /* nnz */
+    double *scale;       /* nw */
+    double *rhs;         /* nw */
+    double *dw;          /* nw */
+    double *base;        /* nw */
+    double *products;    /* matrix_value h^power */
+    double *derivatives; /* derivative_value h^power */
+    double *blocks;      /* nderivative */
+    double *constants;   /* const_val h^pow */
+    double hp[3];        /* 1, h, h^2 */
+    ph_lu lu;
+    int empty; /* row without entries at the last factorisation, or -1 */
+    int iterations;
+    double update;
+    long long *count;
+} ph_system;
+
+void ph_eval_h(ph_system *s, double h);
+void ph_eval(ph_system *s, int slots, int late);
+void ph_eval_matrix(ph_system *s);
+void ph_eval_derivatives(ph_system *s, double *out);
+void ph_eval_ledger(ph_system *s, double *stored, double *lost);
+
+int ph_newton(ph_system *s, int damped);
+int ph_solve(ph_system *s, double h);
+int ph_newton_factor(ph_system *s);
+void ph_explain(const ph_system *s, int status, ph_report *report);
+
+/* Counters and switches of the state; doubles and pivots follow it. */
+typedef struct ph_head {
+    uint64_t token, size;
+    double last_h[2]; /* of step and instant system */
+    double step_h;    /* length of the last communication step */
+    double theta;     /* where in its step a node input is evaluated for the end values */
+    int held;         /* inputs are held values */
+    int dirty;        /* end values are out of date */
+    int parts;        /* substeps of the last communication step, 0 = none yet */
+    int pad;
+} ph_head;
+
+struct ph_instance {
+    const ph_model *model;
+    size_t state_size;
+    int offset[PH_NBLOCK + 1];
+
+    /* State: one block without pointers, addressed from here. */
+    ph_head *head;
+    double *table;      /* signal table */
+    double *rest;       /* nx: what compensated summation still owes x */
+    double *table_rest; /* nq + 3 ncomp: the same for the cumulative energies */
+    double *row[PH_NROW];
+    double *u;     /* nu*k */
+    double *p;     /* np */
+    double *x_old; /* nx+1: at the start of the last step */
+    double *u_old; /* nu*k: inputs of the last step */
+
+    /* Work space. */
+    ph_system step, instant;
+    void *backup;   /* state_size */
+    double *stored; /* ncomp */
+    double *lost;   /* ncomp */
+    double *basis;  /* k */
+    long long count[PH_NCOUNT];
+    ph_report report;
+};
+
+void ph_resample(ph_instance *in, double from, double length, double *u);
+void ph_inputs_at(ph_instance *in, double theta, double *u);
+void ph_seed(ph_instance *in, const double *a);
+
+#endif

@@ -1,0 +1,219 @@
+"""Plan -> tables of the C runtime, as ctypes structures or as C text.
+
+The field lists are those of `runtime/plan.h`; a field a_b is the plan's attribute a_b, or a.b, unless it is
+derived here.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_matrix, diags
+from scipy.sparse.linalg import splu
+
+from phfmu.discretise.plan import Group, Kernel, Plan
+from phfmu.engine.model import Model
+
+RUNTIME = Path(__file__).parent / "runtime"
+SCALARS = {"int": ctypes.c_int, "double": ctypes.c_double, "uint64_t": ctypes.c_uint64}
+ARRAYS = {"int": np.int32, "double": np.float64, "signed char": np.int8}
+STRUCTS = ("ph_group", "ph_plan", "ph_model")
+
+
+@dataclass(frozen=True)
+class Field:
+    """One member of a C structure; `pointer`: to constants of type `ctype`."""
+
+    name: str
+    ctype: str
+    pointer: bool
+
+
+@lru_cache(maxsize=1)
+def structures() -> dict[str, tuple[Field, ...]]:
+    """Members of the structures of plan.h, in order."""
+    text = re.sub(r"/\*.*?\*/", "", (RUNTIME / "plan.h").read_text(), flags=re.S)
+    result = {}
+    for name, body in re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", text, flags=re.S):
+        fields = []
+        for line in body.split(";"):
+            match = re.fullmatch(r"\s*(?:const )?([a-z_0-9]+(?: char)?) ?(\*?)(\w+(?:, \w+)*)\s*", line)
+            if match:
+                fields += [Field(n, match[1], bool(match[2])) for n in match[3].split(", ")]
+        result[name] = tuple(fields)
+    return {name: result[name] for name in STRUCTS}
+
+
+@lru_cache(maxsize=1)
+def ctypes_structures() -> dict[str, type[ctypes.Structure]]:
+    """The same structures for ctypes; every pointer is a void pointer."""
+    return {
+        name: type(
+            name,
+            (ctypes.Structure,),
+            {"_fields_": [(f.name, ctypes.c_void_p if f.pointer else SCALARS[f.ctype]) for f in fields]},
+        )
+        for name, fields in structures().items()
+    }
+
+
+def stamp() -> int:
+    """PH_STAMP of plan.h as this interpreter lays the structures out."""
+    version = re.search(r"#define PH_VERSION (\d+)", (RUNTIME / "plan.h").read_text())
+    assert version
+    model, plan, group = (ctypes.sizeof(ctypes_structures()[n]) for n in ("ph_model", "ph_plan", "ph_group"))
+    return int(version[1]) << 48 | model << 32 | plan << 16 | group
+
+
+def capacity(plan: Plan) -> int:
+    """Room for the entries of L + U: all of them up to 64 unknowns, else 4 times a trial factorisation."""
+    n, nnz = plan.nw, plan.matrix.nnz
+    if n <= 64:
+        return n * n
+    values = np.random.default_rng(0).uniform(0.5, 1.5, nnz)
+    a = csc_matrix((values, plan.matrix.row, plan.colptr), shape=(n, n))
+    a = (a + diags(np.full(n, 4.0)))[:, plan.order]
+    # the planner's preferred rows on the diagonal, so that the trial follows the planned pivots
+    rows = plan.pivot_row[plan.pivot_row >= 0]
+    if len(rows) == n and len(np.unique(rows)) == n:
+        a = a[rows, :]
+    trial = splu(a.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
+    return int(min(4 * (trial.L.nnz + trial.U.nnz) + n, n * n))
+
+
+def gauss_nodes(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Nodes on [0, 1] of the Gauss rule with these weights; empty if it is another rule."""
+    t, w = np.polynomial.legendre.leggauss(len(weights))
+    return (t + 1) / 2 if np.allclose(w / 2, weights, rtol=0, atol=1e-13) else np.empty(0)
+
+
+def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
+    k = g.kernel
+    late = g.stage == 1 and bool(np.all(np.asarray(g.oi) >= plan.nw))
+    sizes = {name: getattr(k, name) for name in ("nx", "ny", "np", "no", "nj")}
+    return sizes | {"late": int(late), "kernel": index(k)}
+
+
+def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
+    early = np.asarray(plan.const_row) >= plan.nw  # False sorts first
+    by_row = np.argsort(early, kind="stable")
+    const = {f"const_{n}": np.asarray(getattr(plan, f"const_{n}"))[by_row] for n in ("row", "src", "val", "pow")}
+    groups = sorted(plan.groups, key=lambda g: g.stage)
+    return const | {
+        "ngroup": len(groups),
+        "nconst": len(by_row),
+        "nconst_early": int(np.sum(~early)),
+        "nnz": plan.matrix.nnz,
+        "nderivative": plan.derivative.nnz,
+        "nreg": len(plan.regularised),
+        "nupdate": len(plan.update_x),
+        "nmean": len(plan.mean_a),
+        "lucap": capacity(plan),
+        "nodes": gauss_nodes(plan.weights),
+        "groups": [(g, _group_values(g, plan, index)) for g in groups],
+    }
+
+
+def _value(source: Any, derived: dict[str, Any], name: str) -> Any:
+    if name in derived:
+        return derived[name]
+    if hasattr(source, name):
+        return getattr(source, name)
+    head, _, tail = name.partition("_")
+    return getattr(getattr(source, head), tail)
+
+
+def _members(struct: str, source: Any, derived: dict[str, Any]) -> Iterator[tuple[Field, Any]]:
+    """Fields with their values; arrays flat, contiguous and of the type the field has."""
+    for field in structures()[struct]:
+        value = _value(source, derived, field.name)
+        if field.pointer and field.ctype in ARRAYS:
+            value = np.ascontiguousarray(np.asarray(value).ravel(), ARRAYS[field.ctype])
+        yield field, value
+
+
+class CTables:
+    """A model as ctypes structures; `pointer` is valid as long as this object lives."""
+
+    def __init__(self, model: Model, index: Callable[[Kernel], int], token: int) -> None:
+        self._keep: list[Any] = []
+        self._index = index
+        derived = {"stamp": stamp(), "token": token}
+        derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
+        self._model = self._fill("ph_model", model, derived)
+        self.pointer = ctypes.addressof(self._model)
+
+    def _plan(self, plan: Plan) -> int:
+        derived = _plan_values(plan, self._index)
+        rows = [self._fill("ph_group", g, values) for g, values in derived["groups"]]
+        array = (ctypes_structures()["ph_group"] * len(rows))(*rows)
+        self._keep.append(array)
+        struct = self._fill("ph_plan", plan, derived | {"groups": ctypes.addressof(array)})
+        return ctypes.addressof(struct)
+
+    def _fill(self, name: str, source: Any, derived: dict[str, Any]) -> ctypes.Structure:
+        struct = ctypes_structures()[name]()
+        for field, value in _members(name, source, derived):
+            if isinstance(value, np.ndarray):
+                self._keep.append(value)
+                value = value.ctypes.data if value.size else None
+            setattr(struct, field.name, value)
+        self._keep.append(struct)
+        return struct
+
+
+def _array_text(ctype: str, name: str, values: NDArray[Any]) -> str:
+    items = [repr(v) for v in values.tolist()]
+    lines, line = [], "   "
+    for item in items:
+        if len(line) + len(item) + 2 > 110:
+            lines.append(line)
+            line = "   "
+        line += f" {item},"
+    return f"static const {ctype} {name}[] = {{\n" + "\n".join([*lines, line]) + "\n};\n"
+
+
+def _struct_text(struct: str, name: str, source: Any, derived: dict[str, Any]) -> tuple[str, str]:
+    """Text of the arrays of one structure, and its initialiser."""
+    arrays, members = "", []
+    for field, value in _members(struct, source, derived):
+        if isinstance(value, np.ndarray):
+            if value.size:
+                arrays += _array_text(field.ctype, f"{name}_{field.name}", value)
+            value = f"{name}_{field.name}" if value.size else "0"
+        members.append(f"    .{field.name} = {value},")
+    return arrays, "{\n" + "\n".join(members) + "\n}"
+
+
+def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
+    derived = _plan_values(plan, index)
+    text, rows = "", []
+    for i, (g, values) in enumerate(derived["groups"]):
+        arrays, members = _struct_text("ph_group", f"{name}_{i}", g, values)
+        text += arrays
+        rows.append(members)
+    if rows:
+        text += f"static const ph_group {name}_groups[] = {{\n" + ",\n".join(rows) + "\n};\n"
+    arrays, members = _struct_text("ph_plan", name, plan, derived | {"groups": f"{name}_groups" if rows else "0"})
+    return text + arrays + f"static const ph_plan {name} = {members};\n"
+
+
+def c_text(model: Model, index: Callable[[Kernel], int], token: int, symbol: str = "ph_the_model") -> str:
+    """C source that defines `const ph_model <symbol>`; the same model gives the same bytes."""
+    derived = {"stamp": "PH_STAMP", "token": f"{token:#x}ULL", "step": "&step", "instant": "&instant"}
+    arrays, members = _struct_text("ph_model", "model", model, derived)
+    return (
+        '#include "plan.h"\n\n'
+        + _plan_text(model.step, "step", index)
+        + _plan_text(model.instant, "instant", index)
+        + arrays
+        + f"extern const ph_model {symbol};\nconst ph_model {symbol} = {members};\n"
+    )

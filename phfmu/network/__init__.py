@@ -1,0 +1,1 @@
+"""Networks: members, junctions, couplings and runs."""

@@ -1,0 +1,528 @@
+"""The energy ledger: closure, the crash-safe log, the verdict."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phfmu import audit
+from phfmu.audit import (
+    AuditWriter,
+    ComponentRow,
+    JunctionRow,
+    Layout,
+    Ledger,
+    PortKey,
+    PortRow,
+    audit_table,
+    read,
+    recover,
+    summarise,
+    verdict,
+)
+from phfmu.audit.sums import CompensatedSum
+
+# two members on a bus that leaks a little; b's port there has two pairs, and b has a port to the outside
+LAYOUT = Layout(
+    ("a", "b"),
+    (
+        PortKey("a", "p", junction="bus"),
+        PortKey("b", "p", index=1, junction="bus"),
+        PortKey("b", "p", index=2, junction="bus"),
+        PortKey("b", "field"),
+    ),
+)
+
+
+def run_arrays(n: int, seed: int = 0, leak: float = 1e-3) -> dict[str, np.ndarray]:
+    """n steps whose components close to rounding while the bus creates energy."""
+    rng = np.random.default_rng(seed)
+    u, y, h = rng.normal(size=(n, 4)), rng.normal(size=(n, 4)), 0.01
+    energy = h * u * y
+    energy[:, 0] = -(energy[:, 1] + energy[:, 2]) + leak * rng.normal(size=n)
+    supplied = np.stack([energy[:, 0], energy[:, 1] + energy[:, 2] + energy[:, 3]], axis=1)
+    dissipated = 0.01 * rng.random((n, 2))
+    dH = supplied - dissipated
+    H = 10.0 + np.cumsum(dH, axis=0)
+    steps = np.arange(n)
+    return {
+        "step": steps,
+        "t0": 1.0 + h * steps,
+        "h": np.full(n, h),
+        "H": H,
+        "dH": dH,
+        "dissipated": dissipated,
+        "supplied": supplied,
+        "port_energy": energy,
+        "port_u": u,
+        "port_y": y,
+    }
+
+
+def add_rows(ledger: Ledger, a: dict[str, np.ndarray]) -> None:
+    """The same run, row by row."""
+    for k in range(len(a["step"])):
+        components = [
+            ComponentRow(
+                name,
+                H0=float(a["H"][k, i] - a["dH"][k, i]),
+                H1=float(a["H"][k, i]),
+                dH=float(a["dH"][k, i]),
+                dissipated=float(a["dissipated"][k, i]),
+                supplied=float(a["supplied"][k, i]),
+            )
+            for i, name in enumerate(LAYOUT.components)
+        ]
+        ports = [
+            PortRow(
+                key.component,
+                key.port,
+                float(a["port_energy"][k, j]),
+                float(a["port_u"][k, j]),
+                float(a["port_y"][k, j]),
+                key.index,
+                key.junction,
+            )
+            for j, key in enumerate(LAYOUT.ports)
+        ]
+        ledger.add_step(int(a["step"][k]), float(a["t0"][k]), float(a["h"][k]), components, ports)
+
+
+def add_blocks(ledger: Ledger, a: dict[str, np.ndarray], size: int) -> None:
+    for start in range(0, len(a["step"]), size):
+        ledger.add_block(LAYOUT, **{name: x[start : start + size] for name, x in a.items()})
+
+
+def write_run(path: Path, n: int = 50, size: int = 7) -> Path:
+    with AuditWriter(path) as sink:
+        add_blocks(Ledger(sink), run_arrays(n), size)
+    return path
+
+
+# closure
+
+
+def test_rows_close_by_the_sign_rule():
+    """Exact in binary: residuals, junction, external supply and unexplained follow the definitions."""
+    ledger = Ledger()
+    a = ComponentRow("a", H0=1.0, H1=1.5, dH=0.5, dissipated=0.25, supplied=0.75)
+    b = ComponentRow("b", H0=2.0, H1=1.0, dH=-1.0, supplied=-0.875)
+    ports = [
+        PortRow("a", "p", 0.75, u=3.0, y=0.25, junction="bus"),
+        PortRow("b", "p", -0.5, junction="bus"),
+        PortRow("b", "field", -0.375),
+    ]
+    assert (a.residual, b.residual) == (0.0, -0.125)
+    assert b.relative == 0.125 / (2.0 + 0.875)
+    network = ledger.add_step(0, 0.0, 1.0, [a, b], ports)
+    assert (network.H, network.dH, network.dissipated) == (2.5, -0.5, 0.25)
+    assert (network.external, network.junction_residual) == (-0.375, 0.25)
+    assert network.unexplained == a.residual + b.residual
+    summary = ledger.summary()
+    (bus,) = summary.junctions
+    assert (bus.residual, bus.exchanged) == (0.25, 0.625)
+    assert summary.components[1].dissipated is None
+    assert summary.components[1].worst_residual == -0.125
+
+
+def test_closes_for_a_coupling_that_creates_energy_without_bound():
+    """A diverging coupling: the junction shows every joule, nothing is unexplained until numbers overflow."""
+    ledger, energy = Ledger(), 1.0
+    for k in range(300):
+        gain = 3.0 * energy
+        a = ComponentRow("a", energy, energy + gain, gain, supplied=gain)
+        ledger.add_step(k, 0.1 * k, 0.1, [a], [PortRow("a", "p", gain, junction="bus")])
+        energy += gain
+    summary = ledger.summary()
+    assert summary.network is not None
+    assert summary.network.unexplained == 0.0
+    assert summary.junctions[0].residual == pytest.approx(energy - 1.0, rel=1e-15)
+
+
+def test_member_without_energies_lies_outside_the_balance():
+    """A foreign unit reports ports only; what it takes from the junction leaves through `external`."""
+    ledger = Ledger()
+    own = ComponentRow("own", 5.0, 4.0, -1.0, supplied=-1.0)
+    ports = [
+        PortRow("own", "p", -1.0, junction="link"),
+        PortRow("foreign", "p", 0.75, junction="link", kind="mean", quality="estimated"),
+        PortRow("foreign", "shaft", 9.0),
+    ]
+    network = ledger.add_step(0, 0.0, 0.1, [own], ports)
+    assert network.junction_residual == -0.25
+    assert network.external == -0.75
+    assert network.unexplained == 0.0
+    layout = Layout(("own",), tuple(PortKey(p.component, p.port, junction=p.junction) for p in ports))
+    block = audit.make_block(layout, [0], [0.0], 0.1, [[4.0]], [[-1.0]], None, [[-1.0]], [[-1.0, 0.75, 9.0]])
+    assert block.network["external"][0] == -0.75
+    assert block.network["unexplained"][0] == 0.0
+
+
+def test_junction_facts_given_by_the_solver_are_kept():
+    ledger = Ledger()
+    a = ComponentRow("a", 0.0, 0.5, 0.5, supplied=0.5)
+    port = PortRow("a", "p", 0.5, junction="bus")
+    assert ledger.add_step(0, 0.0, 1.0, [a], [port], [JunctionRow("bus", iterations=3)]).unexplained == 0.0
+    claimed = [JunctionRow("bus", residual=0.0)]
+    assert ledger.add_step(1, 1.0, 1.0, [a], [port], claimed).unexplained == 0.5
+    with pytest.raises(ValueError, match="'nowhere'.*give one"):
+        ledger.add_step(2, 2.0, 1.0, [a], [port], [JunctionRow("nowhere")])
+
+
+@given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=200), st.integers(1, 50))
+@settings(max_examples=60, deadline=None)
+def test_sums_are_compensated_and_do_not_depend_on_the_cut(values: list[float], size: int):
+    one, many = CompensatedSum(), CompensatedSum()
+    last = [one.add(x) for x in values][-1]
+    running = np.concatenate(
+        [many.extend(np.array(values[k : k + size])) for k in range(0, len(values), size)]
+    )
+    assert (many.high, many.low) == (one.high, one.low)
+    assert running[-1] == last
+    exact = float(sum(map(Fraction, values)))
+    # second order: n^2 eps^2 sum |x|
+    assert abs(last - exact) <= 2**-52 * abs(exact) + (len(values) * 2**-52) ** 2 * sum(map(abs, values))
+
+
+def test_blocks_equal_rows_bit_for_bit(tmp_path: Path):
+    arrays = run_arrays(200)
+    summaries, tables = [], []
+    for name, add in {
+        "rows": lambda ledger: add_rows(ledger, arrays),
+        "block": lambda ledger: add_blocks(ledger, arrays, 200),
+        "blocks": lambda ledger: add_blocks(ledger, arrays, 33),
+    }.items():
+        with AuditWriter(tmp_path / f"{name}.audit.parquet") as sink:
+            ledger = Ledger(sink)
+            add(ledger)
+        summaries.append(ledger.summary())
+        order = [(key, "ascending") for key in ("row", "step", "component", "port", "index")]
+        table = read(tmp_path / f"{name}.audit.parquet")
+        for i, column in enumerate(table.column_names):
+            if pa.types.is_dictionary(table.schema.field(column).type):
+                table = table.set_column(i, column, table[column].cast("string"))
+        tables.append(table.sort_by(order))
+    assert summaries[0] == summaries[1] == summaries[2]
+    assert summaries[0].network is not None
+    assert summaries[0].network.worst_unexplained < 1e-15
+    assert abs(summaries[0].network.junction_residual or 0.0) > 1e-4
+    assert tables[0].equals(tables[1])
+    assert tables[0].equals(tables[2])
+
+
+def test_summary_of_the_file_equals_the_running_one(tmp_path: Path):
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        ledger = Ledger(sink)
+        add_blocks(ledger, run_arrays(120), 50)
+        ledger.event(2.2, "reprojection", "a", energy_jump=-1 / 3, message="gap 1e-3 closed")
+    running, stored = ledger.summary(), summarise(read(tmp_path / "x.parquet"))
+    assert stored == running
+    assert stored.components[0].jumps == -1 / 3
+
+
+def test_block_arrays_may_be_reused_by_the_caller(tmp_path: Path):
+    arrays = run_arrays(10)
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        ledger = Ledger(sink)
+        ledger.add_block(LAYOUT, **arrays)
+        for array in arrays.values():
+            array[...] = 0
+    assert verdict(read(tmp_path / "x.parquet")) == []
+    assert summarise(read(tmp_path / "x.parquet")) == ledger.summary()
+
+
+def test_block_of_a_wrong_shape_is_refused_with_both_shapes():
+    arrays = run_arrays(5)
+    arrays["supplied"] = arrays["supplied"][:, :1]
+    with pytest.raises(ValueError, match=r"supplied has shape \(5, 1\), expected \(5, 2\)"):
+        Ledger().add_block(LAYOUT, **arrays)
+    with pytest.raises(ValueError, match="4 ports but port_energy is None"):
+        Ledger().add_block(LAYOUT, [0], [0.0], 1.0, np.zeros((1, 2)), np.zeros((1, 2)))
+
+
+def test_blocks_are_cheap(tmp_path: Path):
+    """Thousands of steps between reports must not cost what stepping them costs: here under 20 us a step."""
+    arrays = run_arrays(20000)
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        start = time.perf_counter()
+        add_blocks(Ledger(sink), arrays, 5000)
+        assert time.perf_counter() - start < 20000 * 20e-6
+
+
+# the log
+
+
+def test_log_holds_metadata_and_only_used_columns(tmp_path: Path):
+    path = tmp_path / "run.audit.parquet"
+    with AuditWriter(path, {"units": {"a.p": ["V", "A"]}, "model": "sha256:00"}) as sink:
+        assert sink.stream == tmp_path / "run.audit.arrows"
+        assert sink.stream.exists()
+        Ledger(sink).add_block(Layout(("a",)), [0, 1], [0.0, 0.1], 0.1, [[1.0], [1.0]], [[0.0], [0.0]])
+    assert os.listdir(tmp_path) == ["run.audit.parquet"]
+    table = read(path)
+    assert set(table.column_names) == {
+        *(
+            "row",
+            "step",
+            "t0",
+            "h",
+            "component",
+            "H",
+            "H0",
+            "H1",
+            "dH",
+            "residual",
+            "residual_rel",
+            "quality",
+        ),
+        *("unexplained", "cum_unexplained"),
+    }
+    meta = audit.metadata(table)
+    assert meta["units"] == {"a.p": ["V", "A"]}
+    assert meta["model"] == "sha256:00"
+    assert meta["phfmu.audit.schema"] == 1
+    assert {"python", "numpy", "pyarrow"} <= set(meta["phfmu.audit.versions"])
+
+
+def test_values_survive_to_the_last_bit(tmp_path: Path):
+    row = ComponentRow("a", math.pi, -math.e, 1e-300, 5e-324, -0.1, scale=7.0, newton=40000, substeps=1)
+    port = PortRow("a", "p", 0.1, 1 / 3, -2 / 3, 2, "bus", "mean", "estimated")
+    junction = JunctionRow("bus", None, None, 1e-17, 1e9, 4, 5, "newton", "energy")
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        Ledger(sink).add_step(7, 0.7, 0.1, [row], [port], [junction], status="converged")
+    rows = {r["row"]: r for r in read(tmp_path / "x.parquet").to_pylist()}
+    for name in ("H0", "H1", "dH", "dissipated", "supplied", "scale", "newton", "substeps"):
+        assert rows["component"][name] == getattr(row, name)
+    assert rows["component"]["quality"] == "estimated"  # by its port
+    for name in ("u", "y", "supplied", "index", "junction", "kind", "quality"):
+        assert rows["port"][name] == getattr(port, name)
+    for name in ("r_max", "cond", "iterations", "evals", "method", "accepted_by"):
+        assert rows["junction"][name] == getattr(junction, name)
+    assert rows["junction"]["residual"] == 0.1
+    assert rows["network"]["status"] == "converged"
+    assert rows["network"]["component"] is None
+
+
+def test_stream_is_readable_while_it_is_written_and_flushed_in_time(tmp_path: Path):
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        ledger = Ledger(sink)
+        add_blocks(ledger, run_arrays(20), 1)
+        ledger.flush()
+        assert read(sink.stream).num_rows == 20 * 8
+        add_rows(ledger, run_arrays(300))
+        assert read(sink.stream).num_rows >= 20 * 8 + 1024
+        assert summarise(read(sink.stream)).steps > 20
+        with pytest.raises(FileNotFoundError, match="phfmu audit recover"):
+            read(sink.path)
+    with pytest.raises(ValueError, match="closed"):
+        sink.flush()
+    assert sink.close() == sink.path
+
+
+def test_log_survives_an_exception(tmp_path: Path):
+    with pytest.raises(RuntimeError), AuditWriter(tmp_path / "x.parquet") as sink:
+        ledger = Ledger(sink)
+        add_rows(ledger, run_arrays(3))
+        ledger.event(1.03, "nonconverged", message="step 3: 12 iterations")
+        raise RuntimeError
+    events = [r for r in read(tmp_path / "x.parquet").to_pylist() if r["row"] == "event"]
+    assert events[0]["message"] == "step 3: 12 iterations"
+    assert (events[0]["t0"], events[0]["step"]) == (1.03, None)
+
+
+def test_empty_run(tmp_path: Path):
+    with AuditWriter(tmp_path / "x.parquet", {"model": "none"}) as sink:
+        ledger = Ledger(sink)
+        ledger.add_block(LAYOUT, **run_arrays(0))
+    table = read(tmp_path / "x.parquet")
+    assert (table.num_rows, table.column_names) == (0, ["row"])
+    assert audit.metadata(table)["model"] == "none"
+    assert verdict(table) == []
+    assert "no steps" in audit_table(table)
+    assert audit_table(table) == audit_table(ledger.summary())
+
+
+def test_torn_stream_gives_back_every_complete_batch(tmp_path: Path):
+    """Cut at many bytes: the recovered rows are always a prefix, never fewer for a later cut."""
+    stream = tmp_path / "whole.audit.arrows"
+    with AuditWriter(stream.with_suffix(".parquet")) as sink:
+        ledger = Ledger(sink)
+        arrays = run_arrays(40)
+        sizes = []
+        for k in range(0, 40, 10):
+            # new names appear in later batches, so dictionaries grow within the stream
+            layout = replace(LAYOUT, components=("a", f"b{k}"))
+            ledger.add_block(layout, **{name: x[k : k + 10] for name, x in arrays.items()})
+            ledger.event(1.0 + k, "input", message=f"after step {k}")
+            ledger.flush()
+            sizes.append(stream.stat().st_size)
+        data = stream.read_bytes()
+        whole = read(stream)
+    assert whole.num_rows == 4 * (80 + 1)
+    complete, seen = 0, 0
+    cuts = sorted({*range(0, len(data), 97), *sizes, *(s - 1 for s in sizes), len(data)})
+    for cut in cuts:
+        torn = tmp_path / "torn.audit.arrows"
+        torn.write_bytes(data[:cut])
+        try:
+            recovered = recover(torn)
+        except ValueError as error:
+            assert "cut off in its header" in str(error)
+            assert cut < sizes[0]
+            continue
+        complete = sum(cut >= size for size in sizes)
+        assert recovered.rows == complete * 81
+        assert not torn.exists()
+        table = read(recovered.path)
+        head = whole.slice(0, table.num_rows)
+        for column in table.column_names:
+            assert table[column].to_pylist() == head[column].to_pylist()
+        seen += 1
+    assert complete == 4
+    assert seen > 50
+
+
+def test_recover_says_what_is_wrong(tmp_path: Path):
+    with pytest.raises(FileNotFoundError, match="ended well"):
+        recover(tmp_path / "x.parquet")
+    with pytest.raises(ValueError, match="must end in .parquet"):
+        AuditWriter(tmp_path / "run.csv")
+    (tmp_path / "x.arrows").write_bytes(b"")
+    with pytest.raises(FileExistsError, match="recover"):
+        AuditWriter(tmp_path / "x.parquet")
+    (tmp_path / "y.parquet").write_bytes(b"time,x\n0,1\n")
+    with pytest.raises(ValueError, match="not an audit log"):
+        read(tmp_path / "y.parquet")
+    pa.parquet.write_table(pa.table({"row": ["component"]}), tmp_path / "z.parquet")
+    with pytest.raises(ValueError, match="lacks the key"):
+        read(tmp_path / "z.parquet")
+
+
+WRITER = """
+import sys
+from phfmu.audit import AuditWriter, ComponentRow, Ledger
+ledger, k = Ledger(AuditWriter(sys.argv[1])), 0
+while True:
+    ledger.add_step(k, 0.1 * k, 0.1, [ComponentRow("a", 1.0, 1.0, 0.0)])
+    k += 1
+    if k == 3000:
+        print("ready", flush=True)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
+def test_kill_9_loses_at_most_the_last_batch(tmp_path: Path):
+    path = tmp_path / "run.audit.parquet"
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == "ready\n"
+    finally:
+        writer.send_signal(signal.SIGKILL)
+        writer.wait()
+        writer.stdout.close()  # type: ignore[union-attr]
+    assert not path.exists()
+    recovered = recover(path)
+    table = read(path)
+    assert recovered.rows == table.num_rows >= 2 * 3000 - 1024
+    steps = summarise(table).steps
+    assert [r["step"] for r in table.to_pylist() if r["row"] == "network"] == list(range(steps))
+
+
+# the verdict
+
+
+def test_verdict_finds_the_step_that_does_not_close(tmp_path: Path):
+    arrays = run_arrays(100)
+    arrays["dissipated"][41, 1] += 1e-6
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        add_blocks(Ledger(sink), arrays, 30)
+    table = read(tmp_path / "x.parquet")
+    (violation,) = verdict(table)
+    assert (violation.component, violation.step) == ("b", 41)
+    assert violation.residual == pytest.approx(1e-6, rel=1e-6)
+    assert violation.relative == pytest.approx(violation.residual / (violation.allowed / 1e-11))
+    assert verdict(table, rtol=1e-5) == []
+    text = audit_table(table)
+    assert "b: step 41 at t = 1.41 s misses 1.000e-06 J" in text
+    assert "VIOLATED" in text
+    assert "VIOLATED" not in audit_table(table, rtol=1e-5)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_what_is_not_a_number_is_a_violation(tmp_path: Path, bad: float):
+    arrays = run_arrays(3)
+    arrays["dH"][1, 0] = bad
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        add_blocks(Ledger(sink), arrays, 3)
+    assert [(v.component, v.step) for v in verdict(read(tmp_path / "x.parquet"))] == [("a", 1)]
+    rows = Ledger()
+    add_rows(rows, arrays)
+    assert rows.summary().components[0].worst_relative == math.inf
+    assert "VIOLATED" in audit_table(rows.summary())
+
+
+def test_scale_is_the_sum_over_the_energies(tmp_path: Path):
+    """Terms of +-1e6 J cancel to H = 0: a residual of 1e-7 J is rounding, and only `scale` can say so."""
+    row = ComponentRow("a", 0.0, 0.0, 1e-7)
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        ledger = Ledger(sink)
+        ledger.add_step(0, 0.0, 1.0, [row, replace(row, component="b", scale=2e6)])
+        ledger.add_step(1, 1.0, 1.0, [ComponentRow("rest", 0.0, 0.0, 0.0)])
+    assert [v.component for v in verdict(read(tmp_path / "x.parquet"))] == ["a"]
+
+
+def test_estimated_ports_are_not_judged(tmp_path: Path):
+    a = ComponentRow("a", 1.0, 1.0, 0.0, supplied=0.5)
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        Ledger(sink).add_step(0, 0.0, 1.0, [a], [PortRow("a", "p", 0.5, quality="estimated")])
+    table = read(tmp_path / "x.parquet")
+    assert verdict(table) == []
+    assert "estimated" in audit_table(table)
+
+
+def test_energy_that_changes_between_steps_is_reported():
+    ledger = Ledger()
+    ledger.add_step(0, 0.0, 1.0, [ComponentRow("a", 1.0, 1.0, 0.0)])
+    ledger.add_step(1, 1.0, 1.0, [ComponentRow("a", 0.5, 0.5, 0.0)])
+    assert "no event books it" in audit_table(ledger.summary())
+    ledger.event(1.0, "impulse", "a", energy_jump=-0.5)
+    text = audit_table(ledger.summary())
+    assert "no event books it" not in text
+    assert "jumps" in text
+    assert "1 impulse" in text
+
+
+def test_report_is_plain_and_leaves_out_what_is_absent(tmp_path: Path):
+    text = audit_table(read(write_run(tmp_path / "x.parquet")))
+    assert max(map(len, text.splitlines())) <= 100
+    assert "\x1b" not in text
+    for word in ("dissipated", "a.p", "b.field", "(external)", "bus", "unexplained", "closed"):
+        assert word in text
+    ledger = Ledger()
+    ledger.add_step(0, 0.0, 1.0, [ComponentRow("lonely", 1.0, 1.0, 0.0)])
+    text = audit_table(ledger.summary())
+    for word in ("dissipated", "supplied", "junction", "port"):
+        assert word not in text.split("\n", 1)[1]
+    assert "\x1b" in audit_table(ledger.summary(), color=True)
+
+
+def test_exports_are_lazy_and_complete():
+    code = "import sys, phfmu.audit; print(*(m in sys.modules for m in ('pyarrow', 'rich', 'numpy')))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.split() == ["False", "False", "False"]
+    for name in audit.__all__:
+        assert getattr(audit, name) is not None
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = audit.nothing  # type: ignore[attr-defined]
