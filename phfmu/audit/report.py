@@ -31,10 +31,18 @@ def audit_table(
 
     summary = source if isinstance(source, LedgerSummary) else summarise(source)
     console = Console(
-        file=io.StringIO(), width=width, force_terminal=color, no_color=not color, highlight=False
+        file=io.StringIO(),
+        width=width,
+        force_terminal=color,
+        no_color=not color,
+        highlight=False,
+        markup=False,  # names may hold brackets
+        emoji=False,
     )
     for part in _parts(summary, rtol):
-        console.print(part, end="\n" if isinstance(part, str) else "\n\n", soft_wrap=isinstance(part, str))
+        if not isinstance(part, str):
+            console.print()
+        console.print(part, soft_wrap=isinstance(part, str))
     assert isinstance(console.file, io.StringIO)
     return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()) + "\n"
 

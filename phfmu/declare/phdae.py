@@ -7,7 +7,7 @@ semi-explicit: x = (x1, x2) with states x1 (E11 regular) and algebraic variables
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -81,7 +81,7 @@ class PHDAE:
     structure:   blocks of J;  dissipation: blocks of R
     closed:      closed-form discrete gradient pairs for states with E(x)
     z:           variable -> given costate expression (only checked; z is derived from H and E)
-    monitors:    rows that must vanish but are not equations of a step (filled by compose)
+    members:     owners of the terms of a composed network;  junctions: (name, member ports) it was joined at
     """
 
     name: str
@@ -133,41 +133,43 @@ class PHDAE:
         KeyError lists close names when one is unknown.
         """
         left = dict(values)
-        swap: dict[int, Variable] = {}
 
         def renew(v: Variable) -> Variable:
-            starts = list(v.start)
-            for i, name in enumerate(v.names()):
-                if name in left:
-                    starts[i] = float(left.pop(name))
+            starts = [float(left.pop(n, s)) for n, s in zip(v.names(), v.start, strict=True)]
             if v.size is not None and v.name in left:
                 starts = [float(left.pop(v.name))] * v.n
-            new = replace(v, start=tuple(starts)) if tuple(starts) != v.start else v
-            swap[id(v)] = new
-            return new
+            return replace(v, start=tuple(starts))
 
-        ports = []
-        fields = {f: tuple(renew(v) for v in getattr(self, f)) for f in ("states", "algebraics", "parameters")}
-        for port in self.ports:
-            starts = list(_starts(port))
-            for i, name in enumerate(port.input_names()):
-                if name in left:
-                    starts[i] = float(left.pop(name))
-            on = {swap.get(id(v), v): m for v, m in port.on.items()}
-            ports.append(replace(port, start=tuple(starts), on=on))
+        def renew_port(port: Port) -> Port:
+            starts = [float(left.pop(n, s)) for n, s in zip(port.input_names(), _starts(port), strict=True)]
+            return replace(port, start=tuple(starts))
+
+        new = self.mapped(renew, renew_port)
         if left:
             raise KeyError(self.unknown_name(next(iter(left))))
+        return new
+
+    def mapped(self, variable: Callable[[Variable], Variable], port: Callable[[Port], Port]) -> PHDAE:
+        """A copy with every variable and port replaced by its image (same symbols), e.g. renamed or with new starts."""
+        swap: dict[int, Variable] = {}
+        fields = {}
+        for f in ("states", "algebraics", "parameters"):
+            fields[f] = tuple(swap.setdefault(id(v), variable(v)) for v in getattr(self, f))
+
+        def image(v: Variable) -> Variable:
+            return swap.setdefault(id(v), v)
+
         return replace(
             self,
             **fields,
-            ports=tuple(ports),
-            E={swap[id(v)]: m for v, m in self.E.items()},
-            z={swap[id(v)]: m for v, m in self.z.items()},
-            structure=tuple(_swapped(b, swap) for b in self.structure),
-            dissipation=tuple(_swapped(b, swap) for b in self.dissipation),
-            constraints=tuple(replace(c, multiplier=swap[id(c.multiplier)]) for c in self.constraints),
-            closed=tuple(replace(c, variables=tuple(swap[id(v)] for v in c.variables)) for c in self.closed),
-            energies=tuple(replace(e, correct=tuple(swap[id(v)] for v in e.correct)) for e in self.energies),
+            ports=tuple(replace(port(p), on={image(v): m for v, m in p.on.items()}) for p in self.ports),
+            E={image(v): m for v, m in self.E.items()},
+            z={image(v): m for v, m in self.z.items()},
+            structure=tuple(_swapped(b, image) for b in self.structure),
+            dissipation=tuple(_swapped(b, image) for b in self.dissipation),
+            constraints=tuple(replace(c, multiplier=image(c.multiplier)) for c in self.constraints),
+            closed=tuple(replace(c, variables=tuple(map(image, c.variables))) for c in self.closed),
+            energies=tuple(replace(e, correct=tuple(map(image, e.correct))) for e in self.energies),
         )
 
     def settable_names(self) -> list[str]:
@@ -190,5 +192,5 @@ def _starts(port: Port) -> tuple[float, ...]:
     return _values(port.name, "start", port.start, port.n)
 
 
-def _swapped(b: Block, swap: Mapping[int, Variable]) -> Block:
-    return replace(b, variables=tuple(swap[id(v)] for v in b.variables))
+def _swapped(b: Block, image: Callable[[Variable], Variable]) -> Block:
+    return replace(b, variables=tuple(map(image, b.variables)))

@@ -25,12 +25,14 @@ class Domain:
     effort_unit: str
     flow: str
     flow_unit: str
+    #: What ports share where they meet: "effort" (0-junction: a bus) or "flow" (1-junction: a rigid joint).
+    common: Given
 
 
-ELECTRICAL = Domain("electrical", "v", "V", "i", "A")
-TRANSLATIONAL = Domain("translational", "force", "N", "velocity", "m/s")
-ROTATIONAL = Domain("rotational", "torque", "N.m", "speed", "rad/s")
-HYDRAULIC = Domain("hydraulic", "pressure", "Pa", "flow", "m3/s")
+ELECTRICAL = Domain("electrical", "v", "V", "i", "A", "effort")
+TRANSLATIONAL = Domain("translational", "force", "N", "velocity", "m/s", "flow")
+ROTATIONAL = Domain("rotational", "torque", "N.m", "speed", "rad/s", "flow")
+HYDRAULIC = Domain("hydraulic", "pressure", "Pa", "flow", "m3/s", "effort")
 
 
 @dataclass(frozen=True, eq=False)

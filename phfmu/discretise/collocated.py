@@ -152,6 +152,3 @@ class Collocated:
 
     def _constraint(self, term: Term) -> list[Spec]:
         return constraints.two_level(term, self.k) if self.two_level else constraints.collocated(term, self.k)
-
-    def _shift(self, term: Term) -> list[Spec]:
-        return constraints.shift(term, self.k)

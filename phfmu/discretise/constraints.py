@@ -74,10 +74,15 @@ def two_level(term: Term, k: int) -> list[Spec]:
     out: list[tuple[Address, int, ca.SX]] = []
     for i in range(k):
         out += [(("velocity", j, i), 1, rows[i][j] * lam[i] + turn[i][j] * mu) for j in range(n)]
-        out += [(("n", j, i), 0, -shift[i][j] * mu) for j in range(n)]
         out.append((("row", 0, i), 0, -ca.dot(rows[i], z[:, i])))
     out.append((("m", 0, 0), 0, -ca.dot(at(grad, q, q_end), v_end)))
-    return [Spec(1, ca.vertcat(args.x, v), args.p, args.y, out)]
+    mass = term.data["mass"]
+    add = [(("shift", j, i), 0, shift[i][j] * mu / mass[j]) for i in range(k) for j in range(n)]
+    seen = [(a, s) for a, s in args.y if a[0] in ("D", "m")]
+    return [
+        Spec(0, args.x, args.p, seen, add),
+        Spec(1, ca.vertcat(args.x, v), args.p, args.y, out),
+    ]
 
 
 def _turn(grad: ca.SX, q: ca.SX, d: ca.SX, v: ca.SX) -> ca.SX:
@@ -90,30 +95,31 @@ def _turn(grad: ca.SX, q: ca.SX, d: ca.SX, v: ca.SX) -> ca.SX:
     return base + guarded(num, ca.dot(d, d), JOINT_GUARD) * d
 
 
-def shift(term: Term, k: int) -> list[Spec]:
-    """The velocity shift n of one state: z_v gains n, and the row M n = ... gets its left side."""
-    args = Arguments(term, k)
-    n = args.matrix("N", 1)
-    add = Spec(0, EMPTY, EMPTY, args.y, [(("W", 0, i), 0, n[i]) for i in range(k)])
-    return [add, Spec(1, EMPTY, args.p, args.y, [(("N", 0, i), 0, term.data["m"] * n[i]) for i in range(k)])]
-
-
 def prepare(terms: Terms) -> Terms:
-    """Add the shift terms of all constrained velocities; DeclarationError where the form M v' = ..., z_v = v is absent."""
+    """Give every constraint the masses of its velocities; DeclarationError where the form M v' = ..., z_v = v is absent."""
     constraint = [t for t in terms.terms if t.kind == "constraint"]
     shifted = sorted({terms.velocity_of[q] for t in constraint for q in t.index["x"]})
     _require_velocities(terms, shifted)
     mass = {t.rows[0][1]: t for t in terms.terms if t.kind == "mass"}
-    unit = {"m": ca.SX(1)}
-    added = []
-    for v in shifted:
-        rows = (("x", v),)
-        if v in mass:
-            m = mass[v]
-            added.append(replace(m, kind="shift", key=("shift", *m.key), rows=rows))
-        else:
-            added.append(Term("shift", ("shift", "unit"), {}, {}, unit, rows))
-    return replace(terms, terms=[*terms.terms, *added])
+    new = [_with_masses(t, [mass.get(terms.velocity_of[q]) for q in t.index["x"]]) if t.kind == "constraint" else t
+           for t in terms.terms]  # fmt: skip
+    return replace(terms, terms=new)
+
+
+def _with_masses(term: Term, masses: list[Term | None]) -> Term:
+    """The constraint with the mass expressions as data, its parameters extended by theirs (None = unit mass)."""
+    symbols, index, data = [term.local.get("p", EMPTY)], list(term.index.get("p", ())), []
+    for m in masses:
+        local = EMPTY if m is None else m.local.get("p", EMPTY)
+        fresh = ca.SX.sym("p", local.numel())
+        value = ca.SX(1) if m is None else m.data["m"]
+        data.append(ca.substitute([value], [local], [fresh])[0] if local.numel() else value)
+        symbols.append(fresh)
+        index += [] if m is None else list(m.index.get("p", ()))
+    key = ("masses", term.key, tuple(None if m is None else m.key for m in masses))
+    p = ca.vertcat(*symbols)
+    local = term.local | ({"p": p} if p.numel() else {})
+    return replace(term, key=key, local=local, index=term.index | {"p": tuple(index)}, data=term.data | {"mass": data})
 
 
 def _require_velocities(terms: Terms, shifted: list[int]) -> None:

@@ -15,7 +15,7 @@ class Layout:
     """Where (kind, index, node) lives.
 
     `unknowns`: list of (kind, global index, node), giving w; the row of an unknown has the same number:
-    D <-> balance of that state, a <-> row of that algebraic variable, Z <-> E^T z = W, n, m <-> extra rows.
+    D <-> balance of that state, a <-> row of that algebraic variable, Z <-> E^T z = W, m <-> velocity constraint.
     """
 
     terms: Terms
@@ -100,14 +100,10 @@ class Layout:
             return self.value("D", self._velocity(term, j), node)
         if kind == "Q":
             return self.value("Q", self._velocity(term, j), node)
-        if kind == "n":
-            return self.value("n", self._velocity(term, j), node)
         if kind == "l":
             return self.value("a", term.rows[0][1], node)
         if kind == "m":
             return self.value("m", term.rows[0][1], 0)
-        if kind == "N":
-            return self.value("n", term.rows[0][1], node)
         if kind == "h":
             return self.value("h", 0, 0)
         if kind == "dz":
@@ -135,12 +131,10 @@ class Layout:
             return self.rate_slot(term.rows[j][1])
         if kind == "S":
             return self.source_index(term.rows[0][1], node)
+        if kind == "shift":
+            return self.slot(self._velocity(term, j), node)
         if kind == "velocity":
             return self.w_of[("D", self._velocity(term, j), node)]
-        if kind == "n":
-            return self.w_of[("n", self._velocity(term, j), node)]
-        if kind == "N":
-            return self.w_of[("n", term.rows[0][1], node)]
         if kind == "m":
             return self.w_of[("m", term.rows[0][1], 0)]
         if kind == "SR":
@@ -167,7 +161,7 @@ class Layout:
         algebraics = [n for v in self.terms.model.algebraics for n in v.names()]
         text = {
             "D": lambda i: f"balance of {states[i]}", "a": lambda i: f"equation of {algebraics[i]}",
-            "Z": lambda i: f"costate of {states[i]}", "n": lambda i: f"velocity shift of {states[i]}",
+            "Z": lambda i: f"costate of {states[i]}",
             "m": lambda i: f"velocity constraint of {algebraics[i]}",
         }  # fmt: skip
         suffix = (lambda node: f" (node {node + 1})") if self.k > 1 else (lambda node: "")

@@ -14,7 +14,7 @@ from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.extract import extract
 from phfmu.discretise.instant import Check, instant_plan
 from phfmu.discretise.onestep import step_plan
-from phfmu.discretise.plan import Plan
+from phfmu.discretise.plan import Kernel, Plan
 from phfmu.discretise.terms import Terms
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Model:
     """Plans and start values of one declaration under one scheme.
 
     x0 (nx), a0 (na), u0 (nu), p0 (np): starts;  `checks`, `check_scale`: hidden constraints, reported as the last
-    observables, and their natural size at the start;  `row_names`, `instant_names`: a name per residual row.
+    observables, and their natural size at the start;  `equations`, `instant_equations`: a name per residual row.
     """
 
     name: str
@@ -43,10 +43,15 @@ class Model:
     t0: float = 0.0
     checks: tuple[Check, ...] = ()
     check_scale: Array = field(default_factory=lambda: np.zeros(0))
-    row_names: tuple[str, ...] = ()
-    instant_names: tuple[str, ...] = ()
+    equations: tuple[str, ...] = ()
+    instant_equations: tuple[str, ...] = ()
     members: tuple[str, ...] = ("",)
     observable_names: tuple[str, ...] = ()
+
+    @property
+    def kernels(self) -> list[Kernel]:
+        """Kernels of both plans, in order of appearance; the same object may appear twice."""
+        return [g.kernel for plan in (self.step, self.instant) for g in plan.groups]
 
     @property
     def nodes(self) -> Array:
@@ -60,7 +65,7 @@ def _stack(variables: tuple[Variable, ...]) -> Array:
     return np.array([s for v in variables for s in v.start], float)
 
 
-def discretise(declaration: PHDAE, scheme: Collocated | None = None) -> Model:
+def build_model(declaration: PHDAE, scheme: Collocated | None = None) -> Model:
     """Discretise `declaration`; DeclarationError names what does not fit.  Default: `default_scheme`."""
     scheme = default_scheme(declaration) if scheme is None else scheme
     terms = extract(declaration, joint=scheme.joint)
@@ -70,10 +75,13 @@ def discretise(declaration: PHDAE, scheme: Collocated | None = None) -> Model:
     u0 = [s for p in declaration.ports if p.external for s in _starts(p)]
     return Model(
         declaration.name, declaration, scheme, step, instant, x0, _stack(declaration.algebraics), np.array(u0, float), p0,
-        checks=tuple(checks), check_scale=_scales(terms, checks, x0, p0), row_names=tuple(layout.names()),
-        instant_names=tuple(_instant_names(terms, instant)), members=tuple(terms.members),
+        checks=tuple(checks), check_scale=_scales(terms, checks, x0, p0), equations=tuple(layout.names()),
+        instant_equations=tuple(_instant_equation_names(terms, instant)), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names),
     )  # fmt: skip
+
+
+discretise = build_model
 
 
 def default_scheme(declaration: PHDAE, order: int = 2) -> Collocated:
@@ -82,7 +90,7 @@ def default_scheme(declaration: PHDAE, order: int = 2) -> Collocated:
     return Collocated(order // 2, two_level=two_level, name="two-level" if two_level else "collocated")
 
 
-def _instant_names(terms: Terms, instant: Plan) -> list[str]:
+def _instant_equation_names(terms: Terms, instant: Plan) -> list[str]:
     states = [n for v in terms.model.states for n in v.names()]
     names = [f"rate of {n}" for n in states] if instant.nw > terms.na + len(terms.solved_costates) else []
     names += [f"costate of {states[i]}" for i in terms.solved_costates]

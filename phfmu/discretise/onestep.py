@@ -29,12 +29,10 @@ def step_plan(terms: Terms, scheme: Collocated) -> tuple[Plan, Layout]:
 
 def _unknowns(terms: Terms, scheme: Collocated) -> list[tuple[str, int, int]]:
     out: list[tuple[str, int, int]] = []
-    shifted = [t.rows[0][1] for t in terms.terms if t.kind == "shift"]
     for node in range(scheme.k):
         out += [("D", i, node) for i in range(terms.n1)]
         out += [("Z", i, node) for i in terms.solved_costates]
         out += [("a", i, node) for i in range(terms.na)]
-        out += [("n", i, node) for i in shifted]
     if scheme.two_level:
         out += [("m", t.rows[0][1], 0) for t in terms.terms if t.kind == "constraint"]
     return out
@@ -65,7 +63,7 @@ def _maps(layout: Layout) -> Maps:
             update.append((i, w, float(nd.b[node])))
         elif kind == "a":
             mean.append((i, w, float(nd.b[node])))
-        if kind in ("n", "m"):
+        if kind == "m":
             guess.append([(w, 1.0, 0)])
         else:
             last = [layout.w_of[(kind, i, j)] for j in range(layout.k)]

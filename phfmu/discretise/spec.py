@@ -2,7 +2,8 @@
 
 An address is (kind, j, i): the j-th local index of a term at node i.  Kinds of arguments:
     D increment of a state, z costate, a algebraic variable, u port input, h step size, m velocity multiplier,
-    n velocity shift, r state derivative, q derivative of a costate.
+    v, V costate and increment of the velocity that belongs to a position, l multiplier of a constraint,
+    r state derivative, Q, dz derivative of a costate.
 Kinds of results:
     W costate slot, S source slot, Q costate-derivative slot, row (the j-th row of the term), and named extra rows.
 """

@@ -1,6 +1,6 @@
 """C sources -> shared library, cached by content.
 
-Compiler: `python -m ziglang cc` if ziglang is installed (any target), else the system's cc, gcc or clang (host only).
+Compiler: `python -m ziglang cc` if ziglang is installed (any target), else the system's (this machine only).
 """
 
 from __future__ import annotations
@@ -100,10 +100,11 @@ def _find(target: str, only: str | None) -> _Compiler:
     if found is None and only in (None, "cc"):
         found = _system(target)
     if found is None:
-        host = " and no cc, gcc or clang was found" if target == host_target() else "; a system compiler builds only "
-        host += "" if target == host_target() else f"for this machine ({host_target()})"
+        host = host_target()
+        missing = "and there is no cc, gcc or clang" if target == host else f"and cc builds for {host} only"
         raise CompilerMissing(
-            f'no C compiler for {target}: ziglang is not installed{host}. Install one with: pip install "phfmu[native]"'
+            f"no C compiler for {target}: ziglang is not installed, {missing}. "
+            'Install one with: pip install "phfmu[native]"'
         )
     return found
 
@@ -118,7 +119,7 @@ def _key(sources: Mapping[str, str | Path], command: Sequence[str], version: str
 
 
 def _build(sources: Mapping[str, str | Path], compiler: _Compiler, flags: Sequence[str], out: Path) -> None:
-    """Compiles into a private folder and moves the result into place, so that others never see half a file."""
+    """Compiles in a private folder and moves the result into place: nobody sees half a file."""
     cache = cache_folder()
     env = os.environ | {
         "ZIG_GLOBAL_CACHE_DIR": str(cache / "zig"),

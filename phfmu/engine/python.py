@@ -149,7 +149,7 @@ class PythonInstance:
         if outcome.status is Status.OK:
             return [self._accept(outcome, h)]
         if depth == DEPTH:
-            name = self.model.row_names[outcome.row] if outcome.row >= 0 else ""
+            name = self.model.equations[outcome.row] if outcome.row >= 0 else ""
             raise StepFailure(
                 outcome.status, self.model.name, t, h, equation=name, residual=outcome.residual,
                 iterations=outcome.iterations, tried=f"two starts, line search and {2**DEPTH} substeps",
@@ -223,10 +223,10 @@ class PythonInstance:
         return {k: v.copy() for k, v in self._s.last.items()}
 
     def signals(self) -> dict[str, Array]:
-        """All values by block: x, a, y_step, energy, supplied, dissipated, residual, a_end, y_end, observables, H."""
+        """All values by block: x, time, a, y_step, energy, supplied, dissipated, residual, a_end, y_end, observables, H."""
         s, end = self._s, self._end_values()
         return {
-            "x": s.x.copy(), "a": s.a.copy(), "y_step": s.y_step.copy(), "energy": s.energy.copy(),
+            "x": s.x[:-1].copy(), "time": s.x[-1:].copy(), "a": s.a.copy(), "y_step": s.y_step.copy(), "energy": s.energy.copy(),
             "supplied": s.supplied.copy(), "dissipated": s.dissipated.copy(),
             "residual": s.stored + s.dissipated - s.supplied, "a_end": end["a"].copy(), "y_end": end["y"].copy(),
             "observables": end["o"].copy(), "H": end["H"].copy(),
@@ -243,7 +243,7 @@ class PythonInstance:
             if plan.nw:
                 outcome = self._solver.attempt(w, fixed, False)
                 if outcome.status is not Status.OK:
-                    name = self.model.instant_names[outcome.row] if outcome.row >= 0 else ""
+                    name = self.model.instant_equations[outcome.row] if outcome.row >= 0 else ""
                     raise StepFailure(outcome.status, self.model.name, s.t, 0.0, equation=name,
                                       residual=outcome.residual, iterations=outcome.iterations)  # fmt: skip
                 w = outcome.w

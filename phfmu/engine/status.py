@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Status(Enum):
-    """Outcome of a solve; the order is that of `ph_status` in `runtime/phfmu.h`."""
+    """Outcome of a solve; order and messages are those of `ph_status` in `runtime/phfmu.h`."""
 
     OK = "step accepted"
     NO_CONVERGENCE = "Newton's method did not converge, not even on the smallest substep"
@@ -15,61 +15,65 @@ class Status(Enum):
     LU_CAPACITY = "the factors of the Newton matrix outgrew the reserved memory"
     ABI = "model tables and compiled runtime do not belong together"
     ARGUMENT = "an argument is out of range"
+    VALUE = "a given value is not finite; it was not taken over"
     NO_SENSITIVITY = "the sensitivity needs a last step that is one undivided step"
 
 
 REMEDY = {
-    Status.NO_CONVERGENCE: "reduce the step, or check the inputs and start values near this time",
+    Status.NO_CONVERGENCE: "reduce the step, or look at the inputs and the state near this time",
     Status.SINGULAR: "check that every unknown is determined by an equation (`phfmu check`)",
-    Status.NOT_FINITE: "check inputs and parameters, or reduce the step: the state may have left the domain of H",
-    Status.LU_CAPACITY: "build the model again at a typical state",
+    Status.NOT_FINITE: "check inputs and parameters, or reduce the step if the state leaves the domain of H",
+    Status.LU_CAPACITY: "discretise the model again, so that the memory is planned for its present structure",
     Status.ABI: "empty the cache folder (PHFMU_CACHE_DIR) and build again",
-    Status.ARGUMENT: "h must be positive and finite, node inputs need a Gauss scheme",
-    Status.NO_SENSITIVITY: "use one internal step per communication step, or finite differences",
+    Status.ARGUMENT: "the step must be positive and finite, and node inputs need a Gauss scheme",
+    Status.VALUE: "look for its source: inputs, parameters and states must be numbers",
+    Status.NO_SENSITIVITY: "take one internal step per communication step, or use finite differences",
 }
 
 
 class StepFailure(RuntimeError):
     """A step that was refused; the instance is at its last accepted step.
 
-    `time`, `h`: start and length (s) of the refused (sub)step; `equation`: row of the largest scaled residual
-    or None, `name` its name; `residual`: that scaled residual; `update`: last scaled update norm (1 = nominal);
-    `unknown`: unknown without a pivot in a singular matrix, or None; `instant`: the end values failed, not the step.
+    `component`: name of the model; `time`, `h`: start and length (s) of the refused step or substep, h = 0 if
+    the values at one instant failed; `equation`: name of the row with the largest scaled residual `residual`;
+    `update`: last scaled change of the unknowns (1 = nominal); `tried`: what was attempted.
     """
 
     def __init__(
         self,
         status: Status,
+        component: str,
+        time: float,
+        h: float,
         *,
-        time: float = float("nan"),
-        h: float = float("nan"),
-        equation: int | None = None,
-        name: str | None = None,
-        unknown: int | None = None,
+        equation: str = "",
         residual: float = float("nan"),
         update: float = float("nan"),
         iterations: int = 0,
-        instant: bool = False,
+        tried: str = "",
     ) -> None:
         self.status = status
+        self.component = component
         self.time = time
         self.h = h
         self.equation = equation
-        self.name = name
-        self.unknown = unknown
         self.residual = residual
         self.update = update
         self.iterations = iterations
-        self.instant = instant
+        self.tried = tried
         super().__init__(self._text())
 
     def _text(self) -> str:
-        where = f"end values at t = {self.time:.9g}" if self.instant else f"t = {self.time:.9g}, h = {self.h:.3g}"
-        text = f"{where}: {self.status.value}"
-        if self.equation is not None:
-            text += f"; worst equation {self.equation}" + (f" ({self.name})" if self.name else "")
-            text += f", scaled residual {self.residual:.3g}, last update {self.update:.3g}"
-            text += f" after {self.iterations} iterations"
-        if self.unknown is not None:
-            text += f"; unknown {self.unknown}" + (f" ({self.name})" if self.name else "") + " has no pivot"
+        text = f"{self.component} at t = {self.time:.9g} s" + (f", h = {self.h:.3g} s" if self.h else "")
+        text += f": {self.status.value}"
+        if self.equation:
+            text += f"; worst: {self.equation}"
+        if self.residual == self.residual:
+            text += f", scaled residual {self.residual:.3g}"
+        if self.update == self.update:
+            text += f", last update {self.update:.3g}"
+        if self.iterations:
+            text += f", {self.iterations} iterations"
+        if self.tried:
+            text += f"; tried {self.tried}"
         return text + (f". Next: {REMEDY[self.status]}." if self.status in REMEDY else "")

@@ -103,14 +103,14 @@ def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[
 
 
 def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
-    early = np.asarray(plan.const_row) >= plan.nw  # False sorts first
-    by_row = np.argsort(early, kind="stable")
-    const = {f"const_{n}": np.asarray(getattr(plan, f"const_{n}"))[by_row] for n in ("row", "src", "val", "pow")}
+    late = plan.const_row >= plan.nw
+    by_row = np.argsort(late, kind="stable")
+    const = {n: getattr(plan, n)[by_row] for n in ("const_row", "const_src", "const_val", "const_pow")}
     groups = sorted(plan.groups, key=lambda g: g.stage)
     return const | {
         "ngroup": len(groups),
         "nconst": len(by_row),
-        "nconst_early": int(np.sum(~early)),
+        "nconst_early": int(np.sum(~late)),
         "nnz": plan.matrix.nnz,
         "nderivative": plan.derivative.nnz,
         "nreg": len(plan.regularised),
@@ -202,7 +202,8 @@ def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
         rows.append(members)
     if rows:
         text += f"static const ph_group {name}_groups[] = {{\n" + ",\n".join(rows) + "\n};\n"
-    arrays, members = _struct_text("ph_plan", name, plan, derived | {"groups": f"{name}_groups" if rows else "0"})
+    derived["groups"] = f"{name}_groups" if rows else "0"
+    arrays, members = _struct_text("ph_plan", name, plan, derived)
     return text + arrays + f"static const ph_plan {name} = {members};\n"
 
 

@@ -3,19 +3,31 @@
 
 #include "system.h"
 
-void ph_set_input(ph_instance *in, const double *u) {
+int ph_finite(const double *values, int n) {
+    double sum = 0.0;
+    for (int i = 0; i < n; i++)
+        sum += values[i] - values[i];
+    return sum == 0.0;
+}
+
+int ph_set_input(ph_instance *in, const double *u) {
     const ph_plan *p = in->model->step;
+    if (!ph_finite(u, p->nu))
+        return PH_VALUE;
     for (int i = 0; i < p->k; i++)
         for (int j = 0; j < p->nu; j++)
             in->u[i * p->nu + j] = u[j];
     in->head->held = 1;
     in->head->dirty = 1;
+    return PH_OK;
 }
 
 int ph_set_node_inputs(ph_instance *in, const double *u) {
     const ph_plan *p = in->model->step;
     if (!p->nodes)
         return PH_ARGUMENT;
+    if (!ph_finite(u, p->nu * p->k))
+        return PH_VALUE;
     if (p->nu > 0)
         memcpy(in->u, u, sizeof(double) * (size_t)(p->nu * p->k));
     in->head->held = p->k == 1;

@@ -25,9 +25,9 @@ static int *ints(block *b, int n) {
 
 void ph_layout(const ph_model *model, int *offset) {
     const ph_plan *p = model->step;
-    const int length[PH_NBLOCK] = {p->nx + 1, p->na,    p->nq, p->nq, p->ncomp,
-                                   p->ncomp,  p->ncomp, p->na, p->nq, model->instant->nobs,
-                                   p->ncomp};
+    const int length[PH_NBLOCK] = {
+        p->nx,   1, p->na, p->nq, p->nq, p->ncomp, p->ncomp, p->ncomp, p->na, p->nq, model->instant->nobs,
+        p->ncomp};
     offset[0] = 0;
     for (int i = 0; i < PH_NBLOCK; i++)
         offset[i + 1] = offset[i] + length[i];
@@ -175,6 +175,7 @@ void ph_seed(ph_instance *in, const double *a) {
                 s->last[p->mean_w[l]] = a[p->mean_a[l]];
     }
     in->head->parts = 0;
+    in->head->last_h[0] = 0.0; /* there is no last step to start from */
 }
 
 static void copy(double *to, const double *from, int n) {
@@ -200,26 +201,35 @@ void ph_reset(ph_instance *in) {
     ph_set_input(in, m->u0);
 }
 
-void ph_set_algebraic(ph_instance *in, const double *a) {
+int ph_set_algebraic(ph_instance *in, const double *a) {
+    if (!ph_finite(a, in->model->step->na))
+        return PH_VALUE;
     copy(in->table + in->offset[PH_A], a, in->model->step->na);
     copy(in->table + in->offset[PH_A_END], a, in->model->step->na);
     ph_seed(in, a);
     in->head->dirty = 1;
+    return PH_OK;
 }
 
-void ph_set_x(ph_instance *in, double t, const double *x) {
+int ph_set_x(ph_instance *in, double t, const double *x) {
+    if (!ph_finite(x, in->model->step->nx))
+        return PH_VALUE;
     int nx = in->model->step->nx;
     copy(in->table, x, nx);
     in->table[nx] = t;
     for (int i = 0; i < nx; i++)
         in->rest[i] = 0.0;
     in->head->dirty = 1;
+    return PH_OK;
 }
 
-void ph_set_parameters(ph_instance *in, const double *p) {
+int ph_set_parameters(ph_instance *in, const double *p) {
+    if (!ph_finite(p, in->model->step->np))
+        return PH_VALUE;
     copy(in->p, p, in->model->step->np);
     in->head->parts = 0;
     in->head->dirty = 1;
+    return PH_OK;
 }
 
 const double *ph_parameters(const ph_instance *in) {

@@ -80,13 +80,6 @@ static int damp(ph_system *s, double norm, double *damping) {
     return PH_NO_CONVERGENCE;
 }
 
-static int finite_rows(const ph_system *s) {
-    double sum = 0.0;
-    for (int i = 0; i < s->plan->nrow; i++)
-        sum += s->r[i] - s->r[i];
-    return sum == 0.0;
-}
-
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
 int ph_newton(ph_system *s, int damped) {
     double previous = INFINITY;
@@ -120,7 +113,7 @@ int ph_newton(ph_system *s, int damped) {
             ph_lu_solve(&s->lu, s->rhs, s->dw);
             move(s, s->y, 1.0);
             ph_eval(s, 0, 1);
-            return finite_rows(s) ? PH_OK : PH_NOT_FINITE;
+            return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
         }
         previous = s->update;
     }
@@ -164,7 +157,7 @@ int ph_solve(ph_system *s, double h) {
         s->iterations = 0;
         s->update = 0.0;
         ph_eval(s, 0, 1);
-        return finite_rows(s) ? PH_OK : PH_NOT_FINITE;
+        return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
     }
     for (int attempt = 0; attempt < 4; attempt++) {
         int damped = attempt >= 2, rest = attempt % 2;

@@ -26,6 +26,7 @@
     X(PH_LU_CAPACITY, "the factors of the Newton matrix outgrew the reserved memory")                        \
     X(PH_ABI, "model tables and compiled runtime do not belong together")                                    \
     X(PH_ARGUMENT, "an argument is out of range")                                                            \
+    X(PH_VALUE, "a given value is not finite; it was not taken over")                                        \
     X(PH_NO_SENSITIVITY, "the sensitivity needs a last step that is one undivided step")
 
 #define PH_STATUS_NAME(name, text) name,
@@ -35,7 +36,8 @@ typedef enum ph_status { PH_STATUS_LIST(PH_STATUS_NAME) PH_NSTATUS } ph_status;
 /* Blocks of the signal table, in this order. Up to PH_RESIDUAL they belong to the last step; the
  * blocks from PH_A_END on hold at the present time and are solved for only when asked (ph_refresh). */
 typedef enum ph_block {
-    PH_X,           /* nx state, then the time */
+    PH_X,           /* nx state */
+    PH_TIME,        /* 1 */
     PH_A,           /* na algebraic variables, means of the step */
     PH_Y_STEP,      /* nq pair outputs, step-conjugate means */
     PH_ENERGY,      /* nq cumulative energy through each pair */
@@ -54,7 +56,7 @@ typedef enum ph_row {
     PH_ROW_STORED,     /* ncomp change of stored energy */
     PH_ROW_DISSIPATED, /* ncomp */
     PH_ROW_SUPPLIED,   /* ncomp */
-    PH_ROW_PAIR,       /* nq energy through each pair */
+    PH_ROW_PAIRS,      /* nq energy through each pair */
     PH_NROW
 } ph_row;
 
@@ -97,15 +99,16 @@ PH_API void ph_reset(ph_instance *in);
  * step means take their values. */
 PH_API int ph_initialise(ph_instance *in);
 
-/* u: nu, held over the step. */
-PH_API void ph_set_input(ph_instance *in, const double *u);
+/* Values that are not finite are refused with PH_VALUE and change nothing.
+ * u: nu, held over the step. */
+PH_API int ph_set_input(ph_instance *in, const double *u);
 /* u: k*nu, node-major: the values at the quadrature nodes of the next step. */
 PH_API int ph_set_node_inputs(ph_instance *in, const double *u);
-PH_API void ph_set_parameters(ph_instance *in, const double *p);  /* p: np */
-PH_API void ph_set_x(ph_instance *in, double t, const double *x); /* x: nx */
-PH_API void ph_set_algebraic(ph_instance *in, const double *a);   /* a: na, start values */
-PH_API const double *ph_parameters(const ph_instance *in);        /* np */
-PH_API const double *ph_input(const ph_instance *in);             /* k*nu */
+PH_API int ph_set_parameters(ph_instance *in, const double *p);  /* p: np */
+PH_API int ph_set_x(ph_instance *in, double t, const double *x); /* x: nx */
+PH_API int ph_set_algebraic(ph_instance *in, const double *a);   /* a: na, start values */
+PH_API const double *ph_parameters(const ph_instance *in);       /* np */
+PH_API const double *ph_input(const ph_instance *in);            /* k*nu */
 
 /* One step over [t, t+h]; ph_step_parts takes it as n equal internal steps. */
 PH_API int ph_step(ph_instance *in, double t, double h);
@@ -142,7 +145,7 @@ PH_API void ph_layout(const ph_model *model, int *offset);
 PH_API const double *ph_signals(const ph_instance *in);
 /* Brings the end values up to date; costs nothing if they are. */
 PH_API int ph_refresh(ph_instance *in);
-/* Ledger of the last communication step: ncomp values, or nq for PH_ROW_PAIR. */
+/* Ledger of the last communication step: ncomp values, or nq for PH_ROW_PAIRS. */
 PH_API const double *ph_ledger(const ph_instance *in, int row);
 /* S: nu*nu row-major, S[i,j] = d (step mean of external output i) / d (held input j), last step. */
 PH_API int ph_sensitivity(ph_instance *in, double *s);

@@ -32,7 +32,7 @@ static void accept(ph_instance *in, double h, double weight) {
         }
         energy = h * power;
         mean[j] += weight * y;
-        in->row[PH_ROW_PAIR][j] += energy;
+        in->row[PH_ROW_PAIRS][j] += energy;
         in->row[PH_ROW_SUPPLIED][p->pair_owner[j]] += energy;
     }
     for (int l = 0; l < p->nmean; l++)
@@ -94,9 +94,9 @@ static void begin(ph_instance *in, double h) {
     memcpy(in->x_old, in->table, sizeof(double) * (size_t)(p->nx + 1));
     if (p->nu > 0)
         memcpy(in->u_old, in->u, sizeof(double) * (size_t)(p->nu * p->k));
-    for (int i = 0; i < PH_ROW_PAIR; i++)
+    for (int i = 0; i < PH_ROW_PAIRS; i++)
         clear(in->row[i], p->ncomp);
-    clear(in->row[PH_ROW_PAIR], p->nq);
+    clear(in->row[PH_ROW_PAIRS], p->nq);
     clear(in->table + in->offset[PH_Y_STEP], p->nq);
     for (int l = 0; l < p->nmean; l++)
         a[p->mean_a[l]] = 0.0;
@@ -111,7 +111,7 @@ static void finish(ph_instance *in, double t) {
     double *dissipated = in->table + in->offset[PH_DISSIPATED];
     double *residual = in->table + in->offset[PH_RESIDUAL], *rest = in->table_rest;
     for (int j = 0; j < p->nq; j++)
-        add(&energy[j], rest++, in->row[PH_ROW_PAIR][j]);
+        add(&energy[j], rest++, in->row[PH_ROW_PAIRS][j]);
     for (int c = 0; c < p->ncomp; c++) {
         double stored = in->row[PH_ROW_STORED][c], lost = in->row[PH_ROW_DISSIPATED][c];
         double given = in->row[PH_ROW_SUPPLIED][c];
@@ -160,7 +160,7 @@ static void write_row(ph_instance *in, const ph_record *r, int row) {
     put(&r->x, row, in->table, p->nx);
     put(&r->a, row, in->table + offset[PH_A], p->na);
     put(&r->y_step, row, in->table + offset[PH_Y_STEP], p->nq);
-    put(&r->pairs, row, in->row[PH_ROW_PAIR], p->nq);
+    put(&r->pairs, row, in->row[PH_ROW_PAIRS], p->nq);
     put(&r->stored, row, in->row[PH_ROW_STORED], p->ncomp);
     put(&r->dissipated, row, in->row[PH_ROW_DISSIPATED], p->ncomp);
     put(&r->supplied, row, in->row[PH_ROW_SUPPLIED], p->ncomp);

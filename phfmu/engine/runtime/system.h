@@ -106,6 +106,7 @@ struct ph_instance {
     ph_report report;
 };
 
+int ph_finite(const double *values, int n);
 void ph_resample(ph_instance *in, double from, double length, double *u);
 void ph_inputs_at(ph_instance *in, double theta, double *u);
 void ph_seed(ph_instance *in, const double *a);

@@ -1,0 +1,217 @@
+"""Data sets of synchronous machines: built-in sets by name, checks, and the constant inductance matrix.
+
+L(theta) = T(theta)^T Lhat T(theta) with the orthonormal Park matrix T on the stator, so L is positive definite at
+every angle if and only if the constant matrix Lhat (rows d, q, 0, rotor windings) is.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, fields
+from functools import lru_cache
+from importlib.resources import files
+from math import pi, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Peak stator-rotor mutual inductances M act as sqrt(3/2) M in orthonormal dq coordinates.
+COUPLING = sqrt(1.5)
+SINGULAR = 1e-12  # smallest eigenvalue over largest below which a block counts as singular
+
+
+class MachineDataError(ValueError):
+    """Data that no machine can have; the message lists every problem with its remedy."""
+
+
+@dataclass(frozen=True)
+class MachineData:
+    """One synchronous machine in SI units, three stator phases and any number of rotor windings.
+
+    Sn [VA], Vn_rms_ll [V], fn [Hz]: ratings.  Ra, R_rotor [ohm].  axis: 'd' or 'q' per rotor winding, the first is
+    the field winding.  Ld, Lq, L0 [H]: synchronous and zero-sequence inductances.  M_stator_rotor [H]: peak mutual
+    inductance of a phase with each rotor winding.  L_rotor [H]: rotor matrix.  J [kg m2], d [N m s/rad]: electrical
+    (one pole pair) unless pole_pairs is given; then mechanical.
+    """
+
+    name: str
+    Sn: float
+    Vn_rms_ll: float
+    fn: float
+    Ra: float
+    R_rotor: tuple[float, ...]
+    axis: tuple[str, ...]
+    Ld: float
+    Lq: float
+    L0: float
+    M_stator_rotor: tuple[float, ...]
+    L_rotor: tuple[tuple[float, ...], ...]
+    J: float
+    d: float = 0.0
+    pole_pairs: int = 1
+
+    @property
+    def omega(self) -> float:
+        """Rated electrical angular frequency in rad/s."""
+        return 2.0 * pi * self.fn
+
+    @property
+    def n(self) -> int:
+        """Number of windings, stator and rotor."""
+        return 3 + len(self.axis)
+
+    @property
+    def J_electrical(self) -> float:
+        """J/pole_pairs^2: the inertia seen by the electrical angle."""
+        return self.J / self.pole_pairs**2
+
+    @property
+    def d_electrical(self) -> float:
+        """d/pole_pairs^2: the friction seen by the electrical speed."""
+        return self.d / self.pole_pairs**2
+
+    @property
+    def windings(self) -> tuple[str, ...]:
+        """Names of the rotor windings: f, kd, kd2, .. on d and kq, kq2, .. on q."""
+        names, count = [], {"d": 0, "q": 0}
+        for axis in self.axis:
+            count[axis] += 1
+            number = count[axis] - (axis == "d")
+            names.append(f"k{axis}{number if number > 1 else ''}" if number else "f")
+        return tuple(names)
+
+    def on_axis(self, axis: str) -> list[int]:
+        """Positions of the rotor windings on one axis."""
+        return [j for j, a in enumerate(self.axis) if a == axis]
+
+    def constant_inductance(self) -> NDArray[np.float64]:
+        """Lhat (n x n) in H: rows d, q, 0, then the rotor windings."""
+        L = np.zeros((self.n, self.n))
+        L[:3, :3] = np.diag([self.Ld, self.Lq, self.L0])
+        L[3:, 3:] = self.L_rotor
+        for j, (axis, m) in enumerate(zip(self.axis, self.M_stator_rotor, strict=True)):
+            row = 0 if axis == "d" else 1
+            L[row, 3 + j] = L[3 + j, row] = COUPLING * m
+        return L
+
+
+@lru_cache(maxsize=1)
+def _file() -> dict[str, dict[str, Any]]:
+    sets = json.loads(files(__package__).joinpath("machines.json").read_text())
+    return {name: entry for name, entry in sets.items() if isinstance(entry, dict)}
+
+
+def machine_names() -> list[str]:
+    """Names of the built-in sets."""
+    return sorted(_file())
+
+
+def machine_set(machine: str | Mapping[str, Any] | MachineData, **changes: Any) -> MachineData:
+    """A checked data set: a built-in name, a mapping with the entries of `MachineData`, or a set, with `changes`.
+
+    Stator inductances are (Ld, Lq, L0), or (Laa0, Laa2, Lab0) of L_aa = Laa0 + Laa2 cos 2 theta,
+    L_ab = -Lab0 + Laa2 cos(2 theta - 2 pi/3): Ld, Lq = Laa0 + Lab0 +- 1.5 Laa2, L0 = Laa0 - 2 Lab0.
+    MachineDataError lists every entry that is missing or impossible.
+    """
+    if isinstance(machine, str):
+        if machine not in _file():
+            names = ", ".join(machine_names())
+            raise MachineDataError(f"no machine set '{machine}'; there are: {names}; or give a mapping of its entries")
+        machine = _file()[machine]
+    base = asdict(machine) if isinstance(machine, MachineData) else dict(machine)
+    entries = {**_stator(base), **_stator(changes)}
+    known = {f.name: f for f in fields(MachineData)}
+    problems = [f"unknown entry '{k}'; known: {', '.join(known)}" for k in _stator(changes) if k not in known]
+    missing = [k for k, f in known.items() if f.default is MISSING and k not in entries]
+    if missing:
+        problems.append(f"missing: {', '.join(missing)} (Ld, Lq, L0 may be given as Laa0, Laa2, Lab0)")
+    data = None
+    if not problems:
+        data = MachineData(**{k: _plain(v) for k, v in entries.items() if k in known})
+        problems = machine_problems(data)
+    if problems or data is None:
+        raise MachineDataError(f"machine set '{entries.get('name', '?')}': " + "; ".join(problems))
+    return data
+
+
+def _stator(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries with Ld, Lq, L0; computed from Laa0, Laa2, Lab0 where only these are there."""
+    out = dict(entries)
+    if all(k in out for k in ("Laa0", "Laa2", "Lab0")):
+        a0, a2, b0 = (float(out.pop(k)) for k in ("Laa0", "Laa2", "Lab0"))
+        out = {"Ld": a0 + b0 + 1.5 * a2, "Lq": a0 + b0 - 1.5 * a2, "L0": a0 - 2.0 * b0} | out
+    return out
+
+
+def _plain(value: Any) -> Any:
+    """Nested sequences as tuples, so that a set is frozen; numbers as float."""
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return tuple(_plain(v) for v in value)
+    return value if isinstance(value, (str, int)) else float(value)
+
+
+def machine_problems(data: MachineData) -> list[str]:
+    """Everything that makes `data` impossible, with remedies; empty if it is sound."""
+    problems = _sizes(data)
+    return problems or [*_signs(data), *_definite(data)]
+
+
+def _sizes(data: MachineData) -> list[str]:
+    m, out = len(data.axis), []
+    if m == 0:
+        return ["axis is empty; a synchronous machine has at least the field winding, axis = ['d']"]
+    if any(a not in ("d", "q") for a in data.axis):
+        return [f"axis = {list(data.axis)}; every rotor winding is on 'd' or on 'q'"]
+    if data.axis[0] != "d":
+        out.append("axis starts with 'q'; the first rotor winding is the field winding and lies on 'd'")
+    for name in ("R_rotor", "M_stator_rotor"):
+        found = len(getattr(data, name))
+        if found != m:
+            out.append(f"{name} has {found} entries for {m} rotor windings (axis)")
+    if len(data.L_rotor) != m or any(np.size(row) != m for row in data.L_rotor):
+        out.append(f"L_rotor has rows of {[np.size(row) for row in data.L_rotor]} entries; expected {m} x {m}")
+    if not isinstance(data.pole_pairs, int) or data.pole_pairs < 1:
+        out.append(f"pole_pairs = {data.pole_pairs}; it is a positive integer")
+    return out
+
+
+def _signs(data: MachineData) -> list[str]:
+    out = []
+    for name in ("Sn", "Vn_rms_ll", "fn", "J"):
+        value = getattr(data, name)
+        if not (value > 0 and np.isfinite(value)):
+            hint = "; without inertia p is no state" if name == "J" else ""
+            out.append(f"{name} = {value} must be positive{hint}")
+    for name, value in [("Ra", data.Ra), ("d", data.d), *((f"R_rotor[{j + 1}]", r) for j, r in enumerate(data.R_rotor))]:
+        if not (value >= 0 and np.isfinite(value)):
+            out.append(f"{name} = {value} must not be negative; a negative one creates energy")
+    return out
+
+
+def _definite(data: MachineData) -> list[str]:
+    L, out = data.constant_inductance(), []
+    if not np.isfinite(L).all():
+        return ["an inductance is not finite"]
+    rotor = L[3:, 3:]
+    if np.max(np.abs(rotor - rotor.T)) > 1e-12 * np.max(np.abs(rotor)):
+        out.append("L_rotor is not symmetric")
+    across = [(i, j) for i in data.on_axis("d") for j in data.on_axis("q") if rotor[i, j] or rotor[j, i]]
+    out += [f"L_rotor[{i + 1},{j + 1}] couples a d with a q winding; the axes are orthogonal, so it is 0" for i, j in across]
+    if not data.L0 > SINGULAR * max(abs(data.Ld), abs(data.Lq)):
+        out.append(
+            f"L0 = {data.L0:.6g} H makes L singular (L0 = Laa0 - 2 Lab0; book data often have Lab0 = Laa0/2); "
+            "give L0 > 0, e.g. the stator leakage inductance"
+        )
+    for axis, row in (("d", 0), ("q", 1)):
+        where = [row, *(3 + j for j in data.on_axis(axis))]
+        values = np.linalg.eigvalsh(L[np.ix_(where, where)])
+        if not values[0] > SINGULAR * values[-1]:
+            names = ", ".join(data.windings[j - 3] for j in where[1:])
+            out.append(
+                f"the {axis}-axis block of L{f' (L{axis}; {names})' if names else f' (L{axis})'} is not positive definite "
+                f"(eigenvalues {values[0]:.3g} .. {values[-1]:.3g} H): a mutual inductance is too large for its self "
+                f"inductances; check M_stator_rotor, L_rotor and L{axis}"
+            )
+    return out

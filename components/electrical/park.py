@@ -1,0 +1,119 @@
+"""Expressions of the three-phase machine: Park matrix, inductances as parameters, magnetic energy, L(theta)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from phfmu import Variable, parameter
+from phfmu.components.electrical.machine_data import COUPLING, MachineData
+from phfmu.components.electrical.machine_init import ALPHA
+
+
+def park_matrix(theta: ca.SX) -> ca.SX:
+    """Orthonormal Park matrix T(theta) (3 x 3), rows d, q, 0; q leads d by 90 degrees; T T^T = 1."""
+    s = (2.0 / 3.0) ** 0.5
+    d = ca.horzcat(*(s * ca.cos(theta - a) for a in ALPHA))
+    q = ca.horzcat(*(-s * ca.sin(theta - a) for a in ALPHA))
+    return ca.vertcat(d, q, ca.SX.ones(1, 3) / 3.0**0.5)
+
+
+@dataclass(frozen=True)
+class Inductances:
+    """Inductances of a machine as parameters, named Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..
+
+    M: with each rotor winding; rotor: (i, j) -> L_ij of two windings on one axis, i <= j; axis: 'd' or 'q' each.
+    """
+
+    Ld: Variable
+    Lq: Variable
+    L0: Variable
+    M: tuple[Variable, ...]
+    rotor: dict[tuple[int, int], Variable]
+    axis: tuple[str, ...]
+
+    @property
+    def parameters(self) -> tuple[Variable, ...]:
+        return (self.Ld, self.Lq, self.L0, *self.M, *self.rotor.values())
+
+    def rotor_entry(self, i: int, j: int) -> ca.SX:
+        """L_ij of rotor windings i and j; 0 across the axes."""
+        v = self.rotor.get((min(i, j), max(i, j)))
+        return ca.SX(0) if v is None else v.sx
+
+    def axis_block(self, axis: str) -> tuple[list[int], ca.SX]:
+        """Positions in (d, q, 0, rotor) of the windings on `axis` and their inductance matrix."""
+        rotor = [j for j, a in enumerate(self.axis) if a == axis]
+        stator = self.Ld if axis == "d" else self.Lq
+        L = ca.SX(1 + len(rotor), 1 + len(rotor))
+        L[0, 0] = stator.sx
+        for a, i in enumerate(rotor):
+            L[0, 1 + a] = L[1 + a, 0] = COUPLING * self.M[i].sx
+            for b, j in enumerate(rotor):
+                L[1 + a, 1 + b] = self.rotor_entry(i, j)
+        return [0 if axis == "d" else 1, *(3 + j for j in rotor)], L
+
+
+def inductances(data: MachineData) -> Inductances:
+    """Parameters with the values of `data`."""
+    names = data.windings
+    same = [(i, j) for i in range(len(names)) for j in range(i, len(names)) if data.axis[i] == data.axis[j]]
+    return Inductances(
+        parameter("Ld", data.Ld, unit="H", description="synchronous inductance, d axis"),
+        parameter("Lq", data.Lq, unit="H", description="synchronous inductance, q axis"),
+        parameter("L0", data.L0, unit="H", description="zero-sequence inductance"),
+        tuple(
+            parameter(f"M_{n}", m, unit="H", description=f"peak mutual inductance of a phase with winding {n}")
+            for n, m in zip(names, data.M_stator_rotor, strict=True)
+        ),
+        {
+            (i, j): parameter(f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", description="rotor inductance")
+            for i, j in same
+        },
+        data.axis,
+    )
+
+
+def magnetic_energy(flux: ca.SX, L: Inductances) -> ca.SX:
+    """H = 1/2 psi^T Lhat^-1 psi for fluxes (d, q, 0, rotor): per axis sum y_k^2 / (2 D_k) with L = M D M^T, psi = M y."""
+    total = flux[2] ** 2 / (2 * L.L0.sx)
+    for axis in ("d", "q"):
+        where, block = L.axis_block(axis)
+        y, work = [flux[i] for i in where], ca.SX(block)
+        # the field of the outer windings first, so that the pivots are leakage-like and never cancel
+        for k in range(len(where)):
+            total += y[k] ** 2 / (2 * work[k, k])
+            for i in range(k + 1, len(where)):
+                factor = work[i, k] / work[k, k]
+                y[i] = y[i] - factor * y[k]
+                for j in range(k + 1, len(where)):
+                    work[i, j] = work[i, j] - factor * work[k, j]
+    return total
+
+
+def phase_inductance(theta: ca.SX, L: Inductances) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """L(theta) = constant + first + second harmonic (n x n each), order a, b, c, rotor."""
+    n = 3 + len(L.axis)
+    constant, first, second = (ca.SX(n, n) for _ in range(3))
+    mean, saliency = (L.Ld.sx + L.Lq.sx) / 2, (L.Ld.sx - L.Lq.sx) / 3
+    mutual = (mean - L.L0.sx) / 3
+    for i, a in enumerate(ALPHA):
+        for j, b in enumerate(ALPHA):
+            constant[i, j] = mean - mutual if i == j else -mutual
+            second[i, j] = saliency * ca.cos(2 * theta - a - b)
+        for j, axis in enumerate(L.axis):
+            m = L.M[j].sx * (ca.cos(theta - a) if axis == "d" else -ca.sin(theta - a))
+            first[i, 3 + j] = first[3 + j, i] = m
+    for (i, j), v in L.rotor.items():
+        constant[3 + i, 3 + j] = constant[3 + j, 3 + i] = v.sx
+    return constant, first, second
+
+
+def sinc(x: ca.SX) -> ca.SX:
+    """sin(x)/x, with its Taylor polynomial for |x| < 0.05 (error below 1e-20); finite with all derivatives."""
+    small = ca.fabs(x) < 0.05
+    safe = ca.if_else(small, 1.0, x)
+    s = x * x
+    series = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72)))
+    return ca.if_else(small, series, ca.sin(safe) / safe)

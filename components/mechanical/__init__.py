@@ -1,0 +1,1 @@
+"""Mechanical components: particles, springs, dampers, inertias and shafts."""

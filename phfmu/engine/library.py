@@ -1,0 +1,119 @@
+"""The compiled library of a model's kernels as Python sees it: signatures, records and names, from phfmu.h."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.codegen import KernelTable
+from phfmu.engine.compile import Build, compile
+from phfmu.engine.tables import RUNTIME
+
+
+#: what `run` can record: the whole signal table, parts of it, and ledger rows and counters of each step
+RECORD: tuple[str, ...] = (
+    "signals",
+    "x",
+    "a",
+    "y_step",
+    "pairs",
+    "stored",
+    "dissipated",
+    "supplied",
+    "energy",
+    "counts",
+)
+
+
+class Report(ctypes.Structure):
+    """ph_report."""
+
+    _fields_ = [
+        *((n, ctypes.c_int) for n in ("status", "row", "column", "iterations", "instant")),
+        *((n, ctypes.c_double) for n in ("residual", "update", "time", "h")),
+    ]
+
+
+class Column(ctypes.Structure):
+    """ph_column."""
+
+    _fields_ = [("data", ctypes.c_void_p), ("stride", ctypes.c_ssize_t)]
+
+
+class Record(ctypes.Structure):
+    """ph_record."""
+
+    _fields_ = [("input", ctypes.c_void_p), ("input_stride", ctypes.c_ssize_t), ("parts", ctypes.c_int)]
+    _fields_ += [(name, Column) for name in RECORD]
+
+
+@cache
+def enums() -> dict[str, tuple[str, ...]]:
+    """Names of signal blocks, ledger rows and counters, from the enumerations of phfmu.h."""
+    text = re.sub(r"/\*.*?\*/", "", (RUNTIME / "phfmu.h").read_text(), flags=re.S)
+    return {
+        name: tuple(m.removeprefix("PH_").removeprefix("ROW_").lower() for m in re.findall(r"\w+", body)[:-1])
+        for name, body in re.findall(r"typedef enum (ph_block|ph_row|ph_count) \{(.*?)\}", text, flags=re.S)
+    }
+
+
+@cache
+def load(path: Path) -> ctypes.CDLL:
+    """The library with the signatures of phfmu.h."""
+    lib = ctypes.CDLL(str(path))
+    pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "ph_size": (ctypes.c_size_t, [pointer]),
+        "ph_init": (integer, [pointer, pointer]),
+        "ph_reset": (None, [pointer]),
+        "ph_initialise": (integer, [pointer]),
+        "ph_set_input": (integer, [pointer, pointer]),
+        "ph_set_node_inputs": (integer, [pointer, pointer]),
+        "ph_set_parameters": (integer, [pointer, pointer]),
+        "ph_set_x": (integer, [pointer, real, pointer]),
+        "ph_set_algebraic": (integer, [pointer, pointer]),
+        "ph_parameters": (pointer, [pointer]),
+        "ph_input": (pointer, [pointer]),
+        "ph_step": (integer, [pointer, real, real]),
+        "ph_step_parts": (integer, [pointer, real, real, integer]),
+        "ph_run": (integer, [pointer, real, real, integer, ctypes.POINTER(Record), ctypes.POINTER(integer)]),
+        "ph_layout": (None, [pointer, ctypes.POINTER(integer)]),
+        "ph_signals": (pointer, [pointer]),
+        "ph_refresh": (integer, [pointer]),
+        "ph_ledger": (pointer, [pointer, integer]),
+        "ph_sensitivity": (integer, [pointer, pointer]),
+        "ph_sensitivity_end": (integer, [pointer, pointer]),
+        "ph_state_size": (ctypes.c_size_t, [pointer]),
+        "ph_save": (None, [pointer, pointer]),
+        "phload": (integer, [pointer, pointer]),
+        "ph_counts": (pointer, [pointer]),
+        "ph_last_report": (ctypes.POINTER(Report), [pointer]),
+        "ph_status_text": (ctypes.c_char_p, [integer]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(lib, name)
+        function.restype, function.argtypes = result, arguments
+    return lib
+
+
+def runtime_sources() -> dict[str, Path]:
+    """The hand-written part of a library: file name -> path."""
+    return {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h", ".inc")}
+
+
+def build(table: KernelTable) -> Build:
+    """Library of runtime and kernels for this machine; models with the same kernels share it."""
+    return compile({**runtime_sources(), "kernels.c": table.text})
+
+
+def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:
+    """Array on memory owned by the instance."""
+    size = np.dtype(dtype).itemsize
+    buffer = (ctypes.c_char * (n * size)).from_address(address)
+    return np.frombuffer(buffer, dtype, n)

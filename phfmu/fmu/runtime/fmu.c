@@ -1,0 +1,189 @@
+/* Life of an instance: memory, modes and steps. */
+#include "fmu.h"
+
+#include <limits.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define SLACK 1e-9     /* a communication step this much longer than n internal ones is still n of them */
+#define SAME_TIME 1e-6 /* two times that differ by this part of a step are the same */
+
+static size_t padded(size_t bytes) {
+    return (bytes + 15) / 16 * 16;
+}
+
+static fmu *allocate(const fmu_interface *about, const char *name) {
+    const ph_plan *p = about->model->step;
+    const size_t model = ph_size(about->model), length = strlen(name) + 1, nu = (size_t)p->nu;
+    const size_t values = (size_t)p->nx + (size_t)p->np + nu + 2 * nu * nu;
+    char *block;
+    fmu *f;
+    double *place;
+    if (model == 0)
+        return NULL;
+    block = calloc(1, padded(sizeof(fmu)) + padded(model) + sizeof(double) * values + length);
+    if (!block)
+        return NULL;
+    f = (fmu *)(void *)block;
+    f->about = about;
+    f->in = (ph_instance *)(void *)(block + padded(sizeof(fmu)));
+    place = (double *)(void *)(block + padded(sizeof(fmu)) + padded(model));
+    f->x = place;
+    f->p = f->x + p->nx;
+    f->u = f->p + p->np;
+    f->step_map = f->u + nu;
+    f->end_map = f->step_map + nu * nu;
+    f->name = (char *)(f->end_map + nu * nu);
+    memcpy(f->name, name, length);
+    return f;
+}
+
+fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink, void (*callback)(void),
+                void *environment) {
+    const fmu_interface *about = &fmu_the_interface;
+    fmu nobody = {.sink = sink, .callback = callback, .environment = environment, .name = (char *)name};
+    fmu *f;
+    if (!name || !*name) {
+        nobody.name = "";
+        fmu_refuse(&nobody, "the name of an instance must not be empty");
+        return NULL;
+    }
+    if (!token || strcmp(token, about->token) != 0) {
+        fmu_refuse(&nobody, "the model description has the token '%s', this library belongs to '%s'",
+                   token ? token : "", about->token);
+        return NULL;
+    }
+    f = allocate(about, name);
+    if (!f || ph_init(f->in, about->model) != PH_OK) {
+        fmu_refuse(&nobody, "no memory for an instance (%zu bytes)", ph_size(about->model));
+        free(f);
+        return NULL;
+    }
+    f->logging = logging;
+    f->sink = sink;
+    f->callback = callback;
+    f->environment = environment;
+    f->phase.mode = FMU_INSTANTIATED;
+    ph_layout(about->model, f->offset);
+    return f;
+}
+
+void fmu_free(fmu *f) {
+    free(f);
+}
+
+double fmu_time(const fmu *f) {
+    return ph_signals(f->in)[f->about->model->step->nx];
+}
+
+/* The start values set so far stay. */
+int fmu_setup(fmu *f, const char *function, double start, int stop_defined, double stop) {
+    if (fmu_allow(f, function, FMU_INSTANTIATED))
+        return FMU_ERROR;
+    if (!isfinite(start) || (stop_defined && !(stop >= start)))
+        return fmu_refuse(f, "%s: start time %.9g s and stop time %.9g s do not fit", function, start, stop);
+    if (f->about->model->step->nx > 0)
+        memcpy(f->x, ph_signals(f->in), sizeof(double) * (size_t)f->about->model->step->nx);
+    ph_set_x(f->in, start, f->x);
+    f->phase.stop_defined = stop_defined;
+    f->phase.stop = stop;
+    return FMU_OK;
+}
+
+int fmu_enter(fmu *f, const char *function) {
+    if (fmu_allow(f, function, FMU_INSTANTIATED))
+        return FMU_ERROR;
+    f->phase.mode = FMU_INITIALIZATION;
+    return FMU_OK;
+}
+
+/* Starts that violate a hidden constraint are refused: stepped, they chatter for ever. */
+static int check_starts(const fmu *f, const char *function) {
+    const double *table = ph_signals(f->in);
+    const fmu_check *worst = NULL;
+    double most = 1.0, value = 0.0;
+    for (int i = 0; i < f->about->ncheck; i++) {
+        const fmu_check *check = &f->about->checks[i];
+        const fmu_variable *v = &f->about->variables[check->variable];
+        double found = table[f->offset[v->block] + v->first];
+        if (fabs(found) / check->limit <= most)
+            continue;
+        most = fabs(found) / check->limit;
+        value = found;
+        worst = check;
+    }
+    if (!worst)
+        return FMU_OK;
+    return fmu_refuse(f,
+                      "%s: the start values are inconsistent: %s = %.6g, allowed is +-%.3g. Choose start values of "
+                      "the states (and inputs) that satisfy it",
+                      function, f->about->variables[worst->variable].name, value, worst->limit);
+}
+
+int fmu_leave(fmu *f, const char *function) {
+    int status;
+    if (fmu_allow(f, function, FMU_INITIALIZATION))
+        return FMU_ERROR;
+    status = ph_initialise(f->in);
+    if (status)
+        return fmu_solver(f, function, status);
+    if (check_starts(f, function))
+        return FMU_ERROR;
+    f->phase.mode = FMU_STEP;
+    return FMU_OK;
+}
+
+int fmu_terminate(fmu *f, const char *function) {
+    if (fmu_allow(f, function, FMU_STEP))
+        return FMU_ERROR;
+    f->phase.mode = FMU_TERMINATED;
+    return FMU_OK;
+}
+
+int fmu_reset(fmu *f, const char *function) {
+    const fmu_phase start = {.mode = FMU_INSTANTIATED};
+    if (fmu_allow(f, function, FMU_ANY))
+        return FMU_ERROR;
+    ph_reset(f->in);
+    f->phase = start;
+    f->step_known = f->end_known = 0;
+    return FMU_OK;
+}
+
+/* n internal steps of equal length, none longer than the declared one. */
+static int check_step(const fmu *f, const char *function, double t, double h, int *n) {
+    const double now = fmu_time(f), slack = SAME_TIME * h, parts = ceil(h / f->about->step - SLACK);
+    if (!isfinite(t) || !isfinite(h) || !(h > 0.0))
+        return fmu_refuse(f, "%s: a step of %.9g s from t = %.9g s; it must be positive and finite", function, h,
+                          t);
+    if (fabs(t - now) > slack + SLACK * fabs(now))
+        return fmu_refuse(f, "%s: the step starts at t = %.17g s, the component is at t = %.17g s", function, t,
+                          now);
+    if (f->phase.stop_defined && t + h > f->phase.stop + slack + SLACK * fabs(f->phase.stop))
+        return fmu_refuse(f, "%s: the step ends at t = %.17g s, after the stop time %.17g s", function, t + h,
+                          f->phase.stop);
+    if (parts > INT_MAX / 2)
+        return fmu_refuse(f, "%s: a step of %.9g s would be %.3g internal steps of %.9g s", function, h, parts,
+                          f->about->step);
+    *n = parts < 1.0 ? 1 : (int)parts;
+    return FMU_OK;
+}
+
+int fmu_do_step(fmu *f, const char *function, double t, double h) {
+    const long long *count;
+    long long halved;
+    int status, n = 0;
+    if (fmu_allow(f, function, FMU_STEP) || check_step(f, function, t, h, &n))
+        return FMU_ERROR;
+    count = ph_counts(f->in);
+    halved = count[PH_SUBSTEPS];
+    f->step_known = f->end_known = 0;
+    status = ph_step_parts(f->in, t, h, n);
+    if (status)
+        return fmu_solver(f, function, status);
+    if (f->logging && count[PH_SUBSTEPS] > halved)
+        fmu_say(f, FMU_OK, "logNonlinearSystems", "the step from t = %.9g s of %.9g s was halved %lld times", t, h,
+                count[PH_SUBSTEPS] - halved);
+    return FMU_OK;
+}

@@ -1,0 +1,121 @@
+/* One co-simulation instance, whatever the version of the interface: modes, values, steps, saved state.
+ *
+ * The layers fmi2.c and fmi3.c translate their calls into these functions. Functions return FMU_OK,
+ * FMU_WARNING or FMU_ERROR, which both versions number alike; every error has been logged. An instance
+ * is one block of memory; only a saved state asked for by the importer is allocated later. */
+#ifndef FMU_H
+#define FMU_H
+
+#include <stddef.h>
+
+#include "phfmu.h"
+
+/* Values of fmi2Status and fmi3Status. */
+enum { FMU_OK = 0, FMU_WARNING = 1, FMU_ERROR = 3 };
+
+/* Modes of an instance; functions name the ones they are allowed in as a mask. */
+enum { FMU_INSTANTIATED = 1, FMU_INITIALIZATION = 2, FMU_STEP = 4, FMU_TERMINATED = 8, FMU_ANY = 15 };
+
+/* Places of values that are not in the signal table. */
+enum { FMU_PARAMETER = PH_NBLOCK, FMU_INPUT };
+
+/* The value is the sum of `count` entries of a block from `first` on; the value reference is the
+ * place of the variable in its table. */
+typedef struct fmu_variable {
+    int block; /* ph_block, FMU_PARAMETER or FMU_INPUT */
+    int first;
+    int count;
+    const char *name;
+} fmu_variable;
+
+/* A hidden constraint: at the start its residual must not exceed the limit. */
+typedef struct fmu_check {
+    int variable; /* value reference of the residual */
+    double limit;
+} fmu_check;
+
+/* What is generated for one model, constant. */
+typedef struct fmu_interface {
+    const char *token; /* FMU_TOKEN characters */
+    const ph_model *model;
+    double step; /* longest internal step, s */
+    int nvariable, ncheck;
+    const fmu_variable *variables;     /* nvariable */
+    const fmu_check *checks;           /* ncheck */
+    const char *const *equations;      /* rows of the step, step->nw */
+    const char *const *end_equations;  /* rows of the end values, instant->nw */
+} fmu_interface;
+
+#define FMU_TOKEN 38
+
+extern const fmu_interface fmu_the_interface;
+
+typedef struct fmu fmu;
+
+/* Passes a message on to the importer through `callback`. */
+typedef void (*fmu_sink)(const fmu *f, int status, const char *category, const char *text);
+
+/* What a saved state holds besides the state of the model. */
+typedef struct fmu_phase {
+    int mode;
+    int stop_defined;
+    double stop;
+} fmu_phase;
+
+struct fmu {
+    const fmu_interface *about;
+    ph_instance *in;
+    fmu_phase phase;
+    int logging;
+    fmu_sink sink;
+    void (*callback)(void); /* the importer's logger, cast back by the sink */
+    void *environment;
+    char *name;                  /* owned */
+    int offset[PH_NBLOCK + 1];   /* of the signal table */
+    double *x, *u, *p;           /* nx, nu, np: values being set */
+    double *step_map, *end_map;  /* nu*nu sensitivities, row-major */
+    int step_known, end_known;   /* whether they belong to the present time */
+};
+
+#if defined(__GNUC__)
+#define FMU_FORMAT(text, values) __attribute__((format(printf, text, values)))
+#else
+#define FMU_FORMAT(text, values)
+#endif
+
+/* fmu_log.c; both return their status */
+int fmu_say(const fmu *f, int status, const char *category, const char *format, ...) FMU_FORMAT(4, 5);
+int fmu_refuse(const fmu *f, const char *format, ...) FMU_FORMAT(2, 3);
+int fmu_allow(const fmu *f, const char *function, int modes);
+int fmu_solver(const fmu *f, const char *what, int status);
+
+/* fmu.c. NULL if the token is another model's or there is no memory. */
+fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink, void (*callback)(void),
+                void *environment);
+void fmu_free(fmu *f);
+int fmu_setup(fmu *f, const char *function, double start, int stop_defined, double stop);
+int fmu_enter(fmu *f, const char *function);
+int fmu_leave(fmu *f, const char *function);
+int fmu_terminate(fmu *f, const char *function);
+int fmu_reset(fmu *f, const char *function);
+int fmu_do_step(fmu *f, const char *function, double t, double h);
+double fmu_time(const fmu *f);
+
+/* fmu_values.c. ref: n value references, values: n. A refused call changes nothing. */
+int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double *values);
+int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values);
+
+/* fmu_derivative.c. adjoint 0: result (nu) = S seed (nk); 1: result (nk) = S^T seed (nu), where S holds the
+ * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk). */
+int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *unknown, size_t nu,
+                   const unsigned *known, size_t nk, const double *seed, double *result);
+
+/* fmu_state.c. A saved state is one block without pointers; *state is reused if not NULL. */
+int fmu_save(fmu *f, const char *function, void **state);
+int fmu_restore(fmu *f, const char *function, const void *state);
+int fmu_forget(fmu *f, void **state);
+size_t fmu_state_size(const fmu *f);
+int fmu_write(fmu *f, const char *function, const void *state, void *bytes, size_t size);
+int fmu_read(fmu *f, const char *function, const void *bytes, size_t size, void **state);
+
+#endif

@@ -1,0 +1,133 @@
+"""Composition: members and junctions -> one PHDAE.
+
+Per junction the common variable c and, for every port that is given the other variable, its input u_j become algebraic
+variables.  With P the map from these unknowns to port inputs, U = P xi, the rows are
+
+    0 = P^T Y + C xi,    C skew (c against u_j),
+
+so the junctions join the structure matrix J and create no power (van der Schaft, Jeltsema 2014, section 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from phfmu.declare.phdae import PHDAE, Observable, skew
+from phfmu.declare.port import Port
+from phfmu.declare.variable import Variable, algebraic
+from phfmu.network.network import End, Junction, Network
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Unknowns of one junction: the common variable and the inputs of the ports that output it."""
+
+    junction: Junction
+    common: Variable
+    dual: dict[End, Variable]
+
+    def input_of(self, end: End) -> Variable:
+        """The algebraic variable that feeds the port `end`."""
+        return self.dual.get(end, self.common)
+
+
+def junction_unknowns(network: Network, junction: Junction) -> Unknowns:
+    """The algebraic variables of `junction`; named `<junction>.v[..]` and `<member>.<port>.i[..]` (domain names)."""
+    ports = {e: network.port_of(e) for e in junction.ends}
+    first = next(iter(ports.values()))
+    shared = "effort" if junction.kind == "0" else "flow"
+    name, unit = (first.domain.effort, first.domain.effort_unit) if shared == "effort" else (
+        first.domain.flow, first.domain.flow_unit)  # fmt: skip
+    givers = [p for p in ports.values() if p.given == shared]
+    common = algebraic(f"{junction.name}.{name}", first.size, unit=unit, nominal=_size(givers), start=_start(givers),
+                       description=f"common {shared} of {', '.join(map(str, junction.ends))}")  # fmt: skip
+    dual = {}
+    for end, port in ports.items():
+        if port.given != shared:
+            member = port.input_names()[0].split("[")[0]
+            dual[end] = algebraic(f"{end.member}.{member}", port.size, unit=port.input_unit, nominal=port.nominal,
+                                  start=port.start, description=f"input of {end}")  # fmt: skip
+    return Unknowns(junction, common, dual)
+
+
+def _size(ports: list[Port]) -> float:
+    import numpy as np
+
+    return max((float(np.max(p.nominal)) for p in ports), default=1.0)
+
+
+def _start(ports: list[Port]):
+    return ports[0].start if ports else 0.0
+
+
+def compose(network: Network) -> PHDAE:
+    """One PHDAE with all states, terms and free ports of the members, and the junction equations."""
+    unknowns = [junction_unknowns(network, j) for j in network.junctions]
+    feed = {end: u for u in unknowns for end in u.junction.ends}
+    parts = [_prefixed(name, model, feed) for name, model in network.members.items()]
+    blocks = []
+    for u in unknowns:
+        for v in u.dual.values():
+            blocks.append(skew(u.common, v, -ca.SX.eye(v.n)))
+    return PHDAE(
+        network.name,
+        states=_all(parts, "states"),
+        algebraics=_all(parts, "algebraics") + tuple(v for u in unknowns for v in (u.common, *u.dual.values())),
+        parameters=_all(parts, "parameters"),
+        energies=_all(parts, "energies"),
+        E={v: m for p in parts for v, m in p.E.items()},
+        structure=_all(parts, "structure") + tuple(blocks),
+        dissipation=_all(parts, "dissipation"),
+        ports=_all(parts, "ports"),
+        constraints=_all(parts, "constraints"),
+        closed=_all(parts, "closed"),
+        observables=_all(parts, "observables"),
+        members=_all(parts, "members"),
+        junctions=tuple((j.name, tuple(map(str, j.ends))) for j in network.junctions),
+        description=network.description,
+    )
+
+
+def _all(parts: list[PHDAE], field: str) -> tuple:
+    return tuple(item for p in parts for item in getattr(p, field))
+
+
+def _owner(prefix: str, owner: str) -> str:
+    return f"{prefix}.{owner}" if owner else prefix
+
+
+def _prefixed(prefix: str, model: PHDAE, feed: dict[End, Unknowns]) -> PHDAE:
+    """`model` with prefixed names and its joined ports bound to the junction variables."""
+
+    def rename(v: Variable) -> Variable:
+        return replace(v, name=f"{prefix}.{v.name}")
+
+    def bind(port: Port) -> Port:
+        end = End(prefix, port.name)
+        bound = port.bound
+        if end in feed:
+            bound = tuple(ca.vertsplit(feed[end].input_of(end).sx))
+        return replace(port, name=f"{prefix}.{port.name}", owner=_owner(prefix, port.owner), bound=bound)
+
+    new = model.mapped(rename, bind)
+
+    def owned(items: tuple) -> tuple:
+        return tuple(replace(i, owner=_owner(prefix, i.owner)) for i in items)
+
+    return replace(
+        new,
+        energies=owned(new.energies),
+        structure=owned(new.structure),
+        dissipation=owned(new.dissipation),
+        constraints=owned(new.constraints),
+        closed=owned(new.closed),
+        observables=tuple(_renamed(o, prefix) for o in new.observables),
+        members=tuple(_owner(prefix, m) for m in model.members),
+        junctions=(),
+    )
+
+
+def _renamed(o: Observable, prefix: str) -> Observable:
+    return replace(o, name=f"{prefix}.{o.name}")

@@ -1,0 +1,165 @@
+"""Networks: members joined at junctions; every connection is checked when it is made.
+
+A junction shares one variable c of the pair among its ports and sums the other to zero:
+0-junction: common effort, sum of flows = 0 (Kirchhoff);  1-junction: common flow, sum of efforts = 0 (rigid joint).
+With power positive into every component the powers of the joined ports add to zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Literal
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.port import Port
+from phfmu.declare.units import parse_unit
+
+Kind = Literal["0", "1"]
+
+
+class ConnectionError(ValueError):
+    """A connection that cannot be made; the message names both sides, the numbers and the remedy."""
+
+
+@dataclass(frozen=True)
+class End:
+    """One side of a connection: port `port` of member `member`."""
+
+    member: str
+    port: str
+
+    def __str__(self) -> str:
+        return f"{self.member}.{self.port}"
+
+
+@dataclass(frozen=True)
+class Junction:
+    """Ports that meet: kind "0" (common effort) or "1" (common flow)."""
+
+    name: str
+    kind: Kind
+    ends: tuple[End, ...]
+
+
+@dataclass
+class Network:
+    """Members and junctions under construction; `compose()` turns them into one PHDAE.
+
+    A member is a PHDAE, or anything with the same `name` and `ports` (an FMU described by its ports).
+    """
+
+    name: str
+    members: dict[str, PHDAE] = field(default_factory=dict)
+    junctions: list[Junction] = field(default_factory=list)
+    description: str = ""
+
+    def add(self, name: str, member: PHDAE) -> None:
+        """Add a member; its variables get the prefix `name.`.  ConnectionError if the name or object is taken."""
+        if name in self.members:
+            raise ConnectionError(f"{self.name}: there is a member '{name}' already; give the new one another name")
+        if any(member is m for m in self.members.values()):
+            raise ConnectionError(f"{self.name}: '{name}' is the same object as another member; build a second one")
+        if not name.isidentifier():
+            raise ConnectionError(f"{self.name}: member name '{name}' must be a letter followed by letters, digits, _")
+        self.members[name] = member
+
+    def connect(self, a: str, b: str, *, name: str = "", signs: tuple[int, int] | None = None) -> Junction:
+        """Plain bond between `member.port` and `member.port`: one side gives the effort, the other the flow.
+
+        signs = (s_a, s_b) states u_a = s_a y_b and u_b = s_b y_a; they must be opposite.  Default: what the domain's
+        ports share where they meet (electrical: same voltage; mechanical: same velocity).
+        """
+        ends = (self._end(a), self._end(b))
+        pa, pb = (self._port(e) for e in ends)
+        self._check_fit(ends)
+        if pa.given == pb.given:
+            other = "0-junction" if pa.given == "effort" else "1-junction"
+            raise ConnectionError(
+                f"{a} and {b} both take the {pa.given} as input, so neither can give it to the other on a plain bond; "
+                f"join them at a junction: network.junction('name', ['{a}', '{b}'], kind='0' or '1') "
+                f"({other} with the common {pa.given} as unknown)"
+            )
+        kind = self._default_kind(pa)
+        if signs is not None:
+            if signs[0] not in (1, -1) or signs[1] not in (1, -1) or signs[0] + signs[1] != 0:
+                raise ConnectionError(
+                    f"{a} - {b}: u_a = {signs[0]:+d} y_b and u_b = {signs[1]:+d} y_a create power (C + C^T has entries "
+                    f"{signs[0] + signs[1]}); with power positive into both sides the signs must be opposite"
+                )
+            effort_sign = signs[0] if pa.given == "effort" else signs[1]
+            kind = "0" if effort_sign == 1 else "1"
+        return self._join(Junction(name or self._free_name(ends), kind, ends))
+
+    def junction(self, name: str, ports: list[str] | tuple[str, ...], kind: Kind | None = None) -> Junction:
+        """Join any number of ports; kind "0" common effort, "1" common flow, default by the domain."""
+        ends = tuple(self._end(p) for p in ports)
+        if len(ends) < 2:
+            raise ConnectionError(f"junction '{name}' joins {len(ends)} port; it needs at least two")
+        self._check_fit(ends)
+        return self._join(Junction(name, kind or self._default_kind(self._port(ends[0])), ends))
+
+    def compose(self) -> PHDAE:
+        """The network as one PHDAE: the class is closed under interconnection."""
+        from phfmu.network.compose import compose
+
+        return compose(self)
+
+    def port_of(self, end: End) -> Port:
+        """The port an end of a junction refers to."""
+        return self._port(end)
+
+    # -- checks -----------------------------------------------------------------------------------------------------
+
+    def _join(self, junction: Junction) -> Junction:
+        taken = {str(e): j.name for j in self.junctions for e in j.ends}
+        for e in junction.ends:
+            if str(e) in taken:
+                raise ConnectionError(
+                    f"{e} is joined at '{taken[str(e)]}' already; add it there as one more port of a single junction"
+                )
+        if len(set(junction.ends)) < len(junction.ends):
+            raise ConnectionError(f"junction '{junction.name}' lists a port twice")
+        if junction.name in {j.name for j in self.junctions} | set(self.members):
+            raise ConnectionError(f"the name '{junction.name}' is taken by another junction or member")
+        self.junctions.append(junction)
+        return junction
+
+    def _end(self, text: str) -> End:
+        member, _, port = text.partition(".")
+        if member not in self.members:
+            raise ConnectionError(f"{self.name} has no member '{member}'{_close(member, list(self.members))}")
+        names = [p.name for p in self.members[member].ports if p.external]
+        if port not in names:
+            raise ConnectionError(f"member '{member}' has no free port '{port}'{_close(port, names)}")
+        return End(member, port)
+
+    def _port(self, end: End) -> Port:
+        return self.members[end.member].port(end.port)
+
+    def _default_kind(self, port: Port) -> Kind:
+        return "0" if port.domain.common == "effort" else "1"
+
+    def _check_fit(self, ends: tuple[End, ...]) -> None:
+        first = self._port(ends[0])
+        for end in ends[1:]:
+            port = self._port(end)
+            if port.n != first.n:
+                raise ConnectionError(f"{ends[0]} has {first.n} scalar pairs, {end} has {port.n}; they must be equal")
+            for what in ("effort", "flow"):
+                mine, other = getattr(first.domain, f"{what}_unit"), getattr(port.domain, f"{what}_unit")
+                a, b = parse_unit(mine), parse_unit(other)
+                if a.without_angle() != b.without_angle() or abs(a.factor / b.factor - 1) > 1e-12:
+                    raise ConnectionError(
+                        f"unit mismatch: the {what} of {ends[0]} ({first.domain.name}) is in {mine}, of {end} "
+                        f"({port.domain.name}) in {other}; connect ports of one domain and unit, or put a transformer "
+                        "or gyrator between them"
+                    )
+
+    def _free_name(self, ends: tuple[End, ...]) -> str:
+        return "_".join(f"{e.member}_{e.port}" for e in ends)
+
+
+def _close(name: str, names: list[str]) -> str:
+    close = get_close_matches(name, names, 3)
+    return f"; did you mean {', '.join(close)}?" if close else f"; there are: {', '.join(names) or 'none'}"
