@@ -1,7 +1,7 @@
 """Data sets of synchronous machines: built-in sets by name, checks, and the constant inductance matrix.
 
-L(theta) = T(theta)^T Lhat T(theta) with the orthonormal Park matrix T on the stator, so L is positive definite at
-every angle if and only if the constant matrix Lhat (rows d, q, 0, rotor windings) is.
+L(theta) = T(theta)^T Lhat T(theta) with the orthonormal Park matrix T on the stator, so L is positive
+definite at every angle if and only if the constant matrix Lhat (rows d, q, 0, rotor windings) is.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class MachineDataError(ValueError):
 class MachineData:
     """One synchronous machine in SI units, three stator phases and any number of rotor windings.
 
-    Sn [VA], Vn_rms_ll [V], fn [Hz]: ratings.  Ra, R_rotor [ohm].  axis: 'd' or 'q' per rotor winding, the first is
-    the field winding.  Ld, Lq, L0 [H]: synchronous and zero-sequence inductances.  M_stator_rotor [H]: peak mutual
-    inductance of a phase with each rotor winding.  L_rotor [H]: rotor matrix.  J [kg m2], d [N m s/rad]: electrical
-    (one pole pair) unless pole_pairs is given; then mechanical.
+    Sn [VA], Vn_rms_ll [V], fn [Hz]: ratings.  Ra, R_rotor [ohm].  axis: 'd' or 'q' per rotor winding, the
+    first is the field winding.  Ld, Lq, L0 [H]: synchronous and zero-sequence inductances.  M_stator_rotor
+    [H]: peak mutual inductance of a phase with each rotor winding.  L_rotor [H]: rotor matrix.  J [kg m2],
+    d [N m s/rad]: electrical (one pole pair) unless pole_pairs is given; then mechanical.
     """
 
     name: str
@@ -99,7 +99,7 @@ class MachineData:
 
 @lru_cache(maxsize=1)
 def _file() -> dict[str, dict[str, Any]]:
-    sets = json.loads(files(__package__).joinpath("machines.json").read_text())
+    sets = json.loads(files("phfmu.components.electrical").joinpath("machines.json").read_text())
     return {name: entry for name, entry in sets.items() if isinstance(entry, dict)}
 
 
@@ -109,7 +109,7 @@ def machine_names() -> list[str]:
 
 
 def machine_set(machine: str | Mapping[str, Any] | MachineData, **changes: Any) -> MachineData:
-    """A checked data set: a built-in name, a mapping with the entries of `MachineData`, or a set, with `changes`.
+    """A checked data set: a built-in name, a mapping of `MachineData` entries or a set, with `changes`.
 
     Stator inductances are (Ld, Lq, L0), or (Laa0, Laa2, Lab0) of L_aa = Laa0 + Laa2 cos 2 theta,
     L_ab = -Lab0 + Laa2 cos(2 theta - 2 pi/3): Ld, Lq = Laa0 + Lab0 +- 1.5 Laa2, L0 = Laa0 - 2 Lab0.
@@ -118,7 +118,9 @@ def machine_set(machine: str | Mapping[str, Any] | MachineData, **changes: Any) 
     if isinstance(machine, str):
         if machine not in _file():
             names = ", ".join(machine_names())
-            raise MachineDataError(f"no machine set '{machine}'; there are: {names}; or give a mapping of its entries")
+            raise MachineDataError(
+                f"no machine set '{machine}'; there are: {names}; or give a mapping of its entries"
+            )
         machine = _file()[machine]
     base = asdict(machine) if isinstance(machine, MachineData) else dict(machine)
     entries = {**_stator(base), **_stator(changes)}
@@ -171,7 +173,9 @@ def _sizes(data: MachineData) -> list[str]:
         if found != m:
             out.append(f"{name} has {found} entries for {m} rotor windings (axis)")
     if len(data.L_rotor) != m or any(np.size(row) != m for row in data.L_rotor):
-        out.append(f"L_rotor has rows of {[np.size(row) for row in data.L_rotor]} entries; expected {m} x {m}")
+        out.append(
+            f"L_rotor has rows of {[np.size(row) for row in data.L_rotor]} entries; expected {m} x {m}"
+        )
     if not isinstance(data.pole_pairs, int) or data.pole_pairs < 1:
         out.append(f"pole_pairs = {data.pole_pairs}; it is a positive integer")
     return out
@@ -184,7 +188,11 @@ def _signs(data: MachineData) -> list[str]:
         if not (value > 0 and np.isfinite(value)):
             hint = "; without inertia p is no state" if name == "J" else ""
             out.append(f"{name} = {value} must be positive{hint}")
-    for name, value in [("Ra", data.Ra), ("d", data.d), *((f"R_rotor[{j + 1}]", r) for j, r in enumerate(data.R_rotor))]:
+    for name, value in [
+        ("Ra", data.Ra),
+        ("d", data.d),
+        *((f"R_rotor[{j + 1}]", r) for j, r in enumerate(data.R_rotor)),
+    ]:
         if not (value >= 0 and np.isfinite(value)):
             out.append(f"{name} = {value} must not be negative; a negative one creates energy")
     return out
@@ -198,20 +206,23 @@ def _definite(data: MachineData) -> list[str]:
     if np.max(np.abs(rotor - rotor.T)) > 1e-12 * np.max(np.abs(rotor)):
         out.append("L_rotor is not symmetric")
     across = [(i, j) for i in data.on_axis("d") for j in data.on_axis("q") if rotor[i, j] or rotor[j, i]]
-    out += [f"L_rotor[{i + 1},{j + 1}] couples a d with a q winding; the axes are orthogonal, so it is 0" for i, j in across]
+    out += [
+        f"L_rotor[{i + 1},{j + 1}] couples a d with a q winding; the axes are orthogonal, so it is 0"
+        for i, j in across
+    ]
     if not data.L0 > SINGULAR * max(abs(data.Ld), abs(data.Lq)):
         out.append(
-            f"L0 = {data.L0:.6g} H makes L singular (L0 = Laa0 - 2 Lab0; book data often have Lab0 = Laa0/2); "
-            "give L0 > 0, e.g. the stator leakage inductance"
+            f"L0 = {data.L0:.6g} H makes L singular (L0 = Laa0 - 2 Lab0; book data often have "
+            "Lab0 = Laa0/2); give L0 > 0, e.g. the stator leakage inductance"
         )
     for axis, row in (("d", 0), ("q", 1)):
         where = [row, *(3 + j for j in data.on_axis(axis))]
         values = np.linalg.eigvalsh(L[np.ix_(where, where)])
         if not values[0] > SINGULAR * values[-1]:
-            names = ", ".join(data.windings[j - 3] for j in where[1:])
+            names = ", ".join([f"L{axis}", *(data.windings[j - 3] for j in where[1:])])
             out.append(
-                f"the {axis}-axis block of L{f' (L{axis}; {names})' if names else f' (L{axis})'} is not positive definite "
-                f"(eigenvalues {values[0]:.3g} .. {values[-1]:.3g} H): a mutual inductance is too large for its self "
+                f"the {axis}-axis block of L ({names}) is not positive definite (eigenvalues "
+                f"{values[0]:.3g} .. {values[-1]:.3g} H): a mutual inductance is too large for its self "
                 f"inductances; check M_stator_rotor, L_rotor and L{axis}"
             )
     return out

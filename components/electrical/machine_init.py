@@ -1,8 +1,9 @@
-"""Steady state of a synchronous machine at a given terminal power."""
+"""Operating points of a synchronous machine: from given currents, and the steady state at a given power."""
 
 from __future__ import annotations
 
 from cmath import exp, phase
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
 
@@ -14,22 +15,22 @@ ALPHA = (0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0)
 
 
 @dataclass(frozen=True)
-class SteadyState:
-    """Values at t = 0 of a balanced steady state.
+class OperatingPoint:
+    """Start values of a machine with n windings a, b, c, rotor, and of its inputs.
 
-    v (3): phase voltages.  I, psi (n): currents into the windings a b c, rotor, and phase fluxes.  dq (n): fluxes
-    d, q, 0, rotor in orthonormal Park coordinates.  p, theta: momentum and electrical angle of the d axis.  Vf: field
-    voltage.  tau: shaft torque, positive for a generator (mechanical if the set has pole pairs).
+    I, psi (n) [A, Wb]: currents into the windings and their fluxes.  dq (n) [Wb]: fluxes d, q, 0, rotor in
+    orthonormal Park coordinates.  p [kg m2/s], theta [rad]: momentum and angle of the d axis, electrical.
+    v (3) [V]: phase voltages.  Vf [V]: field voltage.  tau [N m]: shaft torque, positive for a generator.
     """
 
-    v: tuple[float, ...]
     I: tuple[float, ...]
     psi: tuple[float, ...]
     dq: tuple[float, ...]
     p: float
     theta: float
-    Vf: float
-    tau: float
+    v: tuple[float, ...] = (0.0, 0.0, 0.0)
+    Vf: float = 0.0
+    tau: float = 0.0
 
 
 def park(theta: float) -> np.ndarray:
@@ -38,38 +39,58 @@ def park(theta: float) -> np.ndarray:
     return sqrt(2.0 / 3.0) * np.array([np.cos(a), -np.sin(a), np.full(3, sqrt(0.5))])
 
 
+def operating_point(
+    machine: MachineData,
+    I: Sequence[float],
+    p: float,
+    theta: float,
+    *,
+    v: Sequence[float] = (0.0, 0.0, 0.0),
+    Vf: float = 0.0,
+    tau: float = 0.0,
+) -> OperatingPoint:
+    """The operating point with winding currents I (n), momentum p and angle theta; it need not be steady."""
+    if len(I) != machine.n:
+        raise MachineDataError(f"machine '{machine.name}' has {machine.n} windings, I has {len(I)} entries")
+    T = park(theta)
+    currents = np.concatenate([T @ np.asarray(I[:3], float), np.asarray(I[3:], float)])
+    dq = machine.constant_inductance() @ currents
+    psi = [*(T.T @ dq[:3]).tolist(), *dq[3:].tolist()]
+    return OperatingPoint(tuple(I), tuple(psi), tuple(dq.tolist()), p, theta, tuple(v), Vf, tau)
+
+
 def steady_state(
-    machine: MachineData, P: float | None = None, Q: float | None = None, V: float | None = None, angle: float = 0.0
-) -> SteadyState:
+    machine: MachineData,
+    P: float | None = None,
+    Q: float | None = None,
+    V: float | None = None,
+    angle: float = 0.0,
+) -> OperatingPoint:
     """Balanced steady state that DELIVERS P [W] and Q [var] at V [V rms, line-line] and `angle` [rad].
 
-    Defaults: 0.8 and 0.2 of the rated power, rated voltage.  The torque covers the losses of stator and friction:
-    tau omega = P + 3/2 Ra |I|^2 + d omega^2.  MachineDataError if the machine cannot be excited (no mutual M_f).
+    Defaults: 0.8 and 0.2 of the rated power, rated voltage.  The torque covers the losses of stator and
+    friction: tau omega = P + 3/2 Ra |I|^2 + d omega^2.  MachineDataError if the field has no mutual inductance.
     """
     m, w = machine, machine.omega
-    P, Q, V = (0.8 * m.Sn if P is None else P, 0.2 * m.Sn if Q is None else Q, m.Vn_rms_ll if V is None else V)
+    P, Q = 0.8 * m.Sn if P is None else P, 0.2 * m.Sn if Q is None else Q
+    V = m.Vn_rms_ll if V is None else V
     M_f = m.M_stator_rotor[0]
-    if M_f == 0 or V <= 0:
-        raise MachineDataError(f"machine '{m.name}': M_stator_rotor[1] = {M_f} H and V = {V} V must not be zero")
+    if M_f == 0 or not V > 0:
+        raise MachineDataError(f"machine '{m.name}': M_stator_rotor[1] = {M_f} H is 0, or V = {V} V not > 0")
     v = V * sqrt(2.0 / 3.0) * exp(1j * angle)
     i = -(complex(P, Q) / (1.5 * v)).conjugate()
     theta = phase(v - (m.Ra + 1j * w * m.Lq) * i) - pi / 2.0
     v_r, i_r = v * exp(-1j * theta), i * exp(-1j * theta)
     i_f = ((v_r.imag - m.Ra * i_r.imag) / w - m.Ld * i_r.real) / M_f
-    currents = np.zeros(m.n)
-    currents[[0, 1, 3]] = COUPLING * i_r.real, COUPLING * i_r.imag, i_f
-    dq = m.constant_inductance() @ currents
-    torque = dq[0] * currents[1] - dq[1] * currents[0]
-    T = park(theta).T
-    phases = [float((v * exp(-1j * a)).real) for a in ALPHA]
-    stator = [float((i * exp(-1j * a)).real) for a in ALPHA]
-    return SteadyState(
-        v=tuple(phases),
-        I=tuple([*stator, *currents[3:].tolist()]),
-        psi=tuple([*(T @ dq[:3]).tolist(), *dq[3:].tolist()]),
-        dq=tuple(dq.tolist()),
-        p=m.J_electrical * w,
-        theta=theta,
+    # torque 3/2 (psi_d i_q - psi_q i_d) in peak values; motor sign, so negative for a generator
+    psi_d, psi_q = m.Ld * i_r.real + M_f * i_f, m.Lq * i_r.imag
+    torque = COUPLING**2 * (psi_d * i_r.imag - psi_q * i_r.real)
+    return operating_point(
+        m,
+        [*((i * exp(-1j * a)).real for a in ALPHA), i_f, *[0.0] * (m.n - 4)],
+        m.J_electrical * w,
+        theta,
+        v=[(v * exp(-1j * a)).real for a in ALPHA],
         Vf=m.R_rotor[0] * i_f,
-        tau=m.pole_pairs * (m.d_electrical * w - float(torque)),
+        tau=m.pole_pairs * (m.d_electrical * w - torque),
     )

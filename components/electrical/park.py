@@ -1,4 +1,4 @@
-"""Expressions of the three-phase machine: Park matrix, inductances as parameters, magnetic energy, L(theta)."""
+"""Expressions of the three-phase machine: Park matrix, inductances, magnetic energy, L(theta)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def park_matrix(theta: ca.SX) -> ca.SX:
 class Inductances:
     """Inductances of a machine as parameters, named Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..
 
-    M: with each rotor winding; rotor: (i, j) -> L_ij of two windings on one axis, i <= j; axis: 'd' or 'q' each.
+    M: with each rotor winding; rotor: (i, j) -> L_ij of two windings on one axis, i <= j.
     """
 
     Ld: Variable
@@ -64,11 +64,15 @@ def inductances(data: MachineData) -> Inductances:
         parameter("Lq", data.Lq, unit="H", description="synchronous inductance, q axis"),
         parameter("L0", data.L0, unit="H", description="zero-sequence inductance"),
         tuple(
-            parameter(f"M_{n}", m, unit="H", description=f"peak mutual inductance of a phase with winding {n}")
+            parameter(
+                f"M_{n}", m, unit="H", description=f"peak mutual inductance of a phase with winding {n}"
+            )
             for n, m in zip(names, data.M_stator_rotor, strict=True)
         ),
         {
-            (i, j): parameter(f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", description="rotor inductance")
+            (i, j): parameter(
+                f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", description="rotor inductance"
+            )
             for i, j in same
         },
         data.axis,
@@ -76,12 +80,14 @@ def inductances(data: MachineData) -> Inductances:
 
 
 def magnetic_energy(flux: ca.SX, L: Inductances) -> ca.SX:
-    """H = 1/2 psi^T Lhat^-1 psi for fluxes (d, q, 0, rotor): per axis sum y_k^2 / (2 D_k) with L = M D M^T, psi = M y."""
+    """H = 1/2 psi^T Lhat^-1 psi for fluxes (d, q, 0, rotor).
+
+    Per axis: sum y_k^2 / (2 D_k) with the factors L = M D M^T, psi = M y.
+    """
     total = flux[2] ** 2 / (2 * L.L0.sx)
     for axis in ("d", "q"):
         where, block = L.axis_block(axis)
         y, work = [flux[i] for i in where], ca.SX(block)
-        # the field of the outer windings first, so that the pivots are leakage-like and never cancel
         for k in range(len(where)):
             total += y[k] ** 2 / (2 * work[k, k])
             for i in range(k + 1, len(where)):
@@ -111,7 +117,7 @@ def phase_inductance(theta: ca.SX, L: Inductances) -> tuple[ca.SX, ca.SX, ca.SX]
 
 
 def sinc(x: ca.SX) -> ca.SX:
-    """sin(x)/x, with its Taylor polynomial for |x| < 0.05 (error below 1e-20); finite with all derivatives."""
+    """sin(x)/x, with its Taylor polynomial for |x| < 0.05 (error below 1e-20); all derivatives are finite."""
     small = ca.fabs(x) < 0.05
     safe = ca.if_else(small, 1.0, x)
     s = x * x

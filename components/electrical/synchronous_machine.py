@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import casadi as ca
-import numpy as np
 
 from phfmu import (
     ELECTRICAL,
@@ -25,7 +23,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.electrical.machine_data import MachineData, machine_set
-from phfmu.components.electrical.machine_init import SteadyState, steady_state
+from phfmu.components.electrical.machine_init import OperatingPoint, steady_state
 from phfmu.components.electrical.park import (
     Inductances,
     inductances,
@@ -42,31 +40,195 @@ def synchronous_machine(
     machine: str | Mapping[str, Any] | MachineData = "kundur555_1q",
     *,
     coordinates: Coordinates = "dq-flux",
-    start: SteadyState | None = None,
+    start: OperatingPoint | None = None,
 ) -> PHDAE:
     """Synchronous machine with field and damper windings, all stator transients, in motor sign.
 
     psi' = v - R I,  p' = tau - d omega + 1/2 I^T L'(theta) I,  theta' = omega = p/J,  psi = L(theta) I
 
-    H:  1/2 psi^T L(theta)^-1 psi + p^2/(2 J), with psi_dq = T(theta) psi and L = T^T Lhat T quadratic in "dq-flux"
+    H:  1/2 psi^T L(theta)^-1 psi + p^2/(2 J); quadratic in "dq-flux": psi_dq = T psi, L = T^T Lhat T
     J:  J[theta, p] = 1 (skew); in "dq-flux" also J[psi_d, p] = psi_q, J[psi_q, p] = -psi_d (skew)
     R:  Ra on the stator, R_f, R_kd, .. on the rotor, d on p
 
-    states:      psi [Wb] (d, q, 0, rotor in "dq-flux"; a, b, c, rotor in "abc-flux") or I [A] (a, b, c, rotor, "current");
-                 p [kg.m2/s]; theta [rad], electrical angle of the d axis from phase a, q leads d; grows for ever
-    ports:       terminal: phase voltages v given, currents i INTO the machine; field: voltage given, current out;
-                 shaft: torque given, speed out; a positive torque accelerates, so tau > 0 for a generator
+    states:      psi [Wb] (d, q, 0, rotor in "dq-flux"; a, b, c, rotor in "abc-flux") or I [A] (same);
+                 p [kg.m2/s]; theta [rad], electrical angle of the d axis from phase a; grows for ever
+    ports:       terminal: phase voltages given, currents INTO the machine out; field: voltage given, current
+                 out; shaft: torque given, speed out; a positive torque accelerates: tau > 0 for a generator
     parameters:  J, d, Ra, R_f, R_kd, .., Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..
-    observables: I[..], flux[..] (windings a, b, c, rotor), Te (air-gap torque, accelerating; negative for a generator)
+    observables: I[..], flux[..] (windings a, b, c, rotor), Te (electrical torque; negative for a generator)
 
-    omega, J, d, tau are electrical (one pole pair) unless the set gives pole_pairs; then J, d, tau and the speed of the
-    shaft port are mechanical, theta and p stay electrical, p = J omega / pole_pairs^2.
+    omega, J, d, tau are electrical (one pole pair) unless the set gives pole_pairs; then J, d and torque and
+    speed of the shaft port are mechanical, theta and p stay electrical, p = J omega / pole_pairs^2.
     `start` (default: 0.8 and 0.2 of rated P, Q) also gives the start values of the inputs.
-    "abc-flux" keeps the phase fluxes exact; "current" is E(x) x' with E = [[L, 0, L'I], [0, 1, 0], [0, 0, 1]], order 2.
-    Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, Example 4 and Appendix B; Kundur 1994, chapter 3.
+    "abc-flux" keeps the phase fluxes exact; "current" has E = [[L, 0, L'I], [0, 1, 0], [0, 0, 1]] and order 2.
+    Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, Example 4, Appendix B; Kundur 1994, chapter 3.
     """
     data = machine_set(machine)
     builders = {"dq-flux": _dq_flux, "abc-flux": _abc_flux, "current": _current}
     if coordinates not in builders:
         raise ValueError(f"coordinates '{coordinates}' unknown; there are: {', '.join(builders)}")
     return builders[coordinates](_Common(data, start or steady_state(data)))
+
+
+class _Common:
+    """What the three coordinate systems share: parameters, p, theta, ports, friction, kinetic energy."""
+
+    def __init__(self, data: MachineData, start: OperatingPoint):
+        self.data, self.start = data, start
+        self.L: Inductances = inductances(data)
+        self.J = parameter("J", data.J, unit="kg.m2", description="inertia")
+        self.d = parameter("d", data.d, unit="N.m.s/rad", description="friction torque per speed")
+        self.Ra = parameter("Ra", data.Ra, unit="ohm", description="stator resistance")
+        self.R = tuple(
+            parameter(f"R_{n}", r, unit="ohm", description=f"resistance of winding {n}")
+            for n, r in zip(data.windings, data.R_rotor, strict=True)
+        )
+        self.J_el, self.d_el = self.J / data.pole_pairs**2, self.d / data.pole_pairs**2
+        momentum = data.J_electrical * data.omega
+        self.p = state(
+            "p", unit="kg.m2/s", start=start.p, nominal=momentum, description="momentum J omega (electrical)"
+        )
+        self.theta = state(
+            "theta", unit="rad", start=start.theta, description="electrical angle of the d axis"
+        )
+        self.kinetic: ca.SX = self.p**2 / (2 * self.J_el)
+
+    @property
+    def base_current(self) -> list[float]:
+        """Rated peak current of a phase; for a rotor winding the current that magnetises to rated flux."""
+        data = self.data
+        phase = (2.0 / 3.0) ** 0.5 * data.Sn / data.Vn_rms_ll
+        flux = (2.0 / 3.0) ** 0.5 * data.Vn_rms_ll / data.omega
+        return [phase] * 3 + [flux / abs(m) if m else phase for m in data.M_stator_rotor]
+
+    @property
+    def base_flux(self) -> list[float]:
+        """Rated flux of the stator, and L_jj base_current of the rotor windings."""
+        data = self.data
+        rotor = [data.L_rotor[j][j] * i for j, i in enumerate(self.base_current[3:])]
+        return [data.Vn_rms_ll / data.omega] * 3 + rotor
+
+    def windings(
+        self, name: str, unit: str, values: tuple[float, ...], nominal: list[float], text: str
+    ) -> Variable:
+        return state(name, self.data.n, unit=unit, start=values, nominal=nominal, description=text)
+
+    def model(
+        self, windings: Variable, stator: ca.SX, extra: dict[str, Any], observables: dict[str, ca.SX]
+    ) -> PHDAE:
+        """The declaration; `stator` (3 x 3): terminal voltage -> rows of the first three windings."""
+        data, start, n = self.data, self.start, self.data.n
+        units = {
+            "I": ("A", "winding currents, into the machine"),
+            "flux": ("Wb", "winding fluxes"),
+            "Te": ("N.m", "electrical torque on theta, accelerating"),
+        }
+        terminal = Port(
+            "terminal",
+            ELECTRICAL,
+            "effort",
+            {windings: ca.vertcat(stator, ca.SX(n - 3, 3))},
+            size=3,
+            start=start.v,
+            nominal=(2.0 / 3.0) ** 0.5 * data.Vn_rms_ll,
+            description="stator phases a, b, c; current into the machine",
+        )
+        first = ca.SX(n, 1)
+        first[3] = 1
+        field = Port(
+            "field",
+            ELECTRICAL,
+            "effort",
+            {windings: first},
+            start=start.Vf,
+            nominal=data.R_rotor[0] * self.base_current[3] or 1.0,
+            description="field winding",
+        )
+        shaft = Port(
+            "shaft",
+            ROTATIONAL,
+            "effort",
+            {self.p: 1.0 / data.pole_pairs},
+            start=start.tau,
+            nominal=data.pole_pairs * data.Sn / data.omega,
+            description="a positive torque accelerates",
+        )
+        R = ca.diag(ca.vertcat(self.Ra, self.Ra, self.Ra, *self.R))
+        return PHDAE(
+            "synchronous_machine",
+            states=(windings, self.p, self.theta),
+            parameters=(self.J, self.d, self.Ra, *self.R, *self.L.parameters),
+            structure=(skew(self.theta, self.p, 1), *extra.pop("structure", ())),
+            dissipation=(block([windings], R), damping(self.p, self.d_el)),
+            ports=(terminal, field, shaft),
+            observables=tuple(
+                observable(k, v, unit=units[k][0], description=units[k][1]) for k, v in observables.items()
+            ),
+            description=f"synchronous machine {data.name}, {data.Sn / 1e6:g} MVA {data.Vn_rms_ll / 1e3:g} kV",
+            **extra,
+        )
+
+
+def _dq_flux(c: _Common) -> PHDAE:
+    psi = c.windings("psi", "Wb", c.start.dq, c.base_flux, "fluxes d, q, 0, rotor (orthonormal Park)")
+    n, T = c.data.n, park_matrix(c.theta.sx)
+    turn = ca.SX(n + 1, n + 1)
+    turn[0, n], turn[n, 0] = psi[1], -psi[1]
+    turn[1, n], turn[n, 1] = -psi[0], psi[0]
+    observables = {
+        "I": ca.vertcat(ca.mtimes(T.T, psi.z[:3]), psi.z[3:]),
+        "flux": ca.vertcat(ca.mtimes(T.T, psi[:3]), psi[3:]),
+        "Te": psi[0] * psi.z[1] - psi[1] * psi.z[0],
+    }
+    energies = (energy(magnetic_energy(psi.sx, c.L)), energy(c.kinetic))
+    return c.model(psi, T, {"energies": energies, "structure": (block([psi, c.p], turn),)}, observables)
+
+
+def _abc_flux(c: _Common) -> PHDAE:
+    psi = c.windings("psi", "Wb", c.start.psi, c.base_flux, "fluxes a, b, c, rotor")
+    dq = ca.vertcat(ca.mtimes(park_matrix(c.theta.sx), psi[:3]), psi[3:])
+    observables = {"I": psi.z, "flux": psi.sx, "Te": -c.theta.z}
+    energies = (energy(magnetic_energy(dq, c.L), correct=(c.theta,)), energy(c.kinetic))
+    return c.model(psi, ca.SX.eye(3), {"energies": energies}, observables)
+
+
+def _current(c: _Common) -> PHDAE:
+    I = c.windings("I", "A", c.start.I, c.base_current, "currents a, b, c, rotor")
+    n, theta = c.data.n, c.theta.sx
+    constant, first, second = phase_inductance(theta, c.L)
+    L = constant + first + second
+    d1, d2 = (ca.reshape(ca.jacobian(ca.vec(part), theta), n, n) for part in (first, second))
+    slope = d1 + d2
+    half_torque = ca.mtimes(I.sx.T, ca.mtimes(slope, I.sx)) / 2
+
+    def at(expr: ca.SX, angle: ca.SX) -> ca.SX:
+        return ca.substitute(expr, theta, angle)
+
+    def parts(x: ca.SX, dx: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Both inductances and the two mean currents times D = (L(theta') - L(theta)) / (theta' - theta)."""
+        angle, turn = x[n + 1], dx[n + 1]
+        middle = angle + turn / 2
+        D = sinc(turn / 2) * at(d1, middle) + sinc(turn) * at(d2, middle)
+        return at(L, angle), at(L, angle + turn), D, x[:n] + dx[:n] / 2
+
+    def ebar(x: ca.SX, dx: ca.SX) -> ca.SX:
+        old, new, D, mean = parts(x, dx)
+        return ca.vertcat(ca.mtimes((old + new) / 2, dx[:n]) + ca.mtimes(D, mean) * dx[n + 1], dx[n:])
+
+    def zbar(x: ca.SX, dx: ca.SX) -> ca.SX:
+        _, _, D, mean = parts(x, dx)
+        force = ca.mtimes(x[:n].T, ca.mtimes(D, x[:n] + dx[:n])) / 2
+        return ca.vertcat(mean, (x[n] + dx[n] / 2) / c.J_el, -force)
+
+    E = ca.SX.eye(n + 2)
+    E[:n, :n], E[:n, n + 1] = L, ca.mtimes(slope, I.sx)
+    pair = ClosedPair(
+        (I, c.p, c.theta),
+        ca.mtimes(I.sx.T, ca.mtimes(L, I.sx)) / 2 + c.kinetic,
+        E,
+        ca.vertcat(I.sx, c.p / c.J_el, -half_torque),
+        ebar,
+        zbar,
+    )
+    observables = {"flux": ca.mtimes(L, I.sx), "Te": half_torque}
+    return c.model(I, ca.SX.eye(3), {"closed": (pair,)}, observables)

@@ -28,7 +28,7 @@ class Model:
     """Plans and start values of one declaration under one scheme.
 
     x0 (nx), a0 (na), u0 (nu), p0 (np): starts;  `checks`, `check_scale`: hidden constraints, reported as the last
-    observables, and their natural size at the start;  `equations`, `instant_equations`: a name per residual row.
+    observables, and their natural size at the start;  `row_names`, `instant_names`: a name per residual row.
     """
 
     name: str
@@ -43,8 +43,8 @@ class Model:
     t0: float = 0.0
     checks: tuple[Check, ...] = ()
     check_scale: Array = field(default_factory=lambda: np.zeros(0))
-    equations: tuple[str, ...] = ()
-    instant_equations: tuple[str, ...] = ()
+    row_names: tuple[str, ...] = ()
+    instant_names: tuple[str, ...] = ()
     members: tuple[str, ...] = ("",)
     observable_names: tuple[str, ...] = ()
 
@@ -75,8 +75,8 @@ def build_model(declaration: PHDAE, scheme: Collocated | None = None) -> Model:
     u0 = [s for p in declaration.ports if p.external for s in _starts(p)]
     return Model(
         declaration.name, declaration, scheme, step, instant, x0, _stack(declaration.algebraics), np.array(u0, float), p0,
-        checks=tuple(checks), check_scale=_scales(terms, checks, x0, p0), equations=tuple(layout.names()),
-        instant_equations=tuple(_instant_equation_names(terms, instant)), members=tuple(terms.members),
+        checks=tuple(checks), check_scale=_scales(terms, checks, x0, p0), row_names=tuple(layout.names()),
+        instant_names=tuple(_instant_equation_names(terms, instant)), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names),
     )  # fmt: skip
 
@@ -114,7 +114,7 @@ def _scales(terms: Terms, checks: list[Check], x0: Array, p0: Array) -> Array:
 def _check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
     """The undifferentiated hidden rows as expressions of the model's own symbols (inputs and time left out)."""
     model = terms.model
-    z = ca.gradient(model.hamiltonian, model.x) if terms.n1 else ca.SX(0, 1)
+    z = ca.densify(ca.gradient(model.hamiltonian, model.x)) if terms.n1 else ca.SX(0, 1)
     mass = {t.rows[0][1]: t for t in terms.terms if t.kind == "mass"}
     p = ca.vertcat(*(v.sx for v in model.parameters))
     for i, t in mass.items():
@@ -158,5 +158,5 @@ def _globals(t, x: ca.SX, z: ca.SX, p: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]
     for kind in ("a", "u"):
         if kind in t.local:
             old.append(t.local[kind])
-            new.append(ca.SX(t.local[kind].numel(), 1))
+            new.append(ca.SX.zeros(t.local[kind].numel(), 1))
     return old, new

@@ -1,4 +1,4 @@
-"""The compiled library of a model's kernels as Python sees it: signatures, records and names, from phfmu.h."""
+"""The compiled library of a model's kernels as Python sees it: signatures, records and names of phfmu.h."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from phfmu.engine.codegen import KernelTable
 from phfmu.engine.compile import Build, compile
 from phfmu.engine.tables import RUNTIME
-
 
 #: what `run` can record: the whole signal table, parts of it, and ledger rows and counters of each step
 RECORD: tuple[str, ...] = (
@@ -91,7 +90,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_sensitivity_end": (integer, [pointer, pointer]),
         "ph_state_size": (ctypes.c_size_t, [pointer]),
         "ph_save": (None, [pointer, pointer]),
-        "phload": (integer, [pointer, pointer]),
+        "ph_load": (integer, [pointer, pointer]),
         "ph_counts": (pointer, [pointer]),
         "ph_last_report": (ctypes.POINTER(Report), [pointer]),
         "ph_status_text": (ctypes.c_char_p, [integer]),
@@ -115,5 +114,4 @@ def build(table: KernelTable) -> Build:
 def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:
     """Array on memory owned by the instance."""
     size = np.dtype(dtype).itemsize
-    buffer = (ctypes.c_char * (n * size)).from_address(address)
-    return np.frombuffer(buffer, dtype, n)
+    return np.frombuffer(memoryview((ctypes.c_char * (n * size)).from_address(address)), dtype, n)

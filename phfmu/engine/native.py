@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 class NativeInstance:
-    """A model in compiled code, the fast twin of `PythonInstance`: one memory block, a C call a step.
+    """A model in compiled code, the twin of `PythonInstance`: one memory block, one C call a step.
 
     Inputs u (nu) are held over a step, or given at its k quadrature nodes.  `output()` gives the step-conjugate
     means, so that h u^T y is the supplied energy exactly.  Units SI, power into the component.
@@ -172,7 +172,7 @@ class NativeInstance:
         """Restores what `get_state` gave."""
         if len(state) != self._state_size:
             raise ValueError(f"{self.model.name}: state of {len(state)} bytes, expected {self._state_size}")
-        self._check(self._lib.phload(self._in, state))
+        self._check(self._lib.ph_load(self._in, state))
 
     def _array(self, values: ArrayLike, *shape: int) -> Floats:
         array = np.ascontiguousarray(values, float)

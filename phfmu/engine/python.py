@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.evaluate import Evaluator
@@ -149,7 +150,7 @@ class PythonInstance:
         if outcome.status is Status.OK:
             return [self._accept(outcome, h)]
         if depth == DEPTH:
-            name = self.model.equations[outcome.row] if outcome.row >= 0 else ""
+            name = self.model.row_names[outcome.row] if outcome.row >= 0 else ""
             raise StepFailure(
                 outcome.status, self.model.name, t, h, equation=name, residual=outcome.residual,
                 iterations=outcome.iterations, tried=f"two starts, line search and {2**DEPTH} substeps",
@@ -199,6 +200,41 @@ class PythonInstance:
         a = np.bincount(plan.mean_a, plan.mean_c * outcome.w[plan.mean_w], plan.na)
         return plan.weights @ y_nodes, a, h
 
+    def run(
+        self,
+        t0: float,
+        h: float,
+        n: int,
+        record: Iterable[str] = (),
+        inputs: ArrayLike | None = None,
+        parts: int = 1,
+    ) -> dict[str, Array]:
+        """Steps k = 0..n-1 from t0 + k h; arguments and results as in `NativeInstance.run`."""
+        rows: dict[str, list[Array]] = {name: [] for name in record}
+        held = None if inputs is None else np.asarray(inputs, float)
+        for k in range(n):
+            if held is not None:
+                self.set_input(held[k])
+            before = self.counts["iterations"]
+            self.do_step(t0 + k * h, h, parts)
+            now = self.ledger() | {"counts": np.array([self.counts["iterations"] - before, parts], float)}
+            if "signals" in rows or "energy" in rows:
+                signals = self.signals()
+                now |= {"signals": np.concatenate([signals[b] for b in self.layout]), "energy": signals["H"]}
+            now |= {"x": self.x, "a": self._s.a, "y_step": self._s.y_step}
+            for name, kept in rows.items():
+                kept.append(now[name].copy())
+        return {name: np.array(kept) for name, kept in rows.items()}
+
+    @property
+    def layout(self) -> dict[str, slice]:
+        """Place of each block in a row of recorded signals."""
+        place, start = {}, 0
+        for name, values in self.signals().items():
+            place[name] = slice(start, start + len(values))
+            start += len(values)
+        return place
+
     # -- reading ----------------------------------------------------------------------------------------------------
 
     @property
@@ -243,7 +279,7 @@ class PythonInstance:
             if plan.nw:
                 outcome = self._solver.attempt(w, fixed, False)
                 if outcome.status is not Status.OK:
-                    name = self.model.instant_equations[outcome.row] if outcome.row >= 0 else ""
+                    name = self.model.instant_names[outcome.row] if outcome.row >= 0 else ""
                     raise StepFailure(outcome.status, self.model.name, s.t, 0.0, equation=name,
                                       residual=outcome.residual, iterations=outcome.iterations)  # fmt: skip
                 w = outcome.w

@@ -56,7 +56,8 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
     }
     f = allocate(about, name);
     if (!f || ph_init(f->in, about->model) != PH_OK) {
-        fmu_refuse(&nobody, "no memory for an instance (%zu bytes)", ph_size(about->model));
+        size_t size = ph_size(about->model);
+        fmu_refuse(&nobody, "%s (instance of %zu bytes)", size ? "no memory" : ph_status_text(PH_ABI), size);
         free(f);
         return NULL;
     }
@@ -115,10 +116,11 @@ static int check_starts(const fmu *f, const char *function) {
     }
     if (!worst)
         return FMU_OK;
-    return fmu_refuse(f,
-                      "%s: the start values are inconsistent: %s = %.6g, allowed is +-%.3g. Choose start values of "
-                      "the states (and inputs) that satisfy it",
-                      function, f->about->variables[worst->variable].name, value, worst->limit);
+    return fmu_refuse(
+        f,
+        "%s: the start values are inconsistent: %s = %.6g, allowed is +-%.3g. Choose start values of "
+        "the states (and inputs) that satisfy it",
+        function, f->about->variables[worst->variable].name, value, worst->limit);
 }
 
 int fmu_leave(fmu *f, const char *function) {
@@ -155,17 +157,17 @@ int fmu_reset(fmu *f, const char *function) {
 static int check_step(const fmu *f, const char *function, double t, double h, int *n) {
     const double now = fmu_time(f), slack = SAME_TIME * h, parts = ceil(h / f->about->step - SLACK);
     if (!isfinite(t) || !isfinite(h) || !(h > 0.0))
-        return fmu_refuse(f, "%s: a step of %.9g s from t = %.9g s; it must be positive and finite", function, h,
-                          t);
+        return fmu_refuse(f, "%s: a step of %.9g s from t = %.9g s; it must be positive and finite", function,
+                          h, t);
     if (fabs(t - now) > slack + SLACK * fabs(now))
-        return fmu_refuse(f, "%s: the step starts at t = %.17g s, the component is at t = %.17g s", function, t,
-                          now);
+        return fmu_refuse(f, "%s: the step starts at t = %.17g s, the component is at t = %.17g s", function,
+                          t, now);
     if (f->phase.stop_defined && t + h > f->phase.stop + slack + SLACK * fabs(f->phase.stop))
         return fmu_refuse(f, "%s: the step ends at t = %.17g s, after the stop time %.17g s", function, t + h,
                           f->phase.stop);
     if (parts > INT_MAX / 2)
-        return fmu_refuse(f, "%s: a step of %.9g s would be %.3g internal steps of %.9g s", function, h, parts,
-                          f->about->step);
+        return fmu_refuse(f, "%s: a step of %.9g s would be %.3g internal steps of %.9g s", function, h,
+                          parts, f->about->step);
     *n = parts < 1.0 ? 1 : (int)parts;
     return FMU_OK;
 }
@@ -183,7 +185,7 @@ int fmu_do_step(fmu *f, const char *function, double t, double h) {
     if (status)
         return fmu_solver(f, function, status);
     if (f->logging && count[PH_SUBSTEPS] > halved)
-        fmu_say(f, FMU_OK, "logNonlinearSystems", "the step from t = %.9g s of %.9g s was halved %lld times", t, h,
-                count[PH_SUBSTEPS] - halved);
+        fmu_say(f, FMU_OK, "logNonlinearSystems", "the step from t = %.9g s of %.9g s was halved %lld times",
+                t, h, count[PH_SUBSTEPS] - halved);
     return FMU_OK;
 }

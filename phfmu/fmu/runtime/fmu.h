@@ -40,10 +40,10 @@ typedef struct fmu_interface {
     const ph_model *model;
     double step; /* longest internal step, s */
     int nvariable, ncheck;
-    const fmu_variable *variables;     /* nvariable */
-    const fmu_check *checks;           /* ncheck */
-    const char *const *equations;      /* rows of the step, step->nw */
-    const char *const *end_equations;  /* rows of the end values, instant->nw */
+    const fmu_variable *variables;    /* nvariable */
+    const fmu_check *checks;          /* ncheck */
+    const char *const *equations;     /* rows of the step, step->nw */
+    const char *const *end_equations; /* rows of the end values, instant->nw */
 } fmu_interface;
 
 #define FMU_TOKEN 38
@@ -70,11 +70,11 @@ struct fmu {
     fmu_sink sink;
     void (*callback)(void); /* the importer's logger, cast back by the sink */
     void *environment;
-    char *name;                  /* owned */
-    int offset[PH_NBLOCK + 1];   /* of the signal table */
-    double *x, *u, *p;           /* nx, nu, np: values being set */
-    double *step_map, *end_map;  /* nu*nu sensitivities, row-major */
-    int step_known, end_known;   /* whether they belong to the present time */
+    char *name;                 /* owned */
+    int offset[PH_NBLOCK + 1];  /* of the signal table */
+    double *x, *u, *p;          /* nx, nu, np: values being set */
+    double *step_map, *end_map; /* nu*nu sensitivities, row-major */
+    int step_known, end_known;  /* whether they belong to the present time */
 };
 
 #if defined(__GNUC__)

@@ -67,7 +67,8 @@ int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *un
         return FMU_ERROR;
     for (size_t i = 0; i < nu; i++)
         for (size_t j = 0; j < nk; j++) {
-            double s = map[f->about->variables[unknown[i]].first * width + f->about->variables[known[j]].first];
+            double s =
+                map[f->about->variables[unknown[i]].first * width + f->about->variables[known[j]].first];
             result[adjoint ? j : i] += s * seed[adjoint ? i : j];
         }
     return FMU_OK;

@@ -34,8 +34,8 @@ int fmu_save(fmu *f, const char *function, void **state) {
 static int check(const fmu *f, const char *function, const saved *from) {
     if (memcmp(from->token, f->about->token, FMU_TOKEN) == 0 && from->size == fmu_state_size(f))
         return FMU_OK;
-    return fmu_refuse(f, "%s: the state (%llu bytes) is not one of this model (%zu bytes)", function, from->size,
-                      fmu_state_size(f));
+    return fmu_refuse(f, "%s: the state (%llu bytes) is not one of this model (%zu bytes)", function,
+                      from->size, fmu_state_size(f));
 }
 
 int fmu_restore(fmu *f, const char *function, const void *state) {

@@ -1,0 +1,29 @@
+"""Electrical components: machines, lines, loads, sources, switches; currents count into the component."""
+
+from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.infinite_bus import infinite_bus
+from phfmu.components.electrical.machine_data import MachineData, MachineDataError, machine_names, machine_set
+from phfmu.components.electrical.machine_init import OperatingPoint, operating_point, steady_state
+from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.rlc_load import rlc_load
+from phfmu.components.electrical.sources import current_source, voltage_source
+from phfmu.components.electrical.switch import fault_resistor
+from phfmu.components.electrical.synchronous_machine import synchronous_machine
+
+__all__ = [
+    "MachineData",
+    "MachineDataError",
+    "OperatingPoint",
+    "current_source",
+    "dc_motor",
+    "fault_resistor",
+    "infinite_bus",
+    "machine_names",
+    "machine_set",
+    "operating_point",
+    "rl_line",
+    "rlc_load",
+    "steady_state",
+    "synchronous_machine",
+    "voltage_source",
+]

@@ -1,0 +1,1 @@
+"""Scenes: networks with their step, stop time and events."""

@@ -1,0 +1,41 @@
+"""Single machine at an infinite bus."""
+
+from __future__ import annotations
+
+from cmath import phase
+from math import sqrt
+
+from phfmu import Event, Network, Scene
+from phfmu.components.electrical.infinite_bus import infinite_bus
+from phfmu.components.electrical.machine_data import machine_set
+from phfmu.components.electrical.machine_init import steady_state
+from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.synchronous_machine import Coordinates, synchronous_machine
+
+
+def smib(machine: str = "kundur555_1q", *, coordinates: Coordinates = "dq-flux", name: str = "smib") -> Scene:
+    """A generator at 0.8 and 0.2 of rated P and Q feeds a stiff grid over a line; its torque rises by 10 % at 0.5 s.
+
+    Line per phase R = 0.02, X = 0.3 of the machine's base impedance; the machine's bus has no capacitor (index 2).
+    Source of the machine data: Kundur 1994 (kundur555_1q), Krause et al. 2013 (krause_hydro325); d = 50 N.m.s/rad.
+    """
+    data = machine_set(machine, d=50.0)
+    start = steady_state(data)
+    base = data.Vn_rms_ll**2 / data.Sn
+    R, L = 0.02 * base, 0.3 * base / data.omega
+    v = data.Vn_rms_ll * sqrt(2.0 / 3.0)
+    i = -(complex(0.8, 0.2) * data.Sn / (1.5 * v)).conjugate()  # current into the machine
+    grid = v + (R + 1j * data.omega * L) * i
+    net = Network(name, description=f"{machine} at an infinite bus, torque step at 0.5 s")
+    net.add("gen", synchronous_machine(data, coordinates=coordinates, start=start))
+    net.add("line", rl_line(R, L, i=[-x for x in start.I[:3]], v=v))
+    net.add("grid", infinite_bus(abs(grid), data.fn, phase(grid), i=abs(i)))
+    net.junction("bus1", ["gen.terminal", "line.a"])
+    net.junction("bus2", ["line.b", "grid.terminal"])
+    step = Event(0.5, "gen.shaft.torque", 1.1 * start.tau)
+    return Scene(name, net, stop=5.0, step=1e-4, events=(step,), description=net.description)
+
+
+def smib_hydro() -> Scene:
+    """`smib` with the salient hydro machine krause_hydro325."""
+    return smib("krause_hydro325", name="smib_hydro")

@@ -1,0 +1,23 @@
+"""Functional Mock-up Units: export of components, and instances that step any unit."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.fmu.export import PLATFORMS, export
+    from phfmu.fmu.manifest import PortMap
+    from phfmu.fmu.reader import FMUInstance
+    from phfmu.fmu.variables import FMUError
+
+_HOME = {"PLATFORMS": "export", "export": "export", "PortMap": "manifest", "FMUInstance": "reader", "FMUError": "variables"}
+
+__all__ = ["PLATFORMS", "FMUError", "FMUInstance", "PortMap", "export"]
+
+
+def __getattr__(name: str) -> Any:
+    """Modules are imported when they are needed: reading a unit needs no compiler, writing one no importer."""
+    if name not in _HOME:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,0 +1,127 @@
+"""What the model descriptions of both versions have in common: the unit, its units, names and dates."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+
+from lxml import etree
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.units import BASE, parse_unit
+from phfmu.discretise.model import Model
+from phfmu.fmu.variables import FMUVariable, variables
+
+#: category of messages -> its description
+LOG_CATEGORIES = {
+    "logStatusError": "calls that were refused, with the numbers and the next move",
+    "logNonlinearSystems": "steps that had to be halved",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """A model to be exported.  `step`: longest internal step and suggested communication step, s; `stop`: s or None."""
+
+    declaration: PHDAE
+    model: Model
+    step: float
+    stop: float | None = None
+
+    @property
+    def name(self) -> str:
+        return self.declaration.name
+
+    @cached_property
+    def identifier(self) -> str:
+        """The name as a C identifier: file names of libraries, and `modelIdentifier`."""
+        text = re.sub(r"\W", "_", self.name, flags=re.ASCII)
+        return text if text and not text[0].isdigit() else f"m_{text}"
+
+    @cached_property
+    def variables(self) -> tuple[FMUVariable, ...]:
+        """The table; the place of a variable is its value reference."""
+        return variables(self.declaration, self.model)
+
+    def outputs(self) -> list[int]:
+        """Value references of the outputs."""
+        return [i for i, v in enumerate(self.variables) if v.causality == "output"]
+
+    def direct(self, v: FMUVariable) -> bool:
+        """Whether an output may change as soon as an input changes."""
+        if v.block != "PH_Y_END":
+            return v.depends_on_inputs
+        plan = self.model.instant
+        return bool((plan.derivative.row == plan.nw + v.first).any())
+
+
+def number(value: float) -> str:
+    """Shortest text that reads back to the same value."""
+    return repr(float(value))
+
+
+def generation_tool() -> str:
+    """Name and version of this package."""
+    try:
+        return f"phfmu {version('phfmu')}"
+    except PackageNotFoundError:
+        return "phfmu"
+
+
+def generation_date() -> str | None:
+    """From SOURCE_DATE_EPOCH; without it there is no date, so that the same model gives the same bytes."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
+
+
+def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> etree._Element:
+    """`fmiModelDescription`; `token`: name and value of the attribute, None leaves it and the date out."""
+    element = etree.Element("fmiModelDescription", fmiVersion=fmi_version, modelName=unit.name)
+    if token:
+        element.set(*token)
+    if unit.declaration.description:
+        element.set("description", unit.declaration.description)
+    element.set("generationTool", generation_tool())
+    date = generation_date()
+    if date and token:
+        element.set("generationDateAndTime", date)
+    element.set("variableNamingConvention", "structured")
+    return element
+
+
+def add_units(parent: etree._Element, unit: Unit) -> None:
+    """`UnitDefinitions` with SI exponents and factors of all units in use."""
+    texts = sorted({v.unit for v in unit.variables if v.unit != "1"})
+    definitions = etree.SubElement(parent, "UnitDefinitions")
+    for text in texts:
+        parsed = parse_unit(text)
+        base = etree.SubElement(etree.SubElement(definitions, "Unit", name=text), "BaseUnit")
+        for symbol, exponent in zip(BASE, parsed.exponents, strict=True):
+            if exponent:
+                base.set(symbol, str(exponent))
+        if parsed.factor != 1.0:
+            base.set("factor", number(parsed.factor))
+
+
+def add_log_categories(parent: etree._Element) -> None:
+    categories = etree.SubElement(parent, "LogCategories")
+    for name, text in LOG_CATEGORIES.items():
+        etree.SubElement(categories, "Category", name=name, description=text)
+
+
+def add_experiment(parent: etree._Element, unit: Unit) -> None:
+    """`DefaultExperiment`: importers take the communication step from stepSize."""
+    experiment = etree.SubElement(parent, "DefaultExperiment", startTime=number(unit.model.t0))
+    if unit.stop is not None:
+        experiment.set("stopTime", number(unit.stop))
+    experiment.set("stepSize", number(unit.step))
+
+
+def text_of(element: etree._Element) -> bytes:
+    """The document, indented, UTF-8."""
+    etree.indent(element)
+    return etree.tostring(element, xml_declaration=True, encoding="UTF-8") + b"\n"

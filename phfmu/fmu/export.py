@@ -1,0 +1,98 @@
+"""Export of a declaration and its discretisation as Functional Mock-up Units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.discretise.model import Model
+from phfmu.engine.compile import compile, host_target, suffix
+from phfmu.fmu import fmi2, fmi3, manifest, package, sources, terminals
+from phfmu.fmu.description import Unit
+from phfmu.fmu.variables import FMUError
+
+#: platform -> (compiler target, folder of 2.0, folder of 3.0); 2.0 has no name for 64-bit ARM and borrows that of 3.0
+PLATFORMS = {
+    "x86_64-linux": ("x86_64-linux-gnu.2.17", "linux64", "x86_64-linux"),
+    "aarch64-linux": ("aarch64-linux-gnu.2.17", "aarch64-linux", "aarch64-linux"),
+    "x86_64-windows": ("x86_64-windows-gnu", "win64", "x86_64-windows"),
+    "x86_64-darwin": ("x86_64-macos", "darwin64", "x86_64-darwin"),
+    "aarch64-darwin": ("aarch64-macos", "aarch64-darwin", "aarch64-darwin"),
+}
+VERSIONS = {"2.0": "fmi2", "3.0": "fmi3"}
+FLAGS = ("-DPH_API=",)
+
+
+def export(
+    declaration: PHDAE,
+    model: Model,
+    directory: str | Path,
+    versions: Sequence[str] = ("2.0", "3.0"),
+    *,
+    step: float,
+    stop: float | None = None,
+    platforms: Sequence[str] | None = None,
+) -> list[Path]:
+    """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions`.
+
+    `step`: longest internal step and suggested communication step, s.  `platforms`: keys of PLATFORMS, default this
+    machine.  The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
+    """
+    if not (math.isfinite(step) and step > 0):
+        raise FMUError(f"{declaration.name}: step = {step} s must be positive")
+    unknown = [v for v in versions if v not in VERSIONS]
+    if unknown or not versions:
+        raise FMUError(f"FMI versions {list(versions)}; known: {', '.join(VERSIONS)}")
+    unit = Unit(declaration, model, step, stop)
+    equations = sources.generated(unit)
+    token = sources.token(unit, equations)
+    code = sources.complete(unit, equations, token)
+    libraries = _libraries(code, [host_platform()] if platforms is None else platforms)
+    paths = []
+    for version in versions:
+        path = Path(directory) / f"{unit.identifier}_{VERSIONS[version]}.fmu"
+        package.write(path, _files(unit, version, token, code, libraries))
+        paths.append(path)
+    return paths
+
+
+def host_platform() -> str:
+    """The key of PLATFORMS of this machine."""
+    target = host_target()
+    for name, (known, _, _) in PLATFORMS.items():
+        if known == target:
+            return name
+    raise FMUError(f"there is no FMI platform name for {target}; known: {', '.join(PLATFORMS)}")
+
+
+def _libraries(code: sources.Sources, platforms: Sequence[str]) -> dict[str, bytes]:
+    """Platform -> the library with both versions of the interface."""
+    unknown = [p for p in platforms if p not in PLATFORMS]
+    if unknown:
+        raise FMUError(f"unknown platform {', '.join(unknown)}; known: {', '.join(PLATFORMS)}")
+    everything = {**code, **sources.headers()}
+    return {p: compile(everything, PLATFORMS[p][0], flags=FLAGS).path.read_bytes() for p in platforms}
+
+
+def _files(
+    unit: Unit, version: str, token: str, code: sources.Sources, libraries: dict[str, bytes]
+) -> dict[str, bytes]:
+    """Content of the archive of one version."""
+    own = sources.of_version(code, version)
+    files = {f"sources/{n}": s.read_bytes() if isinstance(s, Path) else s.encode() for n, s in own.items()}
+    compiled = sorted(n for n in own if n.endswith(".c"))
+    files["sources/buildDescription.xml"] = fmi3.build_description(unit, compiled)
+    if version == "2.0":
+        files["modelDescription.xml"] = fmi2.model_description(unit, token, compiled)
+    else:
+        files["modelDescription.xml"] = fmi3.model_description(unit, token)
+    for platform, library in libraries.items():
+        target, folder2, folder3 = PLATFORMS[platform]
+        folder = folder2 if version == "2.0" else folder3
+        files[f"binaries/{folder}/{unit.identifier}{suffix(target)}"] = library
+    ports = terminals.terminals(unit)
+    if ports:
+        files["terminalsAndIcons/terminalsAndIcons.xml"] = ports
+    return files | {manifest.PATH: manifest.manifest(unit)} | package.documentation(unit)

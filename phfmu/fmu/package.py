@@ -1,0 +1,105 @@
+"""The archive: files in sorted order with a fixed date, so that the same content gives the same bytes."""
+
+from __future__ import annotations
+
+import os
+import time
+import zipfile
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+
+from phfmu.fmu.description import Unit, generation_tool
+
+#: a date every zip tool can read; SOURCE_DATE_EPOCH replaces it
+OLDEST = (1980, 1, 1, 0, 0, 0)
+
+LICENSE = """\
+The files in sources/ that are not marked as generated, and their compiled form in binaries/, are:
+
+MIT License
+
+Copyright (c) 2026 phfmu contributors
+
+Permission is hereby granted, free of charge, to any person obtaining a copy
+of this software and associated documentation files (the "Software"), to deal
+in the Software without restriction, including without limitation the rights
+to use, copy, modify, merge, publish, distribute, sublicense, and/or sell
+copies of the Software, and to permit persons to whom the Software is
+furnished to do so, subject to the following conditions:
+
+The above copyright notice and this permission notice shall be included in all
+copies or substantial portions of the Software.
+
+THE SOFTWARE IS PROVIDED "AS IS", WITHOUT WARRANTY OF ANY KIND, EXPRESS OR
+IMPLIED, INCLUDING BUT NOT LIMITED TO THE WARRANTIES OF MERCHANTABILITY,
+FITNESS FOR A PARTICULAR PURPOSE AND NONINFRINGEMENT. IN NO EVENT SHALL THE
+AUTHORS OR COPYRIGHT HOLDERS BE LIABLE FOR ANY CLAIM, DAMAGES OR OTHER
+LIABILITY, WHETHER IN AN ACTION OF CONTRACT, TORT OR OTHERWISE, ARISING FROM,
+OUT OF OR IN CONNECTION WITH THE SOFTWARE OR THE USE OR OTHER DEALINGS IN THE
+SOFTWARE.
+"""
+
+
+def write(path: Path, files: Mapping[str, bytes]) -> None:
+    """An archive of `files` (name inside -> content); it appears under its name only when it is complete."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+            for name in sorted(files):
+                info = zipfile.ZipInfo(name, _date())
+                info.compress_type = zipfile.ZIP_DEFLATED
+                info.create_system = 3
+                info.external_attr = 0o100644 << 16
+                archive.writestr(info, files[name])
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _date() -> tuple[int, int, int, int, int, int]:
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    return max(OLDEST, time.gmtime(int(epoch))[:6]) if epoch else OLDEST
+
+
+def documentation(unit: Unit) -> dict[str, bytes]:
+    """documentation/: a page about the unit, and the license of the runtime."""
+    return {
+        "documentation/index.html": _page(unit).encode(),
+        "documentation/licenses/license.txt": LICENSE.encode(),
+    }
+
+
+def _page(unit: Unit) -> str:
+    model, title = unit.model, escape(unit.name)
+    columns = ("name", "causality", "unit", "start", "description")
+    head = "".join(f"<th>{c}</th>" for c in columns)
+    rows = "\n".join(
+        "<tr>" + "".join(f"<td>{escape(str(_shown(getattr(v, c))))}</td>" for c in columns) + "</tr>"
+        for v in unit.variables
+    )
+    return f"""\
+<!DOCTYPE html>
+<html lang="en">
+<head><meta charset="utf-8"><title>{title}</title></head>
+<body>
+<h1>{title}</h1>
+<p>{escape(unit.declaration.description)}</p>
+<p>Port-Hamiltonian component of {model.step.nx} states, {model.step.na} algebraic variables and {model.step.nu} port
+inputs, stepped by the scheme '{escape(model.scheme.name)}' of order {2 * model.scheme.k} in internal steps of at most
+{unit.step!r} s. Inputs are held over a communication step. The product of step length, port input and the output named
+<code>_step</code> is the energy supplied through the port, exactly; <code>energy.residual</code> is the change of stored
+energy plus dissipated minus supplied energy, which is rounding only.</p>
+<table border="1">
+<tr>{head}</tr>
+{rows}
+</table>
+<p>Written by {escape(generation_tool())}.</p>
+</body>
+</html>
+"""
+
+
+def _shown(value: object) -> object:
+    return "" if value is None else value

@@ -1,0 +1,109 @@
+"""C sources of a unit: the runtime, the protocol layers, and what is generated for the model."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+
+import fmpy
+
+from phfmu.discretise.model import CONSISTENCY
+from phfmu.engine.codegen import kernel_table
+from phfmu.engine.library import runtime_sources
+from phfmu.engine.model import kernels
+from phfmu.engine.tables import c_text
+from phfmu.fmu import fmi2, fmi3
+from phfmu.fmu.description import Unit, number
+from phfmu.fmu.variables import check_names
+
+RUNTIME = Path(__file__).parent / "runtime"
+
+#: headers of the standard; importers that compile sources bring their own
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+
+#: layers that belong to one version of the interface
+PROTOCOL = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c", "fmi3_absent.c")}
+
+Sources = dict[str, str | Path]
+
+
+def generated(unit: Unit) -> dict[str, str]:
+    """kernels.c and model.c: the equations, without anything of the interface."""
+    table = kernel_table(kernels(unit.model))
+    return {"kernels.c": table.text, "model.c": c_text(unit.model, table.index, table.token)}
+
+
+def token(unit: Unit, equations: dict[str, str]) -> str:
+    """Fingerprint of equations, runtime and both descriptions, in the form of a GUID."""
+    digest = hashlib.sha256()
+    for name, source in sorted({**fixed(), **equations}.items()):
+        content = source.read_bytes() if isinstance(source, Path) else source.encode()
+        digest.update(f"{name} {len(content)}\n".encode() + content)
+    digest.update(fmi2.model_description(unit) + fmi3.model_description(unit))
+    h = digest.hexdigest()
+    return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
+
+
+def fixed() -> Sources:
+    """The hand-written part: name -> path."""
+    layers = {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
+    return {**runtime_sources(), **layers}
+
+
+def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
+    """Everything a library with both versions of the interface is compiled from, but the headers of the standard."""
+    return {**fixed(), **equations, "interface.c": interface_text(unit, token)}
+
+
+def of_version(sources: Sources, version: str) -> Sources:
+    """The sources an importer of one version can compile."""
+    others = {name for v, names in PROTOCOL.items() if v != version for name in names}
+    return {name: source for name, source in sources.items() if name not in others}
+
+
+def headers() -> Sources:
+    """Headers of the standard."""
+    return {p.name: p for p in sorted(HEADERS.glob("fmi[23]*.h"))}
+
+
+def _list(values: Iterable[str]) -> str:
+    return "".join(f"    {v},\n" for v in values)
+
+
+def _strings(name: str, values: Iterable[str]) -> tuple[str, str]:
+    """Definition of an array of strings and how to name it."""
+    items = _list('"' + v.replace("\\", "\\\\").replace('"', '\\"') + '"' for v in values)
+    return (f"static const char *const {name}[] = {{\n{items}}};\n", name) if items else ("", "0")
+
+
+def interface_text(unit: Unit, token: str) -> str:
+    """interface.c: variables, checks and names of the equations."""
+    model = unit.model
+    place = {v.name: i for i, v in enumerate(unit.variables)}
+    rows = [f'{{{v.block}, {v.first}, {v.count}, "{v.name}"}}' for v in unit.variables]
+    limits = [f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in zip(check_names(model), model.check_scale, strict=True)]
+    equations, equations_name = _strings("equations", model.row_names)
+    end_equations, end_name = _strings("end_equations", model.instant_names)
+    checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""
+    return f"""\
+/* Generated. Variables, start checks and names of the equations of {unit.name}. */
+#include "fmu.h"
+
+extern const ph_model ph_the_model;
+
+static const fmu_variable variables[] = {{
+{_list(rows)}}};
+{checks}{equations}{end_equations}
+const fmu_interface fmu_the_interface = {{
+    .token = "{token}",
+    .model = &ph_the_model,
+    .step = {number(unit.step)},
+    .nvariable = {len(rows)},
+    .ncheck = {len(limits)},
+    .variables = variables,
+    .checks = {"checks" if limits else "0"},
+    .equations = {equations_name},
+    .end_equations = {end_name},
+}};
+"""

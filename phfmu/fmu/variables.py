@@ -1,0 +1,208 @@
+"""The variables of an exported unit: one table from which descriptions, terminals and C text are written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.port import Port
+from phfmu.declare.variable import Variable
+from phfmu.discretise.model import Model
+
+Causality = Literal["independent", "parameter", "input", "output", "local"]
+
+#: one part of a structured name of the standard: letters, digits and _, then indices
+_PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
+_NAME = re.compile(rf"{_PART}(\.{_PART})*")
+
+
+class FMUError(RuntimeError):
+    """A unit cannot be written, read or stepped; the message names the numbers and the remedy."""
+
+
+@dataclass(frozen=True)
+class FMUVariable:
+    """One scalar of type Real (2.0) or Float64 (3.0).
+
+    Its value is the sum of `count` entries of the runtime's `block` from `first` on (`ph_block` of phfmu.h, or
+    FMU_PARAMETER, FMU_INPUT).  `start` is None for calculated variables; `unit` "1" and `nominal` None are not written.
+    """
+
+    name: str
+    causality: Causality
+    block: str
+    first: int
+    count: int = 1
+    start: float | None = None
+    unit: str = "1"
+    nominal: float | None = None
+    description: str = ""
+
+    @property
+    def variability(self) -> str:
+        return "fixed" if self.causality == "parameter" else "continuous"
+
+    @property
+    def initial(self) -> str | None:
+        """exact: given by `start`; calculated: by the model; inputs and the independent variable have none."""
+        if self.causality in ("input", "independent"):
+            return None
+        return "calculated" if self.start is None else "exact"
+
+    @property
+    def depends_on_inputs(self) -> bool:
+        """False if a new input changes the value only after the next step."""
+        return self.block not in ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL")
+
+
+def variables(declaration: PHDAE, model: Model) -> tuple[FMUVariable, ...]:
+    """All variables; the place in the tuple is the value reference.  FMUError lists illegal and repeated names."""
+    table = (
+        FMUVariable("time", "independent", "PH_X", model.step.nx, unit="s", description="time"),
+        *_starts(declaration.parameters, "parameter", "FMU_PARAMETER", list(model.p0)),
+        *_ports(declaration, model),
+        *_totals(model),
+        *_starts(declaration.states, "local", "PH_X", list(model.x0)),
+        *_algebraics(declaration),
+        *_observables(declaration, model),
+        *_checks(model),
+    )
+    problems = _problems(table)
+    if problems:
+        raise FMUError(f"{declaration.name}: " + "; ".join(problems))
+    return table
+
+
+def _problems(table: tuple[FMUVariable, ...]) -> list[str]:
+    found = [f"'{v.name}' is no structured name (write e.g. gen.I[1])" for v in table if not _NAME.fullmatch(v.name)]
+    seen: set[str] = set()
+    for v in table:
+        if v.name in seen:
+            found.append(f"two variables are called '{v.name}'")
+        seen.add(v.name)
+    return found
+
+
+def _scalars(declared: tuple[Variable, ...]) -> Iterator[tuple[int, str, str, Variable, int]]:
+    """(place, name, description, variable, entry) of every scalar."""
+    place = 0
+    for v in declared:
+        for i, name in enumerate(v.names()):
+            text = v.description or f"{v.role} {v.name}"
+            yield place, name, text if v.size is None else f"{text}, entry {i + 1}", v, i
+            place += 1
+
+
+def _starts(declared: tuple[Variable, ...], causality: Causality, block: str, start: list[float]) -> list[FMUVariable]:
+    return [
+        FMUVariable(name, causality, block, i, 1, float(start[i]), v.unit, _nominal(v, j), text)
+        for i, name, text, v, j in _scalars(declared)
+    ]
+
+
+def _nominal(v: Variable, entry: int) -> float | None:
+    """Parameters have no nominal value of their own."""
+    return None if v.role == "parameter" or not v.nominal[entry] else abs(v.nominal[entry])
+
+
+def _algebraics(declaration: PHDAE) -> Iterator[FMUVariable]:
+    for i, name, text, v, j in _scalars(declaration.algebraics):
+        yield FMUVariable(name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, mean of the last step")
+    for i, name, text, v, j in _scalars(declaration.algebraics):
+        yield FMUVariable(
+            end_name(name), "local", "PH_A_END", i, 1, None, v.unit, _nominal(v, j), f"{text}, at the present time"
+        )
+
+
+def end_name(name: str) -> str:
+    """lambda[1] -> lambda_end[1]."""
+    base, bracket, index = name.partition("[") if "[" in name.rsplit(".", 1)[-1] else (name, "", "")
+    return f"{base}_end{bracket}{index}"
+
+
+def ordered_ports(declaration: PHDAE) -> list[tuple[Port, int]]:
+    """Ports with the place of their first scalar pair: external ones first, then those fed from inside."""
+    result, place = [], 0
+    for external in (True, False):
+        for port in declaration.ports:
+            if port.external == external:
+                result.append((port, place))
+                place += port.n
+    return result
+
+
+def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
+    for port, first in ordered_ports(declaration):
+        flow, effort = port.domain.flow, port.domain.effort
+        given, found = (effort, flow) if port.given == "effort" else (flow, effort)
+        text = f"{port.description or f'{port.domain.name} port'} {port.name}"
+        causality: Causality = "output" if port.external else "local"
+        if port.external:
+            nominal = _entries(port.nominal, port.n)
+            for i, name in enumerate(port.input_names()):
+                yield FMUVariable(
+                    name, "input", "FMU_INPUT", first + i, 1, float(model.u0[first + i]), port.input_unit,
+                    abs(nominal[i]) or None, f"{text}: {given}, held over a step",
+                )  # fmt: skip
+        for suffix, block, when in (("", "PH_Y_END", "at the present time"), ("_step", "PH_Y_STEP", "mean of the last step")):
+            for i, name in enumerate(port.output_names(suffix)):
+                yield FMUVariable(name, causality, block, first + i, 1, None, port.output_unit,
+                                  description=f"{text}: {found}, {when}")  # fmt: skip
+        yield FMUVariable(f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J",
+                          description=f"{text}: energy supplied to the component since the start")  # fmt: skip
+
+
+def _entries(value: object, n: int) -> list[float]:
+    values = list(value) if isinstance(value, (list, tuple)) else [value] * n
+    return [float(v) for v in values]  # type: ignore[arg-type]
+
+
+#: name, block and meaning of the entries of the energy ledger
+LEDGER = (
+    ("stored", "PH_H", "stored energy"),
+    ("supplied", "PH_SUPPLIED", "energy supplied through ports since the start"),
+    ("dissipated", "PH_DISSIPATED", "energy dissipated since the start"),
+    ("residual", "PH_RESIDUAL", "change of stored + dissipated - supplied energy since the start; rounding only"),
+)
+
+
+def _totals(model: Model) -> Iterator[FMUVariable]:
+    n = model.step.ncomp
+    for name, block, text in LEDGER:
+        yield FMUVariable(f"energy.{name}", "output", block, 0, n, None, "J", description=text)
+    if n == 1:
+        return
+    for i, member in enumerate(model.members):
+        for name, block, text in LEDGER if member else ():
+            yield FMUVariable(f"{member}.energy.{name}", "local", block, i, 1, None, "J", description=f"{member}: {text}")
+
+
+def _observables(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
+    place = 0
+    for o in declaration.observables:
+        for i in range(o.expr.numel()):
+            name = model.observable_names[place]
+            text = o.description or f"observable {o.name}"
+            text = text if o.expr.numel() == 1 else f"{text}, entry {i + 1}"
+            yield FMUVariable(name, "local", "PH_OBSERVABLES", place, 1, None, o.unit, description=text)
+            place += 1
+
+
+def _checks(model: Model) -> Iterator[FMUVariable]:
+    first = len(model.observable_names)
+    for i, (name, check) in enumerate(zip(check_names(model), model.checks, strict=True)):
+        text = f"residual of the hidden constraint of {check.name}, {check.level} level"
+        yield FMUVariable(name, "output", "PH_OBSERVABLES", first + i, description=text)
+
+
+def check_names(model: Model) -> list[str]:
+    """constraint.velocity[1], ..., constraint.position[1], ... in the order of the checks."""
+    count: dict[str, int] = {}
+    names = []
+    for check in model.checks:
+        count[check.level] = count.get(check.level, 0) + 1
+        names.append(f"constraint.{check.level}[{count[check.level]}]")
+    return names
