@@ -69,7 +69,7 @@ def steady_state(
     """Balanced steady state that DELIVERS P [W] and Q [var] at V [V rms, line-line] and `angle` [rad].
 
     Defaults: 0.8 and 0.2 of the rated power, rated voltage.  The torque covers the losses of stator and
-    friction: tau omega = P + 3/2 Ra |I|^2 + d omega^2.  MachineDataError if the field has no mutual inductance.
+    friction: tau omega = P + 3/2 Ra |I|^2 + d omega^2.  MachineDataError if the field has no mutual M.
     """
     m, w = machine, machine.omega
     P, Q = 0.8 * m.Sn if P is None else P, 0.2 * m.Sn if Q is None else Q

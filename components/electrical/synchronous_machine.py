@@ -50,14 +50,14 @@ def synchronous_machine(
     J:  J[theta, p] = 1 (skew); in "dq-flux" also J[psi_d, p] = psi_q, J[psi_q, p] = -psi_d (skew)
     R:  Ra on the stator, R_f, R_kd, .. on the rotor, d on p
 
-    states:      psi [Wb] (d, q, 0, rotor in "dq-flux"; a, b, c, rotor in "abc-flux") or I [A] (same);
+    states:      psi [Wb] (d, q, 0, rotor in "dq-flux"; a, b, c, rotor in "abc-flux") or I [A] in "current";
                  p [kg.m2/s]; theta [rad], electrical angle of the d axis from phase a; grows for ever
     ports:       terminal: phase voltages given, currents INTO the machine out; field: voltage given, current
                  out; shaft: torque given, speed out; a positive torque accelerates: tau > 0 for a generator
     parameters:  J, d, Ra, R_f, R_kd, .., Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..
     observables: I[..], flux[..] (windings a, b, c, rotor), Te (electrical torque; negative for a generator)
 
-    omega, J, d, tau are electrical (one pole pair) unless the set gives pole_pairs; then J, d and torque and
+    omega, J, d, tau are electrical (one pole pair) unless the set gives pole_pairs; then J, d, torque and
     speed of the shaft port are mechanical, theta and p stay electrical, p = J omega / pole_pairs^2.
     `start` (default: 0.8 and 0.2 of rated P, Q) also gives the start values of the inputs.
     "abc-flux" keeps the phase fluxes exact; "current" has E = [[L, 0, L'I], [0, 1, 0], [0, 0, 1]] and order 2.

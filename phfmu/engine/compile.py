@@ -172,3 +172,8 @@ def compile(
         out.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, out)
     return Build(out or path, reused, found.version, target)
+
+
+def require_compiler(target: str | None = None) -> str:
+    """Version of the compiler that would be used for `target` (default: this machine); CompilerMissing if none is."""
+    return _find(target or host_target(), None).version

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 class NativeInstance:
     """A model in compiled code, the twin of `PythonInstance`: one memory block, one C call a step.
 
-    Inputs u (nu) are held over a step, or given at its k quadrature nodes.  `output()` gives the step-conjugate
+    Inputs u (nu) are held over a step, or given at its k quadrature nodes.  `output()` gives step-conjugate
     means, so that h u^T y is the supplied energy exactly.  Units SI, power into the component.
     StepFailure leaves the instance at its last accepted step.
     """

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from phfmu.discretise.plan import Group, Kernel, Plan
+from phfmu.discretise.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
 from phfmu.engine.model import Model
 
 RUNTIME = Path(__file__).parent / "runtime"
@@ -79,13 +79,11 @@ def capacity(plan: Plan) -> int:
     if n <= 64:
         return n * n
     values = np.random.default_rng(0).uniform(0.5, 1.5, nnz)
-    a = csc_matrix((values, plan.matrix.row, plan.colptr), shape=(n, n))
-    a = (a + diags(np.full(n, 4.0)))[:, plan.order]
-    # the planner's preferred rows on the diagonal, so that the trial follows the planned pivots
-    rows = plan.pivot_row[plan.pivot_row >= 0]
-    if len(rows) == n and len(np.unique(rows)) == n:
-        a = a[rows, :]
-    trial = splu(a.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
+    a = csc_matrix((values, plan.matrix.row, plan.colptr), shape=(n, n))[:, plan.order]
+    if np.array_equal(np.sort(plan.pivot_row), np.arange(n)):  # planned pivots on the diagonal
+        a = a[plan.pivot_row, :]
+    a = a + diags(np.full(n, 4.0))
+    trial = splu(csc_matrix(a), permc_spec="NATURAL", diag_pivot_thresh=0.0)
     return int(min(4 * (trial.L.nnz + trial.U.nnz) + n, n * n))
 
 
@@ -93,6 +91,56 @@ def gauss_nodes(weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Nodes on [0, 1] of the Gauss rule with these weights; empty if it is another rule."""
     t, w = np.polynomial.legendre.leggauss(len(weights))
     return (t + 1) / 2 if np.allclose(w / 2, weights, rtol=0, atol=1e-13) else np.empty(0)
+
+
+@dataclass(frozen=True)
+class _Fixed:
+    """Constant part of a sum of products: entry, value and power of h, one item per product."""
+
+    entry: Ints
+    value: Floats
+    power: Powers
+
+
+@dataclass(frozen=True)
+class _Varying:
+    """Entries with products that change from iteration to iteration, and those products."""
+
+    entry: Ints
+    ptr: Ints
+    s: Ints
+    t: Ints
+    value: Floats
+    power: Powers
+
+
+def _constant_slots(plan: Plan) -> Floats:
+    """Per slot its value if it is a number in the kernel, else nan."""
+    slots = np.full(plan.nslot, np.nan)
+    slots[0] = 1.0
+    for g in plan.groups:
+        jac = g.kernel.function.call(g.kernel.function.sx_in())[1]
+        entries = [jac.nz[i] for i in range(g.kernel.nj)]
+        row = [float(e) if e.is_constant() else np.nan for e in entries]
+        slots[g.slot : g.slot + g.n * g.kernel.nj] = np.tile(row, g.n)
+    return slots
+
+
+def _split(products: Products, slots: Floats) -> tuple[_Fixed, _Varying]:
+    """Products of numbers are multiplied out here, the rest is left to every iteration."""
+    entry = np.repeat(np.arange(products.nnz), np.diff(products.ptr))
+    known_s, known_t = ~np.isnan(slots[products.s]), ~np.isnan(slots[products.t])
+    value = (
+        products.value * np.where(known_s, slots[products.s], 1.0) * np.where(known_t, slots[products.t], 1.0)
+    )
+    s, t = np.where(known_s, 0, products.s), np.where(known_t, 0, products.t)
+    fixed, rest = known_s & known_t, ~(known_s & known_t)
+    varying, first = np.unique(entry[rest], return_index=True)
+    ptr = np.append(first, rest.sum())
+    return (
+        _Fixed(entry[fixed], value[fixed], products.power[fixed]),
+        _Varying(varying, ptr, s[rest], t[rest], value[rest], products.power[rest]),
+    )
 
 
 def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
@@ -107,11 +155,16 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     by_row = np.argsort(late, kind="stable")
     const = {n: getattr(plan, n)[by_row] for n in ("const_row", "const_src", "const_val", "const_pow")}
     groups = sorted(plan.groups, key=lambda g: g.stage)
+    fixed, varying = _split(plan.matrix, _constant_slots(plan))
     return const | {
         "ngroup": len(groups),
         "nconst": len(by_row),
         "nconst_early": int(np.sum(~late)),
         "nnz": plan.matrix.nnz,
+        "nfixed": len(fixed.entry),
+        "nvarying": len(varying.entry),
+        "fixed": fixed,
+        "varying": varying,
         "nderivative": plan.derivative.nnz,
         "nreg": len(plan.regularised),
         "nupdate": len(plan.update_x),
@@ -128,7 +181,7 @@ def _value(source: Any, derived: dict[str, Any], name: str) -> Any:
     if hasattr(source, name):
         return getattr(source, name)
     head, _, tail = name.partition("_")
-    return getattr(getattr(source, head), tail)
+    return getattr(derived.get(head, getattr(source, head, None)), tail)
 
 
 def _members(struct: str, source: Any, derived: dict[str, Any]) -> Iterator[tuple[Field, Any]]:

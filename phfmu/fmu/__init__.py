@@ -1,4 +1,4 @@
-"""Functional Mock-up Units: export of components, and instances that step any unit."""
+"""Functional Mock-up Units: export of components (`phfmu.fmu.export.export`), and instances that step any unit."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phfmu.fmu.export import PLATFORMS, export
     from phfmu.fmu.manifest import PortMap
     from phfmu.fmu.reader import FMUInstance
     from phfmu.fmu.variables import FMUError
 
-_HOME = {"PLATFORMS": "export", "export": "export", "PortMap": "manifest", "FMUInstance": "reader", "FMUError": "variables"}
+_HOME = {"PortMap": "manifest", "FMUInstance": "reader", "FMUError": "variables"}
 
-__all__ = ["PLATFORMS", "FMUError", "FMUInstance", "PortMap", "export"]
+__all__ = ["FMUError", "FMUInstance", "PortMap"]
 
 
 def __getattr__(name: str) -> Any:

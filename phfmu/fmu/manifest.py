@@ -11,11 +11,15 @@ from lxml import etree
 
 from phfmu.fmu import description
 from phfmu.fmu.description import Unit, number
+from phfmu.fmu.variables import LEDGER, STEP_LEDGER
 
 LAYER = "org.phfmu.ports"
 PATH = f"extra/{LAYER}/fmi-ls-manifest.xml"
 VERSION = "1.0.0"
 _LS = "http://fmi-standard.org/fmi-ls-manifest"
+
+#: attribute of the energies of one step
+ENERGY = {"stored_step": "storedStep", "supplied_step": "suppliedStep", "dissipated_step": "dissipatedStep"}
 
 TEXT = (
     "power ports with conjugate pairs: (length of the step) * input * step output is the energy supplied to the "
@@ -50,8 +54,9 @@ def manifest(unit: Unit) -> bytes:
     for name, value in (("name", LAYER), ("version", VERSION), ("description", TEXT)):
         root.set(f"{{{_LS}}}fmi-ls-{name}", value)
     etree.SubElement(root, "Step", internalStepSize=number(unit.step), directionalDerivative=DERIVATIVE)
-    names = {f"{what}": f"energy.{what}" for what in ("stored", "supplied", "dissipated", "residual")}
-    etree.SubElement(root, "Energy", names)
+    energy = etree.SubElement(root, "Energy")
+    for what, _, _ in (*LEDGER, *STEP_LEDGER):
+        energy.set(ENERGY.get(what, what), f"energy.{what}")
     for port in unit.declaration.ports:
         if not port.external:
             continue

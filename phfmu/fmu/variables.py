@@ -28,7 +28,7 @@ class FMUVariable:
     """One scalar of type Real (2.0) or Float64 (3.0).
 
     Its value is the sum of `count` entries of the runtime's `block` from `first` on (`ph_block` of phfmu.h, or
-    FMU_PARAMETER, FMU_INPUT).  `start` is None for calculated variables; `unit` "1" and `nominal` None are not written.
+    a place of fmu.h).  `start` is None for calculated variables; `unit` "1" and `nominal` None are not written.
     """
 
     name: str
@@ -167,12 +167,20 @@ LEDGER = (
     ("dissipated", "PH_DISSIPATED", "energy dissipated since the start"),
     ("residual", "PH_RESIDUAL", "change of stored + dissipated - supplied energy since the start; rounding only"),
 )
+#: the same of one communication step, free of the cancellation of differences
+STEP_LEDGER = (
+    ("stored_step", "FMU_ROW_STORED", "change of stored energy in the last step"),
+    ("supplied_step", "FMU_ROW_SUPPLIED", "energy supplied through ports in the last step"),
+    ("dissipated_step", "FMU_ROW_DISSIPATED", "energy dissipated in the last step"),
+)
 
 
 def _totals(model: Model) -> Iterator[FMUVariable]:
     n = model.step.ncomp
     for name, block, text in LEDGER:
         yield FMUVariable(f"energy.{name}", "output", block, 0, n, None, "J", description=text)
+    for name, block, text in STEP_LEDGER:
+        yield FMUVariable(f"energy.{name}", "local", block, 0, n, None, "J", description=text)
     if n == 1:
         return
     for i, member in enumerate(model.members):
@@ -199,10 +207,5 @@ def _checks(model: Model) -> Iterator[FMUVariable]:
 
 
 def check_names(model: Model) -> list[str]:
-    """constraint.velocity[1], ..., constraint.position[1], ... in the order of the checks."""
-    count: dict[str, int] = {}
-    names = []
-    for check in model.checks:
-        count[check.level] = count.get(check.level, 0) + 1
-        names.append(f"constraint.{check.level}[{count[check.level]}]")
-    return names
+    """constraint.velocity.lambda[1], constraint.position.lambda[1], ... in the order of the checks."""
+    return [f"constraint.{check.level}.{check.name}" for check in model.checks]

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.compose import junction_unknowns
 from phfmu.network.members import Member
-from phfmu.network.names import suffixed
 from phfmu.network.network import Network
 from phfmu.network.stepper import Booking, InconsistentState, Steps
 
@@ -94,7 +93,7 @@ class Coupled:
         self._slices = _stacked([m.nu for m in members])
         self.names = [f"{m.name}.{n}" for m in members for n in m.names]
         self.names += self.face.names
-        self.names += [suffixed(f"constraint.end.{n}", "") for n in self._sum_names()]
+        self.names += [f"constraint.sum.{n}" for n in self._sum_names()]
         at = {str(e): j.name for j in network.junctions for e in j.ends}
         components = tuple(c for m in members for c in m.booking.components)
         pairs = tuple(

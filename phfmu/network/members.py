@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.status import Status, StepFailure
-from phfmu.network.names import signal_names
+from phfmu.network.columns import Columns
 from phfmu.network.stepper import Booking, Inputs, booking, require_consistent
 
 Array = NDArray[np.float64]
@@ -81,10 +81,8 @@ class EngineMember:
             tuple(rename.get(c, f"{name}.{c}") for c in own.components),
             tuple((rename.get(c, f"{name}.{c}"), p, i, j) for c, p, i, j in own.pairs),
         )
-        names = signal_names(model)
-        flat = [n for b in instance.layout for n in names[b]]
-        self._columns = np.array([i for i, n in enumerate(flat) if n and n != "time"], int)
-        self.names = [flat[i] for i in self._columns]
+        self._columns = Columns(model, instance.layout)
+        self.names = self._columns.names
 
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]
@@ -93,7 +91,8 @@ class EngineMember:
         return self._inputs.inputs.get(name)
 
     def set_parameter(self, name: str, value: float) -> bool:
-        return name in self._inputs.parameters and self._inputs.set(name, value)
+        known = {n.partition("[")[0] for n in self._inputs.parameters} | set(self._inputs.parameters)
+        return name in known and self._inputs.set(name, value)
 
     def start_inputs(self) -> Array:
         return self.model.u0.copy()
@@ -132,8 +131,7 @@ class EngineMember:
         return self.instance.signals()["H"]
 
     def read(self) -> Array:
-        signals = self.instance.signals()
-        return np.concatenate([signals[b] for b in self.instance.layout])[self._columns]
+        return self._columns.now(self.instance)
 
     def check_start(self) -> None:
         require_consistent(self.model, self.instance)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.network.names import signal_names
+from phfmu.network.columns import Columns
 
 Array = NDArray[np.float64]
 
@@ -72,15 +72,18 @@ class Inputs:
         self.u = self.model.u0.copy()
 
     def set(self, name: str, value: float) -> bool:
-        """True if `name` is known here and was set."""
-        if name in self.parameters:
-            p = self.instance.parameters
-            p[self.parameters[name]] = value
-            self.instance.set_parameters(p)
-            return True
-        if name in self.inputs:
-            self.u[self.inputs[name]] = value
-            self.instance.set_input(self.u)
+        """True if `name` is known here and was set; the bare name of a vector sets all its entries."""
+        for table in (self.parameters, self.inputs):
+            places = [i for n, i in table.items() if n == name or n.partition("[")[0] == name and "[" not in name]
+            if not places:
+                continue
+            if table is self.parameters:
+                p = self.instance.parameters
+                p[places] = value
+                self.instance.set_parameters(p)
+            else:
+                self.u[places] = value
+                self.instance.set_input(self.u)
             return True
         return False
 
@@ -107,11 +110,8 @@ class Monolithic:
         self.model, self.instance = model, instance
         self.booking = booking(model)
         self._inputs = Inputs(instance, model)
-        names = signal_names(model)
-        self._order = [b for b in instance.layout if b != "time"]
-        flat = [names[b][i] for b in instance.layout for i in range(_width(instance.layout[b]))]
-        self._columns = np.array([i for i, n in enumerate(flat) if n and n != "time"], int)
-        self.names = [flat[i] for i in self._columns]
+        self._columns = Columns(model, instance.layout)
+        self.names = self._columns.names
 
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]
@@ -123,8 +123,7 @@ class Monolithic:
 
     def read(self) -> Array:
         """Values of `names` now."""
-        signals = self.instance.signals()
-        return np.concatenate([signals[b] for b in self.instance.layout])[self._columns]
+        return self._columns.now(self.instance)
 
     def energies(self) -> Array:
         return self.instance.signals()["H"]
@@ -136,13 +135,9 @@ class Monolithic:
         wanted = ("signals", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
         r = self.instance.run(t0, h, n, record=wanted)
         return Steps(
-            r["signals"][:, self._columns], r["energy"], r["stored"], r["dissipated"], r["supplied"], r["pairs"],
+            self._columns.pick(r["signals"]), r["energy"], r["stored"], r["dissipated"], r["supplied"], r["pairs"],
             r["counts"][:, 0],
         )  # fmt: skip
-
-
-def _width(place: slice) -> int:
-    return place.stop - place.start
 
 
 def require_consistent(model: Model, instance: Any) -> None:

@@ -17,10 +17,14 @@ void ph_eval_h(ph_system *s, double h) {
     s->hp[0] = 1.0;
     s->hp[1] = h;
     s->hp[2] = h * h;
-    powers(s->hp, p->matrix_value, p->matrix_power, p->matrix_ptr[p->nnz], s->products);
+    powers(s->hp, p->varying_value, p->varying_power, p->varying_ptr[p->nvarying], s->products);
     powers(s->hp, p->derivative_value, p->derivative_power, p->derivative_ptr[p->nderivative],
            s->derivatives);
     powers(s->hp, p->const_val, p->const_pow, p->nconst, s->constants);
+    for (int e = 0; e < p->nnz; e++)
+        s->fixed[e] = s->a[e] = 0.0;
+    for (int l = 0; l < p->nfixed; l++)
+        s->a[p->fixed_entry[l]] = s->fixed[p->fixed_entry[l]] += p->fixed_value[l] * s->hp[p->fixed_power[l]];
 }
 
 /* Z and R at (x, Y); slots: Jacobian entries into V too; late: pair outputs and observables too. */
@@ -49,27 +53,30 @@ void ph_eval(ph_system *s, int slots, int late) {
     }
 }
 
-/* out[e] = sum of c V[s] V[t]; the lists have no write conflicts. */
-static void sums(const int *ptr, const int *s, const int *t, const double *c, const double *v, int n,
-                 double *out) {
-    int l = 0;
-    for (int e = 0; e < n; e++) {
-        double sum = 0.0;
-        for (; l < ptr[e + 1]; l++)
-            sum += c[l] * v[s[l]] * v[t[l]];
-        out[e] = sum;
-    }
-}
-
+/* Entries of A that are not constant at fixed h; the lists have no write conflicts. */
 void ph_eval_matrix(ph_system *s) {
     const ph_plan *p = s->plan;
-    sums(p->matrix_ptr, p->matrix_s, p->matrix_t, s->products, s->v, p->nnz, s->a);
+    const int *restrict ps = p->varying_s;
+    const int *restrict pt = p->varying_t;
+    const double *restrict c = s->products;
+    const double *restrict v = s->v;
+    int l = 0;
+    for (int i = 0; i < p->nvarying; i++) {
+        int e = p->varying_entry[i], end = p->varying_ptr[i + 1];
+        double sum = s->fixed[e] + c[l] * v[ps[l]] * v[pt[l]]; /* most entries are one product */
+        while (++l < end)
+            sum += c[l] * v[ps[l]] * v[pt[l]];
+        s->a[e] = sum;
+    }
 }
 
 /* out: nderivative. */
 void ph_eval_derivatives(ph_system *s, double *out) {
     const ph_plan *p = s->plan;
-    sums(p->derivative_ptr, p->derivative_s, p->derivative_t, s->derivatives, s->v, p->nderivative, out);
+    int l = 0;
+    for (int e = 0; e < p->nderivative; e++)
+        for (out[e] = 0.0; l < p->derivative_ptr[e + 1]; l++)
+            out[e] += s->derivatives[l] * s->v[p->derivative_s[l]] * s->v[p->derivative_t[l]];
 }
 
 /* stored, lost: ncomp each, overwritten; lost is a rate, to be multiplied by the step. */

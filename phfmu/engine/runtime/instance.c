@@ -85,7 +85,8 @@ static void lay_system(ph_system *s, const ph_plan *p, block *b) {
     s->rhs = doubles(b, p->nw);
     s->dw = doubles(b, p->nw);
     s->base = doubles(b, p->nw);
-    s->products = doubles(b, p->matrix_ptr[p->nnz]);
+    s->products = doubles(b, p->varying_ptr[p->nvarying]);
+    s->fixed = doubles(b, p->nnz);
     s->derivatives = doubles(b, p->derivative_ptr[p->nderivative]);
     s->constants = doubles(b, p->nconst);
     s->blocks = doubles(b, p->nderivative);

@@ -10,6 +10,8 @@
 #define MAX_ITERATIONS 30
 #define TOLERANCE 1e-9  /* on max |dw_i| / (nominal_i + |w_i|) */
 #define STAGNATION 1e-6 /* below it, an update that no longer halves is rounding */
+#define CHORD 1e-3      /* below it the next iteration keeps the factor, */
+#define CONTRACTION 0.1 /* as long as updates shrink by this */
 #define DELTA 1e-10
 #define MIN_DAMPING (1.0 / 64.0)
 
@@ -80,21 +82,41 @@ static int damp(ph_system *s, double norm, double *damping) {
     return PH_NO_CONVERGENCE;
 }
 
-/* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
-int ph_newton(ph_system *s, int damped) {
-    double previous = INFINITY;
-    s->update = INFINITY;
-    for (s->iterations = 1; s->iterations <= MAX_ITERATIONS; s->iterations++) {
-        double norm, damping = 1.0;
+/* Residual and, unless the last factor still serves, matrix and factor; rhs = scaled residual. */
+static int linearise(ph_system *s, int chord, double *norm) {
+    ph_eval(s, !chord, 0);
+    if (!chord) {
         int status;
-        ph_eval(s, 1, 0);
         ph_eval_matrix(s);
         status = ph_newton_factor(s);
         if (status)
             return status;
-        norm = scale_residual(s);
-        if (!isfinite(norm))
-            return PH_NOT_FINITE;
+    }
+    *norm = scale_residual(s);
+    return isfinite(*norm) ? PH_OK : PH_NOT_FINITE;
+}
+
+/* One more correction with the last factor; then all rows R at the final w. */
+static int polish(ph_system *s) {
+    ph_eval(s, 0, 0);
+    scale_residual(s);
+    ph_lu_solve(&s->lu, s->rhs, s->dw);
+    for (int i = 0; i < s->plan->nw; i++)
+        s->y[i] -= s->dw[i];
+    ph_eval(s, 0, 1);
+    return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
+}
+
+/* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
+int ph_newton(ph_system *s, int damped) {
+    double previous = INFINITY;
+    int chord = 0;
+    s->update = INFINITY;
+    for (s->iterations = 1; s->iterations <= MAX_ITERATIONS; s->iterations++) {
+        double norm, damping = 1.0;
+        int status = linearise(s, chord, &norm);
+        if (status)
+            return status;
         ph_lu_solve(&s->lu, s->rhs, s->dw);
         s->count[PH_ITERATIONS]++;
         if (damped) {
@@ -107,14 +129,9 @@ int ph_newton(ph_system *s, int damped) {
                 return PH_NOT_FINITE;
         }
         if (damping == 1.0 &&
-            (s->update <= TOLERANCE || (s->update <= STAGNATION && s->update > 0.5 * previous))) {
-            ph_eval(s, 0, 0);
-            scale_residual(s);
-            ph_lu_solve(&s->lu, s->rhs, s->dw);
-            move(s, s->y, 1.0);
-            ph_eval(s, 0, 1);
-            return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
-        }
+            (s->update <= TOLERANCE || (s->update <= STAGNATION && s->update > 0.5 * previous)))
+            return polish(s);
+        chord = !damped && s->update <= CHORD && s->update <= CONTRACTION * previous;
         previous = s->update;
     }
     return PH_NO_CONVERGENCE;

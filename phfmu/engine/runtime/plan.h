@@ -33,33 +33,38 @@ typedef struct ph_group {
  * [residual nw | pair outputs nq*k | observables nobs]. */
 typedef struct ph_plan {
     int nx, nw, nu, k, nz, np, nq, nobs, na, ncomp, nv, nrow;
-    int nslot;                       /* length of V, V[0] = 1 */
-    int ngroup;                      /* stage 0 groups come first */
-    int nconst;                      /* triplets R[row] += val h^pow Y[src] */
-    int nconst_early;                /* those of residual rows, which come first */
-    int nnz;                         /* nonzeros of A */
-    int nderivative;                 /* entries of the other derivative blocks */
-    int nreg;                        /* regularised diagonal entries */
-    int nupdate, nmean;              /* entries of the update and of the algebraic report */
-    int lucap;                       /* room for the entries of L + U */
-    const ph_group *groups;          /* ngroup */
-    const int *const_row;            /* nconst */
-    const int *const_src;            /* nconst */
-    const double *const_val;         /* nconst */
-    const signed char *const_pow;    /* nconst */
-    const int *colptr;               /* nw+1: columns of A */
-    const int *matrix_row;           /* nnz: rows of A, ascending inside a column */
-    const int *matrix_ptr;           /* nnz+1: products of each entry */
-    const int *matrix_s;             /* first factor, index into V */
-    const int *matrix_t;             /* second factor, index into V */
-    const double *matrix_value;      /* coefficient */
-    const signed char *matrix_power; /* power of h */
-    const int *order;                /* nw: pivot columns */
-    const int *pivot_row;            /* nw: preferred row of each pivot column, or -1 */
-    const int *regularised;          /* nreg: entries of A that get delta in the factor */
-    const int *derivative_row;       /* nderivative: residual row, or nw + output */
-    const int *derivative_col;       /* nderivative: unknown, or nw + held input */
-    const int *derivative_ptr;       /* nderivative+1 */
+    int nslot;                        /* length of V, V[0] = 1 */
+    int ngroup;                       /* stage 0 groups come first */
+    int nconst;                       /* triplets R[row] += val h^pow Y[src] */
+    int nconst_early;                 /* those of residual rows, which come first */
+    int nnz;                          /* nonzeros of A */
+    int nfixed, nvarying;             /* constant and varying parts of A */
+    int nderivative;                  /* entries of the other derivative blocks */
+    int nreg;                         /* regularised diagonal entries */
+    int nupdate, nmean;               /* entries of the update and of the algebraic report */
+    int lucap;                        /* room for the entries of L + U */
+    const ph_group *groups;           /* ngroup */
+    const int *const_row;             /* nconst */
+    const int *const_src;             /* nconst */
+    const double *const_val;          /* nconst */
+    const signed char *const_pow;     /* nconst */
+    const int *colptr;                /* nw+1: columns of A */
+    const int *matrix_row;            /* nnz: rows of A, ascending inside a column */
+    const int *fixed_entry;           /* nfixed: entry of A that gets value h^power */
+    const double *fixed_value;        /* nfixed */
+    const signed char *fixed_power;   /* nfixed */
+    const int *varying_entry;         /* nvarying: entries of A that get sums of products too */
+    const int *varying_ptr;           /* nvarying+1: their products */
+    const int *varying_s;             /* first factor, index into V */
+    const int *varying_t;             /* second factor, index into V */
+    const double *varying_value;      /* coefficient */
+    const signed char *varying_power; /* power of h */
+    const int *order;                 /* nw: pivot columns */
+    const int *pivot_row;             /* nw: preferred row of each pivot column, or -1 */
+    const int *regularised;           /* nreg: entries of A that get delta in the factor */
+    const int *derivative_row;        /* nderivative: residual row, or nw + output */
+    const int *derivative_col;        /* nderivative: unknown, or nw + held input */
+    const int *derivative_ptr;        /* nderivative+1 */
     const int *derivative_s;
     const int *derivative_t;
     const double *derivative_value;

@@ -45,7 +45,8 @@ typedef struct ph_system {
     double *rhs;         /* nw */
     double *dw;          /* nw */
     double *base;        /* nw */
-    double *products;    /* matrix_value h^power */
+    double *fixed;       /* nnz: constant part of A at this h */
+    double *products;    /* varying_value h^power */
     double *derivatives; /* derivative_value h^power */
     double *blocks;      /* nderivative */
     double *constants;   /* const_val h^pow */

@@ -86,7 +86,8 @@ int fmu_setup(fmu *f, const char *function, double start, int stop_defined, doub
         return fmu_refuse(f, "%s: start time %.9g s and stop time %.9g s do not fit", function, start, stop);
     if (f->about->model->step->nx > 0)
         memcpy(f->x, ph_signals(f->in), sizeof(double) * (size_t)f->about->model->step->nx);
-    ph_set_x(f->in, start, f->x);
+    if (ph_set_x(f->in, start, f->x))
+        return fmu_refuse(f, "%s: start time %.9g s was refused", function, start);
     f->phase.stop_defined = stop_defined;
     f->phase.stop = stop;
     return FMU_OK;

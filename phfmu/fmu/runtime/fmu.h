@@ -16,13 +16,13 @@ enum { FMU_OK = 0, FMU_WARNING = 1, FMU_ERROR = 3 };
 /* Modes of an instance; functions name the ones they are allowed in as a mask. */
 enum { FMU_INSTANTIATED = 1, FMU_INITIALIZATION = 2, FMU_STEP = 4, FMU_TERMINATED = 8, FMU_ANY = 15 };
 
-/* Places of values that are not in the signal table. */
-enum { FMU_PARAMETER = PH_NBLOCK, FMU_INPUT };
+/* Places of values that are not in the signal table; the rows of the ledger in the order of ph_row. */
+enum { FMU_PARAMETER = PH_NBLOCK, FMU_INPUT, FMU_ROW_STORED, FMU_ROW_DISSIPATED, FMU_ROW_SUPPLIED };
 
 /* The value is the sum of `count` entries of a block from `first` on; the value reference is the
  * place of the variable in its table. */
 typedef struct fmu_variable {
-    int block; /* ph_block, FMU_PARAMETER or FMU_INPUT */
+    int block; /* ph_block or one of the places above */
     int first;
     int count;
     const char *name;

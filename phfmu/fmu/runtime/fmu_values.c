@@ -20,10 +20,24 @@ static int solved(const fmu *f, int block) {
            (f->phase.mode == FMU_INITIALIZATION && (block == PH_A || block == PH_Y_STEP));
 }
 
+/* Where the entries of a block begin. */
+static const double *block_of(const fmu *f, int block) {
+    switch (block) {
+    case FMU_PARAMETER:
+        return ph_parameters(f->in);
+    case FMU_INPUT:
+        return ph_input(f->in);
+    case FMU_ROW_STORED:
+    case FMU_ROW_DISSIPATED:
+    case FMU_ROW_SUPPLIED:
+        return ph_ledger(f->in, PH_ROW_STORED + block - FMU_ROW_STORED);
+    default:
+        return ph_signals(f->in) + f->offset[block];
+    }
+}
+
 static double value_of(const fmu *f, const fmu_variable *v) {
-    const double *from = v->block == FMU_PARAMETER ? ph_parameters(f->in)
-                         : v->block == FMU_INPUT   ? ph_input(f->in)
-                                                   : ph_signals(f->in) + f->offset[v->block];
+    const double *from = block_of(f, v->block);
     double sum = from[v->first];
     for (int i = 1; i < v->count; i++)
         sum += from[v->first + i];
@@ -90,12 +104,9 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
         to[v->first] = values[i];
         *changed = 1;
     }
-    if (parameters)
-        ph_set_parameters(f->in, f->p);
-    if (states)
-        ph_set_x(f->in, fmu_time(f), f->x);
-    if (inputs)
-        ph_set_input(f->in, f->u);
     f->end_known = 0;
+    if ((parameters && ph_set_parameters(f->in, f->p)) || (states && ph_set_x(f->in, fmu_time(f), f->x)) ||
+        (inputs && ph_set_input(f->in, f->u)))
+        return fmu_refuse(f, "%s: the values were refused", function);
     return FMU_OK;
 }

@@ -1,0 +1,52 @@
+"""Table of contents: name -> (kind, where, one line).  Nothing is imported before it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+_E, _M, _S = "phfmu.components.electrical.", "phfmu.components.mechanical.", "phfmu.components.scenes."
+
+LIBRARY: dict[str, tuple[str, str, str]] = {
+    "synchronous_machine": ("component", _E + "synchronous_machine", "field and damper windings, abc terminals"),
+    "rl_line": ("component", _E + "rl_line", "three-phase series line"),
+    "infinite_bus": ("component", _E + "infinite_bus", "stiff three-phase grid"),
+    "rlc_load": ("component", _E + "rlc_load", "three-phase parallel R, L, C to ground"),
+    "fault_resistor": ("component", _E + "switch", "three-phase shunt conductance, switched by events"),
+    "dc_motor": ("component", _E + "dc_motor", "permanent-magnet DC motor"),
+    "four_particle": ("component", _M + "four_particle", "four particles, two bars, two springs, a damper"),
+    "mass": ("component", _M + "translational", "mass with optional spring and damper to ground"),
+    "spring": ("component", _M + "translational", "linear spring between two flanges"),
+    "damper": ("component", _M + "translational", "linear damper between two flanges"),
+    "rotational_inertia": ("component", _M + "rotational", "rotor with viscous friction"),
+    "flexible_shaft": ("component", _M + "rotational", "torsional spring with damping"),
+    "oscillator": ("scene", _S + "oscillator", "two masses and three springs, cut in three"),
+    "drive": ("scene", _S + "drive", "DC motor, flexible shaft and load inertia"),
+    "smib": ("scene", _S + "smib", "turbo generator at an infinite bus, torque step"),
+    "smib_hydro": ("scene", _S + "smib", "hydro generator at an infinite bus, torque step"),
+    "two_machine": ("scene", _S + "two_machine", "two machines, line, load, three-phase fault"),
+}
+
+#: Arguments of components that have no defaults of their own, so that each can be inspected and stepped by name.
+EXAMPLES: dict[str, dict[str, Any]] = {
+    "rl_line": {"R": 0.02, "L": 8e-4},
+    "infinite_bus": {"amplitude": 18.7e3},
+    "rlc_load": {"R": 0.96, "L": 0.0102, "C": 2.76e-4},
+}
+
+
+def builder(name: str) -> Callable[..., Any]:
+    """The function that builds the component or scene `name`; KeyError lists close names."""
+    if name not in LIBRARY:
+        from difflib import get_close_matches
+
+        close = get_close_matches(name, LIBRARY, 3)
+        hint = f"did you mean {', '.join(close)}?" if close else f"there are: {', '.join(LIBRARY)}"
+        raise KeyError(f"no component or scene '{name}' in the library; {hint}")
+    return getattr(import_module(LIBRARY[name][1]), name)
+
+
+def build(name: str) -> Any:
+    """The component (PHDAE) or scene (Scene) `name` with its default or example arguments."""
+    return builder(name)(**EXAMPLES.get(name, {}))

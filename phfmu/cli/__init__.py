@@ -1,0 +1,58 @@
+"""The command line: one verb a file, heavy imports inside the verb.
+
+Exit codes: 0 fine, 1 problems found, 2 bad usage or input, 3 no convergence, 4 ledger violated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+FINE, PROBLEMS, USAGE, NO_CONVERGENCE, LEDGER = range(5)
+
+TARGET = "name in the library | file.py:function | X.fmu"
+
+
+def _parser() -> argparse.ArgumentParser:
+    from phfmu import __version__
+    from phfmu.cli import audit, check, export, info, list_, run
+
+    parser = argparse.ArgumentParser(
+        prog="phfmu", description="Port-Hamiltonian DAEs as co-simulation components with exact energy balance."
+    )
+    parser.add_argument("--version", action="version", version=f"phfmu {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for module in (list_, info, check, run, export, audit):
+        module.add_parser(verbs)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; returns the exit code."""
+    args = _parser().parse_args(arguments)
+    if os.environ.get("PHFMU_TRACEBACK"):
+        return args.call(args)
+    try:
+        return args.call(args)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FINE
+    except KeyboardInterrupt:
+        print("phfmu: interrupted; what was written so far is readable", file=sys.stderr)
+        return 130
+    except Exception as error:
+        return _report(error)
+
+
+def _report(error: Exception) -> int:
+    """One clear line on stderr and the exit code for an exception."""
+    from phfmu.engine.status import StepFailure
+
+    text = error.args[0] if isinstance(error, KeyError) and error.args else str(error)
+    known = (ValueError, KeyError, OSError, RuntimeError)
+    if not isinstance(error, known):
+        text = f"internal error: {type(error).__name__}: {text} (set PHFMU_TRACEBACK=1 for the traceback)"
+    print(f"phfmu: {text}", file=sys.stderr)
+    return NO_CONVERGENCE if isinstance(error, StepFailure) else USAGE

@@ -1,0 +1,36 @@
+"""phfmu audit: where the energy went, from an audit file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(verbs: Any) -> None:
+    parser = verbs.add_parser("audit", help="table of where the energy went; exit 4 if a component does not close")
+    parser.add_argument("file", help="X.parquet or X.arrows; or 'recover X.arrows' after a crash", nargs="+")
+    parser.add_argument("--rtol", type=float, default=1e-11, help="allowed step residual relative to the energy in play")
+    parser.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> int:
+    from phfmu.audit import audit_table, read, recover, verdict
+    from phfmu.cli import FINE, LEDGER
+
+    if args.file[0] == "recover" and len(args.file) == 2:
+        found = recover(_existing(args.file[1]))
+        print(f"recovered {found.rows} rows into {found.path}{' (the torn end was left out)' if found.torn else ''}")
+        return FINE
+    if len(args.file) != 1:
+        raise ValueError("audit takes one file, or: audit recover FILE")
+    table = read(_existing(args.file[0]))
+    print(audit_table(table, args.rtol), end="")
+    return LEDGER if verdict(table, args.rtol) else FINE
+
+
+def _existing(path: str) -> Path:
+    found = Path(path)
+    if not found.is_file():
+        raise FileNotFoundError(f"no audit file '{path}'; write one with: phfmu run TARGET --audit {path}")
+    return found

@@ -1,0 +1,141 @@
+"""Build the stepper that a command line asks for."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from phfmu.cli.options import scheme_of, settings
+from phfmu.cli.target import is_fmu, scene
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.network.scene import Scene
+    from phfmu.network.stepper import Stepper
+
+
+def stepper_for(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
+    """Stepper, scene and a label for the run's head line."""
+    from phfmu.network.network import Network
+
+    if is_fmu(args.target):
+        return _fmu_run(args)
+    s = scene(args.target)
+    s = replace(s, system=_with_settings(s.system, settings(args.set)))
+    if args.coupling == "newton":
+        if not isinstance(s.system, Network):
+            raise ValueError(f"{args.target} is a single component; --coupling newton needs a network of members")
+        return _coupled(args, s)
+    return _monolithic(args, s)
+
+
+def engine_of(args: argparse.Namespace) -> str:
+    """`auto` resolved: native if a compiler is found, else python, which is said on stderr."""
+    if args.engine != "auto":
+        return args.engine
+    from phfmu.engine.compile import CompilerMissing, require_compiler
+
+    try:
+        require_compiler()
+    except CompilerMissing as error:
+        print(f"phfmu: no C compiler ({error}); using the Python engine", file=sys.stderr)
+        return "python"
+    return "native"
+
+
+def instance_of(model: Any, engine: str) -> Any:
+    """A Python or native instance of a discretised model."""
+    if engine == "python":
+        from phfmu.engine.python import PythonInstance
+
+        return PythonInstance(model)
+    from phfmu.engine.native import NativeInstance
+
+    return NativeInstance(model)
+
+
+def _with_settings(system: Any, values: dict[str, float]) -> Any:
+    from phfmu.network.network import Network
+
+    if not values:
+        return system
+    if not isinstance(system, Network):
+        return system.with_starts(values)
+    net = Network(system.name, dict(system.members), list(system.junctions), system.description)
+    for name, value in values.items():
+        member, _, rest = name.partition(".")
+        if member not in net.members:
+            raise KeyError(f"{net.name} has no member '{member}'; there are: {', '.join(net.members)}")
+        net.members[member] = net.members[member].with_starts({rest: value})
+    return net
+
+
+def _label(scheme: Any, engine: str, coupling: str) -> str:
+    gradient = "" if scheme.gradient in ("per-term", "nodal") else f", {scheme.gradient}"
+    return f"{scheme.name}, order {2 * scheme.k}{gradient}, {engine} engine, {coupling}"
+
+
+def _monolithic(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
+    from phfmu.discretise.model import build_model
+    from phfmu.network.stepper import Monolithic
+
+    declaration = s.declaration()
+    scheme = scheme_of(args, declaration)
+    engine = engine_of(args)
+    label = _label(scheme, engine, "monolithic")
+    if engine == "fmu":
+        from phfmu.network.fmu_member import FMUStepper
+
+        return FMUStepper(_as_fmu(declaration, scheme, args)), s, label
+    model = build_model(declaration, scheme)
+    return Monolithic(model, instance_of(model, engine)), s, label
+
+
+def _coupled(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
+    from phfmu.discretise.model import build_model
+    from phfmu.network.coupled import Coupled
+    from phfmu.network.members import EngineMember
+
+    engine = engine_of(args)
+    members: list[Any] = []
+    scheme = None
+    for name, declaration in s.system.members.items():  # type: ignore[union-attr]
+        own = scheme_of(args, declaration, member=True)
+        scheme = own if scheme is None else scheme
+        if engine == "fmu":
+            from phfmu.network.fmu_member import FMUMember
+
+            members.append(FMUMember(name, _as_fmu(replace(declaration, name=name), own, args)))
+        else:
+            model = build_model(replace(declaration, name=name), own)
+            members.append(EngineMember(name, model, instance_of(model, engine)))
+    return Coupled(s.system, members), s, _label(scheme, engine, "newton coupling")  # type: ignore[arg-type]
+
+
+def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace) -> Any:
+    """The declaration exported to a temporary folder and loaded again."""
+    import atexit
+    import shutil
+    import tempfile
+
+    from phfmu.discretise.model import build_model
+    from phfmu.fmu.export import export
+    from phfmu.fmu.reader import FMUInstance
+
+    folder = tempfile.mkdtemp(prefix="phfmu-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    step = args.step or 1.0
+    (path,) = export(declaration, build_model(declaration, scheme), folder, versions=(args.fmi,), step=step)
+    return FMUInstance(path)
+
+
+def _fmu_run(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
+    from phfmu.fmu.reader import FMUInstance
+    from phfmu.network.fmu_member import FMUStepper, fmu_scene
+
+    stepper = FMUStepper(FMUInstance(args.target))
+    for name, value in settings(args.set).items():
+        stepper.set_value(name, value)
+    return stepper, fmu_scene(args.target), "FMU"

@@ -1,0 +1,54 @@
+"""phfmu info: states, ports and parameters with units."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+
+def add_parser(verbs: Any) -> None:
+    from phfmu.cli import TARGET
+
+    parser = verbs.add_parser("info", help="states, ports, parameters with units")
+    parser.add_argument("target", help=TARGET)
+    parser.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> int:
+    from phfmu.cli.target import is_fmu, scene
+
+    if is_fmu(args.target):
+        from phfmu.fmu.reader import fmu_info
+
+        print(fmu_info(args.target), end="")
+        return 0
+    s = scene(args.target)
+    d = s.declaration()
+    print(f"{d.name}: {s.description or d.description}")
+    print(f"run: stop {s.stop:g} s, step {s.step:g} s, {len(s.events)} event{'s' if len(s.events) != 1 else ''}")
+    for e in s.events:
+        print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
+    if d.members != ("",):
+        print(f"members: {', '.join(d.members)}")
+    for name, ends in d.junctions:
+        print(f"junction {name}: {', '.join(ends)}")
+    for title, variables in (("states", d.states), ("algebraic variables", d.algebraics), ("parameters", d.parameters)):
+        if variables:
+            print(f"{title}:")
+        for v in variables:
+            start = ", ".join(f"{x:g}" for x in v.start)
+            size = f"[1..{v.size}]" if v.size else ""
+            print(f"  {v.name + size:<28} {v.unit:<12} {start:<40} {v.description}".rstrip())
+    if d.ports:
+        print("ports (power positive into the component):")
+    for p in d.ports:
+        how = "given" if p.external else "from inside" if p.source is not None else "joined"
+        size = f"[1..{p.size}]" if p.size else ""
+        names = f"{p.name}.{p.domain.effort if p.given == 'effort' else p.domain.flow}{size}"
+        print(f"  {p.name:<28} {p.domain.name:<14} input {names} [{p.input_unit}] ({how}), output [{p.output_unit}]")
+    if d.observables:
+        print("observables:")
+    for o in d.observables:
+        size = f"[1..{o.expr.numel()}]" if o.expr.numel() > 1 else ""
+        print(f"  {o.name + size:<28} {o.unit:<12} {o.description}".rstrip())
+    return 0

@@ -1,0 +1,51 @@
+"""Options shared by verbs that discretise a model."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.discretise.collocated import Collocated
+
+
+def add_scheme(parser: argparse.ArgumentParser) -> None:
+    """--order, --scheme, --gradient."""
+    parser.add_argument("--order", type=int, default=2, choices=(2, 4, 6), help="order of the scheme (default 2)")
+    parser.add_argument(
+        "--scheme", default="auto", choices=("auto", "collocated", "two-level", "semi-explicit", "midpoint"),
+        help="auto: two-level with holonomic constraints, else collocated",
+    )  # fmt: skip
+    parser.add_argument("--gradient", default="per-term", choices=("per-term", "joint-gonzalez"))
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """--set NAME=VALUE."""
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
+                        help="parameter, start value of a state, or start of an input; may be repeated")  # fmt: skip
+
+
+def settings(items: list[str]) -> dict[str, float]:
+    """NAME=VALUE items; ValueError names the bad one."""
+    out = {}
+    for item in items:
+        name, sign, text = item.partition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not sign or value != value or value in (float("inf"), float("-inf")):
+            raise ValueError(f"--set {item}: expected NAME=VALUE with a finite number")
+        out[name.strip()] = value
+    return out
+
+
+def scheme_of(args: argparse.Namespace, declaration: PHDAE, *, member: bool = False) -> Collocated:
+    """The scheme asked for; members without constraints fall back to collocated under auto and two-level."""
+    from phfmu.discretise.schemes import named_scheme
+
+    name: Any = args.scheme
+    if member and name == "two-level" and not declaration.constraints:
+        name = "collocated"
+    return named_scheme(declaration, name, args.order, args.gradient)

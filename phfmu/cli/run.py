@@ -1,0 +1,131 @@
+"""phfmu run: simulate a target, write results and the audit."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.network.run import Result
+    from phfmu.network.scene import Event
+
+
+def add_parser(verbs: Any) -> None:
+    from phfmu.cli import TARGET, options
+
+    parser = verbs.add_parser("run", help="simulate; result table, audit")
+    parser.add_argument("target", help=TARGET)
+    parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
+    parser.add_argument("--step", type=float, help="communication step in s (default: the scene's)")
+    options.add_scheme(parser)
+    parser.add_argument("--engine", default="auto", choices=("auto", "python", "native", "fmu"),
+                        help="auto: native if a C compiler is there, else python")  # fmt: skip
+    parser.add_argument("--fmi", default="3.0", choices=("2.0", "3.0"), help="FMI version of --engine fmu")
+    parser.add_argument("--coupling", default="monolithic", choices=("monolithic", "newton"),
+                        help="monolithic: one composed model; newton: members stepped apart")  # fmt: skip
+    options.add_settings(parser)
+    parser.add_argument("--input", metavar="CSV", help="input and parameter values over time (first column time), held")
+    parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
+    parser.add_argument("--audit", metavar="FILE", help="energy ledger per step, FILE.parquet")
+    parser.add_argument("--rtol", type=float, default=1e-11, help="allowed relative residual of a component's step")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> int:
+    from phfmu.audit import audit_table
+    from phfmu.cli import FINE, LEDGER
+    from phfmu.cli.build import stepper_for
+    from phfmu.network.run import run
+
+    stepper, scene, label = stepper_for(args)
+    stop = scene.stop if args.stop is None else args.stop
+    step = scene.step if args.step is None else args.step
+    events = [*scene.events, *(_input_events(args.input, stepper.settable()) if args.input else [])]
+    writer = _audit_writer(args, label)
+    report = _Progress(stop, args.quiet)
+    try:
+        with report:
+            result = run(stepper, stop=stop, step=step, events=events, sink=writer, progress=report.update)
+    finally:
+        if writer is not None:
+            writer.close()
+    if args.output:
+        from phfmu.cli.table import write_table
+
+        write_table(args.output, result)
+    summary = result.ledger.summary()
+    bad = [c for c in summary.components if c.quality == "exact" and not c.worst_relative <= args.rtol]
+    if not args.quiet:
+        _print_run(args, label, result, stop, step, report.seconds)
+        print(audit_table(summary, args.rtol), end="")
+    if bad:
+        print(f"phfmu: ledger violated: {', '.join(c.component for c in bad)}", file=sys.stderr)
+    return LEDGER if bad else FINE
+
+
+def _audit_writer(args: argparse.Namespace, label: str) -> Any:
+    if not args.audit:
+        return None
+    from phfmu.audit import AuditWriter
+
+    return AuditWriter(args.audit, {"target": args.target, "run": label})
+
+
+def _input_events(path: str, known: list[str]) -> list[Event]:
+    from phfmu.cli.table import read_inputs
+
+    return read_inputs(path, known).events()
+
+
+def _print_run(
+    args: argparse.Namespace, label: str, result: Result, stop: float, step: float, seconds: float
+) -> None:
+    its = result.iterations / max(result.steps, 1)
+    print(f"{args.target}: {label}; step {step:g} s to {stop:g} s: {result.steps} steps, {its:.2f} iterations per step, "
+          f"{seconds:.3g} s")  # fmt: skip
+    groups: dict[str, float] = {}
+    for name, value in result.worst.items():
+        key = name.split("[")[0]
+        groups[key] = max(groups.get(key, 0.0), value)
+    for name, value in groups.items():
+        print(f"largest |{name}| over the run: {value:.6g}")
+    if args.output:
+        print(f"results: {args.output}")
+    if args.audit:
+        print(f"audit: {args.audit} (print with: phfmu audit {args.audit})")
+
+
+class _Progress:
+    """A progress bar on a terminal, nothing in a pipe; measures the wall time of the run."""
+
+    def __init__(self, stop: float, quiet: bool):
+        self._bar: Any = None
+        self._stop = stop
+        self._show = sys.stderr.isatty() and not quiet
+        self.seconds = 0.0
+
+    def __enter__(self) -> _Progress:
+        from time import perf_counter
+
+        self._start = perf_counter()
+        if self._show:
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._bar = Progress(console=Console(stderr=True), transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task("simulating", total=self._stop)
+        return self
+
+    def update(self, t: float) -> None:
+        if self._bar is not None:
+            self._bar.update(self._task, completed=t)
+
+    def __exit__(self, *_: object) -> None:
+        from time import perf_counter
+
+        self.seconds = perf_counter() - self._start
+        if self._bar is not None:
+            self._bar.stop()

@@ -1,0 +1,72 @@
+"""What a TARGET on the command line means."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.network.scene import Scene
+
+
+class TargetError(ValueError):
+    """The target cannot be found or built."""
+
+
+def is_fmu(target: str) -> bool:
+    return target.lower().endswith(".fmu")
+
+
+def load(target: str) -> Any:
+    """The component (PHDAE), Network or Scene that `target` names; TargetError or KeyError with the remedy."""
+    if ".py:" in target or target.endswith(".py"):
+        return _from_file(target)
+    if is_fmu(target):
+        raise TargetError(f"{target} is an FMU; this verb needs a declaration (a library name or file.py:function)")
+    from phfmu.components.library import build
+
+    return build(target)
+
+
+def scene(target: str) -> Scene:
+    """The target as a scene; a bare component or network runs 1 s at 1 ms unless told otherwise."""
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.network.network import Network
+    from phfmu.network.scene import Scene
+
+    item = load(target)
+    if isinstance(item, Scene):
+        return item
+    if isinstance(item, PHDAE | Network):
+        stop, step = DEFAULT_RUNS.get(item.name, (1.0, 1e-3))
+        return Scene(item.name, item, stop, step, description=item.description)
+    raise TargetError(f"{target} gives a {type(item).__name__}; expected a PHDAE, a Network or a Scene")
+
+
+#: stop and step of components that have a customary run
+DEFAULT_RUNS = {"four_particle": (10.0, 0.01), "synchronous_machine": (0.1, 1e-4)}
+
+
+def _from_file(target: str) -> Any:
+    import importlib.util
+    import sys
+
+    path_text, _, function = target.rpartition(":") if ":" in target else (target, "", "")
+    path = Path(path_text)
+    if not path.is_file():
+        raise TargetError(f"no file '{path_text}'")
+    if not function:
+        raise TargetError(f"say which function of {path.name} builds the model: {path_text}:function")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise TargetError(f"{path_text}: {type(error).__name__}: {error}") from error
+    found = getattr(module, function, None)
+    if found is None:
+        names = [n for n, v in vars(module).items() if callable(v) and getattr(v, "__module__", "") == module.__name__]
+        raise TargetError(f"{path_text} has no function '{function}'; it has: {', '.join(names) or 'none'}")
+    return found() if callable(found) else found

@@ -1,0 +1,67 @@
+"""The check of a declaration: every problem at once, each with its entry, its numbers and a remedy.
+
+Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry, passivity,
+costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability (equations).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from phfmu.declare.check_energy import closed_pairs, energies
+from phfmu.declare.check_entries import Entries, normal_form
+from phfmu.declare.check_equations import equations, unused, velocities
+from phfmu.declare.check_matrix import costates, finite, masses, passivity, skew_symmetry, symmetry
+from phfmu.declare.check_names import names, nominals, shared_symbols, starts, units
+from phfmu.declare.check_problem import Problem as Problem
+from phfmu.declare.check_sample import Sample
+from phfmu.declare.phdae import PHDAE
+
+if TYPE_CHECKING:
+    from phfmu.discretise.collocated import Collocated
+
+#: a model with a problem of these rules is not discretised: the planner would only repeat it
+BLOCKING = {"shape", "symbol", "source", "start", "nominal", "energy", "mass", "velocity", "unused", "internal"}
+
+
+def check(model: PHDAE, scheme: Collocated | None = None) -> list[Problem]:
+    """All problems of `model`; an empty list if it is sound.
+
+    Matrices and energies are evaluated at the start and at seeded points around it, within the nominal size of each
+    variable and with the parameters at their start values.  The equations are planned for `scheme` (default: the
+    default scheme of the model).  Never raises for a bad model.
+    """
+    found: list[Problem] = []
+    for rule in (names, units, nominals, starts):
+        found += _safely(rule, model)
+    if shared := _safely(shared_symbols, model):
+        return found + shared
+    entries = Entries(model)
+    found += _safely(normal_form, entries)
+    found += entries.problems
+    try:
+        sample = Sample(entries)
+    except Exception as e:  # a declaration is data from outside: whatever is wrong with it becomes a problem
+        return [*found, _internal("sampling", model, e)] if not BLOCKING & {p.rule for p in found} else found
+    for rule in (finite, skew_symmetry, symmetry, passivity, masses, costates, energies, closed_pairs):
+        found += _safely(rule, entries, sample)
+    for rule in (unused, velocities):
+        found += _safely(rule, entries)
+    if not BLOCKING & {p.rule for p in found}:
+        found += _safely(equations, model, scheme)
+    return found
+
+
+def _safely(rule: Callable[..., list[Problem] | None], *args) -> list[Problem]:
+    """The problems a rule finds; an error inside the rule becomes one more problem."""
+    try:
+        return rule(*args) or []
+    except Exception as e:
+        model = args[0] if isinstance(args[0], PHDAE) else args[0].model
+        return [_internal(rule.__name__.replace("_", " "), model, e)]
+
+
+def _internal(what: str, model: PHDAE, error: Exception) -> Problem:
+    text = f"the check of {what} stopped with {type(error).__name__}: {error}"
+    return Problem("internal", model.name, text, "look for an entry of the wrong type")

@@ -1,0 +1,216 @@
+"""Entries of a declaration in one form; what has a wrong shape or a foreign symbol is reported and left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any
+
+import casadi as ca
+
+from phfmu.declare.check_problem import Problem
+from phfmu.declare.energy import ClosedPair
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.variable import Variable, _sx, time
+
+#: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
+ALLOWED = {"H": "xp", "E": "xp", "z": "xp", "g": "xp", "source": "pt", "J": "xzaupt", "R": "xzaupt", "B": "xzaupt",
+           "observable": "xzaupt", "C": "xp", "bound": "a"}  # fmt: skip
+_WORDS = {"x": "states", "z": "costates", "a": "algebraic variables", "u": "inputs", "p": "parameters", "t": "time"}
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A sound expression: `what` is a key of ALLOWED, `rows` its variables (stacked rows), `origin` what declared it."""
+
+    what: str
+    label: str
+    expr: ca.SX
+    rows: tuple[Variable, ...] = ()
+    origin: Any = None
+
+    def names(self) -> list[str]:
+        """Scalar names of the rows."""
+        return [n for v in self.rows for n in v.names()]
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A sound closed-form pair with its increment symbols d and the expressions at (x, d)."""
+
+    label: str
+    origin: ClosedPair
+    x: ca.SX
+    d: ca.SX
+    ebar: ca.SX
+    zbar: ca.SX
+
+
+@dataclass
+class Entries:
+    """The sound entries of `model` and the problems of the others."""
+
+    model: PHDAE
+    known: dict[int, tuple[str, str]] = field(init=False)
+    sound: list[Entry] = field(default_factory=list)
+    pairs: list[Pair] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    #: hashes of the algebraic variables whose entries were left out: nothing is known about them
+    doubtful: set[int] = field(default_factory=set)
+    #: True if every entry that makes z from H and E is sound
+    complete: bool = True
+
+    def __post_init__(self) -> None:
+        m = self.model
+        self.known = {time.element_hash(): ("t", "time")}
+        for kind, variables in (("x", m.states), ("a", m.algebraics), ("p", m.parameters)):
+            for v in variables:
+                for j, name in enumerate(v.names()):
+                    self.known[v.sx[j].element_hash()] = (kind, name)
+                    if kind == "x":
+                        self.known[v.z[j].element_hash()] = ("z", f"z of {name}")
+        for port in m.ports:
+            for j in range(port.u.numel()):
+                self.known[port.u[j].element_hash()] = ("u", f"input {j + 1} of {port.name}")
+
+    def of(self, *what: str) -> list[Entry]:
+        """Sound entries of these kinds."""
+        return [e for e in self.sound if e.what in what]
+
+    def kind(self, v: Variable) -> str:
+        """Kind of a variable, "" if it is not declared."""
+        return self.known.get(v.sx[0].element_hash(), ("", ""))[0]
+
+    def leave_out(self, what: str, rows: Sequence[Variable]) -> None:
+        self.doubtful |= {s.element_hash() for v in rows for s in ca.vertsplit(v.sx)}
+        self.complete &= what not in ("H", "E")
+
+    def add(self, what: str, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None) -> bool:
+        """File an expression; True if its shape, rows and symbols are right."""
+        matrix = as_matrix(expr, shape)
+        ok = self._rows(what, label, rows)
+        if matrix is None:
+            self._problem("shape", label, f"{expr!r} is not an expression", "give numbers or expressions of the variables")
+            ok = False
+        elif shape is not None and matrix.shape != shape:
+            self._problem(
+                "shape", label, f"is {matrix.shape[0]} x {matrix.shape[1]}, expected {shape[0]} x {shape[1]}",
+                "make it as large as the variables and ports it connects",
+            )  # fmt: skip
+            ok = False
+        elif not self.symbols(what, label, matrix):
+            ok = False
+        if not ok or matrix is None:
+            self.leave_out(what, rows)
+            return False
+        self.sound.append(Entry(what, label, matrix, tuple(rows), origin))
+        return True
+
+    def symbols(self, what: str, label: str, expr: ca.SX) -> bool:
+        """True if `expr` depends on declared symbols of the kinds allowed for `what` only."""
+        ok = True
+        for s in ca.symvar(expr):
+            kind, name = self.known.get(s.element_hash(), ("", str(s)))
+            if kind and kind in ALLOWED[what]:
+                continue
+            ok = False
+            allowed = " and ".join(_WORDS[k] for k in ALLOWED[what])
+            if kind:
+                rule = "source" if what == "source" else "symbol"
+                self._problem(rule, label, f"depends on '{name}', one of the {_WORDS[kind]}", f"it may depend on {allowed} only")
+                continue
+            close = get_close_matches(name, [n for _, n in self.known.values()], 3)
+            same = name in close
+            hint = f"; close: {', '.join(close)}" if close and not same else ""
+            text = "is the symbol of another variable of the same name" if same else "is not declared" + hint
+            self._problem("symbol", label, f"symbol '{name}' {text}", "list its variable in the declaration, the very same object")
+        return ok
+
+    def _rows(self, what: str, label: str, rows: Sequence[Variable]) -> bool:
+        allowed = {"E": "x", "z": "x", "closed": "x", "correct": "x", "g": "a"}.get(what, "xa")
+        bad = [v for v in rows if self.kind(v) not in tuple(allowed)]
+        for v in bad:
+            words = " or ".join(_WORDS[k] for k in allowed)
+            is_what = "is not declared" if not self.kind(v) else f"is one of the {_WORDS[self.kind(v)]}"
+            self._problem("symbol", label, f"stands on '{v.name}', which {is_what}", f"use one of the {words} of this model")
+        return not bad
+
+    def rows_known(self, what: str, label: str, rows: Sequence[Variable]) -> bool:
+        return self._rows(what, label, rows)
+
+    def _problem(self, rule: str, label: str, message: str, remedy: str) -> None:
+        self.problems.append(Problem(rule, label, message, remedy))
+
+
+def as_matrix(value: Any, shape: tuple[int, int] | None = None) -> ca.SX | None:
+    """`value` as an expression; a scalar stands for a multiple of the identity where `shape` is square."""
+    try:
+        matrix = ca.SX(_sx(value))
+    except Exception:  # whatever CasADi makes of strings, None, objects
+        return None
+    if shape is not None and matrix.numel() == 1 and shape[0] == shape[1] > 1:
+        matrix = matrix * ca.SX.eye(shape[0])
+    return matrix
+
+
+def normal_form(e: Entries) -> None:
+    """Fill `e` with all entries of its model."""
+    m = e.model
+    for what, blocks in (("J", m.structure), ("R", m.dissipation)):
+        for b in blocks:
+            n = sum(v.n for v in b.variables)
+            label = f"{what} block on {', '.join(v.name for v in b.variables)}"
+            if b.matrix.numel() == 1 < n:
+                e.add(what, label, ca.SX(1, 2), (n, n))  # blocks are not widened
+            e.add(what, label, b.matrix, (n, n), b.variables, b) if b.matrix.numel() != 1 or n == 1 else None
+    for v, value in m.E.items():
+        matrix = as_matrix(value)
+        if matrix is not None and matrix.shape == (v.n, 1) and v.n > 1:
+            value = ca.diag(matrix)
+        e.add("E", f"E of '{v.name}'", value, (v.n, v.n), (v,), v)
+    for v, value in m.z.items():
+        e.add("z", f"z of '{v.name}'", value, (v.n, 1), (v,), v)
+    for i, term in enumerate(m.energies):
+        label = f"energy term {i + 1}" + (f" of {term.owner}" if term.owner else "")
+        if e.add("H", label, term.expr, (1, 1), origin=term) and term.invariant is not None:
+            e.add("C", f"invariant of {label}", term.invariant, (1, 1), origin=term)
+        e.rows_known("correct", label, term.correct)
+    for c in m.constraints:
+        e.add("g", f"constraint '{c.multiplier.name}'", c.g, (c.multiplier.n, 1), (c.multiplier,), c)
+    for o in m.observables:
+        e.add("observable", f"observable '{o.name}'", o.expr, (max(o.expr.numel(), 1), 1), origin=o)
+    _ports(e)
+    for i, pair in enumerate(m.closed):
+        _closed(e, pair, f"closed-form pair {i + 1}")
+
+
+def _ports(e: Entries) -> None:
+    for p in e.model.ports:
+        for v, coefficient in p.on.items():
+            e.add("B", f"port '{p.name}': B on '{v.name}'", coefficient, (v.n, p.n), (v,), p)
+        if p.u.shape != (p.n, 1):
+            e._problem("shape", f"port '{p.name}'", f"u has {p.u.numel()} entries, expected {p.n}", "leave u out")
+        if p.source is not None:
+            e.add("source", f"source of '{p.name}'", p.source, (p.n, 1), origin=p)
+        if p.bound is not None:
+            e.add("bound", f"port '{p.name}': bound", ca.vertcat(*p.bound), (p.n, 1), origin=p)
+
+
+def _closed(e: Entries, pair: ClosedPair, label: str) -> None:
+    n = sum(v.n for v in pair.variables)
+    x, d = ca.vertcat(*(v.sx for v in pair.variables)), ca.SX.sym("d", n)
+    ok = e.rows_known("closed", label, pair.variables)
+    for what, name, expr, shape in (
+        ("H", "H", pair.hamiltonian, (1, 1)), ("E", "E", pair.E, (n, n)), ("z", "z", pair.z, (n, 1)),
+        ("H", "ebar", pair.ebar(x, d), (n, 1)), ("H", "zbar", pair.zbar(x, d), (n, 1)),
+    ):  # fmt: skip
+        if name.endswith("bar"):
+            (expr,) = ca.substitute([ca.SX(expr)], [d], [x])  # d counts as known
+        before = len(e.sound)
+        ok = e.add(what, f"{label}: {name}", expr, shape, origin=pair) and ok
+        del e.sound[before:]
+    if ok:
+        e.pairs.append(Pair(label, pair, x, d, ca.SX(pair.ebar(x, d)), ca.SX(pair.zbar(x, d))))
+    else:
+        e.leave_out("E", pair.variables)

@@ -1,0 +1,186 @@
+"""Rules on what is declared: names, units, nominal and start values."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from phfmu.declare.check_problem import Problem
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.port import Port
+from phfmu.declare.units import UnitError, is_power, parse_unit
+from phfmu.declare.variable import Variable
+
+#: a structured name of FMI: identifiers joined by dots
+_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
+_LEDGER = ("stored", "supplied", "dissipated", "residual")
+
+
+def variables(model: PHDAE) -> Iterator[tuple[Variable, str]]:
+    """Every variable with the list it stands in."""
+    for role in ("states", "algebraics", "parameters"):
+        for v in getattr(model, role):
+            yield v, role
+
+
+def names(model: PHDAE) -> list[Problem]:
+    """Names are structured names, unique among variables, ports, observables and members; owners are members."""
+    declared = [(f"variable '{v.name}'", v.name) for v, _ in variables(model)]
+    declared += [(f"port '{p.name}'", p.name) for p in model.ports]
+    declared += [(f"observable '{o.name}'", o.name) for o in model.observables]
+    declared += [(f"member '{m}'", m) for m in model.members if m]
+    declared += [(f"junction '{j}'", j) for j, _ in model.junctions]
+    found = [
+        Problem("name", entry, f"'{name}' is not a structured name", "write identifiers joined by dots, e.g. gen.psi_d")
+        for entry, name in declared
+        if not _NAME.fullmatch(name)
+    ]
+    count = Counter(name for _, name in declared)
+    for name, n in count.items():
+        if n > 1:
+            owners = ", ".join(dict.fromkeys(entry for entry, other in declared if other == name))
+            found.append(Problem("name", owners, f"the name is used {n} times", "give each entry a name of its own"))
+    made = [(entry, name) for entry, name in _signals(model) if count[name] < 2]
+    for name, n in Counter(name for _, name in made).items():
+        entries = list(dict.fromkeys(entry for entry, other in made if other == name))
+        if n > 1 and all(count[e.split("'")[1]] < 2 for e in entries if "'" in e):
+            found.append(
+                Problem("name", ", ".join(entries), f"{n} reported signals are called '{name}'", "rename one of them")
+            )
+    return found + _owners(model)
+
+
+def _signals(model: PHDAE) -> Iterator[tuple[str, str]]:
+    """(entry, name) of every reported scalar."""
+    yield "the time", "time"
+    for member in model.members:
+        for what in _LEDGER:
+            yield f"the ledger of '{member}'", f"{member}.energy.{what}" if member else f"energy.{what}"
+    for v, role in variables(model):
+        for name in v.names():
+            yield f"variable '{v.name}'", name
+            if role == "algebraics":
+                base, bracket, index = name.partition("[")
+                yield f"value of '{v.name}' at the end of a step", f"{base}_end{bracket}{index}"
+    for port in model.ports:
+        given = port.input_names() if port.external else []
+        for name in (*given, *port.output_names(), *port.output_names("_step"), f"{port.name}.energy"):
+            yield f"port '{port.name}'", name
+    for o in model.observables:
+        n = o.expr.numel()
+        for name in [o.name] if n == 1 else [f"{o.name}[{j + 1}]" for j in range(n)]:
+            yield f"observable '{o.name}'", name
+
+
+def _owners(model: PHDAE) -> list[Problem]:
+    """Whatever is booked in the ledger belongs to a member."""
+    booked = [(f"energy term {i + 1}", e.owner) for i, e in enumerate(model.energies)]
+    booked += [(f"R block on {', '.join(v.name for v in b.variables)}", b.owner) for b in model.dissipation]
+    booked += [(f"port '{p.name}'", p.owner) for p in model.ports]
+    booked += [(f"closed-form pair {i + 1}", c.owner) for i, c in enumerate(model.closed)]
+    there = ", ".join(f"'{m}'" for m in model.members)
+    return [
+        Problem("name", entry, f"its owner '{owner}' is not a member", f"use one of the members: {there}")
+        for entry, owner in booked
+        if owner not in model.members
+    ]
+
+
+def shared_symbols(model: PHDAE) -> list[Problem]:
+    """Each symbol is declared once; without that no expression can be evaluated."""
+    found, seen = [], {}
+    declared = [(f"variable '{v.name}'", v.sx) for v, _ in variables(model)]
+    declared += [(f"port '{p.name}'", p.u) for p in model.ports]
+    for entry, symbols in declared:
+        first = seen.setdefault(symbols[0].element_hash(), entry)
+        if first is not entry:
+            what = "is listed twice" if first == entry else f"has the symbols of {first}"
+            found.append(Problem("name", entry, what, "list each variable once, under one role"))
+    return found
+
+
+def units(model: PHDAE) -> list[Problem]:
+    """Units are known and effort times flow of every port is a power."""
+    found = []
+
+    def unknown(entry: str, unit: str) -> bool:
+        try:
+            parse_unit(unit)
+        except (UnitError, TypeError, AttributeError) as e:
+            found.append(Problem("unit", entry, str(e), "write SI symbols with exponents, e.g. kg.m2/s"))
+            return True
+        return False
+
+    for v, _ in variables(model):
+        unknown(f"variable '{v.name}'", v.unit)
+    for o in model.observables:
+        unknown(f"observable '{o.name}'", o.unit)
+    for port in model.ports:
+        d = port.domain
+        pair = (f"{d.name} effort of port '{port.name}'", d.effort_unit), (f"{d.name} flow of port '{port.name}'", d.flow_unit)
+        if any([unknown(entry, unit) for entry, unit in pair]):
+            continue
+        if not is_power(d.effort_unit, d.flow_unit):
+            e, f = parse_unit(d.effort_unit), parse_unit(d.flow_unit)
+            exponents = [a + b for a, b in zip(e.without_angle(), f.without_angle(), strict=True)]
+            found.append(
+                Problem(
+                    "unit", f"port '{port.name}'",
+                    f"effort [{d.effort_unit}] times flow [{d.flow_unit}] is {e.factor * f.factor:g} times SI units with "
+                    f"exponents {exponents} of kg, m, s, A, K, mol, cd; a power has factor 1 and [1, 2, -3, 0, 0, 0, 0]",
+                    "use a conjugate pair whose product is the watt, e.g. V and A, N and m/s",
+                )
+            )  # fmt: skip
+    return found
+
+
+def nominals(model: PHDAE) -> list[Problem]:
+    """Nominal values are positive and finite."""
+    values = [(f"variable '{v.name}'", v.nominal) for v, role in variables(model) if role != "parameters"]
+    values += [(f"port '{p.name}'", p.nominal) for p in model.ports]
+    found = []
+    for entry, value in values:
+        array = np.atleast_1d(np.asarray(value, float))
+        bad = array[~((array > 0) & np.isfinite(array))]
+        if bad.size:
+            found.append(
+                Problem("nominal", entry, f"nominal = {bad[0]:g}", "give the typical magnitude, positive and finite")
+            )
+    return found
+
+
+def starts(model: PHDAE) -> list[Problem]:
+    """Start values are finite and as many as the variable has entries."""
+    found = []
+    for v, role in variables(model):
+        what = "value" if role == "parameters" else "start"
+        found += _start(f"variable '{v.name}'", what, v.start, v.n, v.names())
+        if len(v.nominal) != v.n:
+            found.append(_count(f"variable '{v.name}'", "nominal", len(v.nominal), v.n))
+    for port in model.ports:
+        found += _start(f"port '{port.name}'", "start", _spread(port.start, port), port.n, port.input_names())
+        if _spread(port.nominal, port).size != port.n:
+            found.append(_count(f"port '{port.name}'", "nominal", np.size(port.nominal), port.n))
+    return found
+
+
+def _spread(value: object, port: Port) -> np.ndarray:
+    array = np.asarray(value, float).ravel()
+    return np.full(port.n, array[0]) if array.size == 1 else array
+
+
+def _count(entry: str, what: str, found: int, expected: int) -> Problem:
+    return Problem("shape", entry, f"{what} has {found} entries, expected {expected}", "give one number or one per entry")
+
+
+def _start(entry: str, what: str, value, n: int, scalar: list[str]) -> list[Problem]:
+    array = np.asarray(value, float).ravel()
+    if array.size != n:
+        return [_count(entry, what, array.size, n)]
+    bad = np.flatnonzero(~np.isfinite(array))
+    if not bad.size:
+        return []
+    return [Problem("start", entry, f"the {what} of {scalar[bad[0]]} is {array[bad[0]]}", "give a finite number")]

@@ -1,0 +1,144 @@
+"""Sampled points around the start at which matrices and energies are evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.check_entries import Entries
+from phfmu.declare.variable import Variable
+
+Array = NDArray[np.float64]
+
+#: the start itself, then fractions of the nominal size, drawn with a fixed seed
+FRACTIONS = (0.0, 0.01, 0.1, 0.5, 0.5, 0.9)
+
+
+class Sample:
+    """Points (x, z, a, u, p, t); z = E^-T grad H where that is finite, random elsewhere.
+
+    `known_z` (points x n1): where z was computed.  Points stay within max(nominal, |start|) of the start, so that
+    quantities whose start exceeds neither keep their sign.
+    """
+
+    def __init__(self, entries: Entries):
+        model = entries.model
+        self._entries = entries
+        rng = np.random.default_rng(1)
+        self.n = len(FRACTIONS)
+        x, size = _around(model.states, rng)
+        self.size = size
+        a, _ = _around(model.algebraics, rng)
+        u = np.concatenate([np.zeros((self.n, 0)), *(rng.uniform(-1, 1, (self.n, p.u.numel())) for p in model.ports)], 1)
+        p = np.array([v if np.isfinite(v) else 1.0 for q in model.parameters for v in q.start], float)
+        z = rng.uniform(-1.0, 1.0, x.shape)
+        self._symbols = [
+            model.x, ca.vertcat(*(v.z for v in model.states)), ca.vertcat(*(v.sx for v in model.algebraics)),
+            ca.vertcat(*(q.u for q in model.ports)), ca.vertcat(*(v.sx for v in model.parameters)),
+        ]  # fmt: skip
+        self._values = [x, z, a, u, np.tile(p, (self.n, 1)), rng.uniform(0.0, 1.0, (self.n, 1)) * (np.arange(self.n) > 0)[:, None]]
+        self.known_z = np.zeros(x.shape, bool)
+        if entries.complete:
+            derived = self._costates()
+            self.known_z = np.isfinite(derived)
+            self._values[1] = np.where(self.known_z, derived, z)
+
+    @property
+    def x(self) -> Array:
+        return self._values[0]
+
+    @property
+    def z(self) -> Array:
+        return self._values[1]
+
+    def values(self, exprs: Sequence[ca.SX], extra: tuple[ca.SX, Array] | None = None) -> list[Array]:
+        """Each expression at all points (points x rows x cols); `extra`: further symbols and their values per point."""
+        from phfmu.declare.variable import time
+
+        if not exprs:
+            return []
+        symbols, given = [*self._symbols, time], list(self._values)
+        if extra is not None:
+            symbols.append(extra[0])
+            given.append(extra[1])
+        stacked = ca.densify(ca.vertcat(*(ca.vec(e) for e in exprs)))
+        f = ca.Function("values", symbols, [stacked])
+        rows = np.array([f(*(v[i] for v in given)).full().ravel() for i in range(self.n)])
+        out, at = [], 0
+        for e in exprs:
+            part = rows[:, at : at + e.numel()]
+            out.append(part.reshape(self.n, e.shape[1], e.shape[0]).transpose(0, 2, 1))
+            at += e.numel()
+        return out
+
+    def gradient(self) -> ca.SX:
+        """grad H of the sound energy terms."""
+        entries, model = self._entries, self._entries.model
+        total = ca.SX(0)
+        for e in entries.of("H"):
+            total += e.expr
+        for pair in entries.pairs:
+            total += pair.origin.hamiltonian
+        return ca.gradient(total, model.x) if model.x.numel() else ca.SX(0, 1)
+
+    def _costates(self) -> Array:
+        """z = E^-T grad H at every point, not a number where E is singular."""
+        entries, model = self._entries, self._entries.model
+        row = _rows(model.states)
+        blocks = entries.of("E")
+        grad, *rest = self.values([self.gradient(), *(b.expr for b in blocks), *(p.origin.z for p in entries.pairs)])
+        z = grad[:, :, 0].copy()
+        for b, value in zip(blocks, rest[: len(blocks)], strict=True):
+            where = [i for v in b.rows for i in row[id(v)]]
+            for i in range(self.n):
+                z[i, where] = _solved(value[i].T, z[i, where])
+        for pair, value in zip(entries.pairs, rest[len(blocks) :], strict=True):
+            z[:, [i for v in pair.origin.variables for i in row[id(v)]]] = value[:, :, 0]
+        return z
+
+    def where(self, i: int, *exprs: ca.SX) -> str:
+        """The point in words: the values of some variables the expressions depend on."""
+        if i == 0:
+            return "at the start"
+        names, values = [], []
+        for s in ca.symvar(ca.vertcat(*(ca.vec(e) for e in exprs))):
+            for symbols, given in zip(self._symbols[:4], self._values[:4], strict=True):
+                hashes = [symbols[j].element_hash() for j in range(symbols.numel())]
+                if s.element_hash() in hashes:
+                    names.append(self._entries.known[s.element_hash()][1])
+                    values.append(given[i, hashes.index(s.element_hash())])
+        text = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names[:4], values, strict=False))
+        return f"at {text}{', ..' if len(names) > 4 else ''}" if names else "at every point"
+
+
+def _around(variables: tuple[Variable, ...], rng: np.random.Generator) -> tuple[Array, Array]:
+    """Points around the starts (n x size) and the size of each entry; starts that are not finite count as 0."""
+    start = np.array([s for v in variables for s in _fitted(v.start, v.n)], float)
+    nominal = np.array([s for v in variables for s in _fitted(v.nominal, v.n)], float)
+    start = np.where(np.isfinite(start), start, 0.0)
+    nominal = np.where(np.isfinite(nominal) & (nominal > 0), nominal, 1.0)
+    size = np.maximum(nominal, np.abs(start))
+    step = np.array(FRACTIONS)[:, None] * rng.uniform(-1.0, 1.0, (len(FRACTIONS), len(start)))
+    return start + step * size, size
+
+
+def _fitted(values: Sequence[float], n: int) -> list[float]:
+    return [*values, *[0.0] * n][:n]
+
+
+def _rows(variables: tuple[Variable, ...]) -> dict[int, list[int]]:
+    out, at = {}, 0
+    for v in variables:
+        out[id(v)] = list(range(at, at + v.n))
+        at += v.n
+    return out
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    try:
+        return np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError:
+        return np.full(len(right), np.nan)

@@ -1,0 +1,265 @@
+"""Instances of units: what a network steps, whether the unit was written by this package or by another tool."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from phfmu.engine.status import Status, StepFailure
+from phfmu.fmu.archive import open_archive
+from phfmu.fmu.interface import Interface, Scalar
+from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.slave import References, Slave
+from phfmu.fmu.variables import FMUError
+
+Array = NDArray[np.float64]
+_STEP = ("storedStep", "dissipatedStep", "suppliedStep")
+
+
+@dataclass(eq=False)
+class SavedState:
+    """A state inside the unit and what the instance knows beside it; freed when nobody holds it."""
+
+    handle: Any
+    memory: dict[str, Any]
+    __weakref__: Any = field(init=False, repr=False)
+
+
+class FMUInstance:
+    """A unit a master can step, the twin of `NativeInstance`.
+
+    Inputs u (nu) of all ports in order are held over a step; `output()` gives the means y that belong to them, so that
+    h u^T y is the supplied energy: exactly for units with `*_step` outputs, as the trapezoidal rule gives it for
+    others (`estimated`).  Units, and signs of a PortMap: power into the component.
+
+    `ports`: only for foreign units.  `starts`: values of parameters, states and inputs before the start.
+    Errors: FMUError; StepFailure for a refused step (units of this package are then at their last accepted step).
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        ports: Sequence[PortMap] | None = None,
+        *,
+        starts: Mapping[str, float] | None = None,
+        start: float | None = None,
+        stop: float | None = None,
+        name: str | None = None,
+    ):
+        archive = open_archive(path)
+        self.interface: Interface = archive.interface
+        self.name = name or self.interface.name
+        self.ports: tuple[PortMap, ...] = self.interface.ports if ports is None else tuple(ports)
+        self.inputs = [n for p in self.ports for n in p.inputs]
+        self.outputs = [n for p in self.ports for n in p.outputs]
+        means = [n for p in self.ports for n in p.step_outputs]
+        #: the ledger is a quadrature of port power, because the unit does not tell its own
+        self.estimated = len(means) != len(self.inputs) or not all(s in self.interface.energy for s in _STEP)
+        self._sign = np.array([p.sign for p in self.ports for _ in p.inputs])
+        refs = self.interface.references
+        self._u = References(refs(self.inputs, "input"))
+        self._y_end = References(refs(self.outputs, "output"))
+        self._y_mean = self._y_end if self.estimated else References(refs(means, "output"))
+        self._mean_refs = [] if self.estimated else refs(means, "output")
+        self._books = References([] if self.estimated else refs([self.interface.energy[s] for s in _STEP], "output"))
+        self._require_pairs()
+        self._starts, self._span = dict(starts or {}), (self.interface.start if start is None else start, stop)
+        self._slave = Slave(archive, self.name)
+        self._handles: dict[int, Any] = {}
+        self._close = weakref.finalize(self, _free, self._slave, self._handles, archive)
+        try:
+            self._initialise()
+        except BaseException:
+            self.close()
+            raise
+
+    def _require_pairs(self) -> None:
+        for p in self.ports:
+            if len(p.inputs) != len(p.outputs):
+                raise FMUError(f"{self.name}.{p.name}: {len(p.inputs)} inputs but {len(p.outputs)} outputs; give pairs")
+        for n in self.inputs:
+            if self.interface.variables[n].causality != "input":
+                raise FMUError(f"{self.name}: '{n}' is no input but {self.interface.variables[n].causality}")
+
+    # -- life -------------------------------------------------------------------------------------------------------
+
+    def _initialise(self) -> None:
+        start, stop = self._span
+        self._slave.enter(start, stop)
+        if self._starts:
+            r = References(self.interface.references(list(self._starts), "variable"))
+            r.values[:] = list(self._starts.values())
+            self._slave.set(r)
+        self._slave.leave()
+        self._u.values[:] = self.start_inputs()
+        self.time, self._h = start, 0.0
+        self._supplied = np.zeros(self.nu)
+        self._pairs = np.zeros(self.nu)
+        self._before = self._after = self._slave.get(self._y_end).copy() if self.estimated else np.zeros(0)
+
+    def close(self) -> None:
+        """Free the unit and its saved states; the instance cannot be used afterwards."""
+        self._close()
+
+    def __enter__(self) -> FMUInstance:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def reset(self) -> None:
+        """Back to the start values."""
+        self._slave.reset()
+        self._initialise()
+
+    # -- steps ------------------------------------------------------------------------------------------------------
+
+    @property
+    def nu(self) -> int:
+        """Number of scalar port pairs."""
+        return self._u.n
+
+    def start_inputs(self) -> Array:
+        """Inputs before anyone sets them."""
+        declared = [self.interface.variables[n].start or 0.0 for n in self.inputs]
+        return np.array([self._starts.get(n, s) for n, s in zip(self.inputs, declared, strict=True)])
+
+    def set_input(self, u: ArrayLike) -> None:
+        """Inputs (nu), held over the next steps."""
+        values = np.asarray(u, float)
+        if values.shape != (self.nu,) or not np.isfinite(values).all():
+            raise ValueError(f"{self.name}: expected {self.nu} finite inputs, got {u}")
+        self._u.values[:] = values
+        if self.nu:
+            self._slave.set(self._u)
+
+    def do_step(self, t: float, h: float) -> None:
+        """One communication step over [t, t + h]; StepFailure holds the words of the unit."""
+        try:
+            self._slave.do_step(t, h)
+        except FMUError as error:
+            raise StepFailure(Status.NO_CONVERGENCE, self.name, t, h, tried=f"its own means: {error}") from error
+        self.time, self._h = t + h, h
+        if self.estimated:
+            self._before, self._after = self._after, self._slave.get(self._y_end).copy()
+            self._pairs = h * self._u.values * self.output()
+            self._supplied = self._supplied + self._pairs
+
+    def output(self) -> Array:
+        """Step-conjugate means of the port outputs (nu)."""
+        if self.estimated:
+            return self._sign * (self._before + self._after) / 2
+        return self._slave.get(self._y_mean) * self._sign
+
+    def end_output(self) -> Array:
+        """Port outputs at the present time (nu)."""
+        return self._slave.get(self._y_end) * self._sign
+
+    def sensitivity(self) -> Array:
+        """S = d(mean outputs)/d(held inputs) of the last step (nu x nu).
+
+        StepFailure NO_SENSITIVITY if the unit does not give it: use finite differences.
+        """
+        if self.estimated or not self.interface.derivatives:
+            raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h)
+        s = np.zeros((self.nu, self.nu))
+        try:
+            for j, known in enumerate(self._u.references[: self.nu]):
+                s[:, j] = self._slave.derivative(self._mean_refs, known)
+        except FMUError as error:
+            raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)) from error
+        return s
+
+    # -- saved states -----------------------------------------------------------------------------------------------
+
+    def get_state(self) -> SavedState:
+        """A complete copy; stepping after `set_state` gives the same bits.  FMUError if the unit cannot save."""
+        if not self.interface.saves:
+            raise FMUError(f"{self.name}: the unit cannot save its state; choose a coupling without rollback (jacobi)")
+        handle = self._slave.save()
+        return self._kept(handle)
+
+    def _kept(self, handle: Any) -> SavedState:
+        memory = {n: np.copy(getattr(self, n)) for n in ("_before", "_after", "_supplied", "_pairs")}
+        memory |= {"time": self.time, "_h": self._h, "u": self._u.values.copy()}
+        state = SavedState(handle, memory)
+        self._handles[id(handle)] = handle
+        weakref.finalize(state, _forget, self._slave, self._handles, id(handle))
+        return state
+
+    def set_state(self, state: SavedState) -> None:
+        """Restores what `get_state` gave."""
+        self._slave.restore(state.handle)
+        for name, value in state.memory.items():
+            if name == "u":
+                self._u.values[:] = value
+            else:
+                setattr(self, name, value.copy() if isinstance(value, np.ndarray) else value)
+
+    def serialize(self, state: SavedState) -> bytes:
+        """The state as bytes, for another instance of the same unit, also in another process."""
+        return self._slave.serialize(state.handle)
+
+    def deserialize(self, data: bytes, like: SavedState) -> SavedState:
+        """A state of this instance from bytes; `like` gives what the instance knows beside the unit."""
+        state = self._kept(self._slave.deserialize(data))
+        state.memory = dict(like.memory)
+        return state
+
+    # -- reading ----------------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> list[str]:
+        """Variables that may change during a run: inputs, outputs and local variables."""
+        return [n for n, v in self.interface.variables.items() if v.causality in ("input", "output", "local")]
+
+    def variable(self, name: str) -> Scalar:
+        """What the unit says about a variable."""
+        self.interface.references([name], "variable")
+        return self.interface.variables[name]
+
+    def get(self, names: Iterable[str]) -> Array:
+        """Values at the present time."""
+        return self._slave.get(References(self.interface.references(list(names), "variable")))
+
+    def values(self) -> dict[str, float]:
+        """All variables of `names`."""
+        names = self.names
+        return dict(zip(names, self.get(names).tolist(), strict=True))
+
+    def energies(self) -> Array:
+        """Stored energy (1); of an estimated unit, what was supplied since the start."""
+        if self.estimated:
+            return np.array([self._supplied.sum()])
+        return self.get([self.interface.energy["stored"]])
+
+    def ledger(self) -> dict[str, Array]:
+        """Of the last step: stored, dissipated, supplied (1 each) and energy through each pair (nu) [J].
+
+        An estimated unit keeps to itself what it dissipates: stored is what was supplied.
+        """
+        if self.estimated:
+            supplied = np.array([self._pairs.sum()])
+            return {"stored": supplied, "dissipated": np.zeros(1), "supplied": supplied, "pairs": self._pairs.copy()}
+        books = self._slave.get(self._books).copy()
+        pairs = self._h * self._u.values * self.output()
+        return {"stored": books[:1], "dissipated": books[1:2], "supplied": books[2:], "pairs": pairs}
+
+
+def _forget(slave: Slave, handles: dict[int, Any], key: int) -> None:
+    handle = handles.pop(key, None)
+    if handle is not None:
+        slave.forget(handle)
+
+
+def _free(slave: Slave, handles: dict[int, Any], archive: object) -> None:
+    """`archive` is held so that its folder outlives the library."""
+    for key in list(handles):
+        _forget(slave, handles, key)
+    slave.free()
