@@ -44,17 +44,18 @@ def kernel(name: str, sizes: tuple[int, int, int], out: Callable, ledger: Callab
 
 
 def products(entries: dict[tuple[int, int], list[tuple[int, int, float, int]]]) -> Products:
+    """Sums of products of a sparse matrix: (row, col) -> list of (slot, slot, value, power of h)."""
     keys = sorted(entries, key=lambda e: (e[1], e[0]))
-    lists = [entries[k] for k in keys]
-    flat = [f for part in lists for f in part]
-    columns = [np.array([f[i] for f in flat]) for i in range(4)]
-    ptr = np.cumsum([0] + [len(part) for part in lists])
-    types = (np.int32, np.int32, float, np.int8)
+    flat = [f for key in keys for f in entries[key]]
+    s, t, value, power = (np.array([f[i] for f in flat]) for i in range(4))
     return Products(
-        np.array([k[0] for k in keys], np.int32),
-        np.array([k[1] for k in keys], np.int32),
-        ptr.astype(np.int32),
-        *(c.astype(t) for c, t in zip(columns, types, strict=True)),  # pyright: ignore[reportArgumentType]
+        row=np.array([k[0] for k in keys], np.int32),
+        col=np.array([k[1] for k in keys], np.int32),
+        ptr=np.cumsum([0] + [len(entries[k]) for k in keys]).astype(np.int32),
+        s=s.astype(np.int32),
+        t=t.astype(np.int32),
+        value=value.astype(float),
+        power=power.astype(np.int8),
     )
 
 

@@ -40,7 +40,7 @@ OMEGA = 120.0 * np.pi
 
 
 def steps(model, k, h, n, inputs):
-    """A Python instance after n steps with `inputs` at the k nodes, and the worst relative ledger gap of a step."""
+    """A Python instance after n steps with `inputs` at the k nodes, and the worst ledger gap of a step."""
     plan = discretise(model, Collocated(k))
     instance, worst = PythonInstance(plan), 0.0
     for i in range(n):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from cmath import exp, phase
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 
-from phfmu.components.electrical.machine_data import COUPLING, MachineData, MachineDataError
+from phfmu.components.electrical.machine_data import COUPLING, MachineData, MachineDataError, machine_set
 
 ALPHA = (0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0)
 
@@ -60,7 +61,7 @@ def operating_point(
 
 
 def steady_state(
-    machine: MachineData,
+    machine: str | Mapping[str, Any] | MachineData,
     P: float | None = None,
     Q: float | None = None,
     V: float | None = None,
@@ -71,7 +72,8 @@ def steady_state(
     Defaults: 0.8 and 0.2 of the rated power, rated voltage.  The torque covers the losses of stator and
     friction: tau omega = P + 3/2 Ra |I|^2 + d omega^2.  MachineDataError if the field has no mutual M.
     """
-    m, w = machine, machine.omega
+    m = machine_set(machine)
+    w = m.omega
     P, Q = 0.8 * m.Sn if P is None else P, 0.2 * m.Sn if Q is None else Q
     V = m.Vn_rms_ll if V is None else V
     M_f = m.M_stator_rotor[0]

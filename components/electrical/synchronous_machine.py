@@ -60,7 +60,7 @@ def synchronous_machine(
     omega, J, d, tau are electrical (one pole pair) unless the set gives pole_pairs; then J, d, torque and
     speed of the shaft port are mechanical, theta and p stay electrical, p = J omega / pole_pairs^2.
     `start` (default: 0.8 and 0.2 of rated P, Q) also gives the start values of the inputs.
-    "abc-flux" keeps the phase fluxes exact; "current" has E = [[L, 0, L'I], [0, 1, 0], [0, 0, 1]] and order 2.
+    "abc-flux" keeps the phase fluxes exact; "current" has E = [[L, 0, L'I], [0, 1, 0], [0, 0, 1]], order 2.
     Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, Example 4, Appendix B; Kundur 1994, chapter 3.
     """
     data = machine_set(machine)

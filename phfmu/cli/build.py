@@ -88,7 +88,7 @@ def _monolithic(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str
     if engine == "fmu":
         from phfmu.network.fmu_member import FMUStepper
 
-        return FMUStepper(_as_fmu(declaration, scheme, args)), s, label
+        return FMUStepper(_as_fmu(declaration, scheme, args, s.step)), s, label
     model = build_model(declaration, scheme)
     return Monolithic(model, instance_of(model, engine)), s, label
 
@@ -107,14 +107,14 @@ def _coupled(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
         if engine == "fmu":
             from phfmu.network.fmu_member import FMUMember
 
-            members.append(FMUMember(name, _as_fmu(replace(declaration, name=name), own, args)))
+            members.append(FMUMember(name, _as_fmu(replace(declaration, name=name), own, args, s.step)))
         else:
             model = build_model(replace(declaration, name=name), own)
             members.append(EngineMember(name, model, instance_of(model, engine)))
     return Coupled(s.system, members), s, _label(scheme, engine, "newton coupling")  # type: ignore[arg-type]
 
 
-def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace) -> Any:
+def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: float) -> Any:
     """The declaration exported to a temporary folder and loaded again."""
     import atexit
     import shutil
@@ -126,7 +126,7 @@ def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace) -> Any:
 
     folder = tempfile.mkdtemp(prefix="phfmu-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    step = args.step or 1.0
+    step = step if args.step is None else args.step
     (path,) = export(declaration, build_model(declaration, scheme), folder, versions=(args.fmi,), step=step)
     return FMUInstance(path)
 
@@ -135,7 +135,5 @@ def _fmu_run(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
     from phfmu.fmu.reader import FMUInstance
     from phfmu.network.fmu_member import FMUStepper, fmu_scene
 
-    stepper = FMUStepper(FMUInstance(args.target))
-    for name, value in settings(args.set).items():
-        stepper.set_value(name, value)
-    return stepper, fmu_scene(args.target), "FMU"
+    unit = FMUInstance(args.target, starts=settings(args.set))
+    return FMUStepper(unit), fmu_scene(unit), f"FMI {unit.interface.version}"

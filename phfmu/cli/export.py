@@ -26,7 +26,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.options import scheme_of, settings
     from phfmu.cli.target import scene
     from phfmu.discretise.model import build_model
-    from phfmu.fmu.export import ALL_PLATFORMS, export
+    from phfmu.fmu.export import PLATFORMS, export
 
     s = scene(args.target)
     system = _with_settings(s.system, settings(args.set))
@@ -35,7 +35,7 @@ def call(args: argparse.Namespace) -> int:
     if not step > 0:
         raise ValueError(f"--step {step} s must be positive")
     versions = tuple(f"{v}.0" for v in (args.fmi or ("2", "3")))
-    platforms = ALL_PLATFORMS if args.all_platforms else args.platform
+    platforms = list(PLATFORMS) if args.all_platforms else args.platform
     model = build_model(declaration, scheme_of(args, declaration))
     paths = export(declaration, model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms)
     for path in paths:

@@ -22,7 +22,18 @@ if TYPE_CHECKING:
     from phfmu.discretise.collocated import Collocated
 
 #: a model with a problem of these rules is not discretised: the planner would only repeat it
-BLOCKING = {"shape", "symbol", "source", "start", "nominal", "energy", "mass", "velocity", "unused", "internal"}
+BLOCKING = {
+    "shape",
+    "symbol",
+    "source",
+    "start",
+    "nominal",
+    "energy",
+    "mass",
+    "velocity",
+    "unused",
+    "internal",
+}
 
 
 def check(model: PHDAE, scheme: Collocated | None = None) -> list[Problem]:

@@ -17,7 +17,14 @@ from phfmu.declare.variable import Variable, _sx, time
 #: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
 ALLOWED = {"H": "xp", "E": "xp", "z": "xp", "g": "xp", "source": "pt", "J": "xzaupt", "R": "xzaupt", "B": "xzaupt",
            "observable": "xzaupt", "C": "xp", "bound": "a"}  # fmt: skip
-_WORDS = {"x": "states", "z": "costates", "a": "algebraic variables", "u": "inputs", "p": "parameters", "t": "time"}
+_WORDS = {
+    "x": "states",
+    "z": "costates",
+    "a": "algebraic variables",
+    "u": "inputs",
+    "p": "parameters",
+    "t": "time",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,18 +87,25 @@ class Entries:
 
     def kind(self, v: Variable) -> str:
         """Kind of a variable, "" if it is not declared."""
-        return self.known.get(v.sx[0].element_hash(), ("", ""))[0]
+        return self.known.get(key(v), ("", ""))[0]
 
     def leave_out(self, what: str, rows: Sequence[Variable]) -> None:
         self.doubtful |= {s.element_hash() for v in rows for s in ca.vertsplit(v.sx)}
         self.complete &= what not in ("H", "E")
 
-    def add(self, what: str, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None) -> bool:
+    def add(
+        self, what: str, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None
+    ) -> bool:
         """File an expression; True if its shape, rows and symbols are right."""
-        matrix = as_matrix(expr, shape)
+        matrix = as_matrix(expr, shape if what in ("E", "B") else None)
         ok = self._rows(what, label, rows)
         if matrix is None:
-            self._problem("shape", label, f"{expr!r} is not an expression", "give numbers or expressions of the variables")
+            self._problem(
+                "shape",
+                label,
+                f"{expr!r} is not an expression",
+                "give numbers or expressions of the variables",
+            )
             ok = False
         elif shape is not None and matrix.shape != shape:
             self._problem(
@@ -118,13 +132,23 @@ class Entries:
             allowed = " and ".join(_WORDS[k] for k in ALLOWED[what])
             if kind:
                 rule = "source" if what == "source" else "symbol"
-                self._problem(rule, label, f"depends on '{name}', one of the {_WORDS[kind]}", f"it may depend on {allowed} only")
+                self._problem(
+                    rule,
+                    label,
+                    f"depends on '{name}', one of the {_WORDS[kind]}",
+                    f"it may depend on {allowed} only",
+                )
                 continue
             close = get_close_matches(name, [n for _, n in self.known.values()], 3)
             same = name in close
             hint = f"; close: {', '.join(close)}" if close and not same else ""
             text = "is the symbol of another variable of the same name" if same else "is not declared" + hint
-            self._problem("symbol", label, f"symbol '{name}' {text}", "list its variable in the declaration, the very same object")
+            self._problem(
+                "symbol",
+                label,
+                f"symbol '{name}' {text}",
+                "list its variable in the declaration, the very same object",
+            )
         return ok
 
     def _rows(self, what: str, label: str, rows: Sequence[Variable]) -> bool:
@@ -133,7 +157,12 @@ class Entries:
         for v in bad:
             words = " or ".join(_WORDS[k] for k in allowed)
             is_what = "is not declared" if not self.kind(v) else f"is one of the {_WORDS[self.kind(v)]}"
-            self._problem("symbol", label, f"stands on '{v.name}', which {is_what}", f"use one of the {words} of this model")
+            self._problem(
+                "symbol",
+                label,
+                f"stands on '{v.name}', which {is_what}",
+                f"use one of the {words} of this model",
+            )
         return not bad
 
     def rows_known(self, what: str, label: str, rows: Sequence[Variable]) -> bool:
@@ -141,6 +170,11 @@ class Entries:
 
     def _problem(self, rule: str, label: str, message: str, remedy: str) -> None:
         self.problems.append(Problem(rule, label, message, remedy))
+
+
+def key(v: Variable) -> int:
+    """What tells variables apart: their symbols."""
+    return v.sx[0].element_hash()
 
 
 def as_matrix(value: Any, shape: tuple[int, int] | None = None) -> ca.SX | None:
@@ -161,9 +195,7 @@ def normal_form(e: Entries) -> None:
         for b in blocks:
             n = sum(v.n for v in b.variables)
             label = f"{what} block on {', '.join(v.name for v in b.variables)}"
-            if b.matrix.numel() == 1 < n:
-                e.add(what, label, ca.SX(1, 2), (n, n))  # blocks are not widened
-            e.add(what, label, b.matrix, (n, n), b.variables, b) if b.matrix.numel() != 1 or n == 1 else None
+            e.add(what, label, b.matrix, (n, n), b.variables, b)
     for v, value in m.E.items():
         matrix = as_matrix(value)
         if matrix is not None and matrix.shape == (v.n, 1) and v.n > 1:
@@ -190,7 +222,9 @@ def _ports(e: Entries) -> None:
         for v, coefficient in p.on.items():
             e.add("B", f"port '{p.name}': B on '{v.name}'", coefficient, (v.n, p.n), (v,), p)
         if p.u.shape != (p.n, 1):
-            e._problem("shape", f"port '{p.name}'", f"u has {p.u.numel()} entries, expected {p.n}", "leave u out")
+            e._problem(
+                "shape", f"port '{p.name}'", f"u has {p.u.numel()} entries, expected {p.n}", "leave u out"
+            )
         if p.source is not None:
             e.add("source", f"source of '{p.name}'", p.source, (p.n, 1), origin=p)
         if p.bound is not None:

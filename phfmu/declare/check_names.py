@@ -34,7 +34,12 @@ def names(model: PHDAE) -> list[Problem]:
     declared += [(f"member '{m}'", m) for m in model.members if m]
     declared += [(f"junction '{j}'", j) for j, _ in model.junctions]
     found = [
-        Problem("name", entry, f"'{name}' is not a structured name", "write identifiers joined by dots, e.g. gen.psi_d")
+        Problem(
+            "name",
+            entry,
+            f"'{name}' is not a structured name",
+            "write identifiers joined by dots, e.g. gen.psi_d",
+        )
         for entry, name in declared
         if not _NAME.fullmatch(name)
     ]
@@ -42,13 +47,20 @@ def names(model: PHDAE) -> list[Problem]:
     for name, n in count.items():
         if n > 1:
             owners = ", ".join(dict.fromkeys(entry for entry, other in declared if other == name))
-            found.append(Problem("name", owners, f"the name is used {n} times", "give each entry a name of its own"))
+            found.append(
+                Problem("name", owners, f"the name is used {n} times", "give each entry a name of its own")
+            )
     made = [(entry, name) for entry, name in _signals(model) if count[name] < 2]
     for name, n in Counter(name for _, name in made).items():
         entries = list(dict.fromkeys(entry for entry, other in made if other == name))
         if n > 1 and all(count[e.split("'")[1]] < 2 for e in entries if "'" in e):
             found.append(
-                Problem("name", ", ".join(entries), f"{n} reported signals are called '{name}'", "rename one of them")
+                Problem(
+                    "name",
+                    ", ".join(entries),
+                    f"{n} reported signals are called '{name}'",
+                    "rename one of them",
+                )
             )
     return found + _owners(model)
 
@@ -120,7 +132,10 @@ def units(model: PHDAE) -> list[Problem]:
         unknown(f"observable '{o.name}'", o.unit)
     for port in model.ports:
         d = port.domain
-        pair = (f"{d.name} effort of port '{port.name}'", d.effort_unit), (f"{d.name} flow of port '{port.name}'", d.flow_unit)
+        pair = (
+            (f"{d.name} effort of port '{port.name}'", d.effort_unit),
+            (f"{d.name} flow of port '{port.name}'", d.flow_unit),
+        )
         if any([unknown(entry, unit) for entry, unit in pair]):
             continue
         if not is_power(d.effort_unit, d.flow_unit):
@@ -147,7 +162,12 @@ def nominals(model: PHDAE) -> list[Problem]:
         bad = array[~((array > 0) & np.isfinite(array))]
         if bad.size:
             found.append(
-                Problem("nominal", entry, f"nominal = {bad[0]:g}", "give the typical magnitude, positive and finite")
+                Problem(
+                    "nominal",
+                    entry,
+                    f"nominal = {bad[0]:g}",
+                    "give the typical magnitude, positive and finite",
+                )
             )
     return found
 
@@ -173,7 +193,9 @@ def _spread(value: object, port: Port) -> np.ndarray:
 
 
 def _count(entry: str, what: str, found: int, expected: int) -> Problem:
-    return Problem("shape", entry, f"{what} has {found} entries, expected {expected}", "give one number or one per entry")
+    return Problem(
+        "shape", entry, f"{what} has {found} entries, expected {expected}", "give one number or one per entry"
+    )
 
 
 def _start(entry: str, what: str, value, n: int, scalar: list[str]) -> list[Problem]:
@@ -183,4 +205,6 @@ def _start(entry: str, what: str, value, n: int, scalar: list[str]) -> list[Prob
     bad = np.flatnonzero(~np.isfinite(array))
     if not bad.size:
         return []
-    return [Problem("start", entry, f"the {what} of {scalar[bad[0]]} is {array[bad[0]]}", "give a finite number")]
+    return [
+        Problem("start", entry, f"the {what} of {scalar[bad[0]]} is {array[bad[0]]}", "give a finite number")
+    ]

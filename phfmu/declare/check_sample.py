@@ -8,8 +8,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_entries import Entries
-from phfmu.declare.variable import Variable
+from phfmu.declare.check_entries import Entries, key
+from phfmu.declare.port import Port
+from phfmu.declare.variable import Variable, time
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,7 @@ FRACTIONS = (0.0, 0.01, 0.1, 0.5, 0.5, 0.9)
 class Sample:
     """Points (x, z, a, u, p, t); z = E^-T grad H where that is finite, random elsewhere.
 
+    `size` (n1): max(nominal, |start|);  `place`: first row of each state by `key`.
     `known_z` (points x n1): where z was computed.  Points stay within max(nominal, |start|) of the start, so that
     quantities whose start exceeds neither keep their sign.
     """
@@ -30,21 +32,27 @@ class Sample:
         rng = np.random.default_rng(1)
         self.n = len(FRACTIONS)
         x, size = _around(model.states, rng)
-        self.size = size
+        self.size, self.place = size, _places(model.states)
         a, _ = _around(model.algebraics, rng)
-        u = np.concatenate([np.zeros((self.n, 0)), *(rng.uniform(-1, 1, (self.n, p.u.numel())) for p in model.ports)], 1)
+        u = _inputs(model.ports, rng)
         p = np.array([v if np.isfinite(v) else 1.0 for q in model.parameters for v in q.start], float)
         z = rng.uniform(-1.0, 1.0, x.shape)
         self._symbols = [
             model.x, ca.vertcat(*(v.z for v in model.states)), ca.vertcat(*(v.sx for v in model.algebraics)),
             ca.vertcat(*(q.u for q in model.ports)), ca.vertcat(*(v.sx for v in model.parameters)),
         ]  # fmt: skip
-        self._values = [x, z, a, u, np.tile(p, (self.n, 1)), rng.uniform(0.0, 1.0, (self.n, 1)) * (np.arange(self.n) > 0)[:, None]]
+        t = rng.uniform(0.0, 1.0, (self.n, 1))
+        t[0] = 0.0
+        self._values = [x, z, a, u, np.tile(p, (self.n, 1)), t]
         self.known_z = np.zeros(x.shape, bool)
         if entries.complete:
             derived = self._costates()
             self.known_z = np.isfinite(derived)
             self._values[1] = np.where(self.known_z, derived, z)
+
+    def rows(self, v: Variable) -> range:
+        """Rows of a state in x and z."""
+        return range(self.place[key(v)], self.place[key(v)] + v.n)
 
     @property
     def x(self) -> Array:
@@ -56,8 +64,6 @@ class Sample:
 
     def values(self, exprs: Sequence[ca.SX], extra: tuple[ca.SX, Array] | None = None) -> list[Array]:
         """Each expression at all points (points x rows x cols); `extra`: further symbols and their values per point."""
-        from phfmu.declare.variable import time
-
         if not exprs:
             return []
         symbols, given = [*self._symbols, time], list(self._values)
@@ -87,16 +93,17 @@ class Sample:
     def _costates(self) -> Array:
         """z = E^-T grad H at every point, not a number where E is singular."""
         entries, model = self._entries, self._entries.model
-        row = _rows(model.states)
         blocks = entries.of("E")
-        grad, *rest = self.values([self.gradient(), *(b.expr for b in blocks), *(p.origin.z for p in entries.pairs)])
+        grad, *rest = self.values(
+            [self.gradient(), *(b.expr for b in blocks), *(p.origin.z for p in entries.pairs)]
+        )
         z = grad[:, :, 0].copy()
         for b, value in zip(blocks, rest[: len(blocks)], strict=True):
-            where = [i for v in b.rows for i in row[id(v)]]
+            where = [i for v in b.rows for i in self.rows(v)]
             for i in range(self.n):
                 z[i, where] = _solved(value[i].T, z[i, where])
         for pair, value in zip(entries.pairs, rest[len(blocks) :], strict=True):
-            z[:, [i for v in pair.origin.variables for i in row[id(v)]]] = value[:, :, 0]
+            z[:, [i for v in pair.origin.variables for i in self.rows(v)]] = value[:, :, 0]
         return z
 
     def where(self, i: int, *exprs: ca.SX) -> str:
@@ -118,6 +125,10 @@ def _around(variables: tuple[Variable, ...], rng: np.random.Generator) -> tuple[
     """Points around the starts (n x size) and the size of each entry; starts that are not finite count as 0."""
     start = np.array([s for v in variables for s in _fitted(v.start, v.n)], float)
     nominal = np.array([s for v in variables for s in _fitted(v.nominal, v.n)], float)
+    return _points(start, nominal, rng)
+
+
+def _points(start: Array, nominal: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     start = np.where(np.isfinite(start), start, 0.0)
     nominal = np.where(np.isfinite(nominal) & (nominal > 0), nominal, 1.0)
     size = np.maximum(nominal, np.abs(start))
@@ -125,14 +136,25 @@ def _around(variables: tuple[Variable, ...], rng: np.random.Generator) -> tuple[
     return start + step * size, size
 
 
+def _inputs(ports: tuple[Port, ...], rng: np.random.Generator) -> Array:
+    start = np.array([s for p in ports for s in _spread(p.start, p.u.numel())], float)
+    nominal = np.array([s for p in ports for s in _spread(p.nominal, p.u.numel())], float)
+    return _points(start, nominal, rng)[0]
+
+
+def _spread(value: object, n: int) -> list[float]:
+    given = np.asarray(value, float).ravel()
+    return [float(given[0])] * n if given.size == 1 else _fitted(given.tolist(), n)
+
+
 def _fitted(values: Sequence[float], n: int) -> list[float]:
     return [*values, *[0.0] * n][:n]
 
 
-def _rows(variables: tuple[Variable, ...]) -> dict[int, list[int]]:
+def _places(variables: tuple[Variable, ...]) -> dict[int, int]:
     out, at = {}, 0
     for v in variables:
-        out[id(v)] = list(range(at, at + v.n))
+        out[key(v)] = at
         at += v.n
     return out
 

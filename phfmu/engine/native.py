@@ -113,7 +113,12 @@ class NativeInstance:
             rows = self._array(inputs, n, plan.nu)
             request.input, request.input_stride = rows.ctypes.data, plan.nu
         done = ctypes.c_int()
-        self._check(self._lib.ph_run(self._in, t0, h, n, request, done))
+        code = self._lib.ph_run(self._in, t0, h, n, request, done)
+        try:
+            self._check(code)
+        except StepFailure as failure:
+            failure.recorded = {name: rows[: done.value] for name, rows in result.items()}
+            raise
         return result
 
     @property

@@ -216,7 +216,11 @@ class PythonInstance:
             if held is not None:
                 self.set_input(held[k])
             before = self.counts["iterations"]
-            self.do_step(t0 + k * h, h, parts)
+            try:
+                self.do_step(t0 + k * h, h, parts)
+            except StepFailure as failure:
+                failure.recorded = {name: np.array(kept) for name, kept in rows.items()}
+                raise
             now = self.ledger() | {"counts": np.array([self.counts["iterations"] - before, parts], float)}
             if "signals" in rows or "energy" in rows:
                 signals = self.signals()

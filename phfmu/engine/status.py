@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
+from typing import Any
 
 
 class Status(Enum):
@@ -61,6 +62,8 @@ class StepFailure(RuntimeError):
         self.update = update
         self.iterations = iterations
         self.tried = tried
+        #: what a run over many steps had recorded of the accepted ones
+        self.recorded: dict[str, Any] = {}
         super().__init__(self._text())
 
     def _text(self) -> str:

@@ -1,4 +1,4 @@
-"""Functional Mock-up Units: export of components (`phfmu.fmu.export.export`), and instances that step any unit."""
+"""Functional Mock-up Units: `export.export` writes them, FMUInstance steps them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["FMUError", "FMUInstance", "PortMap"]
 
 
 def __getattr__(name: str) -> Any:
-    """Modules are imported when they are needed: reading a unit needs no compiler, writing one no importer."""
+    """Modules are imported when needed: reading a unit needs no compiler, writing one no importer."""
     if name not in _HOME:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,4 +1,4 @@
-"""Opening an archive: names and sizes are checked before anything is extracted, and only what is needed is."""
+"""Opening an archive: names and sizes are checked first, then only what is needed is extracted."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ class Archive:
                 names = _checked(archive, path)
                 _require(names, path)
                 self.interface = read_interface(
-                    archive.read("modelDescription.xml"), archive.read(MANIFEST) if MANIFEST in names else None, path.name
+                    archive.read("modelDescription.xml"),
+                    archive.read(MANIFEST) if MANIFEST in names else None,
+                    path.name,
                 )
                 self.library = _library(names, self.interface, path)
                 self._folder = tempfile.TemporaryDirectory(prefix="phfmu-")
@@ -39,7 +41,9 @@ class Archive:
         except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, OSError) as error:
             if isinstance(error, FMUError):
                 raise
-            raise FMUError(f"{path}: not a readable archive ({error}); export or download it again") from error
+            raise FMUError(
+                f"{path}: not a readable archive ({error}); export or download it again"
+            ) from error
         self.folder = Path(self._folder.name)
         (self.folder / "resources").mkdir(exist_ok=True)
 
@@ -48,7 +52,7 @@ _OPEN: WeakValueDictionary[tuple[str, int, int], Archive] = WeakValueDictionary(
 
 
 def open_archive(path: str | Path) -> Archive:
-    """The extracted unit, shared by all instances of the same file while one of them lives.  FMUError says what is wrong."""
+    """The extracted unit, shared by the instances of a file while one of them lives.  FMUError if refused."""
     path = Path(path)
     try:
         about = path.stat()
@@ -83,13 +87,14 @@ def _require(names: Iterable[str], path: Path) -> None:
 
 def _library(names: list[str], interface: Interface, path: Path) -> str:
     """Name inside of the library for this machine."""
-    folders = ("fmpy.platform",) if interface.version == "2.0" else ()
     folders = (fmpy.platform, fmpy.platform_tuple) if interface.version == "2.0" else (fmpy.platform_tuple,)
     for folder in folders:
         name = f"binaries/{folder}/{interface.identifier}{fmpy.sharedLibraryExtension}"
         if name in names:
             return name
-    found = sorted({PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
+    found = sorted(
+        {PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
+    )
     raise FMUError(
         f"{path}: no library for this platform ({' or '.join(folders)}); the archive has "
         f"{', '.join(found) if found else 'none'}. Export it with this platform"

@@ -25,7 +25,7 @@ LOG_CATEGORIES = {
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """A model to be exported.  `step`: longest internal step and suggested communication step, s; `stop`: s or None."""
+    """A model to be exported.  `step`: longest internal and suggested communication step, s; `stop`: s."""
 
     declaration: PHDAE
     model: Model

@@ -13,7 +13,7 @@ from phfmu.fmu import fmi2, fmi3, manifest, package, sources, terminals
 from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import FMUError
 
-#: platform -> (compiler target, folder of 2.0, folder of 3.0); 2.0 has no name for 64-bit ARM and borrows that of 3.0
+#: platform -> (compiler target, folder of 2.0, folder of 3.0); 2.0 has no names for ARM and borrows them
 PLATFORMS = {
     "x86_64-linux": ("x86_64-linux-gnu.2.17", "linux64", "x86_64-linux"),
     "aarch64-linux": ("aarch64-linux-gnu.2.17", "aarch64-linux", "aarch64-linux"),
@@ -37,8 +37,8 @@ def export(
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions`.
 
-    `step`: longest internal step and suggested communication step, s.  `platforms`: keys of PLATFORMS, default this
-    machine.  The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
+    `step`: longest internal and suggested communication step, s.  `platforms`: keys of PLATFORMS, default
+    this machine.  The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
     """
     if not (math.isfinite(step) and step > 0):
         raise FMUError(f"{declaration.name}: step = {step} s must be positive")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from lxml import etree
 
+from phfmu.declare.port import Port
 from phfmu.fmu.manifest import PortMap, read_ports
 from phfmu.fmu.variables import FMUError
 
@@ -28,7 +30,7 @@ class Scalar:
 
 @dataclass(frozen=True)
 class Interface:
-    """A unit for Co-Simulation.  `energy`: names of the manifest's energies; without a manifest it is a foreign unit."""
+    """A unit for Co-Simulation.  `ports` and `energy` are those of the manifest, empty in foreign units."""
 
     version: str
     name: str
@@ -55,6 +57,18 @@ class Interface:
             raise FMUError(f"{self.name} has no {what} '{missing[0]}'{hint}")
         return [self.variables[n].reference for n in names]
 
+    def declared_ports(self, ports: Sequence[PortMap] | None = None) -> tuple[Port, ...]:
+        """The ports as a declaration has them, for a network to join; they act on no visible variables."""
+        return tuple(
+            Port(
+                p.name, p.domain, p.given, {}, len(p.inputs) if p.vector or len(p.inputs) > 1 else None,
+                start=[self.variables[n].start or 0.0 for n in p.inputs],
+                nominal=[self.variables[n].nominal for n in p.inputs],
+                description=self.variables[p.inputs[0]].description if p.inputs else "",
+            )
+            for p in (self.ports if ports is None else ports)
+        )  # fmt: skip
+
 
 def parse(data: bytes, name: str) -> etree._Element:
     """The root of an XML document without document type, entities or network; FMUError says what is wrong."""
@@ -79,7 +93,11 @@ def read_interface(model_description: bytes, manifest: bytes | None, name: str) 
     root = parse(model_description, f"{name}/modelDescription.xml")
     version = root.get("fmiVersion", "")
     if version == "2.0":
-        scalars, token, flags = _variables2(root), "guid", ("canGetAndSetFMUstate", "providesDirectionalDerivative")
+        scalars, token, flags = (
+            _variables2(root),
+            "guid",
+            ("canGetAndSetFMUstate", "providesDirectionalDerivative"),
+        )
     elif version.startswith("3."):
         scalars, token = _variables3(root), "instantiationToken"
         flags = ("canGetAndSetFMUState", "providesDirectionalDerivatives")
@@ -97,10 +115,20 @@ def read_interface(model_description: bytes, manifest: bytes | None, name: str) 
         found = about.find("Energy")
         energy = {} if found is None else {str(k): str(v) for k, v in found.attrib.items()}
     return Interface(
-        "2.0" if version == "2.0" else "3.0", root.get("modelName", name), cosimulation.get("modelIdentifier", ""),
-        root.get(token, ""), scalars, cosimulation.get(flags[0]) in TRUE, cosimulation.get(flags[1]) in TRUE,
-        times.get("startTime", 0.0), times.get("stopTime"), times.get("stepSize"), root.get("description", ""), ports, energy,
-    )  # fmt: skip
+        version="2.0" if version == "2.0" else "3.0",
+        name=root.get("modelName", name),
+        identifier=cosimulation.get("modelIdentifier", ""),
+        token=root.get(token, ""),
+        variables=scalars,
+        saves=cosimulation.get(flags[0]) in TRUE,
+        derivatives=cosimulation.get(flags[1]) in TRUE,
+        start=times.get("startTime", 0.0),
+        stop=times.get("stopTime"),
+        step=times.get("stepSize"),
+        description=root.get("description", ""),
+        ports=ports,
+        energy=energy,
+    )
 
 
 _TIMES = ("startTime", "stopTime", "stepSize")
@@ -127,9 +155,13 @@ def _variables3(root: etree._Element) -> dict[str, Scalar]:
 
 
 def _scalar(v: etree._Element, numbers: etree._Element) -> Scalar:
-    start, nominal = numbers.get("start"), numbers.get("nominal")
+    start = numbers.get("start")
     return Scalar(
-        v.get("name", ""), int(v.get("valueReference", "0")), v.get("causality", "local"),
-        None if start is None else float(start), numbers.get("unit", "1"), 1.0 if nominal is None else float(nominal),
-        v.get("description", ""),
-    )  # fmt: skip
+        name=v.get("name", ""),
+        reference=int(v.get("valueReference", "0")),
+        causality=v.get("causality", "local"),
+        start=None if start is None else float(start),
+        unit=numbers.get("unit", "1"),
+        nominal=float(numbers.get("nominal", "1")),
+        description=v.get("description", ""),
+    )

@@ -1,10 +1,10 @@
-"""Instances of units: what a network steps, whether the unit was written by this package or by another tool."""
+"""Instances of units: what a network steps, whether this package or another tool wrote the unit."""
 
 from __future__ import annotations
 
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,18 +28,17 @@ class SavedState:
 
     handle: Any
     memory: dict[str, Any]
-    __weakref__: Any = field(init=False, repr=False)
 
 
 class FMUInstance:
     """A unit a master can step, the twin of `NativeInstance`.
 
-    Inputs u (nu) of all ports in order are held over a step; `output()` gives the means y that belong to them, so that
-    h u^T y is the supplied energy: exactly for units with `*_step` outputs, as the trapezoidal rule gives it for
-    others (`estimated`).  Units, and signs of a PortMap: power into the component.
+    Inputs u (nu) of all ports in order are held over a step; `output()` gives the means y that belong to them,
+    so that h u^T y is the supplied energy: exactly for units with `*_step` outputs, by the trapezoidal rule for
+    others (`estimated`).  Power is positive into the component.
 
     `ports`: only for foreign units.  `starts`: values of parameters, states and inputs before the start.
-    Errors: FMUError; StepFailure for a refused step (units of this package are then at their last accepted step).
+    Errors: FMUError; StepFailure for a refused step: units of this package are back at their last accepted one.
     """
 
     def __init__(
@@ -67,9 +66,14 @@ class FMUInstance:
         self._y_end = References(refs(self.outputs, "output"))
         self._y_mean = self._y_end if self.estimated else References(refs(means, "output"))
         self._mean_refs = [] if self.estimated else refs(means, "output")
-        self._books = References([] if self.estimated else refs([self.interface.energy[s] for s in _STEP], "output"))
+        self._books = References(
+            [] if self.estimated else refs([self.interface.energy[s] for s in _STEP], "output")
+        )
         self._require_pairs()
-        self._starts, self._span = dict(starts or {}), (self.interface.start if start is None else start, stop)
+        self._starts, self._span = (
+            dict(starts or {}),
+            (self.interface.start if start is None else start, stop),
+        )
         self._slave = Slave(archive, self.name)
         self._handles: dict[int, Any] = {}
         self._close = weakref.finalize(self, _free, self._slave, self._handles, archive)
@@ -82,12 +86,14 @@ class FMUInstance:
     def _require_pairs(self) -> None:
         for p in self.ports:
             if len(p.inputs) != len(p.outputs):
-                raise FMUError(f"{self.name}.{p.name}: {len(p.inputs)} inputs but {len(p.outputs)} outputs; give pairs")
+                raise FMUError(
+                    f"{self.name}.{p.name}: {len(p.inputs)} inputs but {len(p.outputs)} outputs; give pairs"
+                )
         for n in self.inputs:
             if self.interface.variables[n].causality != "input":
                 raise FMUError(f"{self.name}: '{n}' is no input but {self.interface.variables[n].causality}")
 
-    # -- life -------------------------------------------------------------------------------------------------------
+    # -- life --------------------------------------------------------------------------------------------------
 
     def _initialise(self) -> None:
         start, stop = self._span
@@ -118,7 +124,7 @@ class FMUInstance:
         self._slave.reset()
         self._initialise()
 
-    # -- steps ------------------------------------------------------------------------------------------------------
+    # -- steps -------------------------------------------------------------------------------------------------
 
     @property
     def nu(self) -> int:
@@ -144,7 +150,9 @@ class FMUInstance:
         try:
             self._slave.do_step(t, h)
         except FMUError as error:
-            raise StepFailure(Status.NO_CONVERGENCE, self.name, t, h, tried=f"its own means: {error}") from error
+            raise StepFailure(
+                Status.NO_CONVERGENCE, self.name, t, h, tried=f"its own means: {error}"
+            ) from error
         self.time, self._h = t + h, h
         if self.estimated:
             self._before, self._after = self._after, self._slave.get(self._y_end).copy()
@@ -173,15 +181,19 @@ class FMUInstance:
             for j, known in enumerate(self._u.references[: self.nu]):
                 s[:, j] = self._slave.derivative(self._mean_refs, known)
         except FMUError as error:
-            raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)) from error
+            raise StepFailure(
+                Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)
+            ) from error
         return s
 
-    # -- saved states -----------------------------------------------------------------------------------------------
+    # -- saved states ------------------------------------------------------------------------------------------
 
     def get_state(self) -> SavedState:
-        """A complete copy; stepping after `set_state` gives the same bits.  FMUError if the unit cannot save."""
+        """A complete copy; stepping after `set_state` gives the same bits.  FMUError if there is none."""
         if not self.interface.saves:
-            raise FMUError(f"{self.name}: the unit cannot save its state; choose a coupling without rollback (jacobi)")
+            raise FMUError(
+                f"{self.name}: the unit cannot save its state; choose a coupling without rollback (jacobi)"
+            )
         handle = self._slave.save()
         return self._kept(handle)
 
@@ -212,7 +224,7 @@ class FMUInstance:
         state.memory = dict(like.memory)
         return state
 
-    # -- reading ----------------------------------------------------------------------------------------------------
+    # -- reading -----------------------------------------------------------------------------------------------
 
     @property
     def names(self) -> list[str]:
@@ -246,7 +258,12 @@ class FMUInstance:
         """
         if self.estimated:
             supplied = np.array([self._pairs.sum()])
-            return {"stored": supplied, "dissipated": np.zeros(1), "supplied": supplied, "pairs": self._pairs.copy()}
+            return {
+                "stored": supplied,
+                "dissipated": np.zeros(1),
+                "supplied": supplied,
+                "pairs": self._pairs.copy(),
+            }
         books = self._slave.get(self._books).copy()
         pairs = self._h * self._u.values * self.output()
         return {"stored": books[:1], "dissipated": books[1:2], "supplied": books[2:], "pairs": pairs}

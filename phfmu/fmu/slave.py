@@ -29,17 +29,10 @@ class References:
 
     def __init__(self, references: list[int]):
         self.n = len(references)
-        self.references = (ctypes.c_uint * max(self.n, 1))(*references)
-        self.values = np.zeros(self.n)
-        self.address = (ctypes.c_double * max(self.n, 1)).from_buffer(_room(self))
-
-
-def _room(r: References) -> Array:
-    """The buffer of the values; never empty, since ctypes wants memory."""
-    if r.n == 0:
-        r.values = np.zeros(1)[:0]
-        return np.zeros(1)
-    return r.values
+        room = max(self.n, 1)  # ctypes wants memory, also for nothing
+        self.references = (ctypes.c_uint * room)(*references)
+        self.address = (ctypes.c_double * room)()
+        self.values = np.ctypeslib.as_array(self.address)[: self.n]
 
 
 class Slave:
@@ -60,18 +53,24 @@ class Slave:
                 self.fmu.instantiate(callbacks=self._callbacks())
             else:
                 self.fmu = FMU3Slave(**common)
-                self.fmu.instantiate(logMessage=lambda _environment, status, _category, text: self._log(status, text))
+                self.fmu.instantiate(
+                    logMessage=lambda _environment, status, _category, text: self._log(status, text)
+                )
         except Exception as error:  # the bindings raise plain Exception for a library that does not load
             raise FMUError(f"{archive.path}: {error}{self._last_words()}") from error
         self._get, self._set = (
-            (self.fmu.fmi2GetReal, self.fmu.fmi2SetReal) if self.two else (self.fmu.fmi3GetFloat64, self.fmu.fmi3SetFloat64)
+            (self.fmu.fmi2GetReal, self.fmu.fmi2SetReal)
+            if self.two
+            else (self.fmu.fmi3GetFloat64, self.fmu.fmi3SetFloat64)
         )
 
     def _callbacks(self) -> fmi2CallbackFunctions:
         import fmpy
 
         callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(lambda _environment, _name, status, _category, text: self._log(status, text))
+        callbacks.logger = fmi2CallbackLoggerTYPE(
+            lambda _environment, _name, status, _category, text: self._log(status, text)
+        )
         callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
         callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
         return callbacks
@@ -95,18 +94,13 @@ class Slave:
 
     def set(self, r: References) -> None:
         """Values of the buffer into the unit."""
-        sizes = (r.n,) if self.two else (r.n,)
-        if self.two:
-            self.call(self._set, self.fmu.component, r.references, *sizes, r.address)
-        else:
-            self.call(self._set, self.fmu.component, r.references, *sizes, r.address, r.n)
+        count = () if self.two else (r.n,)
+        self.call(self._set, self.fmu.component, r.references, r.n, r.address, *count)
 
     def get(self, r: References) -> Array:
         """Values of the unit, in the buffer."""
-        if self.two:
-            self.call(self._get, self.fmu.component, r.references, r.n, r.address)
-        else:
-            self.call(self._get, self.fmu.component, r.references, r.n, r.address, r.n)
+        count = () if self.two else (r.n,)
+        self.call(self._get, self.fmu.component, r.references, r.n, r.address, *count)
         return r.values
 
     def enter(self, start: float, stop: float | None) -> None:

@@ -20,7 +20,7 @@ from phfmu.fmu.variables import check_names
 RUNTIME = Path(__file__).parent / "runtime"
 
 #: headers of the standard; importers that compile sources bring their own
-HEADERS = Path(fmpy.__file__).parent / "c-code"
+HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 
 #: layers that belong to one version of the interface
 PROTOCOL = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c", "fmi3_absent.c")}
@@ -52,7 +52,7 @@ def fixed() -> Sources:
 
 
 def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
-    """Everything a library with both versions of the interface is compiled from, but the headers of the standard."""
+    """All a library with both versions is compiled from, but the headers of the standard."""
     return {**fixed(), **equations, "interface.c": interface_text(unit, token)}
 
 
@@ -82,7 +82,10 @@ def interface_text(unit: Unit, token: str) -> str:
     model = unit.model
     place = {v.name: i for i, v in enumerate(unit.variables)}
     rows = [f'{{{v.block}, {v.first}, {v.count}, "{v.name}"}}' for v in unit.variables]
-    limits = [f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in zip(check_names(model), model.check_scale, strict=True)]
+    limits = [
+        f"{{{place[n]}, {number(CONSISTENCY * s)}}}"
+        for n, s in zip(check_names(model), model.check_scale, strict=True)
+    ]
     equations, equations_name = _strings("equations", model.row_names)
     end_equations, end_name = _strings("end_equations", model.instant_names)
     checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""

@@ -1,7 +1,7 @@
 """terminalsAndIcons.xml: every external power port as a terminal.
 
-Of the pair the variable that sums to zero at a connection is the inflow: current and volume flow, but force and torque;
-the other one is equal on both sides and a signal.  Power, and with it the inflow, counts positive into the component.
+Of a pair, the variable that is equal on both sides of a connection is a signal, the one that sums to zero there
+an inflow: voltage and current, but velocity and force.  The inflow counts positive into the component.
 """
 
 from __future__ import annotations
@@ -11,9 +11,6 @@ from lxml import etree
 from phfmu.declare.port import Port
 from phfmu.fmu import description
 from phfmu.fmu.description import Unit
-
-#: domains in which efforts balance and flows are equal at a connection
-EFFORT_BALANCES = ("translational", "rotational")
 
 
 def terminals(unit: Unit) -> bytes | None:
@@ -37,10 +34,9 @@ def _terminal(parent: etree._Element, port: Port) -> None:
     efforts, flows = port.input_names(), port.output_names()
     if port.given == "flow":
         efforts, flows = flows, efforts
-    balance = efforts if port.domain.name in EFFORT_BALANCES else flows
+    balance = flows if port.domain.common == "effort" else efforts
     for names in zip(efforts, flows, strict=True):
         for name in names:
-            etree.SubElement(
-                terminal, "TerminalMemberVariable", variableName=name, memberName=name.removeprefix(f"{port.name}."),
-                variableKind="inflow" if name in balance else "signal",
-            )  # fmt: skip
+            member = etree.SubElement(terminal, "TerminalMemberVariable", variableName=name)
+            member.set("memberName", name.removeprefix(f"{port.name}."))
+            member.set("variableKind", "inflow" if name in balance else "signal")

@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Variable
+from phfmu.declare.variable import Number, Variable
 from phfmu.discretise.model import Model
 
 Causality = Literal["independent", "parameter", "input", "output", "local"]
@@ -27,8 +29,8 @@ class FMUError(RuntimeError):
 class FMUVariable:
     """One scalar of type Real (2.0) or Float64 (3.0).
 
-    Its value is the sum of `count` entries of the runtime's `block` from `first` on (`ph_block` of phfmu.h, or
-    a place of fmu.h).  `start` is None for calculated variables; `unit` "1" and `nominal` None are not written.
+    Its value is the sum of `count` entries of the runtime's `block` from `first` on: a `ph_block` of phfmu.h, or
+    a place of fmu.h.  `start` is None where it is calculated; `unit` "1" and `nominal` None are not written.
     """
 
     name: str
@@ -47,7 +49,7 @@ class FMUVariable:
 
     @property
     def initial(self) -> str | None:
-        """exact: given by `start`; calculated: by the model; inputs and the independent variable have none."""
+        """exact: given by `start`; calculated: by the model; inputs and time have none."""
         if self.causality in ("input", "independent"):
             return None
         return "calculated" if self.start is None else "exact"
@@ -59,7 +61,7 @@ class FMUVariable:
 
 
 def variables(declaration: PHDAE, model: Model) -> tuple[FMUVariable, ...]:
-    """All variables; the place in the tuple is the value reference.  FMUError lists illegal and repeated names."""
+    """All variables; the place is the value reference.  FMUError lists illegal and repeated names."""
     table = (
         FMUVariable("time", "independent", "PH_X", model.step.nx, unit="s", description="time"),
         *_starts(declaration.parameters, "parameter", "FMU_PARAMETER", list(model.p0)),
@@ -77,7 +79,11 @@ def variables(declaration: PHDAE, model: Model) -> tuple[FMUVariable, ...]:
 
 
 def _problems(table: tuple[FMUVariable, ...]) -> list[str]:
-    found = [f"'{v.name}' is no structured name (write e.g. gen.I[1])" for v in table if not _NAME.fullmatch(v.name)]
+    found = [
+        f"'{v.name}' is no structured name (write e.g. gen.I[1])"
+        for v in table
+        if not _NAME.fullmatch(v.name)
+    ]
     seen: set[str] = set()
     for v in table:
         if v.name in seen:
@@ -96,7 +102,9 @@ def _scalars(declared: tuple[Variable, ...]) -> Iterator[tuple[int, str, str, Va
             place += 1
 
 
-def _starts(declared: tuple[Variable, ...], causality: Causality, block: str, start: list[float]) -> list[FMUVariable]:
+def _starts(
+    declared: tuple[Variable, ...], causality: Causality, block: str, start: list[float]
+) -> list[FMUVariable]:
     return [
         FMUVariable(name, causality, block, i, 1, float(start[i]), v.unit, _nominal(v, j), text)
         for i, name, text, v, j in _scalars(declared)
@@ -110,10 +118,20 @@ def _nominal(v: Variable, entry: int) -> float | None:
 
 def _algebraics(declaration: PHDAE) -> Iterator[FMUVariable]:
     for i, name, text, v, j in _scalars(declaration.algebraics):
-        yield FMUVariable(name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, mean of the last step")
+        yield FMUVariable(
+            name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, mean of the last step"
+        )
     for i, name, text, v, j in _scalars(declaration.algebraics):
         yield FMUVariable(
-            end_name(name), "local", "PH_A_END", i, 1, None, v.unit, _nominal(v, j), f"{text}, at the present time"
+            end_name(name),
+            "local",
+            "PH_A_END",
+            i,
+            1,
+            None,
+            v.unit,
+            _nominal(v, j),
+            f"{text}, at the present time",
         )
 
 
@@ -147,7 +165,10 @@ def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
                     name, "input", "FMU_INPUT", first + i, 1, float(model.u0[first + i]), port.input_unit,
                     abs(nominal[i]) or None, f"{text}: {given}, held over a step",
                 )  # fmt: skip
-        for suffix, block, when in (("", "PH_Y_END", "at the present time"), ("_step", "PH_Y_STEP", "mean of the last step")):
+        for suffix, block, when in (
+            ("", "PH_Y_END", "at the present time"),
+            ("_step", "PH_Y_STEP", "mean of the last step"),
+        ):
             for i, name in enumerate(port.output_names(suffix)):
                 yield FMUVariable(name, causality, block, first + i, 1, None, port.output_unit,
                                   description=f"{text}: {found}, {when}")  # fmt: skip
@@ -155,9 +176,8 @@ def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
                           description=f"{text}: energy supplied to the component since the start")  # fmt: skip
 
 
-def _entries(value: object, n: int) -> list[float]:
-    values = list(value) if isinstance(value, (list, tuple)) else [value] * n
-    return [float(v) for v in values]  # type: ignore[arg-type]
+def _entries(value: Number, n: int) -> list[float]:
+    return np.broadcast_to(np.asarray(value, float), (n,)).tolist()
 
 
 #: name, block and meaning of the entries of the energy ledger
@@ -165,7 +185,11 @@ LEDGER = (
     ("stored", "PH_H", "stored energy"),
     ("supplied", "PH_SUPPLIED", "energy supplied through ports since the start"),
     ("dissipated", "PH_DISSIPATED", "energy dissipated since the start"),
-    ("residual", "PH_RESIDUAL", "change of stored + dissipated - supplied energy since the start; rounding only"),
+    (
+        "residual",
+        "PH_RESIDUAL",
+        "change of stored + dissipated - supplied energy since the start; rounding only",
+    ),
 )
 #: the same of one communication step, free of the cancellation of differences
 STEP_LEDGER = (
@@ -185,7 +209,9 @@ def _totals(model: Model) -> Iterator[FMUVariable]:
         return
     for i, member in enumerate(model.members):
         for name, block, text in LEDGER if member else ():
-            yield FMUVariable(f"{member}.energy.{name}", "local", block, i, 1, None, "J", description=f"{member}: {text}")
+            yield FMUVariable(
+                f"{member}.energy.{name}", "local", block, i, 1, None, "J", description=f"{member}: {text}"
+            )
 
 
 def _observables(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:

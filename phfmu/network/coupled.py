@@ -173,17 +173,17 @@ class Coupled:
         self._apply(self.xi)
 
     def advance(self, t0: float, h: float, n: int) -> Steps:
-        rows: dict[str, list[Array]] = {k: [] for k in ("signals", "H", "stored", "dissipated", "supplied", "pairs")}
-        counts = []
+        rows: list[tuple[Array, ...]] = []
         for k in range(n):
-            self.step(t0 + k * h, h)
+            try:
+                self.step(t0 + k * h, h)
+            except StepFailure as failure:
+                failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
+                raise
             books = [m.ledger() for m in self.members]
-            for key in ("stored", "dissipated", "supplied", "pairs"):
-                rows[key].append(np.concatenate([b[key] for b in books]))
-            rows["signals"].append(self.read())
-            rows["H"].append(self.energies())
-            counts.append(self.iterations)
-        return Steps(**{k: np.array(v) for k, v in rows.items()}, iterations=np.array(counts, float))
+            parts = [np.concatenate([b[key] for b in books]) for key in ("stored", "dissipated", "supplied", "pairs")]
+            rows.append((self.read(), self.energies(), *parts, np.array(float(self.iterations))))
+        return Steps.stacked(rows)
 
     # -- one step ---------------------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.status import StepFailure
 from phfmu.network.scene import Event
 from phfmu.network.stepper import Stepper, Steps
 
@@ -168,24 +169,32 @@ class _Book:
 
     def advance(self, t: float, h: float, n: int) -> Steps:
         try:
-            s = self.stepper.advance(t, h, n)
-        except Exception:
+            steps = self.stepper.advance(t, h, n)
+        except StepFailure as failure:
+            if "steps" in failure.recorded:
+                self._add(t, h, failure.recorded["steps"])
+            self.ledger.event(failure.time, "nonconverged", failure.component, message=str(failure))
             self.ledger.flush()
             raise
+        self._add(t, h, steps)
+        return steps
+
+    def _add(self, t: float, h: float, s: Steps) -> None:
+        n = len(s.H)
         k = self.steps + np.arange(n)
         before = np.vstack([self._H[None], s.H[:-1]])
         self._H = s.H[-1]
         # a lossless junction of large powers has supplied = 0: its scale is what passes through its ports
         scale = np.maximum(np.abs(before), np.abs(s.H)) + np.abs(s.pairs) @ self._owners
+        newton = np.repeat(s.iterations.astype(int)[:, None], len(self.layout.components), axis=1)
         self.ledger.add_block(
             self.layout, k, t + h * np.arange(n), h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, scale=scale,
-            newton=np.repeat(s.iterations.astype(int)[:, None], len(self.layout.components), axis=1),
+            newton=newton,
         )  # fmt: skip
         self.steps += n
         self.iterations += float(s.iterations.sum())
         for name, i in self._watch:
             self._worst[name] = max(self._worst[name], float(np.max(np.abs(s.signals[:, i]))))
-        return s
 
     def worst(self) -> dict[str, float]:
         return self._worst

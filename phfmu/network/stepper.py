@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.engine.status import StepFailure
 from phfmu.network.columns import Columns
 
 Array = NDArray[np.float64]
@@ -27,6 +28,11 @@ class Steps:
     pairs: Array
     iterations: Array
 
+    @classmethod
+    def stacked(cls, rows: list[tuple[Array, ...]]) -> Steps:
+        """From one tuple of values per step, in the order of the fields."""
+        return cls(*(np.array(column) for column in zip(*rows, strict=True)))
+
 
 @dataclass(frozen=True)
 class Booking:
@@ -37,7 +43,10 @@ class Booking:
 
 
 class Stepper(Protocol):
-    """Drives a system through n steps; keeps its state at the last accepted step when one fails."""
+    """Drives a system through n steps.
+
+    When a step fails, the state is that of the last accepted one and StepFailure.recorded["steps"] holds those before.
+    """
 
     names: list[str]
     booking: Booking
@@ -133,7 +142,14 @@ class Monolithic:
 
     def advance(self, t0: float, h: float, n: int) -> Steps:
         wanted = ("signals", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
-        r = self.instance.run(t0, h, n, record=wanted)
+        try:
+            return self._steps(self.instance.run(t0, h, n, record=wanted))
+        except StepFailure as failure:
+            if len(failure.recorded.get("counts", ())):
+                failure.recorded = {"steps": self._steps(failure.recorded)}
+            raise
+
+    def _steps(self, r: dict[str, Array]) -> Steps:
         return Steps(
             self._columns.pick(r["signals"]), r["energy"], r["stored"], r["dissipated"], r["supplied"], r["pairs"],
             r["counts"][:, 0],

@@ -80,6 +80,7 @@ static void lay_system(ph_system *s, const ph_plan *p, block *b) {
     s->r = doubles(b, p->nrow);
     s->v = doubles(b, p->nslot);
     s->a = doubles(b, p->nnz);
+    s->factored = doubles(b, p->nnz);
     s->scaled = doubles(b, p->nnz);
     s->scale = doubles(b, p->nw);
     s->rhs = doubles(b, p->nw);
@@ -192,7 +193,7 @@ void ph_reset(ph_instance *in) {
     in->head->size = in->state_size;
     for (int i = 0; i < 2; i++) {
         ph_system *s = i ? &in->instant : &in->step;
-        s->lu.ready = 0;
+        s->lu.ready = s->lu.filled = 0;
         if (s->plan->nw > 0)
             s->pivot[0] = -1;
     }

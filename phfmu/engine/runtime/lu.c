@@ -83,7 +83,7 @@ static int choose(const ph_lu *lu, int j, int end, const double *a) {
 /* Columns of the factors from the first to the last; a = NULL: pattern only, for the pivots given. */
 int ph_lu_full(ph_lu *lu, const double *a) {
     int n = lu->n, q = 0;
-    lu->ready = 0;
+    lu->ready = lu->filled = 0;
     memset(lu->work, 0, sizeof(double) * (size_t)n);
     for (int i = 0; i < n; i++)
         lu->mark[i] = lu->where[i] = -1;
@@ -126,6 +126,7 @@ int ph_lu_full(ph_lu *lu, const double *a) {
     for (int e = 0; e < lu->nnz; e++)
         lu->place[e] = lu->where[lu->rowind[e]];
     lu->ready = 1;
+    lu->filled = a != NULL;
     return PH_OK;
 }
 
@@ -161,6 +162,7 @@ int ph_lu_refactor(ph_lu *lu, const double *a) {
         if (!(fabs(pivot) >= GROWTH * most) || pivot == 0.0)
             return PH_SINGULAR;
     }
+    lu->filled = 1;
     return PH_OK;
 }
 
@@ -178,7 +180,7 @@ int ph_lu_adopt(ph_lu *lu, const int *pivot) {
     if (lu->n == 0)
         return PH_OK;
     if (pivot[0] < 0) {
-        lu->ready = 0;
+        lu->ready = lu->filled = 0;
         return PH_OK;
     }
     if (lu->ready && memcmp(pivot, lu->pivot, sizeof(int) * (size_t)lu->n) == 0)

@@ -10,14 +10,21 @@
 #define MAX_ITERATIONS 30
 #define TOLERANCE 1e-9  /* on max |dw_i| / (nominal_i + |w_i|) */
 #define STAGNATION 1e-6 /* below it, an update that no longer halves is rounding */
-#define CHORD 1e-3      /* below it the next iteration keeps the factor, */
-#define CONTRACTION 0.1 /* as long as updates shrink by this */
+/* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
+ * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
+#define CHORD 1e-3
+#define CONTRACTION 0.1
 #define DELTA 1e-10
 #define MIN_DAMPING (1.0 / 64.0)
 
-/* Scale of every row = 1 / its largest entry, scaled matrix, factors. */
+/* Scale of every row = 1 / its largest entry, scaled matrix, factors. A matrix that has not changed since
+ * (a linear model) is not factored again. */
 int ph_newton_factor(ph_system *s) {
     const ph_plan *p = s->plan;
+    const size_t bytes = sizeof(double) * (size_t)p->nnz;
+    int status;
+    if (s->lu.filled && memcmp(s->a, s->factored, bytes) == 0)
+        return PH_OK;
     double *restrict scale = s->scale;
     double *restrict scaled = s->scaled;
     const double *restrict a = s->a;
@@ -29,6 +36,7 @@ int ph_newton_factor(ph_system *s) {
         scale[i] = size > scale[i] ? size : scale[i];
     }
     s->empty = -1;
+    s->lu.filled = 0; /* the scale goes with the factor */
     for (int i = 0; i < p->nw; i++) {
         if (!(scale[i] > 0.0))
             s->empty = i;
@@ -40,7 +48,10 @@ int ph_newton_factor(ph_system *s) {
         scaled[e] = a[e] * scale[p->matrix_row[e]];
     for (int i = 0; i < p->nreg; i++)
         scaled[p->regularised[i]] += DELTA;
-    return ph_lu_factor(&s->lu, scaled, s->count);
+    status = ph_lu_factor(&s->lu, scaled, s->count);
+    if (status == PH_OK)
+        memcpy(s->factored, s->a, bytes);
+    return status;
 }
 
 /* rhs = scale R; returns its 2-norm. */

@@ -20,6 +20,7 @@ typedef struct ph_lu {
     int *mark, *stack, *child;
     int failed; /* column without a pivot */
     int ready;  /* pivots and pattern are valid */
+    int filled; /* so are the numbers */
 } ph_lu;
 
 int ph_lu_factor(ph_lu *lu, const double *a, long long *count);
@@ -40,6 +41,7 @@ typedef struct ph_system {
     double *r;           /* nrow */
     double *v;           /* nslot */
     double *a;           /* nnz */
+    double *factored;    /* nnz: the A in the factor */
     double *scaled;      /* nnz */
     double *scale;       /* nw */
     double *rhs;         /* nw */

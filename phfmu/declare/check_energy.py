@@ -1,0 +1,170 @@
+"""Rules on energies: finite at the start, terms as they claim to be, closed-form pairs true discrete gradients."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.check_entries import Entries, Entry, Pair
+from phfmu.declare.check_problem import Problem
+from phfmu.declare.check_sample import Sample
+
+RELATIVE = 1e-8
+SMALL = 1e-6  # increment over nominal at which a pair is compared with its limit
+LIMIT = 1e-3  # allowed relative distance from the limit there
+
+
+def energies(entries: Entries, sample: Sample) -> list[Problem]:
+    """H and grad H are finite at the start; quadratic and strain terms are what they say."""
+    terms = [(e, _states(entries, e.expr)) for e in entries.of("H")]
+    values = sample.values([e.expr for e, _ in terms])
+    gradients = sample.values([ca.gradient(e.expr, x) if x.numel() else ca.SX(0, 1) for e, x in terms])
+    found = []
+    for (e, x), h, g in zip(terms, values, gradients, strict=True):
+        if not np.isfinite(h[0]).all():
+            found.append(_start(e.label, f"H = {h[0, 0, 0]}"))
+        elif not np.isfinite(g[0]).all():
+            j = int(np.flatnonzero(~np.isfinite(g[0, :, 0]))[0])
+            found.append(_start(e.label, f"dH/d({entries.known[x[j].element_hash()][1]}) = {g[0, j, 0]}"))
+    for p in entries.pairs:
+        h = sample.values([ca.SX(p.origin.hamiltonian)])[0]
+        if not np.isfinite(h[0]).all():
+            found.append(_start(p.label, f"H = {h[0, 0, 0]}"))
+    quadratic = [(e.label, e.expr, x) for e, x in terms if e.origin.kind == "quadratic"]
+    found += _quadratic(entries, sample, quadratic, "H", "declare it with energy(..): its kind is recognised")
+    invariants = [(e.label, e.expr, _states(entries, e.expr)) for e in entries.of("C")]
+    found += _quadratic(
+        entries, sample, invariants, "C", "use energy(..), or an invariant such as a squared distance"
+    )
+    return found + _strains(entries, sample)
+
+
+def _states(entries: Entries, expr: ca.SX) -> ca.SX:
+    return ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()][0] == "x"))
+
+
+def _start(label: str, text: str) -> Problem:
+    return Problem(
+        "energy",
+        label,
+        f"{text} at the start",
+        "start inside the domain of H, or write H so that it is defined there",
+    )
+
+
+def _quadratic(
+    entries: Entries, sample: Sample, exprs: list[tuple[str, ca.SX, ca.SX]], symbol: str, remedy: str
+) -> list[Problem]:
+    """The Hessians of these expressions with respect to their states are constant."""
+    exprs = [e for e in exprs if e[2].numel()]
+    found = []
+    hessians = sample.values([ca.hessian(expr, x)[0] for _, expr, x in exprs])
+    for (label, _, x), hessian in zip(exprs, hessians, strict=True):
+        good = np.isfinite(hessian).all(axis=(1, 2))
+        if not good.any():
+            continue
+        reference = hessian[good][0]
+        change = np.abs(hessian[good] - reference).max(axis=0)
+        if (change > RELATIVE * np.abs(hessian[good]).max()).any():
+            r, c = (int(k) for k in np.unravel_index(np.argmax(change), change.shape))
+            names = [entries.known[x[k].element_hash()][1] for k in (r, c)]
+            text = f"{symbol} is not quadratic: d2{symbol}/d({names[0]})d({names[1]}) changes by {change[r, c]:.3g} from point to point"
+            found.append(Problem("energy", label, text, remedy))
+    return found
+
+
+def _strains(entries: Entries, sample: Sample) -> list[Problem]:
+    """H = phi(C) of every strain term."""
+    found: list[Problem] = []
+    chosen: list[tuple[Entry, ca.SX]] = []
+    invariants = {id(e.origin): e for e in entries.of("C")}
+    for e in entries.of("H"):
+        if e.origin.kind != "strain":
+            continue
+        if e.origin.phi is None or e.origin.invariant is None:
+            found.append(
+                Problem(
+                    "energy",
+                    e.label,
+                    "a strain term without invariant or phi",
+                    "build it with strain_energy(C, phi)",
+                )
+            )
+        elif id(e.origin) in invariants:
+            phi = ca.SX(e.origin.phi(e.origin.invariant))
+            if entries.symbols("H", f"phi of {e.label}", phi):
+                chosen.append((e, phi))
+    direct = sample.values([e.expr for e, _ in chosen])
+    composed = sample.values([phi for _, phi in chosen])
+    for (e, phi), a, b in zip(chosen, direct, composed, strict=True):
+        size = RELATIVE * np.nanmax(np.abs(np.stack([a, b])), initial=0.0)
+        excess = np.nan_to_num(np.abs(a - b) - size, nan=-1.0)
+        if (excess > 0).any():
+            i = int(np.argmax(excess[:, 0, 0]))
+            text = f"H = {a[i, 0, 0]:.9g} but phi(C) = {b[i, 0, 0]:.9g} {sample.where(i, e.expr, phi)}"
+            found.append(Problem("energy", e.label, text, "build it with strain_energy(C, phi)"))
+    return found
+
+
+def closed_pairs(entries: Entries, sample: Sample) -> list[Problem]:
+    """E^T z = grad H, zbar^T ebar = H(x + d) - H(x), and ebar -> E d, zbar -> z for small d."""
+    found = []
+    taken: dict[int, str] = {}
+    for pair in entries.pairs:
+        own = [pair.x[j].element_hash() for j in range(pair.x.numel())]
+        names = {h: entries.known[h][1] for h in own}
+        text = [f"depends on '{entries.known[s.element_hash()][1]}', which is not one of its variables"
+                for s in ca.symvar(_states(entries, ca.SX(pair.origin.hamiltonian))) if s.element_hash() not in names]  # fmt: skip
+        text += [f"'{names[h]}' is in {taken[h]} as well" for h in own if h in taken]
+        taken |= dict.fromkeys(own, pair.label)
+        text += [f"'{names[s.element_hash()]}' is in {e.label} as well" for e in entries.of("H", "E")
+                 for s in [*ca.symvar(e.expr), *(v.sx[0] for v in e.rows)] if s.element_hash() in names]  # fmt: skip
+        if text:
+            remedy = "a pair holds the whole energy and all of E of its variables, and of no others"
+            found.append(Problem("closed-pair", pair.label, text[0], remedy))
+        else:
+            found += _pair(sample, pair)
+    return found
+
+
+def _pair(sample: Sample, pair: Pair) -> list[Problem]:
+    n, p = pair.x.numel(), pair.origin
+    names = [name for v in p.variables for name in v.names()]
+    size = np.array([sample.size[i] for v in p.variables for i in sample.rows(v)])
+    H, E, z = ca.SX(p.hamiltonian), ca.SX(p.E), ca.SX(p.z)
+    remedy = "correct the closed form; see the two conditions in the description of ClosedPair"
+    lhs, grad = sample.values([ca.mtimes(E.T, z), ca.gradient(H, pair.x)])
+    terms = sample.values([ca.mtimes(ca.fabs(E).T, ca.fabs(z))])[0]
+    text = _apart("E^T z", lhs, "grad H", grad, RELATIVE * (terms + np.abs(grad)), names)
+    if text:
+        return [Problem("closed-pair", pair.label, text, "correct E, z or H: E^T z = grad H")]
+    rng = np.random.default_rng(2)
+    direction = rng.uniform(-1.0, 1.0, (sample.n, n)) * size
+    (end,) = ca.substitute([H], [pair.x], [pair.x + pair.d])
+    work = ca.dot(pair.zbar, pair.ebar)
+    parts = ca.dot(ca.fabs(pair.zbar), ca.fabs(pair.ebar))
+    a, b, c = sample.values([work, end - H, parts + ca.fabs(end) + ca.fabs(H)], (pair.d, 0.5 * direction))
+    text = _apart("zbar^T ebar", a, "H(x + d) - H(x)", b, RELATIVE * c, ["d of half the nominal size"])
+    if text:
+        return [Problem("closed-pair", pair.label, text, remedy)]
+    ed, terms = ca.mtimes(E, pair.d), ca.mtimes(ca.fabs(E), ca.fabs(pair.d))
+    a, b, c = sample.values([pair.ebar, ed, terms], (pair.d, SMALL * direction))
+    text = _apart("ebar(x, d)", a, "E d", b, LIMIT * c, names)
+    a, b = sample.values([pair.zbar, z], (pair.d, SMALL * direction))
+    c = np.broadcast_to(np.nanmax(np.abs(b), axis=0), b.shape)
+    text = text or _apart("zbar(x, d)", a, "z", b, LIMIT * c, names)
+    return [Problem("closed-pair", pair.label, f"{text} for small d", remedy)] if text else []
+
+
+def _apart(left: str, a: NDArray, right: str, b: NDArray, allowed: NDArray, names: list[str]) -> str:
+    """Where two vectors per point differ by more than `allowed`, "" if nowhere or not finite."""
+    excess = np.nan_to_num(np.abs(a - b) - allowed, nan=-1.0, posinf=-1.0)
+    if not (excess > 0).any():
+        return (
+            ""
+            if np.isfinite(a - b).any()
+            else f"{left} and {right} are not finite at any of the sampled points"
+        )
+    i, j, _ = np.unravel_index(np.argmax(excess), excess.shape)
+    return f"{left} = {a[i, j, 0]:.9g} but {right} = {b[i, j, 0]:.9g} ({names[int(j)]})"

@@ -1,0 +1,162 @@
+"""Rules on equations: every algebraic variable occurs, constraints act on velocities, the system can be solved."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from phfmu.declare.check_entries import Entries, key
+from phfmu.declare.check_problem import Problem
+from phfmu.declare.phdae import PHDAE
+
+if TYPE_CHECKING:
+    from phfmu.discretise.collocated import Collocated
+    from phfmu.discretise.model import Model
+
+
+def unused(entries: Entries) -> list[Problem]:
+    """Every algebraic variable occurs in an equation."""
+    seen = set(entries.doubtful)
+
+    def see(expr: ca.SX) -> None:
+        seen.update(s.element_hash() for s in ca.symvar(ca.sparsify(expr)))
+
+    for e in entries.of("J", "R"):
+        see(ca.mtimes(ca.sparsify(e.expr), ca.vertcat(*(v.z for v in e.rows))))
+    for e in entries.of("B"):
+        see(e.expr)
+        if e.origin.bound is not None:
+            see(ca.mtimes(ca.sparsify(e.expr).T, e.rows[0].z))
+    for e in entries.of("bound"):
+        see(e.expr)
+    for e in entries.of("g"):
+        seen.update(s.element_hash() for s in ca.vertsplit(e.rows[0].sx))
+    return [
+        Problem("unused", f"variable '{name}'", "the algebraic variable appears in no equation",
+                "couple it by a block of J or R, or leave it out")
+        for v in entries.model.algebraics for name, s in zip(v.names(), ca.vertsplit(v.sx), strict=True)
+        if s.element_hash() not in seen
+    ]  # fmt: skip
+
+
+def velocities(entries: Entries) -> list[Problem]:
+    """Every position q of a constraint g(q) = 0 has the equation q' = z_v."""
+    constraints = entries.of("g")
+    if not constraints:
+        return []
+    row: dict[int, ca.SX] = {}
+    for e in entries.of("J", "R", "B"):
+        z = e.origin.u if e.what == "B" else ca.vertcat(*(v.z for v in e.rows))
+        flow = ca.mtimes(ca.sparsify(e.expr), z) * (-1 if e.what == "R" else 1)
+        for j, s in enumerate(s for v in e.rows for s in ca.vertsplit(v.sx)):
+            row[s.element_hash()] = row.get(s.element_hash(), ca.SX(0)) + flow[j]
+    inert = {key(v): name for e in entries.of("E") for v in e.rows for name in [e.label]}
+    inert |= {key(v): pair.label for pair in entries.pairs for v in pair.origin.variables}
+    found = []
+    for e in constraints:
+        for s in ca.symvar(e.expr):
+            kind, name = entries.known[s.element_hash()]
+            if kind != "x" or s.element_hash() in entries.doubtful:
+                continue
+            text = _no_velocity(entries, ca.SX(ca.simplify(row.get(s.element_hash(), ca.SX(0)))))
+            owner = next(
+                (
+                    v
+                    for v in entries.model.states
+                    for j in range(v.n)
+                    if v.sx[j].element_hash() == s.element_hash()
+                )
+            )
+            if not text and key(owner) in inert:
+                text = f"'{name}' has a mass ({inert[key(owner)]})"
+            if text:
+                found.append(
+                    Problem("velocity", e.label, f"{name}' is not the effort of a velocity: {text}",
+                            f"give J the constant entry 1 between '{name}' and its velocity: skew(q, v, 1.0)")
+                )  # fmt: skip
+                break
+    return found
+
+
+def _no_velocity(entries: Entries, rate: ca.SX) -> str:
+    """Why q' = `rate` is not z_v, "" if it is."""
+    symbols = ca.symvar(rate)
+    if not symbols:
+        return "the rate is constant"
+    kind, name = entries.known[symbols[0].element_hash()]
+    if len(symbols) > 1 or kind != "z":
+        return f"the rate depends on {', '.join(entries.known[s.element_hash()][1] for s in symbols[:4])}"
+    factor = ca.simplify(ca.gradient(rate, symbols[0]))
+    if not factor.is_constant() or float(factor) != 1.0:
+        return f"the rate is {factor} times {name}"
+    return ""
+
+
+def equations(model: PHDAE, scheme: Collocated | None) -> list[Problem]:
+    """The equations can be solved at the start, and the start satisfies their hidden constraints."""
+    from phfmu.discretise.model import build_model
+    from phfmu.discretise.terms import DeclarationError
+    from phfmu.engine.python import PythonInstance
+    from phfmu.engine.status import REMEDY, Status, StepFailure
+
+    try:
+        built = build_model(model, scheme)
+    except DeclarationError as e:
+        text, remedy = _split(str(e).removeprefix(f"{model.name}: "))
+        return [Problem("solvability", model.name, text, remedy)]
+    try:
+        instance = PythonInstance(built)
+        signals = instance.signals()
+    except StepFailure as e:
+        rule = "solvability" if e.status is Status.SINGULAR else "start"
+        where = f" ({e.equation}, scaled residual {e.residual:.3g})" if e.equation else ""
+        return [
+            Problem(
+                rule, model.name, f"the start cannot be solved: {e.status.value}{where}", REMEDY[e.status]
+            )
+        ]
+    found = hidden(built, signals["observables"])
+    for name, value in zip(built.observable_names, signals["observables"], strict=False):
+        if not np.isfinite(value):
+            found.append(
+                Problem(
+                    "start",
+                    f"observable '{name}'",
+                    f"is {value} at the start",
+                    "write it so that it is defined there",
+                )
+            )
+    return found
+
+
+def _split(text: str) -> tuple[str, str]:
+    """The message of the planner and its last part, the remedy."""
+    for mark in ("; ", ". "):
+        if mark in text:
+            message, _, remedy = text.rpartition(mark)
+            return message, remedy
+    return text, "change the entry it names"
+
+
+def hidden(model: Model, observables: np.ndarray) -> list[Problem]:
+    """Hidden constraints (position, velocity, Kirchhoff) the start violates."""
+    from phfmu.discretise.model import CONSISTENCY
+
+    found = []
+    values = observables[len(observables) - len(model.checks) :]
+    holonomic = {n for c in model.declaration.constraints for n in c.multiplier.names()}
+    for c, value, size in zip(model.checks, values, model.check_scale, strict=True):
+        if not abs(value) <= CONSISTENCY * size:
+            what = (
+                {"position": "g(q)", "velocity": "Dg(q) v"}[c.level]
+                if c.name in holonomic
+                else "sum of flows or efforts"
+            )
+            found.append(
+                Problem("start", f"constraint of '{c.name}'",
+                        f"{what} = {value:.6g} at the start, allowed {CONSISTENCY * size:.3g} (natural size {size:.3g})",
+                        "choose start values (states, sources, inputs) that satisfy it")
+            )  # fmt: skip
+    return found

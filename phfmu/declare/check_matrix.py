@@ -1,0 +1,205 @@
+"""Rules on matrices at sampled points: finite, J skew, R symmetric and positive semidefinite, E regular, E^T z = grad H."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.check_entries import Entries, Entry, key
+from phfmu.declare.check_problem import Problem
+from phfmu.declare.check_sample import Sample
+
+RELATIVE = 1e-9  # of the numbers compared
+FLOOR = 1e-12  # of the largest entry of a block: rounding of entries that cancel to zero
+SINGULAR = 1e-13  # smallest over largest singular value of a matrix with balanced rows and columns
+
+
+def finite(entries: Entries, sample: Sample) -> list[Problem]:
+    """Matrices are finite at the start; entries with algebraic variables somewhere (their start is only a guess)."""
+    chosen = entries.of("J", "R", "B", "E", "z", "source")
+    found = []
+    for e, value in zip(chosen, sample.values([e.expr for e in chosen]), strict=True):
+        bad = ~np.isfinite(value)
+        kinds = {entries.known[s.element_hash()][0] for s in ca.symvar(e.expr)}
+        exact = "a" not in kinds and ("z" not in kinds or sample.known_z[0].all())
+        if (exact and bad[0].any()) or bad.any(axis=(1, 2)).all():
+            r, c = np.argwhere(bad[0] if bad[0].any() else bad[1])[0]
+            text = "at the start" if bad[0].any() else "at any of the sampled points"
+            found.append(
+                Problem("start", e.label, f"entry [{r + 1}, {c + 1}] is {value[0, r, c]} {text}",
+                        "start where it is defined, or write it so that it is defined there")
+            )  # fmt: skip
+    return found
+
+
+def skew_symmetry(entries: Entries, sample: Sample) -> list[Problem]:
+    """J + J^T = 0 per block."""
+    return _mirrored(
+        entries, sample, "J", +1, "skew", "build it with skew(rows, cols, matrix), or correct the sign"
+    )
+
+
+def symmetry(entries: Entries, sample: Sample) -> list[Problem]:
+    """R = R^T per block."""
+    remedy = "make the block symmetric; a skew part belongs into J"
+    return _mirrored(entries, sample, "R", -1, "symmetry", remedy)
+
+
+def _mirrored(
+    entries: Entries, sample: Sample, what: str, sign: int, rule: str, remedy: str
+) -> list[Problem]:
+    blocks, found = entries.of(what), []
+    for e, value in zip(blocks, sample.values([e.expr for e in blocks]), strict=True):
+        good = np.isfinite(value)
+        value = np.where(good & good.transpose(0, 2, 1), value, 0.0)
+        mirror = value.transpose(0, 2, 1)
+        size = (np.abs(value) + np.abs(mirror)).max(axis=0)
+        excess = np.abs(value + sign * mirror) - RELATIVE * size - FLOOR * size.max(initial=0.0)
+        if not (excess > 0).any():
+            continue
+        i, r, c = (int(k) for k in np.unravel_index(np.argmax(excess), excess.shape))
+        r, c = min(r, c), max(r, c)
+        names, n = e.names(), int(np.count_nonzero((excess > 0).any(axis=0)[np.triu_indices(len(size))]))
+        more = f" ({n} such entries)" if n > 1 else ""
+        found.append(
+            Problem(
+                rule, e.label,
+                f"{what}[{names[r]}, {names[c]}] = {value[i, r, c]:.6g} but {what}[{names[c]}, {names[r]}] = "
+                f"{value[i, c, r]:.6g}, {'sum' if sign > 0 else 'difference'} {value[i, r, c] + sign * value[i, c, r]:.3g} "
+                f"{sample.where(i, e.expr)}{more}",
+                remedy,
+            )
+        )  # fmt: skip
+    return found
+
+
+def passivity(entries: Entries, sample: Sample) -> list[Problem]:
+    """The sum of all R blocks is positive semidefinite."""
+    variables = (*entries.model.states, *entries.model.algebraics)
+    names = [n for v in variables for n in v.names()]
+    place, at = {}, 0
+    for v in variables:
+        place[key(v)] = at
+        at += v.n
+    blocks = entries.of("R")
+    rows = [[place[key(v)] + j for v in e.rows for j in range(v.n)] for e in blocks]
+    values = sample.values([e.expr for e in blocks])
+    found = []
+    for group in _connected(rows, len(names)):
+        where = sorted({i for b in group for i in rows[b]})
+        local = {i: j for j, i in enumerate(where)}
+        total = np.zeros((sample.n, len(where), len(where)))
+        for b in group:
+            index = [local[i] for i in rows[b]]
+            for r, i in enumerate(index):
+                for c, j in enumerate(index):
+                    total[:, i, j] += values[b][:, r, c]
+        text = _indefinite(total, [names[i] for i in where], [blocks[b] for b in group], sample)
+        if text:
+            label = "; ".join(dict.fromkeys(blocks[b].label for b in group))
+            found.append(
+                Problem("passivity", label, text, "dissipation must not create energy: correct the sign or the coupling; "
+                        "an active element is fed through a port")
+            )  # fmt: skip
+    return found
+
+
+def _connected(sets: list[list[int]], n: int) -> list[list[int]]:
+    """Groups of sets that share elements of range(n), directly or through others."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    member = [(b, i) for b, s in enumerate(sets) for i in s]
+    if not member:
+        return []
+    b, i = np.array(member).T
+    pattern = csr_matrix((np.ones(len(b)), (b, len(sets) + i)), shape=(len(sets) + n,) * 2)
+    label = connected_components(pattern, directed=False)[1][: len(sets)]
+    return [np.flatnonzero(label == k).tolist() for k in np.unique(label)]
+
+
+def _indefinite(total: NDArray, names: list[str], blocks: list[Entry], sample: Sample) -> str:
+    """What is wrong with R (points x n x n), "" if it is positive semidefinite at every finite point."""
+    worst, text = 0.0, ""
+    for i, R in enumerate(total):
+        if not np.isfinite(R).all():
+            continue
+        R = (R + R.T) / 2
+        diagonal = np.abs(np.diag(R))
+        size = np.sqrt(np.where(diagonal > 0, diagonal, np.abs(R).max(axis=1)))
+        size[size == 0] = 1.0
+        # a congruence keeps the signs of the eigenvalues and makes units comparable
+        balanced, vectors = np.linalg.eigh(R / np.outer(size, size))
+        if balanced[0] < -RELATIVE * max(balanced[-1], 1.0) and balanced[0] < worst:
+            worst = balanced[0]
+            plain = np.linalg.eigvalsh(R)[0]
+            direction = int(np.argmax(np.abs(vectors[:, 0])))
+            shown = ", ".join(names[:6]) + (", .." if len(names) > 6 else "")
+            text = (
+                f"the summed R on ({shown}) has the eigenvalue {min(plain, 0.0) or balanced[0]:.6g}, mostly along "
+                f"'{names[direction]}', {sample.where(i, *(b.expr for b in blocks))}"
+            )
+    return text
+
+
+def masses(entries: Entries, sample: Sample) -> list[Problem]:
+    """E11 is regular at the start and at sampled points."""
+    chosen = [(e.label, e.expr, e.names()) for e in entries.of("E")]
+    for pair in entries.pairs:
+        names = [n for v in pair.origin.variables for n in v.names()]
+        chosen.append((f"{pair.label}: E", ca.SX(pair.origin.E), names))
+    found = []
+    for (label, expr, names), value in zip(chosen, sample.values([c[1] for c in chosen]), strict=True):
+        for i, E in enumerate(value):
+            row = _singular(E) if np.isfinite(E).all() else -1
+            if row >= 0:
+                text = f"E[{names[row]}, {names[row]}] = {E[row, row]:g}, singular {sample.where(i, expr)}"
+                found.append(
+                    Problem(
+                        "mass",
+                        label,
+                        text,
+                        f"give a nonzero mass, or make '{names[row]}' an algebraic variable",
+                    )
+                )
+                break
+    return found
+
+
+def _singular(E: NDArray) -> int:
+    """The row that is undetermined if E is singular, else -1."""
+    for axis in (1, 0):
+        zero = np.flatnonzero(np.abs(E).max(axis=axis) == 0)
+        if zero.size:
+            return int(zero[0])
+    if np.count_nonzero(E - np.diag(np.diag(E))) == 0:
+        return -1
+    for _ in range(3):
+        E = E / np.sqrt(np.abs(E).max(axis=1, keepdims=True))
+        E = E / np.sqrt(np.abs(E).max(axis=0, keepdims=True))
+    _, s, right = np.linalg.svd(E)
+    return int(np.argmax(np.abs(right[-1]))) if s[-1] <= SINGULAR * s[0] else -1
+
+
+def costates(entries: Entries, sample: Sample) -> list[Problem]:
+    """A given z equals E^-T grad H."""
+    if not entries.complete:
+        return []
+    chosen, found = entries.of("z"), []
+    for e, value in zip(chosen, sample.values([e.expr for e in chosen]), strict=True):
+        span = list(sample.rows(e.rows[0]))
+        given, derived = value[:, :, 0], np.where(sample.known_z[:, span], sample.z[:, span], np.nan)
+        size = np.nanmax(np.abs(np.stack([given, derived])), axis=(0, 1), initial=0.0)
+        excess = np.nan_to_num(np.abs(given - derived) - 10 * RELATIVE * size, nan=-1.0)
+        if (excess > 0).any():
+            i, j = (int(k) for k in np.unravel_index(np.argmax(excess), excess.shape))
+            found.append(
+                Problem(
+                    "costate", e.label,
+                    f"{e.names()[j]}: given z = {given[i, j]:.9g}, E^-T grad H = {derived[i, j]:.9g} "
+                    f"{sample.where(i, e.expr, sample.gradient()[span[j]])}",
+                    "correct z or H, or leave z out: it is derived from H and E",
+                )
+            )  # fmt: skip
+    return found

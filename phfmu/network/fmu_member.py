@@ -1,0 +1,179 @@
+"""FMUs in a run: as a member of a coupled network, or alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.status import Status, StepFailure
+from phfmu.fmu.reader import FMUInstance
+from phfmu.network.members import finite_differences
+from phfmu.network.scene import Scene
+from phfmu.network.stepper import Booking, Steps
+
+Array = NDArray[np.float64]
+
+
+def _columns(unit: FMUInstance) -> list[str]:
+    variables = unit.interface.variables
+    return [n for n in unit.names if variables[n].causality != "input"]
+
+
+def _booking(unit: FMUInstance, name: str) -> Booking:
+    pairs = []
+    for p in unit.ports:
+        vector = p.vector or len(p.inputs) > 1
+        pairs += [(name, p.name, i + 1 if vector else None, None) for i in range(len(p.inputs))]
+    if _fed_from_inside(unit):
+        pairs.append((name, "inside", None, None))
+    return Booking((name,), tuple(pairs))
+
+
+def _fed_from_inside(unit: FMUInstance) -> bool:
+    """True if the unit has power ports of its own that no input feeds, such as the source of a grid."""
+    return any(n.endswith(".energy") and v.causality == "local" for n, v in unit.interface.variables.items())
+
+
+def _ledger(unit: FMUInstance) -> dict[str, Array]:
+    """The unit's ledger of the last step; what it supplies to itself becomes the pair `inside`."""
+    book = unit.ledger()
+    if _fed_from_inside(unit):
+        book["pairs"] = np.append(book["pairs"], book["supplied"].sum() - book["pairs"].sum())
+    return book
+
+
+class FMUMember:
+    """A member of a coupled network that is an FMU, of this package or of another tool."""
+
+    def __init__(self, name: str, unit: FMUInstance):
+        self.name, self.unit = name, unit
+        self.nu = unit.nu
+        self.places: dict[str, slice] = {}
+        start = 0
+        for p in unit.ports:
+            self.places[p.name] = slice(start, start + len(p.inputs))
+            start += len(p.inputs)
+        self.names = _columns(unit)
+        self.booking = _booking(unit, name)
+        self._u = unit.start_inputs()
+        self._nominal = np.array([unit.variable(n).nominal for n in unit.inputs])
+
+    def settable(self) -> list[str]:
+        return list(self.unit.inputs)
+
+    def input_index(self, name: str) -> int | None:
+        return self.unit.inputs.index(name) if name in self.unit.inputs else None
+
+    def set_parameter(self, name: str, value: float) -> bool:
+        """Parameters of an FMU are fixed once it is initialised; ValueError says so."""
+        known = self.unit.interface.variables
+        names = [n for n in known if n == name or n.partition("[")[0] == name and "[" not in name]
+        if not names:
+            return False
+        raise ValueError(
+            f"{self.name}.{name} = {value:g}: parameters of an FMU are fixed during a run; use --engine native for this "
+            "member, or drive an input instead"
+        )
+
+    def start_inputs(self) -> Array:
+        return self.unit.start_inputs()
+
+    def set_input(self, u: Array) -> None:
+        self._u = np.array(u)
+        self.unit.set_input(u)
+
+    def do_step(self, t: float, h: float) -> None:
+        self.unit.do_step(t, h)
+
+    def output(self) -> Array:
+        return self.unit.output()
+
+    def end_output(self) -> Array:
+        return self.unit.end_output()
+
+    def sensitivity(self, t: float, h: float, state: Any) -> Array:
+        try:
+            return self.unit.sensitivity()
+        except StepFailure as failure:
+            if failure.status is not Status.NO_SENSITIVITY:
+                raise
+            return finite_differences(self, self._u, t, h, state, self._nominal)
+
+    def get_state(self) -> Any:
+        return self.unit.get_state()
+
+    def set_state(self, state: Any) -> None:
+        self.unit.set_state(state)
+
+    def ledger(self) -> dict[str, Array]:
+        return _ledger(self.unit)
+
+    def energies(self) -> Array:
+        return self.unit.energies()
+
+    def read(self) -> Array:
+        return self.unit.get(self.names)
+
+    def check_start(self) -> None:
+        """The unit refuses an inconsistent start itself, when it leaves initialisation."""
+
+
+class FMUStepper:
+    """One FMU as the whole system of a run."""
+
+    def __init__(self, unit: FMUInstance):
+        self.member = FMUMember(unit.name, unit)
+        self.unit = unit
+        self.names = self.member.names
+        self.booking = self.member.booking
+        self._u = unit.start_inputs()
+
+    def settable(self) -> list[str]:
+        return self.member.settable()
+
+    def set_value(self, name: str, value: float) -> None:
+        """Set an input; KeyError names close ones, ValueError refuses parameters."""
+        i = self.member.input_index(name)
+        if i is None:
+            if not self.member.set_parameter(name, value):
+                from difflib import get_close_matches
+
+                close = get_close_matches(name, self.settable(), 5)
+                raise KeyError(f"{self.unit.name} has no input '{name}'; close: {', '.join(close) or 'none'}")
+            return
+        self._u[i] = value
+        self.unit.set_input(self._u)
+
+    def read(self) -> Array:
+        return self.member.read()
+
+    def energies(self) -> Array:
+        return self.unit.energies()
+
+    def check_start(self) -> None:
+        self.member.check_start()
+
+    def advance(self, t0: float, h: float, n: int) -> Steps:
+        rows: list[tuple[Array, ...]] = []
+        for k in range(n):
+            try:
+                self.unit.do_step(t0 + k * h, h)
+            except StepFailure as failure:
+                failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
+                raise
+            book = _ledger(self.unit)
+            parts = [book[key] for key in ("stored", "dissipated", "supplied", "pairs")]
+            rows.append((self.read(), self.energies(), *parts, np.array(0.0)))
+        return Steps.stacked(rows)
+
+
+def fmu_scene(unit: FMUInstance) -> Scene:
+    """Stop and step of the unit's default experiment (1 s, 1 ms where it has none)."""
+    from phfmu.declare.phdae import PHDAE
+
+    face = unit.interface
+    step = face.step or 1e-3
+    stop = face.stop if face.stop is not None else 1.0
+    return Scene(unit.name, PHDAE(unit.name), stop, step, description=face.description)
