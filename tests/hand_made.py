@@ -12,7 +12,7 @@ import numpy as np
 
 from phfmu.discretise.plan import Group, Kernel, Plan, Products
 
-Ints = Sequence[Sequence[int]]
+Triplet = tuple[int, int, float, int]
 
 
 @dataclass(frozen=True)
@@ -59,60 +59,95 @@ def products(entries: dict[tuple[int, int], list[tuple[int, int, float, int]]]) 
     )
 
 
-def make_plan(
-    *, nx: int, nw: int, nz: int = 0, nu: int = 0, k: int = 1, np_: int = 0, nq: int = 0, nobs: int = 0, na: int = 0,
-    groups: Sequence[tuple[Kernel, int, Ints, Ints, Ints, Ints, Sequence[int]]] = (),
-    const: Sequence[tuple[int, int, float, int]] = (), update: Sequence[tuple[int, int, float]] = (),
-    mean: Sequence[tuple[int, int, float]] = (), increments: Sequence[int] = (), reg: Sequence[int] = (),
-    weights: Sequence[float] = (1.0,), pair_src: Sequence[int] = (), order: Sequence[int] | None = None,
-) -> Plan:  # fmt: skip
-    """Plan with one component; Jacobian products by brute force. `reg`: rows with a regularised diagonal."""
+def jacobian(
+    plan: dict[str, Any], groups: Sequence[Group], const: Sequence[Triplet]
+) -> tuple[Products, Products]:
+    """Newton matrix and the other derivative blocks, by brute force over all Jacobian entries."""
+    nw, nu, k, nq, weights = (plan[n] for n in ("nw", "nu", "k", "nq", "weights"))
     nv = nw + nu * k + 1
-    made, slot = [], 1
-    via_z, rows = defaultdict(list), []
-    for kern, stage, xi, yi, pi, oi, power in groups:
-        tables = [np.array(t, np.int32).reshape(len(oi), -1) for t in (xi, yi, pi, oi)]
-        made.append(Group(kern, stage, slot, *tables, np.array(power, np.int8), np.zeros(len(oi), np.int32)))
-        for i in range(len(oi)):
-            for r, c in zip(kern.jac_row, kern.jac_col, strict=True):
-                if stage == 0:
-                    via_z[oi[i][r]].append((yi[i][c], slot))
+    via_z, rows = defaultdict(list), [(r, c, 0, value, power) for r, c, value, power in const]
+    for g in groups:
+        for i in range(g.n):
+            for e, (r, c) in enumerate(zip(g.kernel.jac_row, g.kernel.jac_col, strict=True)):
+                slot = g.slot + i * g.kernel.nj + e
+                if g.stage == 0:
+                    via_z[g.oi[i, r]].append((g.yi[i, c], slot))
                 else:
-                    rows.append((oi[i][r], yi[i][c], slot, 1.0, power[r]))
-                slot += 1
-    rows += [(r, s, 0, c, h) for r, s, c, h in const]
+                    rows.append((g.oi[i, r], g.yi[i, c], slot, 1.0, int(g.power[r])))
     block: dict[bool, dict] = {True: defaultdict(list), False: defaultdict(list)}
     for r, c, s, value, power in rows:
+        if r >= nw + nq * k or (r >= nw and (r - nw) % nq >= nu):
+            continue
+        row = r if r < nw else nw + (r - nw) % nq
+        weight = 1.0 if r < nw else weights[(r - nw) // nq]
         for column, t in via_z[c - nv] if c >= nv else [(c, 0)]:
-            row, external = r, (r - nw) % max(nq, 1)
-            if row >= nw:
-                if row >= nw + nq * k or external >= nu:
-                    continue
-                row, value = nw + external, value * weights[(r - nw) // nq]
             if column == nv - 1:
                 continue
             col = column if column < nw else nw + (column - nw) % nu
-            block[row < nw and col < nw][row, col].append((s, t, value, power))
-    for i in reg:
+            block[row < nw and col < nw][row, col].append((s, t, weight * value, power))
+    for i in plan["reg"]:
         block[True][i, i] += []
-    matrix, derivative = products(block[True]), products(block[False])
-    triplet = [np.array([e[i] for e in const]) for i in range(4)]
-    at = {(r, c): e for e, (r, c) in enumerate(zip(matrix.row.tolist(), matrix.col.tolist(), strict=True))}
+    return products(block[True]), products(block[False])
+
+
+SIZES = {"nx": 0, "nw": 0, "nz": 0, "nu": 0, "k": 1, "np": 0, "nq": 0, "nobs": 0, "na": 0}
+LISTS = ("groups", "const", "update", "mean", "reg", "pair_src")
+
+
+def make_plan(**given: Any) -> Plan:
+    """Plan with one component from SIZES, LISTS, `increments` and `weights`; what is not given is absent.
+
+    groups: (kernel, stage, xi, yi, pi, oi, power); const: (row, Y index, value, power of h);
+    update: (x, w, factor); mean: (a, w, factor); reg: rows whose diagonal is regularised.
+    """
+    plan: dict[str, Any] = SIZES | {n: [] for n in LISTS} | {"weights": [1.0]}
+    plan |= {"increments": [0] * given.get("nw", 0)} | given
+    groups, slot = [], 1
+    for kern, stage, *tables, power in plan["groups"]:
+        n = len(tables[3])
+        xi, yi, pi, oi = (np.array(t, np.int32).reshape(n, -1) for t in tables)
+        groups.append(
+            Group(kern, stage, slot, xi, yi, pi, oi, np.array(power, np.int8), np.zeros(n, np.int32))
+        )
+        slot += n * kern.nj
+    matrix, derivative = jacobian(plan, groups, plan["const"])
+    nw = plan["nw"]
+    place = {rc: e for e, rc in enumerate(zip(matrix.row.tolist(), matrix.col.tolist(), strict=True))}
+
+    def column(name: str, i: int, dtype: Any) -> Any:
+        return np.array([e[i] for e in plan[name]], dtype)
+
     return Plan(
-        nx=nx, nw=nw, nu=nu, k=k, nz=nz, np=np_, nq=nq, nobs=nobs, na=na, ncomp=1, groups=tuple(made), nslot=slot,
-        const_row=triplet[0].astype(np.int32), const_src=triplet[1].astype(np.int32),
-        const_val=triplet[2].astype(float), const_pow=triplet[3].astype(np.int8), matrix=matrix,
+        **{n: plan[n] for n in SIZES},
+        ncomp=1,
+        groups=tuple(groups),
+        nslot=slot,
+        const_row=column("const", 0, np.int32),
+        const_src=column("const", 1, np.int32),
+        const_val=column("const", 2, float),
+        const_pow=column("const", 3, np.int8),
+        matrix=matrix,
         colptr=np.searchsorted(matrix.col, np.arange(nw + 1)).astype(np.int32),
-        order=np.array(range(nw) if order is None else order, np.int32), pivot_row=np.full(nw, -1, np.int32),
-        regularised=np.array([at[i, i] for i in reg], np.int32), derivative=derivative,
-        update_x=np.array([e[0] for e in update], np.int32), update_w=np.array([e[1] for e in update], np.int32),
-        update_c=np.array([e[2] for e in update], float), mean_a=np.array([e[0] for e in mean], np.int32),
-        mean_w=np.array([e[1] for e in mean], np.int32), mean_c=np.array([e[2] for e in mean], float),
-        guess_ptr=np.arange(nw + 1, dtype=np.int32), guess_idx=np.arange(nw, dtype=np.int32),
-        guess_val=np.ones(nw), guess_pow=np.array(increments or [0] * nw, np.int8),
-        increments=np.array(increments or [0] * nw, np.int8), weights=np.array(weights, float),
-        pair_src=np.array(pair_src, np.int32), pair_owner=np.zeros(nq, np.int32), nominal=np.ones(nw),
-    )  # fmt: skip
+        order=np.arange(nw, dtype=np.int32),
+        pivot_row=np.full(nw, -1, np.int32),
+        regularised=np.array([place[i, i] for i in plan["reg"]], np.int32),
+        derivative=derivative,
+        update_x=column("update", 0, np.int32),
+        update_w=column("update", 1, np.int32),
+        update_c=column("update", 2, float),
+        mean_a=column("mean", 0, np.int32),
+        mean_w=column("mean", 1, np.int32),
+        mean_c=column("mean", 2, float),
+        guess_ptr=np.arange(nw + 1, dtype=np.int32),
+        guess_idx=np.arange(nw, dtype=np.int32),
+        guess_val=np.ones(nw),
+        guess_pow=np.array(plan["increments"], np.int8),
+        increments=np.array(plan["increments"], np.int8),
+        weights=np.array(plan["weights"], float),
+        pair_src=np.array(plan["pair_src"], np.int32),
+        pair_owner=np.zeros(plan["nq"], np.int32),
+        nominal=np.ones(nw),
+    )
 
 
 MIDPOINT = kernel(
@@ -123,7 +158,7 @@ NOTHING = [[]]
 
 
 def oscillator(scale: float = 1.0) -> HandMade:
-    """Mass p1, spring p0, damper p2, force u: w = (dq, dp); Y = [dq, dp, u, h | z_q = force, z_p = velocity]."""
+    """Mass 1/p1, spring p0, damper p2, force u: w = (dq, dp), Y = [dq, dp, u, h | force, velocity]."""
     stiff, mobile = scale * 9.0, 1 / 0.7
     groups = [
         (MIDPOINT, 0, [[0], [1]], [[0], [1]], [[0], [1]], [[0], [1]], [0]),
@@ -131,12 +166,12 @@ def oscillator(scale: float = 1.0) -> HandMade:
     ]
     const = [(0, 0, 1.0, 0), (0, 5, -1.0, 1), (1, 1, 1.0, 0), (1, 4, 1.0, 1), (1, 2, -1.0, 1), (2, 5, 1.0, 0)]
     step = make_plan(
-        nx=2, nw=2, nz=2, nu=1, np_=3, nq=1, groups=groups, const=const, update=[(0, 0, 1.0), (1, 1, 1.0)],
+        nx=2, nw=2, nz=2, nu=1, np=3, nq=1, groups=groups, const=const, update=[(0, 0, 1.0), (1, 1, 1.0)],
         increments=[1, 1], pair_src=[2],
     )  # fmt: skip
     energy = kernel("H", (1, 0, 1), lambda x, y, p: [p * x], lambda x, y, p: (p * x * x / 2, 0))
     instant = make_plan(
-        nx=2, nw=0, nz=2, nu=1, np_=3, nq=1, nobs=1, pair_src=[0],
+        nx=2, nw=0, nz=2, nu=1, np=3, nq=1, nobs=1, pair_src=[0],
         groups=[(energy, 0, [[0], [1]], [[], []], [[0], [1]], [[0], [1]], [0])],
         const=[(0, 3, 1.0, 0), (1, 2, 1.0, 0)],
     )  # fmt: skip
@@ -188,23 +223,20 @@ def bar(copies: int) -> HandMade:
         return [d[0] * y[8], d[1] * y[8], -d[0] * y[8], -d[1] * y[8], -ca.dot(d, z)]
 
     constraint = kernel("bar", (4, 9, 0), tie)
-    lam = range(8, nw)
+    lam, speed = range(8, nw), [[4 + i] for i in range(4)]
     nv = nw + 1
     velocity = [nv + i for i in range(4)]
     step = make_plan(
-        nx=8, nw=nw, nz=4, na=copies, increments=[1] * 8 + [0] * copies, update=[(i, i, 1.0) for i in range(8)],
-        mean=[(j, 8 + j, 1.0) for j in range(copies)], reg=list(lam),
+        nx=8, nw=nw, nz=4, na=copies, increments=[1] * 8 + [0] * copies,
+        update=[(i, i, 1.0) for i in range(8)], mean=[(j, 8 + j, 1.0) for j in range(copies)], reg=list(lam),
         groups=[
-            (free, 0, [[4 + i] for i in range(4)], [[4 + i] for i in range(4)], [[]] * 4, [[i] for i in range(4)], [0]),
+            (free, 0, speed, speed, [[]] * 4, [[i] for i in range(4)], [0]),
             (constraint, 1, [[0, 1, 2, 3]] * copies, [[0, 1, 2, 3, *velocity, j] for j in lam], [[]] * copies,
              [[4, 5, 6, 7, j] for j in lam], [1, 1, 1, 1, 0]),
         ],
-        const=[(i, i, 1.0, 0) for i in range(8)] + [(i, velocity[i], -1.0, 1) for i in range(4)] + [(5, nw, 9.81, 1)],
+        const=[(i, i, 1.0, 0) for i in range(8)] + [(i, velocity[i], -1.0, 1) for i in range(4)]
+        + [(5, nw, 9.81, 0)],
     )  # fmt: skip
-    # row 5 has h * 9.81 from the entry h of v; the power of h is 0 there
-    const_pow = step.const_pow.copy()
-    const_pow[-1] = 0
-    object.__setattr__(step, "const_pow", const_pow)
     instant = make_plan(nx=8, nw=0, na=copies)
     x0 = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.5, 0.0, -0.5])
     return HandMade("bar", step, instant, x0, a0=np.zeros(copies))
@@ -250,12 +282,13 @@ def gauss_two() -> HandMade:
 
 def implicit_node() -> HandMade:
     """x' = i, a node voltage a with (a - x) + a^3 = u, i = a - x; the node is an algebraic variable."""
+    flow = kernel("flow", (1, 2, 0), lambda x, y, p: [x + y[0] / 2 - y[1]])
     node = kernel("node", (1, 3, 0), lambda x, y, p: [y[1] - x - y[0] / 2 + y[1] ** 3 - y[2]])
     step = make_plan(
-        nx=1, nw=2, nu=1, nq=1, na=1, increments=[1, 0], update=[(0, 0, 1.0)], mean=[(0, 1, 1.0)], pair_src=[2],
+        nx=1, nw=2, nu=1, nq=1, na=1, increments=[1, 0], update=[(0, 0, 1.0)], mean=[(0, 1, 1.0)],
         groups=[(node, 1, [[0]], [[0, 1, 2]], NOTHING, [[1]], [0]),
-                (kernel("flow", (1, 2, 0), lambda x, y, p: [x + y[0] / 2 - y[1]]), 1, [[0]], [[0, 1]], NOTHING, [[0]],
-                 [1])],
+                (flow, 1, [[0]], [[0, 1]], NOTHING, [[0]], [1])],
+        pair_src=[2],
         const=[(0, 0, 1.0, 0), (2, 1, 1.0, 0)],
     )  # fmt: skip
     now = kernel("now", (1, 2, 0), lambda x, y, p: [y[0] - x + y[0] ** 3 - y[1]])
@@ -264,3 +297,20 @@ def implicit_node() -> HandMade:
         groups=[(now, 1, [[0]], [[0, 1]], NOTHING, [[0]], [0])], const=[(1, 0, 1.0, 0)],
     )  # fmt: skip
     return HandMade("node", step, instant, np.array([0.3]), np.array([0.5]), a0=np.array([0.1]))
+
+
+def heat(n: int) -> HandMade:
+    """x_i' = x_(i-1) - 2 x_i + x_(i+1) by the midpoint rule, ends at zero; linear with constant matrix."""
+    spread = kernel("spread", (1, 0, 0), lambda x, y, p: [2 * x])
+    give = kernel("give", (1, 0, 0), lambda x, y, p: [-x])
+    inner = [(i, j) for i in range(n) for j in (i - 1, i + 1) if 0 <= j < n]
+    none = [[]] * len(inner)
+    step = make_plan(
+        nx=n, nw=n, increments=[1] * n, update=[(i, i, 1.0) for i in range(n)],
+        groups=[(spread, 1, [[i] for i in range(n)], none[:n], none[:n], [[i] for i in range(n)], [1]),
+                (give, 1, [[j] for _, j in inner], none, none, [[i] for i, _ in inner], [1])],
+        const=[(i, i, 1.0, 0) for i in range(n)] + [(i, i, 1.0, 1) for i in range(n)]
+        + [(i, j, -0.5, 1) for i, j in inner],
+    )  # fmt: skip
+    x0 = np.sin(np.pi * np.arange(1, n + 1) / (n + 1)) + 0.1 * np.arange(n) / n
+    return HandMade("heat", step, make_plan(nx=n), x0)

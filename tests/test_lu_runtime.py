@@ -61,10 +61,8 @@ def lib() -> ctypes.CDLL:
 class LU:
     """One factorisation object of the runtime."""
 
-    def __init__(
-        self, lib: ctypes.CDLL, a: csc_matrix, capacity: int | None = None, order: Any = None
-    ) -> None:
-        n = a.shape[0]
+    def __init__(self, lib: ctypes.CDLL, a: Any, capacity: int | None = None, order: Any = None) -> None:
+        n = int(a.shape[0])
         self.lib, self.n = lib, n
         self.tables = [np.asarray(t, np.int32) for t in (a.indptr, a.indices)]
         order = np.arange(n) if order is None else order

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 import shutil
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import fsolve
+from scipy.optimize import brentq, fsolve
 
 from phfmu.engine.codegen import kernel_table
-from phfmu.engine.compile import compile
+from phfmu.engine.compile import CompileError, CompilerMissing, compile
 from phfmu.engine.library import load, runtime_sources
 from phfmu.engine.model import kernels
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.status import Status, StepFailure
-from phfmu.engine.tables import c_text, ctypes_structures, stamp
+from phfmu.engine.tables import c_text, capacity, ctypes_structures, stamp
 from tests.hand_made import (
     A2,
     C2,
@@ -25,6 +26,7 @@ from tests.hand_made import (
     bar,
     blow_up,
     gauss_two,
+    heat,
     implicit_node,
     oscillator,
     oscillator_step,
@@ -88,7 +90,8 @@ def test_pendulum_conserves_energy_and_equals_scipy() -> None:
     x = inst.x
     for i in range(50):
         inst.do_step(i * h, h)
-        x = x + fsolve(residual, [h * x[1] + 1e-3, -h * np.sin(x[0])], (x,), xtol=1e-13)
+        step: Any = fsolve(residual, [h * x[1] + 1e-3, -h * np.sin(x[0])], (x,), xtol=1e-13)
+        x = x + step
         assert np.allclose(inst.x, x, rtol=0, atol=1e-10)
     energy = inst.run(5.0, h, 2000, ("energy", "stored"))
     assert np.abs(energy["stored"]).max() < 3e-16
@@ -111,7 +114,7 @@ def test_duplicate_constraints_share_the_multiplier() -> None:
         force = h * arm * w[8] + h * np.array([0, 9.81, 0, 0])
         return np.concatenate([w[:4] - h * m[4:], w[4:8] + force, [-arm @ m[4:] * 100]])
 
-    w = fsolve(residual, np.zeros(9), xtol=1e-14)
+    w: Any = fsolve(residual, np.zeros(9), xtol=1e-12)
     assert np.allclose(one["x"][0], single.model.x0 + w[:8], rtol=0, atol=1e-12)
     assert one["a"][0, 0] == pytest.approx(w[8], rel=1e-9)
 
@@ -187,7 +190,10 @@ def test_sensitivity_equals_finite_differences(make: Callable[[], HandMade]) -> 
 
 def test_end_values_of_an_implicit_node() -> None:
     inst = NativeInstance(implicit_node())
-    root = lambda x, u: fsolve(lambda a: a - x + a**3 - u, 0.5, xtol=1e-14)[0]  # noqa: E731
+
+    def root(x: float, u: float) -> float:
+        return brentq(lambda a: a - x + a**3 - u, -5, 5, xtol=1e-15)  # pyright: ignore[reportReturnType]
+
     assert inst.signal("a")[0] == pytest.approx(root(0.3, 0.5), rel=1e-12)
     assert inst.output()[0] == inst.signal("a")[0] == inst.signal("y_end")[0]
     inst.set_input([0.9])
@@ -218,6 +224,20 @@ def test_restored_state_gives_the_same_bits_elsewhere(make: Callable[[], HandMad
     assert one.get_state() == other.get_state()
     with pytest.raises(ValueError, match="bytes"):
         one.set_state(b"")
+
+
+def test_a_matrix_that_stays_is_factored_once() -> None:
+    """Linear model above the size where the factors get all the memory; a new step size is a new matrix."""
+    n, h = 150, 0.05
+    inst = NativeInstance(heat(n))
+    assert 3 * n < capacity(inst.model.step) < n * n
+    x = inst.run(0.0, h, 10, ("x",))["x"]
+    a = np.diag(np.full(n, -2.0)) + np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)
+    exact = np.linalg.matrix_power(np.linalg.solve(np.eye(n) - h / 2 * a, np.eye(n) + h / 2 * a), 10)
+    assert np.allclose(x[-1], exact @ inst.model.x0, rtol=0, atol=1e-13)
+    assert inst.counts["factored"] == 1
+    inst.do_step(0.5, 0.06)
+    assert inst.counts["factored"] == 2
 
 
 def test_values_that_are_not_finite_are_refused() -> None:
@@ -287,3 +307,14 @@ def test_tables_as_text_give_the_same_bits(compiler: str, tmp_path: Any) -> None
     saved = ctypes.create_string_buffer(lib.ph_state_size(address))
     lib.ph_save(address, saved)
     assert saved.raw == inst.get_state()
+
+
+def test_missing_compiler_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(CompilerMissing, match=r'aarch64-none.*pip install "phfmu\[native\]"'):
+        compile({"a.c": "int a;"}, target="aarch64-none")
+
+
+def test_compile_error_shows_the_compiler() -> None:
+    with pytest.raises(CompileError, match="a.c"):
+        compile({"a.c": "int a = ;"})

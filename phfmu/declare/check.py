@@ -1,7 +1,8 @@
 """The check of a declaration: every problem at once, each with its entry, its numbers and a remedy.
 
-Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry, passivity,
-costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability (equations).
+Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry,
+passivity, costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability
+(equations);  internal (the check itself stopped at an entry).
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ BLOCKING = {
 def check(model: PHDAE, scheme: Collocated | None = None) -> list[Problem]:
     """All problems of `model`; an empty list if it is sound.
 
-    Matrices and energies are evaluated at the start and at seeded points around it, within the nominal size of each
-    variable and with the parameters at their start values.  The equations are planned for `scheme` (default: the
-    default scheme of the model).  Never raises for a bad model.
+    Matrices and energies are evaluated at the start and at seeded points around it, within the nominal size
+    of each variable and with the parameters at their start values.  The equations are planned for `scheme`
+    (default: the default scheme of the model).  Never raises for a bad model.
     """
     found: list[Problem] = []
     for rule in (names, units, nominals, starts):

@@ -1,4 +1,4 @@
-"""Rules on energies: finite at the start, terms as they claim to be, closed-form pairs true discrete gradients."""
+"""Rules on energies: finite at the start, of the kind they claim, closed-form pairs discrete gradients."""
 
 from __future__ import annotations
 
@@ -69,7 +69,10 @@ def _quadratic(
         if (change > RELATIVE * np.abs(hessian[good]).max()).any():
             r, c = (int(k) for k in np.unravel_index(np.argmax(change), change.shape))
             names = [entries.known[x[k].element_hash()][1] for k in (r, c)]
-            text = f"{symbol} is not quadratic: d2{symbol}/d({names[0]})d({names[1]}) changes by {change[r, c]:.3g} from point to point"
+            text = (
+                f"{symbol} is not quadratic: d2{symbol}/d({names[0]})d({names[1]}) changes by "
+                f"{change[r, c]:.3g} from point to point"
+            )
             found.append(Problem("energy", label, text, remedy))
     return found
 
@@ -101,7 +104,7 @@ def _strains(entries: Entries, sample: Sample) -> list[Problem]:
         size = RELATIVE * np.nanmax(np.abs(np.stack([a, b])), initial=0.0)
         excess = np.nan_to_num(np.abs(a - b) - size, nan=-1.0)
         if (excess > 0).any():
-            i = int(np.argmax(excess[:, 0, 0]))
+            i = int(np.argmax(excess[:, 0, 0] > 0))
             text = f"H = {a[i, 0, 0]:.9g} but phi(C) = {b[i, 0, 0]:.9g} {sample.where(i, e.expr, phi)}"
             found.append(Problem("energy", e.label, text, "build it with strain_energy(C, phi)"))
     return found
@@ -114,12 +117,16 @@ def closed_pairs(entries: Entries, sample: Sample) -> list[Problem]:
     for pair in entries.pairs:
         own = [pair.x[j].element_hash() for j in range(pair.x.numel())]
         names = {h: entries.known[h][1] for h in own}
-        text = [f"depends on '{entries.known[s.element_hash()][1]}', which is not one of its variables"
-                for s in ca.symvar(_states(entries, ca.SX(pair.origin.hamiltonian))) if s.element_hash() not in names]  # fmt: skip
+        states = ca.symvar(_states(entries, ca.SX(pair.origin.hamiltonian)))
+        foreign = [s for s in states if s.element_hash() not in names]
+        text = [
+            f"H depends on '{entries.known[s.element_hash()][1]}', not one of its variables" for s in foreign
+        ]
         text += [f"'{names[h]}' is in {taken[h]} as well" for h in own if h in taken]
         taken |= dict.fromkeys(own, pair.label)
-        text += [f"'{names[s.element_hash()]}' is in {e.label} as well" for e in entries.of("H", "E")
-                 for s in [*ca.symvar(e.expr), *(v.sx[0] for v in e.rows)] if s.element_hash() in names]  # fmt: skip
+        for e in entries.of("H", "E"):
+            hashes = [s.element_hash() for s in (*ca.symvar(e.expr), *(v.sx[0] for v in e.rows))]
+            text += [f"'{names[h]}' is in {e.label} as well" for h in hashes if h in names]
         if text:
             remedy = "a pair holds the whole energy and all of E of its variables, and of no others"
             found.append(Problem("closed-pair", pair.label, text[0], remedy))
@@ -166,5 +173,6 @@ def _apart(left: str, a: NDArray, right: str, b: NDArray, allowed: NDArray, name
             if np.isfinite(a - b).any()
             else f"{left} and {right} are not finite at any of the sampled points"
         )
-    i, j, _ = np.unravel_index(np.argmax(excess), excess.shape)
-    return f"{left} = {a[i, j, 0]:.9g} but {right} = {b[i, j, 0]:.9g} ({names[int(j)]})"
+    i = int(np.argmax((excess > 0).any(axis=(1, 2))))
+    j = int(np.argmax(excess[i, :, 0]))
+    return f"{left} = {a[i, j, 0]:.9g} but {right} = {b[i, j, 0]:.9g} ({names[j]})"

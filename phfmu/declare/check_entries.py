@@ -1,4 +1,4 @@
-"""Entries of a declaration in one form; what has a wrong shape or a foreign symbol is reported and left out."""
+"""Entries of a declaration in one form; wrong shapes and foreign symbols are reported and left out."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Variable, _sx, time
 
 #: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
-ALLOWED = {"H": "xp", "E": "xp", "z": "xp", "g": "xp", "source": "pt", "J": "xzaupt", "R": "xzaupt", "B": "xzaupt",
-           "observable": "xzaupt", "C": "xp", "bound": "a"}  # fmt: skip
+ALLOWED = dict.fromkeys(("H", "E", "z", "g", "C"), "xp") | {"source": "pt", "bound": "a"}
+ALLOWED |= dict.fromkeys(("J", "R", "B", "observable"), "xzaupt")
 _WORDS = {
     "x": "states",
     "z": "costates",
@@ -29,7 +29,7 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A sound expression: `what` is a key of ALLOWED, `rows` its variables (stacked rows), `origin` what declared it."""
+    """A sound expression: `what` is a key of ALLOWED, `rows` its variables, `origin` the declared thing."""
 
     what: str
     label: str

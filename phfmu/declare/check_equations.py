@@ -1,4 +1,4 @@
-"""Rules on equations: every algebraic variable occurs, constraints act on velocities, the system can be solved."""
+"""Rules on equations: algebraic variables occur, constraints act on velocities, the system can be solved."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.check_entries import Entries, key
+from phfmu.declare.check_entries import Entries
 from phfmu.declare.check_problem import Problem
 from phfmu.declare.phdae import PHDAE
 
@@ -52,8 +52,9 @@ def velocities(entries: Entries) -> list[Problem]:
         flow = ca.mtimes(ca.sparsify(e.expr), z) * (-1 if e.what == "R" else 1)
         for j, s in enumerate(s for v in e.rows for s in ca.vertsplit(v.sx)):
             row[s.element_hash()] = row.get(s.element_hash(), ca.SX(0)) + flow[j]
-    inert = {key(v): name for e in entries.of("E") for v in e.rows for name in [e.label]}
-    inert |= {key(v): pair.label for pair in entries.pairs for v in pair.origin.variables}
+    massive = [(e.label, v) for e in entries.of("E") for v in e.rows]
+    massive += [(pair.label, v) for pair in entries.pairs for v in pair.origin.variables]
+    inert = {s.element_hash(): label for label, v in massive for s in ca.vertsplit(v.sx)}
     found = []
     for e in constraints:
         for s in ca.symvar(e.expr):
@@ -61,16 +62,8 @@ def velocities(entries: Entries) -> list[Problem]:
             if kind != "x" or s.element_hash() in entries.doubtful:
                 continue
             text = _no_velocity(entries, ca.SX(ca.simplify(row.get(s.element_hash(), ca.SX(0)))))
-            owner = next(
-                (
-                    v
-                    for v in entries.model.states
-                    for j in range(v.n)
-                    if v.sx[j].element_hash() == s.element_hash()
-                )
-            )
-            if not text and key(owner) in inert:
-                text = f"'{name}' has a mass ({inert[key(owner)]})"
+            if not text and s.element_hash() in inert:
+                text = f"'{name}' has a mass ({inert[s.element_hash()]})"
             if text:
                 found.append(
                     Problem("velocity", e.label, f"{name}' is not the effort of a velocity: {text}",
@@ -156,7 +149,8 @@ def hidden(model: Model, observables: np.ndarray) -> list[Problem]:
             )
             found.append(
                 Problem("start", f"constraint of '{c.name}'",
-                        f"{what} = {value:.6g} at the start, allowed {CONSISTENCY * size:.3g} (natural size {size:.3g})",
+                        f"{what} = {value:.6g} at the start, allowed {CONSISTENCY * size:.3g} "
+                        f"(natural size {size:.3g})",
                         "choose start values (states, sources, inputs) that satisfy it")
             )  # fmt: skip
     return found

@@ -1,4 +1,4 @@
-"""Rules on matrices at sampled points: finite, J skew, R symmetric and positive semidefinite, E regular, E^T z = grad H."""
+"""Rules on matrices at sampled points: J skew, R symmetric and semidefinite, E regular, given z right."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SINGULAR = 1e-13  # smallest over largest singular value of a matrix with balanc
 
 
 def finite(entries: Entries, sample: Sample) -> list[Problem]:
-    """Matrices are finite at the start; entries with algebraic variables somewhere (their start is only a guess)."""
+    """Matrices are finite at the start; with algebraic variables, whose start is only a guess, somewhere."""
     chosen = entries.of("J", "R", "B", "E", "z", "source")
     found = []
     for e, value in zip(chosen, sample.values([e.expr for e in chosen]), strict=True):
@@ -58,16 +58,16 @@ def _mirrored(
         excess = np.abs(value + sign * mirror) - RELATIVE * size - FLOOR * size.max(initial=0.0)
         if not (excess > 0).any():
             continue
-        i, r, c = (int(k) for k in np.unravel_index(np.argmax(excess), excess.shape))
-        r, c = min(r, c), max(r, c)
+        i = int(np.argmax((excess > 0).any(axis=(1, 2))))
+        r, c = sorted(int(k) for k in np.unravel_index(np.argmax(excess[i]), excess[i].shape))
         names, n = e.names(), int(np.count_nonzero((excess > 0).any(axis=0)[np.triu_indices(len(size))]))
         more = f" ({n} such entries)" if n > 1 else ""
         found.append(
             Problem(
                 rule, e.label,
                 f"{what}[{names[r]}, {names[c]}] = {value[i, r, c]:.6g} but {what}[{names[c]}, {names[r]}] = "
-                f"{value[i, c, r]:.6g}, {'sum' if sign > 0 else 'difference'} {value[i, r, c] + sign * value[i, c, r]:.3g} "
-                f"{sample.where(i, e.expr)}{more}",
+                f"{value[i, c, r]:.6g}, {'sum' if sign > 0 else 'difference'} "
+                f"{value[i, r, c] + sign * value[i, c, r]:.3g} {sample.where(i, e.expr)}{more}",
                 remedy,
             )
         )  # fmt: skip
@@ -99,8 +99,8 @@ def passivity(entries: Entries, sample: Sample) -> list[Problem]:
         if text:
             label = "; ".join(dict.fromkeys(blocks[b].label for b in group))
             found.append(
-                Problem("passivity", label, text, "dissipation must not create energy: correct the sign or the coupling; "
-                        "an active element is fed through a port")
+                Problem("passivity", label, text, "dissipation must not create energy: correct the sign or the "
+                        "coupling; an active element is fed through a port")
             )  # fmt: skip
     return found
 
@@ -137,8 +137,8 @@ def _indefinite(total: NDArray, names: list[str], blocks: list[Entry], sample: S
             direction = int(np.argmax(np.abs(vectors[:, 0])))
             shown = ", ".join(names[:6]) + (", .." if len(names) > 6 else "")
             text = (
-                f"the summed R on ({shown}) has the eigenvalue {min(plain, 0.0) or balanced[0]:.6g}, mostly along "
-                f"'{names[direction]}', {sample.where(i, *(b.expr for b in blocks))}"
+                f"the summed R on ({shown}) has the eigenvalue "
+                f"{min(plain, 0.0) or balanced[0]:.6g}, mostly along '{names[direction]}', {sample.where(i, *(b.expr for b in blocks))}"
             )
     return text
 
@@ -193,7 +193,8 @@ def costates(entries: Entries, sample: Sample) -> list[Problem]:
         size = np.nanmax(np.abs(np.stack([given, derived])), axis=(0, 1), initial=0.0)
         excess = np.nan_to_num(np.abs(given - derived) - 10 * RELATIVE * size, nan=-1.0)
         if (excess > 0).any():
-            i, j = (int(k) for k in np.unravel_index(np.argmax(excess), excess.shape))
+            i = int(np.argmax((excess > 0).any(axis=1)))
+            j = int(np.argmax(excess[i]))
             found.append(
                 Problem(
                     "costate", e.label,

@@ -27,9 +27,13 @@ def variables(model: PHDAE) -> Iterator[tuple[Variable, str]]:
 
 
 def names(model: PHDAE) -> list[Problem]:
-    """Names are structured names, unique among variables, ports, observables and members; owners are members."""
-    declared = [(f"variable '{v.name}'", v.name) for v, _ in variables(model)]
-    declared += [(f"port '{p.name}'", p.name) for p in model.ports]
+    """Names are structured and unique among variables, ports, observables, members; owners are members."""
+    once = {v.sx[0].element_hash(): v for v, _ in variables(model)} | {
+        p.u[0].element_hash(): p for p in model.ports
+    }
+    declared = [
+        (f"{'port' if isinstance(v, Port) else 'variable'} '{v.name}'", v.name) for v in once.values()
+    ]
     declared += [(f"observable '{o.name}'", o.name) for o in model.observables]
     declared += [(f"member '{m}'", m) for m in model.members if m]
     declared += [(f"junction '{j}'", j) for j, _ in model.junctions]
@@ -50,6 +54,8 @@ def names(model: PHDAE) -> list[Problem]:
             found.append(
                 Problem("name", owners, f"the name is used {n} times", "give each entry a name of its own")
             )
+    if len(once) < len(list(variables(model))) + len(model.ports):
+        return found  # entries listed twice repeat all of their signals
     made = [(entry, name) for entry, name in _signals(model) if count[name] < 2]
     for name, n in Counter(name for _, name in made).items():
         entries = list(dict.fromkeys(entry for entry, other in made if other == name))
@@ -144,8 +150,9 @@ def units(model: PHDAE) -> list[Problem]:
             found.append(
                 Problem(
                     "unit", f"port '{port.name}'",
-                    f"effort [{d.effort_unit}] times flow [{d.flow_unit}] is {e.factor * f.factor:g} times SI units with "
-                    f"exponents {exponents} of kg, m, s, A, K, mol, cd; a power has factor 1 and [1, 2, -3, 0, 0, 0, 0]",
+                    f"effort [{d.effort_unit}] times flow [{d.flow_unit}] is {e.factor * f.factor:g} times SI "
+                    f"units with exponents {exponents} of kg, m, s, A, K, mol, cd; a power has factor 1 and "
+                    "[1, 2, -3, 0, 0, 0, 0]",
                     "use a conjugate pair whose product is the watt, e.g. V and A, N and m/s",
                 )
             )  # fmt: skip

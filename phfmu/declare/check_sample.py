@@ -22,8 +22,8 @@ class Sample:
     """Points (x, z, a, u, p, t); z = E^-T grad H where that is finite, random elsewhere.
 
     `size` (n1): max(nominal, |start|);  `place`: first row of each state by `key`.
-    `known_z` (points x n1): where z was computed.  Points stay within max(nominal, |start|) of the start, so that
-    quantities whose start exceeds neither keep their sign.
+    `known_z` (points x n1): where z was computed.  Points stay within `size` of the start, so that quantities
+    whose start is not below their nominal value keep their sign.
     """
 
     def __init__(self, entries: Entries):
@@ -63,7 +63,7 @@ class Sample:
         return self._values[1]
 
     def values(self, exprs: Sequence[ca.SX], extra: tuple[ca.SX, Array] | None = None) -> list[Array]:
-        """Each expression at all points (points x rows x cols); `extra`: further symbols and their values per point."""
+        """Each expression at all points (points x rows x cols); `extra`: more symbols and values."""
         if not exprs:
             return []
         symbols, given = [*self._symbols, time], list(self._values)
@@ -92,7 +92,7 @@ class Sample:
 
     def _costates(self) -> Array:
         """z = E^-T grad H at every point, not a number where E is singular."""
-        entries, model = self._entries, self._entries.model
+        entries = self._entries
         blocks = entries.of("E")
         grad, *rest = self.values(
             [self.gradient(), *(b.expr for b in blocks), *(p.origin.z for p in entries.pairs)]
@@ -122,7 +122,7 @@ class Sample:
 
 
 def _around(variables: tuple[Variable, ...], rng: np.random.Generator) -> tuple[Array, Array]:
-    """Points around the starts (n x size) and the size of each entry; starts that are not finite count as 0."""
+    """Points around the starts (points x n) and the size of each; starts that are not finite count as 0."""
     start = np.array([s for v in variables for s in _fitted(v.start, v.n)], float)
     nominal = np.array([s for v in variables for s in _fitted(v.nominal, v.n)], float)
     return _points(start, nominal, rng)
@@ -161,6 +161,6 @@ def _places(variables: tuple[Variable, ...]) -> dict[int, int]:
 
 def _solved(matrix: Array, right: Array) -> Array:
     try:
-        return np.linalg.solve(matrix, right)
+        return np.asarray(np.linalg.solve(matrix, right), np.float64)
     except np.linalg.LinAlgError:
         return np.full(len(right), np.nan)

@@ -9,12 +9,11 @@ from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 
-from lxml import etree
-
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.units import BASE, parse_unit
 from phfmu.discretise.model import Model
 from phfmu.fmu.variables import FMUVariable, variables
+from phfmu.fmu.xml import Element, etree, number
 
 #: category of messages -> its description
 LOG_CATEGORIES = {
@@ -59,11 +58,6 @@ class Unit:
         return bool((plan.derivative.row == plan.nw + v.first).any())
 
 
-def number(value: float) -> str:
-    """Shortest text that reads back to the same value."""
-    return repr(float(value))
-
-
 def generation_tool() -> str:
     """Name and version of this package."""
     try:
@@ -78,7 +72,7 @@ def generation_date() -> str | None:
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
 
-def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> etree._Element:
+def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> Element:
     """`fmiModelDescription`; `token`: name and value of the attribute, None leaves it and the date out."""
     element = etree.Element("fmiModelDescription", fmiVersion=fmi_version, modelName=unit.name)
     if token:
@@ -93,7 +87,7 @@ def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> etree._
     return element
 
 
-def add_units(parent: etree._Element, unit: Unit) -> None:
+def add_units(parent: Element, unit: Unit) -> None:
     """`UnitDefinitions` with SI exponents and factors of all units in use."""
     texts = sorted({v.unit for v in unit.variables if v.unit != "1"})
     definitions = etree.SubElement(parent, "UnitDefinitions")
@@ -107,21 +101,15 @@ def add_units(parent: etree._Element, unit: Unit) -> None:
             base.set("factor", number(parsed.factor))
 
 
-def add_log_categories(parent: etree._Element) -> None:
+def add_log_categories(parent: Element) -> None:
     categories = etree.SubElement(parent, "LogCategories")
     for name, text in LOG_CATEGORIES.items():
         etree.SubElement(categories, "Category", name=name, description=text)
 
 
-def add_experiment(parent: etree._Element, unit: Unit) -> None:
+def add_experiment(parent: Element, unit: Unit) -> None:
     """`DefaultExperiment`: importers take the communication step from stepSize."""
     experiment = etree.SubElement(parent, "DefaultExperiment", startTime=number(unit.model.t0))
     if unit.stop is not None:
         experiment.set("stopTime", number(unit.stop))
     experiment.set("stepSize", number(unit.step))
-
-
-def text_of(element: etree._Element) -> bytes:
-    """The document, indented, UTF-8."""
-    etree.indent(element)
-    return etree.tostring(element, xml_declaration=True, encoding="UTF-8") + b"\n"

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lxml import etree
-
 from phfmu.fmu import description
-from phfmu.fmu.description import Unit, number
+from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import FMUVariable
+from phfmu.fmu.xml import Element, etree, number, text_of
 
 CAPABILITIES = {
     "canHandleVariableCommunicationStepSize": "true",
@@ -46,10 +45,10 @@ def model_description(unit: Unit, token: str | None = None, sources: Sequence[st
     if outputs:
         _unknowns(etree.SubElement(structure, "Outputs"), unit, outputs, initial=False)
         _unknowns(etree.SubElement(structure, "InitialUnknowns"), unit, outputs, initial=True)
-    return description.text_of(root)
+    return text_of(root)
 
 
-def _variable(parent: etree._Element, reference: int, v: FMUVariable) -> None:
+def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
     scalar = etree.SubElement(parent, "ScalarVariable", name=v.name, valueReference=str(reference))
     scalar.set("description", v.description)
     scalar.set("causality", v.causality)
@@ -65,7 +64,7 @@ def _variable(parent: etree._Element, reference: int, v: FMUVariable) -> None:
         real.set("start", number(v.start))
 
 
-def _unknowns(parent: etree._Element, unit: Unit, references: list[int], *, initial: bool) -> None:
+def _unknowns(parent: Element, unit: Unit, references: list[int], *, initial: bool) -> None:
     """Indices count from 1 in the order of ModelVariables."""
     for reference in references:
         unknown = etree.SubElement(parent, "Unknown", index=str(reference + 1))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lxml import etree
-
 from phfmu.fmu import description
-from phfmu.fmu.description import Unit, number
+from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import FMUVariable
+from phfmu.fmu.xml import Element, etree, number, text_of
 
 CAPABILITIES = {
     "canBeInstantiatedOnlyOncePerProcess": "false",
@@ -45,10 +44,10 @@ def model_description(unit: Unit, token: str | None = None) -> bytes:
             unknown = etree.SubElement(structure, tag, valueReference=str(reference))
             if tag == "Output" and not unit.direct(unit.variables[reference]):
                 unknown.set("dependencies", "")
-    return description.text_of(root)
+    return text_of(root)
 
 
-def _variable(parent: etree._Element, reference: int, v: FMUVariable) -> None:
+def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
     scalar = etree.SubElement(parent, "Float64", name=v.name, valueReference=str(reference))
     scalar.set("description", v.description)
     scalar.set("causality", v.causality)
@@ -72,4 +71,4 @@ def build_description(unit: Unit, sources: Sequence[str]) -> bytes:
         etree.SubElement(files, "SourceFile", name=name)
     etree.SubElement(files, "PreprocessorDefinition", name="PH_API", value="",
                      description="functions of the runtime stay inside the library")  # fmt: skip
-    return description.text_of(root)
+    return text_of(root)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from lxml import etree
-
 from phfmu.declare.port import Port
 from phfmu.fmu.manifest import PortMap, read_ports
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.xml import Element, parse
 
-LARGEST = 512 * 2**20
 TRUE = ("true", "1")
 
 
@@ -70,24 +68,6 @@ class Interface:
         )  # fmt: skip
 
 
-def parse(data: bytes, name: str) -> etree._Element:
-    """The root of an XML document without document type, entities or network; FMUError says what is wrong."""
-    if len(data) > LARGEST:
-        raise FMUError(f"{name}: {len(data)} bytes of XML, more than {LARGEST}; refused")
-    if b"\0" in data[:4] or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise FMUError(f"{name}: the XML is not in UTF-8, which the standard asks for")
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise FMUError(f"{name}: the XML has a document type definition, which may read other files; refused")
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
-    try:
-        root = etree.fromstring(data, parser)
-    except etree.XMLSyntaxError as error:
-        raise FMUError(f"{name}: the XML is not well formed: {error}") from None
-    if root.getroottree().docinfo.doctype:
-        raise FMUError(f"{name}: the XML has a document type definition, which may read other files; refused")
-    return root
-
-
 def read_interface(model_description: bytes, manifest: bytes | None, name: str) -> Interface:
     """The interface of a unit; `name` is for messages."""
     root = parse(model_description, f"{name}/modelDescription.xml")
@@ -134,7 +114,7 @@ def read_interface(model_description: bytes, manifest: bytes | None, name: str) 
 _TIMES = ("startTime", "stopTime", "stepSize")
 
 
-def _variables2(root: etree._Element) -> dict[str, Scalar]:
+def _variables2(root: Element) -> dict[str, Scalar]:
     found = {}
     for v in root.iterfind("ModelVariables/ScalarVariable"):
         real = v.find("Real")
@@ -144,7 +124,7 @@ def _variables2(root: etree._Element) -> dict[str, Scalar]:
     return found
 
 
-def _variables3(root: etree._Element) -> dict[str, Scalar]:
+def _variables3(root: Element) -> dict[str, Scalar]:
     """Arrays are left out: a port is made of scalars."""
     found = {}
     for v in root.iterfind("ModelVariables/Float64"):
@@ -154,7 +134,7 @@ def _variables3(root: etree._Element) -> dict[str, Scalar]:
     return found
 
 
-def _scalar(v: etree._Element, numbers: etree._Element) -> Scalar:
+def _scalar(v: Element, numbers: Element) -> Scalar:
     start = numbers.get("start")
     return Scalar(
         name=v.get("name", ""),

@@ -8,12 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from lxml import etree
-
 from phfmu.declare.port import Domain, Given
-from phfmu.fmu import description
-from phfmu.fmu.description import Unit, number
+from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import LEDGER, STEP_LEDGER
+from phfmu.fmu.xml import Element, etree, number, text_of
 
 LAYER = "org.phfmu.ports"
 PATH = f"extra/{LAYER}/fmi-ls-manifest.xml"
@@ -82,11 +80,11 @@ def manifest(unit: Unit) -> bytes:
         element.set("vector", "false" if port.size is None else "true")
         for pair in zip(port.input_names(), port.output_names(), port.output_names("_step"), strict=True):
             etree.SubElement(element, "Pair", dict(zip(("input", "output", "stepOutput"), pair, strict=True)))
-    return description.text_of(root)
+    return text_of(root)
 
 
-def read_ports(root: Any) -> list[PortMap]:
-    """The ports of a manifest (its root element)."""
+def read_ports(root: Element) -> list[PortMap]:
+    """The ports of a manifest."""
     ports = []
     for port in root.findall("Port"):
         pairs = port.findall("Pair")

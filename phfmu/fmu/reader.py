@@ -33,12 +33,12 @@ class SavedState:
 class FMUInstance:
     """A unit a master can step, the twin of `NativeInstance`.
 
-    Inputs u (nu) of all ports in order are held over a step; `output()` gives the means y that belong to them,
-    so that h u^T y is the supplied energy: exactly for units with `*_step` outputs, by the trapezoidal rule for
-    others (`estimated`).  Power is positive into the component.
+    Inputs u (nu) of all ports in order are held over a step; `output()` gives the means y that belong to
+    them, so that h u^T y is the supplied energy: exactly for units with `*_step` outputs, by the trapezoidal
+    rule for others (`estimated`).  Power is positive into the component.
 
     `ports`: only for foreign units.  `starts`: values of parameters, states and inputs before the start.
-    Errors: FMUError; StepFailure for a refused step: units of this package are back at their last accepted one.
+    Errors: FMUError; StepFailure for a refused step: units of this package are back at the last accepted one.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class FMUInstance:
             if self.interface.variables[n].causality != "input":
                 raise FMUError(f"{self.name}: '{n}' is no input but {self.interface.variables[n].causality}")
 
-    # -- life --------------------------------------------------------------------------------------------------
+    # -- life -----------------------------------------------------------------------------------------------
 
     def _initialise(self) -> None:
         start, stop = self._span
@@ -124,7 +124,7 @@ class FMUInstance:
         self._slave.reset()
         self._initialise()
 
-    # -- steps -------------------------------------------------------------------------------------------------
+    # -- steps ----------------------------------------------------------------------------------------------
 
     @property
     def nu(self) -> int:
@@ -186,7 +186,7 @@ class FMUInstance:
             ) from error
         return s
 
-    # -- saved states ------------------------------------------------------------------------------------------
+    # -- saved states ---------------------------------------------------------------------------------------
 
     def get_state(self) -> SavedState:
         """A complete copy; stepping after `set_state` gives the same bits.  FMUError if there is none."""
@@ -224,7 +224,7 @@ class FMUInstance:
         state.memory = dict(like.memory)
         return state
 
-    # -- reading -----------------------------------------------------------------------------------------------
+    # -- reading --------------------------------------------------------------------------------------------
 
     @property
     def names(self) -> list[str]:

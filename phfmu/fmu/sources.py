@@ -14,8 +14,9 @@ from phfmu.engine.library import runtime_sources
 from phfmu.engine.model import kernels
 from phfmu.engine.tables import c_text
 from phfmu.fmu import fmi2, fmi3
-from phfmu.fmu.description import Unit, number
+from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import check_names
+from phfmu.fmu.xml import number
 
 RUNTIME = Path(__file__).parent / "runtime"
 

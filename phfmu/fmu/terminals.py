@@ -1,16 +1,14 @@
 """terminalsAndIcons.xml: every external power port as a terminal.
 
-Of a pair, the variable that is equal on both sides of a connection is a signal, the one that sums to zero there
-an inflow: voltage and current, but velocity and force.  The inflow counts positive into the component.
+Of a pair, the variable that is equal on both sides of a connection is a signal, the one that sums to zero
+there an inflow: voltage and current, but velocity and force.  The inflow is positive into the component.
 """
 
 from __future__ import annotations
 
-from lxml import etree
-
 from phfmu.declare.port import Port
-from phfmu.fmu import description
 from phfmu.fmu.description import Unit
+from phfmu.fmu.xml import Element, etree, text_of
 
 
 def terminals(unit: Unit) -> bytes | None:
@@ -22,10 +20,10 @@ def terminals(unit: Unit) -> bytes | None:
     listed = etree.SubElement(root, "Terminals")
     for port in ports:
         _terminal(listed, port)
-    return description.text_of(root)
+    return text_of(root)
 
 
-def _terminal(parent: etree._Element, port: Port) -> None:
+def _terminal(parent: Element, port: Port) -> None:
     """Members are named by effort and flow, so that two terminals of a domain have the same members."""
     terminal = etree.SubElement(
         parent, "Terminal", name=port.name, matchingRule="plug", terminalKind=f"org.phfmu.{port.domain.name}"

@@ -29,8 +29,8 @@ class FMUError(RuntimeError):
 class FMUVariable:
     """One scalar of type Real (2.0) or Float64 (3.0).
 
-    Its value is the sum of `count` entries of the runtime's `block` from `first` on: a `ph_block` of phfmu.h, or
-    a place of fmu.h.  `start` is None where it is calculated; `unit` "1" and `nominal` None are not written.
+    Its value is the sum of `count` entries of the runtime's `block` from `first` on: a `ph_block` of phfmu.h
+    or a place of fmu.h.  `start` is None if calculated; `unit` "1" and `nominal` None are not written.
     """
 
     name: str
@@ -188,7 +188,7 @@ LEDGER = (
     (
         "residual",
         "PH_RESIDUAL",
-        "change of stored + dissipated - supplied energy since the start; rounding only",
+        "change of stored + dissipated - supplied energy since the start: rounding",
     ),
 )
 #: the same of one communication step, free of the cancellation of differences

@@ -1,0 +1,105 @@
+"""Draws the pictures of README and docs: `python docs/make_figures.py` (needs matplotlib and a C compiler).
+
+Every picture is made from a run of phfmu; nothing is drawn from stored numbers.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phfmu import NativeInstance, build_model, default_scheme
+from phfmu.audit import AuditWriter, read
+from phfmu.components.library import build
+from phfmu.network.run import Result, run
+from phfmu.network.stepper import Monolithic
+
+IMAGES = Path(__file__).parent / "img"
+COLOURS = {"gen": "#1f6fb4", "line": "#d1711b", "grid": "#5b8c3a"}
+
+
+def recorded(name: str, order: int = 2) -> tuple[Result, Any]:
+    """Result and audit table of the scene `name`."""
+    scene = build(name)
+    declaration = scene.declaration()
+    model = build_model(declaration, default_scheme(declaration, order))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.audit.parquet"
+        with AuditWriter(path) as writer:
+            result = run(
+                Monolithic(model, NativeInstance(model)),
+                stop=scene.stop, step=scene.step, events=scene.events, sink=writer,
+            )  # fmt: skip
+        return result, read(path)
+
+
+def of_component(table: Any, name: str, column: str) -> np.ndarray:
+    """One column of the component rows of `name`, a value per step."""
+    rows = [np.asarray(table[c].to_pylist(), object) for c in ("row", "component")]
+    chosen = (rows[0] == "component") & (rows[1] == name)
+    return table[column].to_numpy()[chosen]
+
+
+def through(table: Any, component: str, port: str) -> np.ndarray:
+    """Energy through a scalar port, a value per step."""
+    rows = [np.asarray(table[c].to_pylist(), object) for c in ("row", "component", "port")]
+    chosen = (rows[0] == "port") & (rows[1] == component) & (rows[2] == port)
+    return table["supplied"].to_numpy()[chosen]
+
+
+def largest(values: np.ndarray, window: int) -> np.ndarray:
+    """Largest magnitude in each window of steps."""
+    return np.abs(values).reshape(-1, window).max(axis=1)
+
+
+def smib() -> Path:
+    """Stator current and rotor speed after the torque step, and the ledger of every step."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    result, table = recorded("smib")
+    t, window = result.time, 250
+    plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
+    figure, axes = plt.subplot_mosaic([["current", "speed"], ["ledger", "ledger"]], figsize=(9, 5.6), layout="constrained")
+
+    for i, (phase, colour) in enumerate(zip("abc", ("#1f6fb4", "#d1711b", "#5b8c3a"), strict=True)):
+        shown = (t >= 0.47) & (t <= 0.56)
+        axes["current"].plot(1e3 * t[shown], result.column(f"gen.I[{i + 1}]")[shown] / 1e3, colour, lw=1.2, label=phase)
+    axes["current"].axvline(500, color="0.6", lw=0.8, ls=":")
+    axes["current"].set(xlabel="time in ms", ylabel="current in kA", title="stator currents at the torque step")
+    axes["current"].legend(ncols=3, loc="lower left", frameon=False, handlelength=1.2, columnspacing=1.0)
+    axes["current"].margins(y=0.22, x=0)
+
+    axes["speed"].plot(t, result.column("gen.shaft.speed"), COLOURS["gen"], lw=1.2)
+    axes["speed"].axhline(2 * np.pi * 60, color="0.6", lw=0.8, ls=":")
+    axes["speed"].annotate("2π · 60 Hz", (5, 2 * np.pi * 60), (0, 3), textcoords="offset points", ha="right", color="0.4")
+    axes["speed"].set(xlabel="time in s", ylabel="speed in rad/s", title="rotor speed", xlim=(0, 5))
+
+    middle = (t[1:].reshape(-1, window)[:, 0] + t[1:].reshape(-1, window)[:, -1]) / 2
+    ax = axes["ledger"]
+    ax.semilogy(middle, largest(through(table, "gen", "shaft"), window), "0.35", lw=1.4)
+    ax.annotate("supplied by the shaft", (0.1, 9e4), color="0.25")
+    for name in ("gen", "line"):
+        ax.semilogy(middle, largest(of_component(table, name, "dissipated"), window), COLOURS[name], lw=1.4, ls="--")
+        ax.semilogy(middle, np.maximum(largest(of_component(table, name, "residual"), window), 1e-18), COLOURS[name], lw=1.4)
+    ax.annotate("dissipated: machine and line (dashed)", (0.1, 3.5e1), color="0.25")
+    ax.annotate("residual of the machine's balance", (0.1, 4e-10), color=COLOURS["gen"])
+    ax.annotate("residual of the line's balance", (0.1, 4e-14), color=COLOURS["line"])
+    ax.set(xlabel="time in s", ylabel="energy per step in J", xlim=(0, 5), ylim=(1e-15, 1e7),
+           title=f"energy ledger, largest value in {window} steps of 0.1 ms: stored + dissipated − supplied = rounding")  # fmt: skip
+    ax.grid(axis="y", color="0.9")
+
+    path = IMAGES / "smib.png"
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+    return path
+
+
+if __name__ == "__main__":
+    IMAGES.mkdir(exist_ok=True)
+    print(smib())

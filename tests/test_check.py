@@ -1,0 +1,497 @@
+"""The check of declarations: every rule catches its own mutation, sound models pass."""
+
+import importlib
+import inspect
+import pkgutil
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import phfmu.components
+from phfmu import (
+    ELECTRICAL,
+    PHDAE,
+    TRANSLATIONAL,
+    Block,
+    ClosedPair,
+    Collocated,
+    Domain,
+    Energy,
+    Holonomic,
+    Network,
+    Observable,
+    Port,
+    Problem,
+    algebraic,
+    block,
+    check,
+    damping,
+    energy,
+    observable,
+    parameter,
+    skew,
+    state,
+    strain_energy,
+    time,
+)
+from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.sources import voltage_source
+from phfmu.components.electrical.synchronous_machine import synchronous_machine
+from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.components.mechanical.translational import mass, spring
+
+Q, V = state("q", unit="m", start=0.3), state("v", unit="m/s", start=-0.2)
+M, K, D = parameter("m", 2.0, unit="kg"), parameter("k", 5.0, unit="N/m"), parameter("d", 0.4, unit="N.s/m")
+FORCE = Port("flange", TRANSLATIONAL, "effort", {V: 1.0})
+
+
+def oscillator(**changes: Any) -> PHDAE:
+    """A mass on a spring with a damper and a port."""
+    base = PHDAE(
+        "oscillator",
+        states=(Q, V),
+        parameters=(M, K, D),
+        energies=(energy(0.5 * M * V.sx**2), energy(0.5 * K * Q.sx**2)),
+        E={V: M},
+        structure=(skew(Q, V, 1.0),),
+        dissipation=(damping(V, D),),
+        ports=(FORCE,),
+        observables=(observable("power", V.z * FORCE.u, unit="W"),),
+        z={V: V},
+    )
+    return replace(base, **changes)
+
+
+def resistive() -> tuple[Any, Any, PHDAE]:
+    """A resistor with given voltage: 0 = -v + u, 0 = i - G v."""
+    i, v, G = algebraic("i", unit="A"), algebraic("v", unit="V"), parameter("G", 0.1, unit="S")
+    model = PHDAE(
+        "resistor",
+        algebraics=(i, v),
+        parameters=(G,),
+        structure=(skew(v, i, 1.0),),
+        dissipation=(damping(v, G),),
+        ports=(Port("pin", ELECTRICAL, "effort", {i: 1.0}),),
+    )
+    return i, v, model
+
+
+def rules(model: PHDAE) -> list[str]:
+    return [p.rule for p in check(model)]
+
+
+def with_variable(old, **changes: Any) -> PHDAE:
+    """The oscillator with a variable changed everywhere."""
+    return oscillator().mapped(lambda v: replace(v, **changes) if v is old else v, lambda p: p)
+
+
+# -- one mutation a rule ------------------------------------------------------------------------------------------------
+
+X2 = ca.vertcat(Q.sx, V.sx)
+FOREIGN = parameter("mu", 1.0)
+OTHER_M = parameter("m", 1.0)
+NO_POWER = Domain("broken", "force", "N", "position", "m", "flow")
+SCALED = Domain("scaled", "force", "kN", "velocity", "m/s", "flow")
+
+
+def two_lines(current: float) -> PHDAE:
+    """Two lines that meet at a bare node: the currents must sum to zero."""
+    net = Network("node")
+    net.add("a", rl_line(1.0, 1e-2, i=(1.0, -0.5, -0.5)))
+    net.add("b", rl_line(1.0, 1e-2, i=(current, -0.5, 0.5 - current)))
+    net.junction("bus", ["a.b", "b.a"])
+    return net.compose()
+
+
+def two_sources() -> PHDAE:
+    net = Network("loop")
+    net.add("a", voltage_source(1.0))
+    net.add("b", voltage_source(2.0))
+    net.junction("bus", ["a.terminal", "b.terminal"])
+    return net.compose()
+
+
+def no_conductance() -> PHDAE:
+    """A conductance that is given its current and is zero: the voltage is undetermined."""
+    v, G = algebraic("v", unit="V"), parameter("G", 0.0, unit="S")
+    port = Port("pin", ELECTRICAL, "flow", {v: 1.0}, start=1.0)
+    return PHDAE("open", algebraics=(v,), parameters=(G,), dissipation=(damping(v, G),), ports=(port,))
+
+
+def holonomic(structure: tuple[Block, ...], E=None) -> PHDAE:
+    """A particle on a circle."""
+    q, v = state("r", 2, unit="m", start=[1.0, 0.0]), state("w", 2, unit="m/s", start=[0.0, 1.0])
+    lam = algebraic("lambda", unit="N/m")
+    build = {
+        "unit": lambda: skew(q, v, 1.0),
+        "double": lambda: skew(q, v, 2.0),
+        "none": lambda: block([q], ca.SX(2, 2)),
+    }
+    turning = ca.SX(2, 2)
+    turning[0, 1], turning[1, 0] = 1 + q[0], -1 - q[0]
+    build["varying"] = lambda: skew(q, v, ca.SX.eye(2) * (1 + q[1] ** 2))
+    build["turning"] = lambda: block([q], turning)
+    return PHDAE(
+        "circle",
+        states=(q, v),
+        algebraics=(lam,),
+        energies=(energy(0.5 * ca.sumsqr(v.sx)),),
+        E={q: 2.0} if E else {},
+        structure=tuple(build[s]() for s in structure),
+        constraints=(Holonomic(lam, ca.SX(0.5 * (ca.sumsqr(q.sx) - 1.0))),),
+    )
+
+
+def machine(**changes: Any) -> PHDAE:
+    """The synchronous machine in current coordinates with a mutated closed-form pair."""
+    model = synchronous_machine(coordinates="current")
+    pair = model.closed[0]
+    new = {k: f(pair) for k, f in changes.items()}
+    return replace(model, closed=(replace(pair, **new),))
+
+
+def machine_with(**changes: Any) -> PHDAE:
+    model = synchronous_machine(coordinates="current")
+    return replace(model, **{k: f(model) for k, f in changes.items()})
+
+
+def source(expr) -> PHDAE:
+    i, _, model = resistive()
+    return replace(model, ports=(Port("pin", ELECTRICAL, "effort", {i: 1.0}, source=expr(i)),))
+
+
+def lonely() -> PHDAE:
+    _, _, model = resistive()
+    return replace(model, algebraics=(*model.algebraics, algebraic("idle", unit="V")))
+
+
+def quartic(s: ca.SX) -> ca.SX:
+    return 0.25 * s**2
+
+
+BAD = {
+    "skew: sign": ("skew", lambda: oscillator(structure=(block([Q, V], [[0, 1], [1, 0]]),)), "J[q, v] = 1"),
+    "skew: diagonal": ("skew", lambda: oscillator(structure=(block([Q, V], [[0, 1], [-1, 1e-3]]),)), "J[v, v]"),
+    "skew: away from the start": (
+        "skew",
+        lambda: oscillator(structure=(block([Q, V], ca.blockcat([[0, 1], [-1 - Q * (Q - 0.3), 0]])),)),
+        "at q =",
+    ),
+    "skew: depends on z": (
+        "skew", lambda: oscillator(structure=(block([Q, V], ca.blockcat([[0, 1], [-1 + V.z, 0]])),)), "J[q, v] = 1",
+    ),
+    "symmetry": ("symmetry", lambda: oscillator(dissipation=(block([Q, V], [[1, 0.3], [0, 1]]),)), "R[q, v] = 0.3"),
+    "passivity: sign": ("passivity", lambda: oscillator(dissipation=(damping(V, -D),)), "eigenvalue -0.4"),
+    "passivity: coupling": ("passivity", lambda: oscillator(dissipation=(block([Q, V], [[1, 2], [2, 1]]),)), "eigenvalue -1"),
+    "passivity: sum": ("passivity", lambda: oscillator(dissipation=(damping(V, D), damping(V, -0.5))), "eigenvalue -0.1"),
+    "passivity: away from the start": ("passivity", lambda: oscillator(dissipation=(damping(V, Q - 0.29),)), "at q ="),
+    "costate": ("costate", lambda: oscillator(z={V: 2 * V.sx}), "given z = -0.4, E^-T grad H = -0.2"),
+    "costate: momentum": ("costate", lambda: oscillator(z={V: M * V.sx}), "E^-T grad H"),
+    "costate: E block": (
+        "costate",
+        lambda: oscillator(states=(Q, V), E={V: M, Q: ca.SX(2.0)}, z={Q: K * Q.sx}),
+        "z of 'q'",
+    ),
+    "shape: J": ("shape", lambda: oscillator(structure=(skew(Q, V, 1.0), Block((Q,), ca.SX(2, 2)))), "2 x 2, expected 1 x 1"),
+    "shape: R": ("shape", lambda: oscillator(dissipation=(Block((Q, V), ca.SX(1)),)), "1 x 1, expected 2 x 2"),
+    "shape: B": ("shape", lambda: oscillator(ports=(replace(FORCE, on={V: [1.0, 2.0]}),)), "2 x 1, expected 1 x 1"),
+    "shape: E": ("shape", lambda: oscillator(E={V: ca.SX.eye(3)}, z={}), "3 x 3"),
+    "shape: E text": ("shape", lambda: oscillator(E={V: "heavy"}, z={}), "not an expression"),
+    "shape: z": ("shape", lambda: oscillator(z={V: [1, 2]}), "z of 'v'"),
+    "shape: start": ("shape", lambda: with_variable(V, start=(1.0, 2.0)), "start has 2 entries"),
+    "shape: nominal": ("shape", lambda: with_variable(V, nominal=(1.0, 2.0)), "nominal has 2 entries"),
+    "shape: input start": ("shape", lambda: oscillator(ports=(replace(FORCE, start=[1.0, 2.0]),)), "start has 2"),
+    "shape: observable": ("shape", lambda: oscillator(observables=(Observable("none", ca.SX(0, 1)),)), "0 x 1"),
+    "shape: source": ("shape", lambda: source(lambda i: ca.SX(2, 1)), "source of 'pin'"),
+    "shape: constraint": (
+        "shape",
+        lambda: replace(c := holonomic(("unit",)), constraints=(replace(c.constraints[0], g=ca.SX(2, 1)),)),
+        "constraint 'lambda'",
+    ),
+    "unit: power": ("unit", lambda: oscillator(ports=(replace(FORCE, domain=NO_POWER),)), "[1, 2, -2"),
+    "unit: factor": ("unit", lambda: oscillator(ports=(replace(FORCE, domain=SCALED),)), "1000 times"),
+    "unit: variable": ("unit", lambda: with_variable(V, unit="furlong/s"), "furlong"),
+    "unit: observable": ("unit", lambda: oscillator(observables=(observable("a", V.sx, unit="m//s^2"),)), "s^2"),
+    "mass: zero": ("mass", lambda: oscillator().with_starts({"m": 0.0}), "E[v, v] = 0"),
+    "mass: block": (
+        "mass",
+        lambda: replace(h := holonomic(("unit",)), E={h.states[1]: [[1.0, 1.0], [1.0, 1.0]]}, algebraics=(), constraints=()),
+        "singular",
+    ),
+    "start: nan": ("start", lambda: with_variable(V, start=(float("nan"),)), "start of v is nan"),
+    "start: parameter": ("start", lambda: with_variable(K, start=(float("inf"),)), "value of k is inf"),
+    "start: input": ("start", lambda: oscillator(ports=(replace(FORCE, start=float("inf")),)), "start of flange.force"),
+    "start: damping": ("start", lambda: oscillator(dissipation=(damping(V, 1 / (Q - 0.3) ** 2),)), "is inf at the start"),
+    "start: observable": ("start", lambda: oscillator(observables=(observable("r", 1 / (Q - 0.3)),)), "inf"),
+    "start: position": ("start", lambda: holonomic(("unit",)).with_starts({"r[1]": 1.1}), "g(q) = 0.105"),
+    "start: velocity": ("start", lambda: holonomic(("unit",)).with_starts({"w[1]": 0.1}), "Dg(q) v = 0.1"),
+    "start: bar": ("start", lambda: four_particle().with_starts({"v[4]": 0.5}), "lambda[1]"),
+    "symbol: J": ("symbol", lambda: oscillator(structure=(skew(Q, V, 1.0), skew(Q, V, FOREIGN))), "'mu' is not declared"),
+    "symbol: energy": ("symbol", lambda: oscillator(energies=(energy(OTHER_M * V.sx**2),), z={}), "of the same name"),
+    "symbol: energy of z": ("symbol", lambda: oscillator(energies=(energy(V.z**2),), z={}), "one of the costates"),
+    "symbol: observable": ("symbol", lambda: oscillator(observables=(observable("a", FOREIGN.sx),)), "mu"),
+    "symbol: rows": ("symbol", lambda: oscillator(dissipation=(damping(FOREIGN, D),)), "stands on 'mu'"),
+    "symbol: parameter row": ("symbol", lambda: oscillator(dissipation=(damping(K, D),)), "one of the parameters"),
+    "symbol: E": ("symbol", lambda: replace(r := resistive()[2], E={r.algebraics[0]: 2.0}), "algebraic"),
+    "name: twice": ("name", lambda: with_variable(V, name="q"), "used 2 times"),
+    "name: port": ("name", lambda: oscillator(ports=(replace(FORCE, name="q"),)), "variable 'q', port 'q'"),
+    "name: form": ("name", lambda: with_variable(V, name="2 fast"), "'2 fast' is not a structured name"),
+    "name: index": ("name", lambda: with_variable(V, name="v[1]"), "v[1]"),
+    "name: signal": ("name", lambda: oscillator(observables=(observable("flange.velocity_step", V.sx),)), "2 reported"),
+    "name: ledger": ("name", lambda: oscillator(observables=(observable("energy.stored", V.sx),)), "energy.stored"),
+    "name: member": ("name", lambda: replace(m := two_lines(1.0), members=(*m.members, "a")), "used 2 times"),
+    "name: owner": ("name", lambda: oscillator(energies=(*oscillator().energies, energy(Q.sx**2, owner="x"))), "'x'"),
+    "name: listed twice": ("name", lambda: oscillator(parameters=(M, K, D, K)), "listed twice"),
+    "velocity: factor": ("velocity", lambda: holonomic(("double",)), "2 times"),
+    "velocity: none": ("velocity", lambda: holonomic(("none",)), "constant"),
+    "velocity: varying": ("velocity", lambda: holonomic(("varying",)), "depends on"),
+    "velocity: two": ("velocity", lambda: holonomic(("unit", "turning")), "depends on"),
+    "velocity: mass": ("velocity", lambda: holonomic(("unit",), E=True), "has a mass"),
+    "energy: infinite": (
+        "energy",
+        lambda: oscillator(energies=(energy(0.5 * M * V.sx**2), energy(-ca.log(Q - 0.3)))),
+        "at the start",
+    ),
+    "energy: gradient": ("energy", lambda: oscillator(energies=(energy(ca.sqrt(Q - 0.3)),), z={}), "dH/d(q) = inf"),
+    "energy: not quadratic": ("energy", lambda: oscillator(energies=(Energy(Q.sx**4, "quadratic"),), z={}), "not quadratic"),
+    "energy: invariant": ("energy", lambda: oscillator(energies=(strain_energy(Q.sx**3, quartic),), z={}), "C is not"),
+    "energy: phi": (
+        "energy",
+        lambda: oscillator(energies=(Energy(Q.sx**4, "strain", Q.sx**2, quartic),), z={}),
+        "phi(C) = 0.002025",
+    ),
+    "energy: no phi": ("energy", lambda: oscillator(energies=(Energy(Q.sx**4, "strain"),), z={}), "without invariant"),
+    "nominal: zero": ("nominal", lambda: with_variable(V, nominal=(0.0,)), "nominal = 0"),
+    "nominal: port": ("nominal", lambda: oscillator(ports=(replace(FORCE, nominal=float("nan")),)), "nan"),
+    "closed: zbar": (
+        "closed-pair",
+        lambda: machine(zbar=lambda p: lambda x, d: p.zbar(x, d) * 1.001),
+        "zbar^T ebar",
+    ),
+    "closed: ebar": (
+        "closed-pair",
+        lambda: machine(ebar=lambda p: lambda x, d: 2 * p.ebar(x, d), zbar=lambda p: lambda x, d: p.zbar(x, d) / 2),
+        "E d",
+    ),
+    "closed: z": ("closed-pair", lambda: machine(z=lambda p: -p.z), "grad H"),
+    "closed: H": ("closed-pair", lambda: machine(hamiltonian=lambda p: 2 * p.hamiltonian), "grad H"),
+    "closed: energy": ("closed-pair", lambda: machine_with(energies=lambda m: (energy(m.states[1].sx ** 2),)), "'p'"),
+    "closed: twice": ("closed-pair", lambda: machine_with(closed=lambda m: m.closed * 2), "as well"),
+    "solvability: loop of sources": ("solvability", two_sources, "structurally singular"),
+    "solvability: zero conductance": ("solvability", no_conductance, "singular"),
+    "source: state": ("source", lambda: source(lambda i: i.sx), "depends on 'i'"),
+    "unused": ("unused", lonely, "'idle'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_mutation_is_caught_by_its_rule_only(case):
+    rule, build, text = BAD[case]
+    found = check(build())
+    assert [p.rule for p in found] == [rule], "\n".join(map(str, found))
+    assert text in str(found[0]), str(found[0])
+    assert found[0].entry and found[0].remedy and found[0].remedy in str(found[0])
+
+
+def test_every_rule_has_a_mutation():
+    tried = {rule for rule, _, _ in BAD.values()}
+    assert tried == {
+        "skew", "symmetry", "passivity", "costate", "shape", "unit", "mass", "start", "symbol", "name", "velocity",
+        "energy", "nominal", "closed-pair", "solvability", "source", "unused",
+    }  # fmt: skip
+
+
+def test_kirchhoff_at_a_bare_node():
+    assert check(two_lines(1.0)) == []
+    found = check(two_lines(1.5))
+    assert {p.rule for p in found} == {"start"}
+    assert [p.entry for p in found] == ["constraint of 'bus.v[1]'", "constraint of 'bus.v[3]'"]
+    assert "= 0.5 at the start" in found[0].message or "= -0.5 at the start" in found[0].message
+
+
+def test_all_problems_at_once():
+    model = oscillator(
+        structure=(block([Q, V], [[0, 1], [1, 0]]),),
+        dissipation=(damping(V, -D), block([Q], [[1, 2], [3, 4]])),
+        ports=(replace(FORCE, domain=NO_POWER, nominal=0.0),),
+        z={V: 3 * V.sx},
+        observables=(observable("2x", FOREIGN.sx, unit="cubit"),),
+    )
+    expected = ["costate", "name", "nominal", "passivity", "shape", "skew", "symbol", "unit", "unit"]
+    assert sorted(rules(model)) == expected
+
+
+def test_follow_ups_are_not_reported():
+    """A zero mass makes z infinite and the planner fail: only the mass is named."""
+    model = replace(holonomic(("unit",)), E={})
+    assert rules(replace(model, E={model.states[1]: 0.0})) == ["mass"]
+
+
+def test_negative_curvature_and_indefinite_blocks_are_allowed():
+    assert check(oscillator(energies=(energy(0.5 * M * V.sx**2), energy(-0.5 * K * Q.sx**2)))) == []
+    assert check(oscillator(dissipation=(damping(V, -0.1), damping(V, D)))) == []
+
+
+def test_points_outside_the_domain_are_skipped():
+    gas = energy(-ca.log(Q.sx) + Q.sx)
+    model = oscillator(energies=(energy(0.5 * M * V.sx**2), gas), dissipation=(damping(V, ca.sqrt(Q.sx)),))
+    assert check(model) == []
+
+
+def test_time_and_algebraic_variables_may_enter_matrices():
+    i, v, model = resistive()
+    assert check(replace(model, dissipation=(damping(v, 1 + v.sx**2 + ca.sin(time) ** 2),))) == []
+    # the start of an algebraic variable is a guess: not being finite there is no problem of the declaration
+    assert check(replace(oscillator(), dissipation=(damping(V, D * (1 + V.z**2)),))) == []
+    assert check(source(lambda i: ca.sin(time))) == []
+
+
+def test_the_scheme_is_that_of_the_caller():
+    """Momenta as coordinates fit the plain scheme, not the two-level one."""
+    q, p = state("q", 2, unit="m", start=[1.0, 0.0]), state("p", 2, unit="kg.m/s", start=[0.0, 1.0])
+    lam = algebraic("lambda", unit="N/m")
+    model = PHDAE(
+        "pendulum",
+        states=(q, p),
+        algebraics=(lam,),
+        energies=(energy(ca.sumsqr(p.sx) / 4),),
+        structure=(skew(q, p, 1.0),),
+        constraints=(Holonomic(lam, ca.SX(0.5 * (ca.sumsqr(q.sx) - 1.0))),),
+    )
+    assert rules(model) == ["solvability"]
+    assert "--scheme semi-explicit" in check(model)[0].remedy
+    assert check(model, Collocated()) == []
+
+
+def test_a_closed_pair_of_one_state():
+    """H = x^4/4 with E = x: z = x^2, ebar = (x + x')/2 d, zbar = (x^2 + x'^2)/2."""
+    x = state("x", start=1.0)
+    pair = ClosedPair(
+        (x,), x.sx**4 / 4, x.sx, x.sx**2, lambda a, d: (a + d / 2) * d, lambda a, d: (a**2 + (a + d) ** 2) / 2
+    )
+    model = PHDAE("closed", states=(x,), closed=(pair,), dissipation=(damping(x, 1.0),))
+    assert check(model) == []
+    assert rules(replace(model, closed=(replace(pair, zbar=lambda a, d: (a + d / 2) ** 2),))) == [
+        "closed-pair"
+    ]
+    assert rules(replace(model, closed=(replace(pair, E=ca.SX(0), z=ca.SX(1)),)))[0] == "mass"
+
+
+def test_a_broken_callable_is_a_problem_not_an_exception():
+    def broken(a, d):
+        raise RuntimeError("not written yet")
+
+    assert rules(machine(ebar=lambda p: broken)) == ["internal"]
+
+
+def test_text_of_a_problem():
+    p = Problem("skew", "J block on q, v", "J[q, v] = 1 but J[v, q] = 1", "correct the sign")
+    assert str(p) == "J block on q, v: J[q, v] = 1 but J[v, q] = 1; correct the sign [skew]"
+
+
+# -- sound models -------------------------------------------------------------------------------------------------------
+
+#: arguments of library functions whose required arguments are not just numbers, or that need at least one
+ARGUMENTS = {"rlc_load": ({"R": 2.0}, {"L": 0.1}, {"C": 1e-3}, {"R": 2.0, "L": 0.1, "C": 1e-3}),
+             "synchronous_machine": tuple({"coordinates": c} for c in ("dq-flux", "abc-flux", "current")),
+             "mass": ({}, {"k": 2.0, "d": 0.1}), "spring": ({}, {"d": 0.1})}  # fmt: skip
+
+
+def library() -> list[tuple[str, Any]]:
+    """Every public function of phfmu.components that returns a model, with arguments."""
+    found = []
+    for info in pkgutil.walk_packages(phfmu.components.__path__, "phfmu.components."):
+        if info.ispkg or ".scenes" in info.name:
+            continue
+        module = importlib.import_module(info.name)
+        for name, function in inspect.getmembers(module, inspect.isfunction):
+            signature = inspect.signature(function)
+            own = function.__module__ == info.name and not name.startswith("_")
+            if not own or signature.return_annotation not in ("PHDAE", PHDAE):
+                continue
+            needed = [
+                p for p in signature.parameters.values() if p.default is p.empty and p.kind < p.VAR_POSITIONAL
+            ]
+            for kwargs in ARGUMENTS.get(name, ({},)):
+                given = {p.name: 1.0 for p in needed if p.name not in kwargs} | kwargs
+                label = ", ".join(f"{k}={v}" for k, v in given.items())
+                found.append(pytest.param(function, given, id=f"{name}({label})"))
+    return found
+
+
+@pytest.mark.parametrize(("function", "arguments"), library())
+def test_the_library_is_sound(function, arguments):
+    assert list(map(str, check(function(**arguments)))) == []
+
+
+def test_sound_models_of_this_file():
+    for model in (oscillator(), resistive()[2], holonomic(("unit",)), two_lines(1.0), source(lambda i: time)):
+        assert list(map(str, check(model))) == []
+
+
+def test_a_composed_network_is_sound():
+    net = Network("pair")
+    net.add("one", mass(1.0, k=3.0, d=0.2, q=0.1))
+    net.add("two", spring(2.0, d=0.3))
+    net.connect("one.flange", "two.a")
+    assert list(map(str, check(net.compose()))) == []
+
+
+# -- random models ------------------------------------------------------------------------------------------------------
+
+
+@st.composite
+def random_models(draw):
+    """Random skew J, psd R (rank 1 to n), regular E, quadratic H, B; returns the model and its parts."""
+    n = draw(st.integers(1, 5))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    x = state("x", n, start=rng.uniform(-1, 1, n), nominal=10.0 ** rng.integers(-3, 4, n))
+    a, low = rng.standard_normal((n, n)), rng.standard_normal((n, draw(st.integers(1, n))))
+    e, h = rng.standard_normal((n, n)) + 4 * n**0.5 * np.eye(n), rng.standard_normal((n, n))
+    J = ca.SX(a - a.T) * (1 + x[0] ** 2)
+    hamiltonian = 0.5 * ca.bilin(ca.SX(h + h.T), x.sx, x.sx)
+    port = Port("pin", ELECTRICAL, "effort", {x: ca.SX(rng.standard_normal((n, 2)))}, size=2)
+    model = PHDAE(
+        "random", states=(x,), energies=(energy(hamiltonian),), E={x: e}, structure=(block([x], J),),
+        dissipation=(block([x], low @ low.T),), ports=(port,), z={x: ca.solve(ca.SX(e.T), ca.SX(h + h.T) @ x.sx)},
+    )  # fmt: skip
+    return model, rng, low @ low.T
+
+
+@settings(max_examples=30, deadline=None)
+@given(random_models())
+def test_random_models_are_sound(drawn):
+    model, _, _ = drawn
+    assert list(map(str, check(model))) == []
+
+
+@settings(max_examples=30, deadline=None)
+@given(random_models(), st.floats(1e-4, 10.0), st.sampled_from(["skew", "symmetry", "passivity", "costate"]))
+def test_random_perturbations_are_caught(drawn, size, rule):
+    model, rng, R = drawn
+    x, n = model.states[0], model.states[0].n
+    i, j = int(rng.integers(n)), int(rng.integers(n))
+    bump = np.zeros((n, n))
+    bump[i, j] = size * max(1.0, np.abs(R).max())
+    if rule == "skew":
+        model = replace(model, structure=(block([x], model.structure[0].matrix + bump),))
+    elif rule == "symmetry":
+        if i == j:
+            return
+        model = replace(model, dissipation=(block([x], R + bump),))
+        assert rule in rules(model)  # the symmetric part may have become indefinite too
+        return
+    elif rule == "passivity":
+        lowest = np.linalg.eigh(R)[1][:, :1]
+        shift = (np.linalg.eigvalsh(R)[0] + bump[i, j]) * lowest @ lowest.T
+        model = replace(model, dissipation=(block([x], R - shift),))
+    else:
+        z = ca.SX(model.z[x])
+        z[i] += size * x[j] * max(1.0, 1e3)
+        model = replace(model, z={x: z})
+    assert rules(model) == [rule]
