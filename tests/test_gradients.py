@@ -36,7 +36,7 @@ STRAIN = {
 _tilt = ca.dot(P[:N], X)
 ENERGIES = {
     "quadratic": ca.dot(P[:N] * X, X) + P[6] * X[0] * X[3] + P[7] * X[1],
-    "quartic": P[0] * X[0] ** 4 + P[1] * X[0] * X[1] ** 3 + P[2] * (X[2] * X[3]) ** 2 + _tilt**2 + P[4] * X[5],
+    "quartic": P[0] * X[0] ** 4 + P[1] * X[0] * X[1] ** 3 + P[2] * (X[2] * X[3]) ** 2 + _tilt**2 + X[5],
     "sextic": P[0] * X[0] ** 6 + P[1] * X[1] ** 3 * X[2] ** 2 + _tilt**3,
     "exponential": P[6] * ca.exp(_tilt / 4) + P[7] * X[0] ** 2,
     "pendulum": P[6] * ca.sin(X[0] + P[7]) - ca.cos(X[1]) * X[2] ** 2 + _tilt**2,
@@ -104,8 +104,11 @@ def test_directionality_holds_to_the_rounding_of_the_term(rule, name, k, data):
     b = nodes(k).b
     work = float(np.sum(b * np.sum(d * w, axis=0)))
     start, end = energy(rule, name, k, x, p)[0], energy(rule, name, k, x + d @ b, p)[0]
-    size = 5.0 + abs(start) + abs(end)  # coefficients and states are at most 1: cancelled terms have this size
-    assert abs(work - dh) <= 200 * EPS * (size if name in SMOOTH else float(np.sum(b * np.sum(abs(d * w), axis=0))) * 100 + 1e-300)
+    size = 5.0 + abs(start) + abs(end)  # coefficients and states are at most 1
+    # a polynomial loses no digits of the difference; the joint gradient drops its correction below |D| = 1e-6
+    small = size if name in SMOOTH else 10.0 * float(np.sum(b * np.sum(abs(d), axis=0)))
+    dropped = 1e-16 if rule == "joint" else 0.0
+    assert abs(work - dh) <= 200 * EPS * small + dropped
     assert abs(dh - (end - start)) <= 200 * EPS * size
     assert abs(work - (end - start)) <= 200 * EPS * size
 
@@ -136,7 +139,7 @@ def test_exchange_of_the_end_points_gives_the_same_gradients(rule, name, k, data
     w, dh = evaluate(rule, name, k, x, d, p)
     back, dh_back = evaluate(rule, name, k, x + d @ nodes(k).b, -d[:, ::-1], p)
     size = 10.0 + float(np.max(abs(w)))
-    # the quotient divides a defect of rounding size by |D|^2 > 1e-6 and multiplies it by |D|: factor 1e3 at most
+    # the quotient divides a defect of rounding size by |D|^2 > 1e-6 and multiplies it by |D|: 1e3 at most
     amplified = 1e3 if name in SMOOTH else 1.0
     guard = np.sum(d * d) < 1e-3 and name in SMOOTH  # near the threshold one side may be corrected, one not
     assert np.max(abs(back[:, ::-1] - w)) <= 100 * EPS * size * amplified * (10 if guard else 1)
@@ -182,7 +185,7 @@ def _full_quadrature(k: int) -> Example:
 @pytest.mark.parametrize("k", ORDERS)
 @pytest.mark.parametrize("rule", ["strain", "general", "joint"])
 def test_energy_difference_of_a_polynomial_has_no_cancellation(rule, k):
-    """H(x') - H(x) against rational arithmetic: relative accuracy where both energies are 1e9 times larger."""
+    """H(x') - H(x) against rational arithmetic: relative accuracy though both energies are 1e9 larger."""
     if rule == "joint" and k > 1:
         with pytest.raises(ValueError, match="order 2 only"):
             gradients.joint_gonzalez(ENERGIES["quartic"], X, ca.SX.sym("d", N, k), nodes(k))

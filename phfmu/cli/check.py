@@ -19,7 +19,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.target import is_fmu, scene
 
     if is_fmu(args.target):
-        from phfmu.fmu.reader import fmu_problems
+        from phfmu.fmu.inspect import fmu_problems
 
         problems = [str(p) for p in fmu_problems(args.target)]
     else:

@@ -18,7 +18,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.target import is_fmu, scene
 
     if is_fmu(args.target):
-        from phfmu.fmu.reader import fmu_info
+        from phfmu.fmu.inspect import fmu_info
 
         print(fmu_info(args.target), end="")
         return 0

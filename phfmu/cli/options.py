@@ -17,7 +17,10 @@ def add_scheme(parser: argparse.ArgumentParser) -> None:
         "--scheme", default="auto", choices=("auto", "collocated", "two-level", "semi-explicit", "midpoint"),
         help="auto: two-level with holonomic constraints, else collocated",
     )  # fmt: skip
-    parser.add_argument("--gradient", default="per-term", choices=("per-term", "joint-gonzalez"))
+    parser.add_argument(
+        "--gradient", default="per-term",
+        choices=("per-term", "joint-gonzalez", "mean-value", "itoh-abe", "itoh-abe-symmetric"),
+    )  # fmt: skip
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:

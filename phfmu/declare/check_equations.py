@@ -1,7 +1,8 @@
-"""Rules on equations: algebraic variables occur, constraints act on velocities, the system can be solved."""
+"""Rules on equations: variables and ports occur, constraints act on velocities, the system can be solved."""
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def unused(entries: Entries) -> list[Problem]:
-    """Every algebraic variable occurs in an equation."""
+    """Every algebraic variable occurs in an equation, every port acts on one."""
     seen = set(entries.doubtful)
 
     def see(expr: ca.SX) -> None:
@@ -33,12 +34,27 @@ def unused(entries: Entries) -> list[Problem]:
         see(e.expr)
     for e in entries.of("g"):
         seen.update(s.element_hash() for s in ca.vertsplit(e.rows[0].sx))
+    found = []
+    for v in entries.model.algebraics:
+        for name, s in zip(v.names(), ca.vertsplit(v.sx), strict=True):
+            if s.element_hash() not in seen:
+                text, remedy = "appears in no equation", "couple it by a block of J or R, or leave it out"
+                found.append(Problem("unused", f"algebraic variable '{name}'", text, remedy))
+    return found + _idle_ports(entries)
+
+
+def _idle_ports(entries: Entries) -> list[Problem]:
+    """Every port acts on something; ports with a B that was left out are not judged."""
+    sound = entries.of("B")
+    acting = {id(e.origin) for e in sound if ca.sparsify(e.expr).nnz()}
+    judged = Counter(id(e.origin) for e in sound)
     return [
-        Problem("unused", f"variable '{name}'", "the algebraic variable appears in no equation",
-                "couple it by a block of J or R, or leave it out")
-        for v in entries.model.algebraics for name, s in zip(v.names(), ca.vertsplit(v.sx), strict=True)
-        if s.element_hash() not in seen
-    ]  # fmt: skip
+        Problem(
+            "unused", f"port '{p.name}'", "B is zero: the port acts on no equation", "give `on` its variables"
+        )
+        for p in entries.model.ports
+        if id(p) not in acting and judged[id(p)] == len(p.on)
+    ]
 
 
 def velocities(entries: Entries) -> list[Problem]:
@@ -141,7 +157,11 @@ def hidden(model: Model, observables: np.ndarray) -> list[Problem]:
     values = observables[len(observables) - len(model.checks) :]
     holonomic = {n for c in model.declaration.constraints for n in c.multiplier.names()}
     for c, value, size in zip(model.checks, values, model.check_scale, strict=True):
-        if not abs(value) <= CONSISTENCY * size:
+        if c.level == "position" and size < 1e-200:
+            text = "the gradient of g(q) is zero at the start, so the multiplier has no effect"
+            remedy = "write g with a nonzero gradient where g = 0, e.g. a distance instead of its square"
+            found.append(Problem("solvability", f"constraint of '{c.name}'", text, remedy))
+        elif not abs(value) <= CONSISTENCY * size:
             what = (
                 {"position": "g(q)", "velocity": "Dg(q) v"}[c.level]
                 if c.name in holonomic

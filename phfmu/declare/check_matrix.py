@@ -98,10 +98,8 @@ def passivity(entries: Entries, sample: Sample) -> list[Problem]:
         text = _indefinite(total, [names[i] for i in where], [blocks[b] for b in group], sample)
         if text:
             label = "; ".join(dict.fromkeys(blocks[b].label for b in group))
-            found.append(
-                Problem("passivity", label, text, "dissipation must not create energy: correct the sign or the "
-                        "coupling; an active element is fed through a port")
-            )  # fmt: skip
+            remedy = "dissipation must not create energy: correct its sign or coupling, or feed it by a port"
+            found.append(Problem("passivity", label, text, remedy))
     return found
 
 
@@ -136,9 +134,10 @@ def _indefinite(total: NDArray, names: list[str], blocks: list[Entry], sample: S
             plain = np.linalg.eigvalsh(R)[0]
             direction = int(np.argmax(np.abs(vectors[:, 0])))
             shown = ", ".join(names[:6]) + (", .." if len(names) > 6 else "")
+            lowest = plain if plain < 0 else balanced[0]
             text = (
-                f"the summed R on ({shown}) has the eigenvalue "
-                f"{min(plain, 0.0) or balanced[0]:.6g}, mostly along '{names[direction]}', {sample.where(i, *(b.expr for b in blocks))}"
+                f"the summed R on ({shown}) has the eigenvalue {lowest:.6g}, mostly along "
+                f"'{names[direction]}', {sample.where(i, *(b.expr for b in blocks))}"
             )
     return text
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -37,43 +36,39 @@ def names(model: PHDAE) -> list[Problem]:
     declared += [(f"observable '{o.name}'", o.name) for o in model.observables]
     declared += [(f"member '{m}'", m) for m in model.members if m]
     declared += [(f"junction '{j}'", j) for j, _ in model.junctions]
-    found = [
-        Problem(
-            "name",
-            entry,
-            f"'{name}' is not a structured name",
-            "write identifiers joined by dots, e.g. gen.psi_d",
-        )
-        for entry, name in declared
-        if not _NAME.fullmatch(name)
-    ]
-    count = Counter(name for _, name in declared)
-    for name, n in count.items():
-        if n > 1:
-            owners = ", ".join(dict.fromkeys(entry for entry, other in declared if other == name))
-            found.append(
-                Problem("name", owners, f"the name is used {n} times", "give each entry a name of its own")
+    found = []
+    for entry, name in declared:
+        if not _NAME.fullmatch(name):
+            text, remedy = (
+                f"'{name}' is not a structured name",
+                "write identifiers joined by dots, e.g. gen.psi_d",
             )
+            found.append(Problem("name", entry, text, remedy))
+    twice = _repeated(declared)
+    for name, (n, entries) in twice.items():
+        found.append(
+            Problem("name", entries, f"'{name}' is used {n} times", "give each entry a name of its own")
+        )
     if len(once) < len(list(variables(model))) + len(model.ports):
         return found  # entries listed twice repeat all of their signals
-    made = [(entry, name) for entry, name in _signals(model) if count[name] < 2]
-    for name, n in Counter(name for _, name in made).items():
-        entries = list(dict.fromkeys(entry for entry, other in made if other == name))
-        if n > 1 and all(count[e.split("'")[1]] < 2 for e in entries if "'" in e):
-            found.append(
-                Problem(
-                    "name",
-                    ", ".join(entries),
-                    f"{n} reported signals are called '{name}'",
-                    "rename one of them",
-                )
-            )
+    clear = [(entry, name) for entry, name in _signals(model) if entry.split("'")[1] not in twice]
+    for name, (n, entries) in _repeated(clear).items():
+        text = f"{n} reported signals are called '{name}'"
+        found.append(Problem("name", entries, text, "rename one of them"))
     return found + _owners(model)
+
+
+def _repeated(named: list[tuple[str, str]]) -> dict[str, tuple[int, str]]:
+    """name -> (how often, the entries) of the names that occur more than once."""
+    where: dict[str, list[str]] = {}
+    for entry, name in named:
+        where.setdefault(name, []).append(entry)
+    return {name: (len(e), ", ".join(dict.fromkeys(e))) for name, e in where.items() if len(e) > 1}
 
 
 def _signals(model: PHDAE) -> Iterator[tuple[str, str]]:
     """(entry, name) of every reported scalar."""
-    yield "the time", "time"
+    yield "the 'time'", "time"
     for member in model.members:
         for what in _LEDGER:
             yield f"the ledger of '{member}'", f"{member}.energy.{what}" if member else f"energy.{what}"
@@ -150,9 +145,9 @@ def units(model: PHDAE) -> list[Problem]:
             found.append(
                 Problem(
                     "unit", f"port '{port.name}'",
-                    f"effort [{d.effort_unit}] times flow [{d.flow_unit}] is {e.factor * f.factor:g} times SI "
-                    f"units with exponents {exponents} of kg, m, s, A, K, mol, cd; a power has factor 1 and "
-                    "[1, 2, -3, 0, 0, 0, 0]",
+                    f"effort [{d.effort_unit}] times flow [{d.flow_unit}] is "
+                    f"{e.factor * f.factor:g} times SI units with exponents {exponents} of kg, m, s, A, K, "
+                    "mol, cd; a power has factor 1 and [1, 2, -3, 0, 0, 0, 0]",
                     "use a conjugate pair whose product is the watt, e.g. V and A, N and m/s",
                 )
             )  # fmt: skip

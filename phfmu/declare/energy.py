@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -36,13 +37,15 @@ def energy(expr: Any, *, correct: tuple[Variable, ...] = (), owner: str = "") ->
     return Energy(ca.SX(_sx(expr)), "general", correct=correct, owner=owner)
 
 
-def resolve_kind(term: Energy, states: ca.SX) -> Energy:
-    """`term` with kind "quadratic" where its Hessian with respect to `states` does not depend on them."""
-    if term.kind != "general" or not states.numel():
+def resolve_kind(term: Energy, states: AbstractSet[int]) -> Energy:
+    """`term` with kind "quadratic" where its Hessian does not depend on states (given by their element hashes)."""
+    if term.kind != "general":
         return term
-    hessian = ca.hessian(term.expr, states)[0]
-    constant = not any(ca.which_depends(ca.vec(hessian), states, 1, False)) if hessian.nnz() else True
-    return replace(term, kind="quadratic") if constant else term
+    x = ca.vertcat(*(s for s in ca.symvar(term.expr) if s.element_hash() in states))
+    if not x.numel():
+        return term
+    hessian = ca.hessian(term.expr, x)[0]
+    return term if hessian.nnz() and ca.depends_on(ca.veccat(hessian), x) else replace(term, kind="quadratic")
 
 
 def strain_energy(invariant: Any, phi: Callable[[ca.SX], ca.SX], *, owner: str = "") -> Energy:

@@ -102,8 +102,8 @@ class PHDAE:
     description: str = ""
 
     def __post_init__(self) -> None:
-        x = self.x
-        object.__setattr__(self, "energies", tuple(resolve_kind(e, x) for e in self.energies))
+        known = {s.element_hash() for v in self.states for s in ca.vertsplit(v.sx)}
+        object.__setattr__(self, "energies", tuple(resolve_kind(e, known) for e in self.energies))
 
     @property
     def x(self) -> ca.SX:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise import constraints, gradients
+from phfmu.discretise import constraints, coordinate, gradients
 from phfmu.discretise.arguments import EMPTY, Arguments
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.spec import Spec, substituted
@@ -23,7 +23,10 @@ from phfmu.discretise.terms import DeclarationError, Term, Terms
 
 @dataclass(frozen=True)
 class Collocated:
-    """k Gauss nodes; gradient "per-term" | "joint-gonzalez" (k = 1) | "nodal" (k = 1: the midpoint baseline MP).
+    """k Gauss nodes.
+
+    gradient: "per-term" | "mean-value" | "joint-gonzalez", "itoh-abe", "itoh-abe-symmetric", "nodal" (these k = 1; nodal
+    is the midpoint baseline MP, which keeps no energy balance).
 
     `two_level`: holonomic models keep position and velocity constraints both (GGL form, odd k).
     """
@@ -44,8 +47,8 @@ class Collocated:
                 f"{terms.model.name}: the closed-form pair has order 2 only; use --order 2, or flux coordinates for "
                 f"order {2 * self.k}"
             )
-        if self.joint and self.k > 1:
-            raise DeclarationError("joint-gonzalez has order 2 only; use --gradient per-term for a higher order")
+        if self.k > 1 and self.gradient not in ("per-term", "mean-value"):
+            raise DeclarationError(f"{self.gradient} has order 2 at most; use --gradient per-term for a higher order")
         if terms.velocity_of and self.k % 2 == 0 and any(t.kind == "constraint" for t in terms.terms):
             raise DeclarationError(
                 f"{terms.model.name}: order {2 * self.k} with holonomic constraints drifts off the velocity constraint; "
@@ -67,6 +70,10 @@ class Collocated:
         kind = term.key[1][0]
         if self.gradient == "nodal" and kind != "quadratic":
             w, dh = gradients.nodal(data["H"], x, d, nd)
+        elif self.gradient == "mean-value" and kind != "quadratic":
+            w, dh = gradients.general(data["H"], x, d, nd, np.ones(x.numel()))
+        elif self.gradient.startswith("itoh-abe"):
+            w, dh = coordinate.itoh_abe(data["H"], x, d, symmetric=self.gradient.endswith("symmetric"))
         elif kind == "quadratic":
             w, dh = gradients.quadratic(data["H"], x, d, nd)
         elif kind == "strain":

@@ -100,9 +100,10 @@ def make_plan(
 
 def _groups(layout: Layout, work: Sequence[tuple[Term, list[Spec]]]) -> list[Group]:
     tables: dict[tuple[str, int], Tables] = {}
+    built: dict[int, Kernel] = {}  # terms of one kind share their specs
     for term, specs in work:
         for spec in specs:
-            kernel = build(spec)
+            kernel = built.get(id(spec)) or built.setdefault(id(spec), build(spec))
             t = tables.get((kernel.name, spec.stage))
             if t is None:
                 power = np.array([q for _, q, _ in spec.out], np.int8)

@@ -7,7 +7,7 @@ from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.terms import DeclarationError
 
 SCHEMES = ("auto", "collocated", "two-level", "semi-explicit", "midpoint")
-GRADIENTS = ("per-term", "joint-gonzalez")
+GRADIENTS = ("per-term", "joint-gonzalez", "mean-value", "itoh-abe", "itoh-abe-symmetric")
 ORDERS = (2, 4, 6)
 
 
@@ -24,11 +24,10 @@ def named_scheme(
     if order not in ORDERS:
         raise DeclarationError(f"order {order} is not offered; choose from {', '.join(map(str, ORDERS))}")
     holonomic = bool(declaration.constraints)
-    joint = gradient == "joint-gonzalez"
     if name == "auto":
         name = "two-level" if holonomic else "collocated"
     if name == "midpoint":
-        if order != 2 or joint:
+        if order != 2 or gradient != "per-term":
             raise DeclarationError("scheme midpoint has order 2 and no discrete gradient; leave out --order and --gradient")
         return Collocated(1, gradient="nodal", name="midpoint")
     if name == "two-level":

@@ -70,7 +70,7 @@ def load(path: Path) -> ctypes.CDLL:
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "ph_size": (ctypes.c_size_t, [pointer]),
         "ph_init": (integer, [pointer, pointer]),
-        "ph_reset": (None, [pointer]),
+        "ph_reset": (integer, [pointer]),
         "ph_initialise": (integer, [pointer]),
         "ph_set_input": (integer, [pointer, pointer]),
         "ph_set_node_inputs": (integer, [pointer, pointer]),

@@ -51,7 +51,7 @@ class NativeInstance:
 
     def reset(self) -> None:
         """Back to the start values; the algebraic variables are solved for the start."""
-        self._lib.ph_reset(self._in)
+        self._check(self._lib.ph_reset(self._in))
         self.initialise()
 
     def initialise(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import stat
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from weakref import WeakValueDictionary
@@ -38,7 +39,14 @@ class Archive:
                 archive.extractall(self._folder.name, [n for n in names if _needed(n, self.library)])
         except FileNotFoundError:
             raise FMUError(f"{path}: there is no such file") from None
-        except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            EOFError,
+            NotImplementedError,
+            RuntimeError,
+            OSError,
+        ) as error:
             if isinstance(error, FMUError):
                 raise
             raise FMUError(

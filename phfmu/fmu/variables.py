@@ -188,7 +188,7 @@ LEDGER = (
     (
         "residual",
         "PH_RESIDUAL",
-        "change of stored + dissipated - supplied energy since the start: rounding",
+        "change of stored + dissipated - supplied energy since the start",
     ),
 )
 #: the same of one communication step, free of the cancellation of differences

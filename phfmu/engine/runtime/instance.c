@@ -163,8 +163,7 @@ int ph_init(void *memory, const ph_model *model) {
         s->hp[1] = NAN;
         s->empty = -1;
     }
-    ph_reset(in);
-    return PH_OK;
+    return ph_reset(in);
 }
 
 /* Algebraic unknowns of both systems start from the values a. */
@@ -185,9 +184,8 @@ static void copy(double *to, const double *from, int n) {
         memcpy(to, from, sizeof(double) * (size_t)n);
 }
 
-void ph_reset(ph_instance *in) {
+int ph_reset(ph_instance *in) {
     const ph_model *m = in->model;
-    const ph_plan *p = m->step;
     memset(in->head, 0, in->state_size);
     in->head->token = m->token;
     in->head->size = in->state_size;
@@ -197,10 +195,10 @@ void ph_reset(ph_instance *in) {
         if (s->plan->nw > 0)
             s->pivot[0] = -1;
     }
-    copy(in->p, m->p0, p->np);
-    ph_set_x(in, m->t0, m->x0);
-    ph_set_algebraic(in, m->a0);
-    ph_set_input(in, m->u0);
+    if (ph_set_parameters(in, m->p0) || ph_set_x(in, m->t0, m->x0) || ph_set_algebraic(in, m->a0) ||
+        ph_set_input(in, m->u0))
+        return PH_VALUE;
+    return PH_OK;
 }
 
 int ph_set_algebraic(ph_instance *in, const double *a) {
@@ -214,7 +212,7 @@ int ph_set_algebraic(ph_instance *in, const double *a) {
 }
 
 int ph_set_x(ph_instance *in, double t, const double *x) {
-    if (!ph_finite(x, in->model->step->nx))
+    if (!ph_finite(x, in->model->step->nx) || !ph_finite(&t, 1))
         return PH_VALUE;
     int nx = in->model->step->nx;
     copy(in->table, x, nx);

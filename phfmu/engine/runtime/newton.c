@@ -180,7 +180,6 @@ static void start_rest(ph_system *s) {
 int ph_solve(ph_system *s, double h) {
     int status = PH_OK, guessed = *s->last_h > 0.0;
     ph_eval_h(s, h);
-    s->count[PH_SOLVES]++;
     if (s->plan->nw == 0) {
         s->iterations = 0;
         s->update = 0.0;

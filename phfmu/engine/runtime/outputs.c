@@ -9,7 +9,6 @@ static int solve_instant(ph_instance *in) {
     int status;
     ph_inputs_at(in, in->head->theta, s->y + s->plan->nw);
     in->count[PH_INSTANTS]++;
-    in->count[PH_SOLVES]--; /* counts steps only */
     status = ph_solve(s, 1.0);
     if (status == PH_OK)
         return status;

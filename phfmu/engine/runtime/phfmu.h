@@ -63,7 +63,7 @@ typedef enum ph_row {
 typedef enum ph_count {
     PH_STEPS,         /* communication steps accepted */
     PH_SOLVES,        /* nonlinear systems solved for steps */
-    PH_ITERATIONS,    /* Newton iterations, polish not counted */
+    PH_ITERATIONS,    /* Newton iterations of steps and end values, polish not counted */
     PH_FACTORED,      /* factorisations of the Newton matrix */
     PH_PIVOTED,       /* those with a new pivot search */
     PH_RESTARTS,      /* solved from the second start */
@@ -94,7 +94,7 @@ PH_API size_t ph_size(const ph_model *model);
 /* memory: ph_size bytes aligned for double, owned by the caller; model must outlive it. */
 PH_API int ph_init(void *memory, const ph_model *model);
 /* Back to the start values of the model (state, algebraic guess, inputs, parameters, ledger). */
-PH_API void ph_reset(ph_instance *in);
+PH_API int ph_reset(ph_instance *in);
 /* Solves the instant system: algebraic variables, outputs, observables and H become valid, and the
  * step means take their values. */
 PH_API int ph_initialise(ph_instance *in);

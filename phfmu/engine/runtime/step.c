@@ -49,6 +49,7 @@ static int advance(ph_instance *in, double t, double h, double from, double weig
     int status;
     in->table[s->plan->nx] = t + h * from;
     ph_resample(in, from, weight, s->y + s->plan->nw);
+    in->count[PH_SOLVES]++;
     status = ph_solve(s, h * weight);
     if (status) {
         ph_explain(s, status, &in->report);

@@ -148,10 +148,9 @@ int fmu_reset(fmu *f, const char *function) {
     const fmu_phase start = {.mode = FMU_INSTANTIATED};
     if (fmu_allow(f, function, FMU_ANY))
         return FMU_ERROR;
-    ph_reset(f->in);
     f->phase = start;
     f->step_known = f->end_known = 0;
-    return FMU_OK;
+    return ph_reset(f->in) ? fmu_refuse(f, "%s: the start values of the model were refused", function) : FMU_OK;
 }
 
 /* n internal steps of equal length, none longer than the declared one. */

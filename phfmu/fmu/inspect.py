@@ -1,0 +1,52 @@
+"""What an FMU is and what is wrong with it, without running it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from phfmu.fmu.archive import open_archive
+from phfmu.fmu.interface import Interface
+from phfmu.fmu.variables import FMUError
+
+
+def fmu_info(path: str | Path) -> str:
+    """Text: version, ports with their pairs, variables with units and starts.  FMUError if it cannot be read."""
+    face: Interface = open_archive(path).interface
+    lines = [f"{face.name}: {face.description}".rstrip(": "), f"FMI {face.version} for Co-Simulation"]
+    abilities = {
+        "saves and restores its state": face.saves,
+        "gives directional derivatives": face.derivatives,
+    }
+    lines += [f"{text}: {'yes' if able else 'no'}" for text, able in abilities.items()]
+    lines.append(
+        f"energy ledger: {'exact, in the unit' if face.energy else 'none; port work can be estimated'}"
+    )
+    if face.step is not None:
+        lines.append(
+            f"suggested step {face.step:g} s" + (f", stop {face.stop:g} s" if face.stop is not None else "")
+        )
+    if face.ports:
+        lines.append("ports (power positive into the component):")
+    for p in face.ports:
+        lines.append(
+            f"  {p.name:<24} {p.domain.name:<14} input {', '.join(p.inputs)}; output {', '.join(p.outputs)}"
+        )
+    for causality in ("parameter", "input", "output", "local"):
+        chosen = [v for v in face.variables.values() if v.causality == causality]
+        if chosen:
+            lines.append(f"{causality}s:" if causality != "local" else "local variables:")
+        for v in chosen:
+            start = "" if v.start is None else f"{v.start:g}"
+            lines.append(f"  {v.name:<32} {v.unit:<12} {start:<16} {v.description}".rstrip())
+    return "\n".join(lines) + "\n"
+
+
+def fmu_problems(path: str | Path) -> list[str]:
+    """Problems of the archive, its XML and its binaries, found by this package and by FMPy's validation."""
+    try:
+        open_archive(path)
+    except FMUError as error:
+        return [str(error)]
+    from fmpy.validation import validate_fmu
+
+    return [str(problem) for problem in validate_fmu(str(path))]
