@@ -592,14 +592,14 @@ def random_models(draw):
     return model, rng, low @ low.T
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(random_models())
 def test_random_models_are_sound(drawn):
     model, _, _ = drawn
     assert list(map(str, check(model))) == []
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(random_models(), st.floats(1e-4, 10.0), st.sampled_from(["skew", "symmetry", "passivity", "costate"]))
 def test_random_perturbations_are_caught(drawn, size, rule):
     model, rng, R = drawn

@@ -336,7 +336,7 @@ def test_bad_archives_are_refused_with_one_clear_error(circuits, tmp_path: Path,
         (in_description(lambda d: d.decode().encode("utf-16")), {}, "not in UTF-8"),
         (in_description(lambda d: d.replace(b'fmiVersion="%s"' % version.encode(), b'fmiVersion="1.0"')), {},
          "FMI version '1.0'"),
-        (in_description(lambda d: d.replace(b"CoSimulation", b"ModelExchange")), {}, "no Co-Simulation interface"),
+        (in_description(lambda d: d.replace(b"CoSimulation", b"Other")), {}, "no Co-Simulation interface"),
         (in_description(lambda d: re.sub(rb'(guid|Token)="[^"]*"', rb'\1="{0}"', d)), {}, r"token '\{0\}'"),
     ]  # fmt: skip
     for i, (change, extra, words) in enumerate(cases):

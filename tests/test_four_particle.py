@@ -1,14 +1,14 @@
-"""The four-particle system: published numbers, large steps, conservation, fallbacks of Newton's method, failures."""
+"""The four-particle system: published numbers, large steps, conservation; fallbacks, failures of Newton."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from phfmu import (
+    ELECTRICAL,
     PHDAE,
     Collocated,
     NativeInstance,
@@ -17,8 +17,8 @@ from phfmu import (
     Status,
     StepFailure,
     algebraic,
-    block,
     build_model,
+    damping,
     energy,
     parameter,
     skew,
@@ -26,7 +26,6 @@ from phfmu import (
     time,
 )
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.declare.port import ELECTRICAL
 
 ENGINES = (PythonInstance, NativeInstance)
 JOINT = Collocated(1, gradient="joint-gonzalez", name="semi-explicit")
@@ -70,7 +69,8 @@ def test_joint_gradient_reproduces_the_published_run():
     assert np.max(np.diff(rows["energy"][:, 0])) < 0.0
     assert np.max(np.abs(checks(instance, rows)[:, 2:])) <= 1e-13
     assert rows["energy"][-1, 0] == pytest.approx(0.685017, abs=5e-7)
-    assert np.max(np.abs(checks(instance, rows)[:, :2])) == pytest.approx(2.8e-4, rel=0.02)  # plain: Dg v drifts
+    drift = np.max(np.abs(checks(instance, rows)[:, :2]))  # the plain scheme keeps g only
+    assert drift == pytest.approx(2.8e-4, rel=0.02)
     assert instance.counts["substeps"] == 0
 
 
@@ -133,14 +133,14 @@ def test_sixth_order_takes_the_same_large_steps():
         assert rows["energy"][-1, 0] == pytest.approx(end, abs=6e-6)
 
 
-@pytest.mark.parametrize(("scheme", "h"), [(None, 0.01), (None, 0.25), (THIRD, 0.05)])
-def test_undamped_motion_keeps_energy_and_momenta(scheme, h):
+@pytest.mark.parametrize(("scheme", "h", "bound"), [(None, 0.01, 1e-12), (THIRD, 0.05, 1e-11)])
+def test_undamped_motion_keeps_energy_and_momenta(scheme, h, bound):
     instance = NativeInstance(model(scheme, eta0=0.0))
     rows = instance.run(0.0, h, 10_000, LEDGER)
-    assert np.max(np.abs(rows["energy"] - H0)) <= 1e-12
+    assert np.max(np.abs(rows["energy"] - H0)) <= bound
     linear, angular = momenta(rows["x"])
-    assert np.max(np.abs(linear - [0, 0, 2.0])) <= 1e-12  # m4 v4 = 1.7 * 20/17 along the third axis
-    assert np.max(np.abs(angular - [2.0, -2.0, 0])) <= 1e-12  # at q4 = (1, 1, 0)
+    assert np.max(np.abs(linear - [0, 0, 2.0])) <= bound  # m4 v4 = 1.7 * 20/17 along the third axis
+    assert np.max(np.abs(angular - [2.0, -2.0, 0])) <= bound  # at q4 = (1, 1, 0)
     assert np.max(np.abs(checks(instance, rows))) <= 1e-12
     assert np.max(np.abs(rows["dissipated"])) == 0.0
 
@@ -168,19 +168,21 @@ def double_well(q: float) -> PHDAE:
     )
 
 
+@cache
+def well(q: float):
+    return build_model(double_well(q), Collocated(2))
+
+
 FALLBACKS = {
-    "restarts": [(lambda: model(JOINT), 0.25, 40), (lambda: build_model(double_well(0.01), Collocated(2)), 3.0, 30)],
+    "restarts": [(lambda: model(JOINT), 0.25, 40), (lambda: well(0.01), 3.0, 30)],
     "line_searches": [(lambda: model(JOINT), 0.1, 100), (lambda: model(JOINT), 0.4, 25)],
-    "substeps": [
-        (lambda: build_model(double_well(0.01), Collocated(2)), 5.0, 30),
-        (lambda: build_model(double_well(0.3), Collocated(2)), 5.0, 30),
-        (lambda: model(JOINT, k24=5e6), 0.4, 20),
-    ],
+    "substeps": [(lambda: well(0.01), 5.0, 30), (lambda: model(JOINT, k24=5e6), 0.4, 20)],
 }
+CASES = [(counter, i) for counter, cases in FALLBACKS.items() for i in range(len(cases))]
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize(("counter", "case"), [(c, i) for c, cases in FALLBACKS.items() for i in range(len(cases))])
+@pytest.mark.parametrize(("counter", "case"), CASES)
 def test_each_fallback_is_reached_and_keeps_the_ledger_closed(engine, counter, case):
     make, h, n = FALLBACKS[counter][case]
     instance = engine(make())
@@ -201,66 +203,62 @@ def test_both_engines_pass_the_steps_at_which_plain_newton_fails(h, end):
     assert ends[1] == pytest.approx(ends[0], abs=1e-9)
 
 
-# -- a step without solution -----------------------------------------------------------------------------------
+# -- a step without solution ---------------------------------------------------------------------------------
 
 
-def fading(offset: float = 1.0) -> PHDAE:
-    """0 = a^2 - (offset - t): a = sqrt(offset - t) ends at t = offset; beside it x' = -x + a."""
-    x, a, c = state("x", start=0.5), algebraic("a", start=1.0), parameter("offset", offset)
+def fading(offset: float = 1.0, x: float = 0.1) -> PHDAE:
+    """x' = -x + a, 0 = offset - t - x - a^2: a = sqrt(offset - t - x) until there is no solution."""
+    s, a, c = state("x", start=x), algebraic("a", start=1.0), parameter("offset", offset)
     return PHDAE(
         "fading",
-        states=(x,),
+        states=(s,),
         algebraics=(a,),
         parameters=(c,),
-        energies=(energy(x**2 / 2),),
-        structure=(skew(x, a, 1.0),),
-        dissipation=(block([x], 1.0), block([a], a.sx)),
+        energies=(energy(s**2 / 2),),
+        structure=(skew(s, a, 1.0),),
+        dissipation=(damping(s, 1.0), damping(a, a.sx)),
         ports=(Port("level", ELECTRICAL, "effort", {a: 1.0}, source=c.sx - time),),
     )
 
 
 def bitwise(instance):
-    state = instance.get_state()
-    if isinstance(state, bytes):
-        return state
-    return b"".join(np.asarray(getattr(state, n)).tobytes() for n in ("x", "carry", "w", "h_last", "a", "u", "p", "t",
-        "y_step", "energy", "stored", "dissipated", "supplied")) + b"".join(v.tobytes() for v in state.last.values())  # fmt: skip
+    """Everything a later step depends on, as bytes."""
+    saved = instance.get_state()
+    if isinstance(saved, bytes):
+        return saved
+    fields = {k: v for k, v in vars(saved).items() if k not in ("end", "counts", "last")} | saved.last
+    return {name: np.asarray(value).tobytes() for name, value in fields.items()}
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", [1, 2])
 def test_a_step_without_solution_is_refused_and_leaves_no_trace(engine, k):
-    plan = build_model(_started(fading(), x_row=-1.0), Collocated(k))
+    plan = build_model(fading(), Collocated(k))
     instance, twin = engine(plan), engine(plan)
-    for i in range(9):
+    for i in range(4):
         instance.do_step(0.1 * i, 0.1)
         twin.do_step(0.1 * i, 0.1)
-    before, seen = bitwise(instance), instance.x.tobytes()
+    before, seen, booked = bitwise(instance), instance.x.tobytes(), instance.ledger()
     with pytest.raises(StepFailure) as failure:
-        instance.do_step(0.9, 0.4)
-    assert bitwise(instance) == before and instance.x.tobytes() == seen
+        instance.do_step(0.4, 1.6)
+    assert bitwise(instance) == before and instance.x.tobytes() == seen and instance.time == twin.time
+    assert all((instance.ledger()[name] == booked[name]).all() for name in booked)
     assert failure.value.status in (Status.NO_CONVERGENCE, Status.NOT_FINITE, Status.SINGULAR)
     assert failure.value.component == "fading" and "equation of a" in failure.value.equation
-    assert 0.9 <= failure.value.time <= 1.05 and 0 < failure.value.h <= 0.4 / 64 * 1.0001
+    assert 0.4 <= failure.value.time < 1.0 and failure.value.h == pytest.approx(1.6 / 64)
     for text in ("fading at t =", "equation of a", "tried", "Next:"):
         assert text in str(failure.value)
-    instance.do_step(0.9, 0.05)
-    twin.do_step(0.9, 0.05)
+    instance.do_step(0.4, 0.05)
+    twin.do_step(0.4, 0.05)
     assert bitwise(instance) == bitwise(twin)
     instance.reset()
-    assert instance.x[0] == 0.5 and instance.time == 0.0
-
-
-def _started(model: PHDAE, x_row: float) -> PHDAE:
-    """The row of a without x: R(a) a = u; x is driven through an own block."""
-    x, a = model.states[0], model.algebraics[0]
-    return replace(model, structure=(), ports=(*model.ports, Port("drive", ELECTRICAL, "effort", {x: x_row}, source=a.sx)))
+    assert instance.x[0] == 0.1 and instance.time == 0.0
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_equation_without_solution_at_the_start_is_named(engine):
     """0 = a^2 + 1."""
-    plan = build_model(_started(fading(-1.0), x_row=-1.0))
+    plan = build_model(fading(-1.0, x=0.0))
     with pytest.raises(StepFailure, match="equation of a") as failure:
         engine(plan)
     assert failure.value.time == 0.0 and failure.value.h == 0.0
@@ -268,9 +266,10 @@ def test_an_equation_without_solution_at_the_start_is_named(engine):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_failure_inside_a_run_keeps_what_was_recorded(engine):
-    plan = build_model(_started(fading(), x_row=-1.0))
-    instance = engine(plan)
+    instance = engine(build_model(fading()))
     with pytest.raises(StepFailure) as failure:
-        instance.run(0.0, 0.3, 10, ("x", "stored"))
-    assert failure.value.recorded["x"].shape == (3, 1) and failure.value.recorded["stored"].shape == (3, 1)
-    assert failure.value.recorded["x"][-1] == instance.x and instance.time == pytest.approx(0.9)
+        instance.run(0.0, 0.2, 10, ("x", "stored"))
+    kept = failure.value.recorded
+    n = len(kept["x"])
+    assert 1 <= n < 5 and kept["stored"].shape == (n, 1)
+    assert (kept["x"][-1] == instance.x).all() and instance.time == pytest.approx(0.2 * n)

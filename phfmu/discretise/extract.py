@@ -35,11 +35,15 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
     _ports(out, locator)
     _velocities(out)
     for c in model.constraints:
+        if c.g.shape != (c.multiplier.n, 1):
+            raise DeclarationError(f"constraint '{c.multiplier.name}': g is {c.g.shape[0]} x {c.g.shape[1]}, its multiplier "
+                                   f"has {c.multiplier.n} entries")  # fmt: skip
         for j, (_, multiplier) in enumerate(locator.of(c.multiplier)):
             out.terms.append(
                 make_term("constraint", {"g": c.g[j]}, locator, f"constraint '{c.multiplier.name}'",
                           rows=[("a", multiplier)], owner=_member(members, c.owner))
             )  # fmt: skip
+    _require_velocities(out)
     _energies(model, out, locator, mass, joint)
     row = 0
     for o in model.observables:
@@ -61,6 +65,8 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
     solved: list[int] = []
     for v, value in model.E.items():
         matrix = ca.SX(_sx(value))
+        if v.role != "state":
+            raise DeclarationError(f"E of '{v.name}': E acts on states; an algebraic variable has zero rows of E")
         where = [i for _, i in locator.of(v)]
         if matrix.numel() == 1 and v.n > 1:
             matrix = matrix * ca.SX.eye(v.n)
@@ -174,6 +180,10 @@ def _ports(out: Terms, locator: Locator) -> None:
         _port(out, locator, port, first[id(port)])
         if port.source is not None:
             s = ca.SX(_sx(port.source))
+            other = [str(x) for x in ca.symvar(s) if locator.find(x, f"source of '{port.name}'")[0] not in ("t", "p")]
+            if other:
+                raise DeclarationError(f"source of '{port.name}' depends on {', '.join(other)}; a source may depend on time "
+                                       "and parameters only")  # fmt: skip
             for j in range(port.n):
                 i = first[id(port)] + j
                 out.terms.append(make_term("source", {"s": s[j]}, locator, f"source of '{port.name}'", rows=[("u", i)]))
@@ -212,11 +222,24 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
 
 def _velocities(out: Terms) -> None:
     """q -> v for rows q' = z_v (one constant unit entry): where the multiplier of g(q) acts."""
+    other = {i for t in out.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
     rows: dict[int, list[tuple[str, int, float]]] = {}
     for row_kind, row, kind, source, value in out.constants:
         if row_kind == "x":
             rows.setdefault(row, []).append((kind, source, value))
-    out.velocity_of = {q: s[0][1] for q, s in rows.items() if len(s) == 1 and s[0][0] == "z" and s[0][2] == 1.0}
+    out.velocity_of = {q: s[0][1] for q, s in rows.items() if len(s) == 1 and s[0][0] == "z" and s[0][2] == 1.0
+                       and q not in other}  # fmt: skip
+
+
+def _require_velocities(out: Terms) -> None:
+    names = [n for v in out.model.states for n in v.names()]
+    for t in out.terms:
+        bad = [names[q] for q in t.index.get("x", ()) if t.kind == "constraint" and q not in out.velocity_of]
+        if bad:
+            raise DeclarationError(
+                f"{out.model.name}: a constraint depends on {', '.join(bad)}, whose row is not q' = z_v; constraints act on "
+                "positions with skew(q, v, 1.0) and no other term in their rows"
+            )
 
 
 def _energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:

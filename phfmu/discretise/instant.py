@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.discretise.arguments import EMPTY, Arguments
+from phfmu.discretise.hidden import Hidden, bound_variables, hidden_rows, rates
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import Maps, make_plan
@@ -31,28 +32,31 @@ class Check:
 
 def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
     """The instant plan and its checks (reported as the last observables)."""
-    hidden = _hidden_rows(terms)
-    if hidden and terms.solved_costates:
+    hidden = hidden_rows(terms)
+    if hidden.rows and terms.solved_costates:
         raise DeclarationError(
             f"{terms.model.name}: constraints together with a non-diagonal or state-dependent E are not supported yet; "
             "use coordinates with a diagonal E"
         )
-    unknowns = [("D", i, 0) for i in range(terms.n1)] if hidden else []
+    unknowns = [("D", i, 0) for i in range(terms.n1)] if hidden.rows else []
     unknowns += [("Z", i, 0) for i in terms.solved_costates]
     unknowns += [("a", i, 0) for i in range(terms.na)]
+    unknowns += [("b", i, 0) for i in sorted(hidden.solved_by.values())]
     names = [n for v in terms.model.algebraics for n in v.names()]
     checks, rows = [], {}
     position = {t.rows[0][1] for t in terms.terms if t.kind == "constraint"}
-    for level, code, which in (("velocity", 0, sorted(hidden)), ("position", 1, sorted(position))):
+    for level, code, which in (("velocity", 0, hidden.checks), ("position", 1, sorted(position))):
         for a in which:
             rows[(a, code)] = len(terms.observable_names) + len(checks)
             checks.append(Check(names[a], level, a))
-    layout = Layout(terms, 1, unknowns, costate_rate=bool(hidden), checks=rows)
-    rule = _Instant(frozenset(hidden), bool(hidden))
+    layout = Layout(
+        terms, 1, unknowns, costate_rate=bool(hidden.rows), checks=rows, solved_by=hidden.solved_by
+    )
+    rule = _Instant(hidden, bound_variables(terms))
     cache: dict[tuple, list[Spec]] = {}
     work = []
     for term in terms.terms:
-        key = (term.key, tuple(r[0] == "a" and r[1] in hidden for r in term.rows))
+        key = (term.key, tuple((r[0] == "a" and r[1] in hidden.rows, r[1] in hidden.solved_by) for r in term.rows))
         if key not in cache:
             cache[key] = rule.specs(term)
         work.append((term, cache[key]))
@@ -64,31 +68,17 @@ def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
     return plan, checks
 
 
-def _hidden_rows(terms: Terms) -> set[int]:
-    """Algebraic rows without algebraic variables: they constrain the states."""
-    bound = {i for i, p in enumerate(terms.pairs) if p.port.bound is not None}
-    visible = {row for kind, row, source, s, _ in terms.constants
-               if kind == "a" and (source == "a" or (source == "u" and s in bound))}  # fmt: skip
-    cache: dict[tuple, list[bool]] = {}
-    for t in terms.terms:
-        if t.kind != "flow":
-            continue
-        depends_on_bound = any(i in bound for i in t.index.get("u", ()))
-        key = (t.key, depends_on_bound)
-        if key not in cache:
-            symbols = [t.local[k] for k in (("a", "u") if depends_on_bound else ("a",)) if k in t.local]
-            together = ca.vertcat(*symbols) if symbols else EMPTY
-            cache[key] = ca.which_depends(t.data["f"], together, 1, True) if symbols else [False] * len(t.rows)
-        visible |= {row for (kind, row), hit in zip(t.rows, cache[key], strict=True) if kind == "a" and hit}
-    return set(range(terms.na)) - visible
-
-
 @dataclass(frozen=True)
 class _Instant:
-    """Kernels of the instant plan; `rate`: x1' is among the unknowns."""
+    """Kernels of the instant plan."""
 
-    hidden: frozenset[int]
-    rate: bool
+    hidden: Hidden
+    bound: dict[int, int]
+
+    @property
+    def rate(self) -> bool:
+        """True if x1' is among the unknowns."""
+        return bool(self.hidden.rows)
 
     def specs(self, term: Term) -> list[Spec]:
         build = getattr(self, "_" + term.kind, None)
@@ -140,26 +130,35 @@ class _Instant:
 
     def _flow(self, term: Term) -> list[Spec]:
         args, local, f = Arguments(term, 1), term.local, term.data["f"]
-        chosen = [kind == "a" and i in self.hidden for kind, i in term.rows]
+        chosen = [j for j, (kind, i) in enumerate(term.rows) if kind == "a" and i in self.hidden.rows]
         made = {k: args.matrix(k, local[k].numel()) for k in ("z", "a", "u") if k in local}
-        drift = ca.SX(f.numel(), 1)
-        if any(chosen):
-            if "x" in local:
-                drift += ca.jtimes(f, local["x"], args.matrix("r", local["x"].numel()))
-            if "z" in local:
-                drift += ca.jtimes(f, local["z"], args.matrix("dz", local["z"].numel()))
-            if "t" in local:
-                drift += ca.jacobian(f, local["t"])
+        drift = self._drift(term, args, chosen) if chosen else ca.SX(f.numel(), 1)
         f, drift = ca.substitute([f, drift], [local[k] for k in made], list(made.values()))
         out: list[tuple[Address, int, ca.SX]] = []
-        for j, (kind, _) in enumerate(term.rows):
+        for j, (kind, i) in enumerate(term.rows):
             if kind == "x" and not self.rate:
                 continue
-            value = f[j] if kind == "y" else -(drift[j] if chosen[j] else f[j])
+            value = f[j] if kind == "y" else -(drift[j] if j in chosen else f[j])
             out.append((("row", j, 0), 0, value))
-            if chosen[j]:
+            if j in chosen and i in self.hidden.solved_by:
+                out.append((("original", j, 0), 0, -f[j]))
+            elif j in chosen:
                 out.append((("check", j, 0), 0, f[j]))
         return [Spec(1, args.x, args.p, args.y, out)] if out else []
+
+    def _drift(self, term: Term, args: Arguments, chosen: list[int]) -> ca.SX:
+        """df/dt along x1', the costate rates and the rates of algebraic variables; held inputs have none."""
+        local, f = term.local, term.data["f"]
+        drift = ca.SX(f.numel(), 1)
+        if "x" in local:
+            drift += ca.jtimes(f, local["x"], args.matrix("r", local["x"].numel()))
+        if "z" in local:
+            drift += ca.jtimes(f, local["z"], args.matrix("dz", local["z"].numel()))
+        if "t" in local:
+            drift += ca.jacobian(f, local["t"])
+        for kind, i in rates(term, chosen, self.bound):
+            drift += ca.jacobian(f, local[kind][i]) * args.symbol("d" + kind, i, 0)
+        return drift
 
     def _observable(self, term: Term) -> list[Spec]:
         args, local, f = Arguments(term, 1), term.local, term.data["f"]
@@ -178,18 +177,21 @@ class _Instant:
         return [Spec(1, args.x, args.p, args.y, out)]
 
 
-def _constants(layout: Layout, hidden: set[int]) -> list[tuple[int, int, float, int]]:
+def _constants(layout: Layout, hidden: Hidden) -> list[tuple[int, int, float, int]]:
     terms, out = layout.terms, []
     other = {i for t in terms.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
-    if hidden:
+    if hidden.rows:
         out += [(layout.row("x", i, 0), layout.value("D", i, 0), 1.0, 0) for i in range(terms.n1) if i not in other]
     out += [(layout.w_of[("Z", i, 0)], layout.nv + layout.slot(i, 0), -1.0, 0) for i in terms.solved_costates]
     for kind, row, source_kind, source, value in terms.constants:
-        if kind == "x" and not hidden:
+        if kind == "x" and not hidden.rows:
             continue
         src = layout.value(source_kind, source, 0)
-        if kind == "a" and row in hidden:
-            out.append((layout.row("o", layout.checks[(row, 0)], 0), src, value, 0))
+        if kind == "a" and row in hidden.rows:
+            if row in hidden.solved_by:
+                out.append((layout.w_of[("b", hidden.solved_by[row], 0)], src, -value, 0))
+            else:
+                out.append((layout.row("o", layout.checks[(row, 0)], 0), src, value, 0))
             rate = _rate(layout, source_kind, source)
             if rate is not None:
                 out.append((layout.row("a", row, 0), rate, -value, 0))
@@ -199,9 +201,13 @@ def _constants(layout: Layout, hidden: set[int]) -> list[tuple[int, int, float, 
 
 
 def _rate(layout: Layout, kind: str, i: int) -> int | None:
-    """Y index of the time derivative of a source value; held inputs have none."""
+    """Y index of the time derivative of a value in a differentiated row; held inputs have none."""
     if kind == "z":
         return layout.value("Q", i, 0)
-    if kind == "u" and i in layout.source_slot:
+    if kind == "a":
+        return layout.value("b", i, 0)
+    if i in layout.bound:
+        return layout.value("b", layout.bound[i], 0)
+    if i in layout.source_slot:
         return layout.nv + layout.source_index(i, 0) + len(layout.sources)
     return None

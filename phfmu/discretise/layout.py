@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from phfmu.discretise.hidden import bound_variables
 from phfmu.discretise.spec import Address
 from phfmu.discretise.terms import Term, Terms
 
@@ -15,7 +16,8 @@ class Layout:
     """Where (kind, index, node) lives.
 
     `unknowns`: list of (kind, global index, node), giving w; the row of an unknown has the same number:
-    D <-> balance of that state, a <-> row of that algebraic variable, Z <-> E^T z = W, m <-> velocity constraint.
+    D <-> balance of that state, a <-> row of that algebraic variable, Z <-> E^T z = W, m <-> velocity constraint,
+    b (rate of an algebraic variable) <-> the undifferentiated row that gives it.
     """
 
     terms: Terms
@@ -24,23 +26,15 @@ class Layout:
     costate_rate: bool = False
     #: instant plans: (algebraic row, 0 velocity | 1 position) -> observable row of a hidden constraint
     checks: dict[tuple[int, int], int] = field(default_factory=dict)
+    #: instant plans: differentiated algebraic row -> the algebraic variable its undifferentiated form gives
+    solved_by: dict[int, int] = field(default_factory=dict)
     w_of: dict[tuple[str, int, int], int] = field(init=False)
 
     def __post_init__(self) -> None:
         self.w_of = {u: i for i, u in enumerate(self.unknowns)}
         self.sources = [i for i, p in enumerate(self.terms.pairs) if p.port.source is not None]
         self.source_slot = {p: j for j, p in enumerate(self.sources)}
-        self.bound = self._bound()
-
-    def _bound(self) -> dict[int, int]:
-        from phfmu.discretise.terms import Locator
-
-        locator = Locator(self.terms.model, self.terms.pairs)
-        return {
-            i: locator.find(p.port.bound[p.j], p.port.name)[1]
-            for i, p in enumerate(self.terms.pairs)
-            if p.port.bound is not None
-        }
+        self.bound = bound_variables(self.terms)
 
     @property
     def nw(self) -> int:
@@ -106,6 +100,10 @@ class Layout:
             return self.value("m", term.rows[0][1], 0)
         if kind == "h":
             return self.value("h", 0, 0)
+        if kind == "da":
+            return self.value("b", term.index["a"][j], node)
+        if kind == "du":
+            return self.value("b", self.bound[term.index["u"][j]], node)
         if kind == "dz":
             return self.value("Q", term.index["z"][j], node)
         return self.value(kind, term.index[kind][j], node)
@@ -137,6 +135,8 @@ class Layout:
             return self.w_of[("D", self._velocity(term, j), node)]
         if kind == "m":
             return self.w_of[("m", term.rows[0][1], 0)]
+        if kind == "original":
+            return self.w_of[("b", self.solved_by[term.rows[j][1]], 0)]
         if kind == "SR":
             return self.source_index(term.rows[0][1], 0) + len(self.sources)
         if kind == "check":
@@ -163,11 +163,18 @@ class Layout:
             "D": lambda i: f"balance of {states[i]}", "a": lambda i: f"equation of {algebraics[i]}",
             "Z": lambda i: f"costate of {states[i]}",
             "m": lambda i: f"velocity constraint of {algebraics[i]}",
+            "b": lambda i: f"rate of {algebraics[i]}",
         }  # fmt: skip
         suffix = (lambda node: f" (node {node + 1})") if self.k > 1 else (lambda node: "")
         return [text[kind](i) + suffix(node) for kind, i, node in self.unknowns]
 
+    def unknown_names(self) -> list[str]:
+        """The variable each unknown stands for, for messages."""
+        states = [n for v in self.terms.model.states for n in v.names()]
+        algebraics = [n for v in self.terms.model.algebraics for n in v.names()]
+        return [(states if kind in ("D", "Z") else algebraics)[i] for kind, i, _ in self.unknowns]
+
     def nominals(self) -> np.ndarray:
         x = [v.nominal[j] for v in self.terms.model.states for j in range(v.n)]
         a = [v.nominal[j] for v in self.terms.model.algebraics for j in range(v.n)]
-        return np.array([(a if kind in ("a", "m") else x)[i] for kind, i, _ in self.unknowns], float).reshape(-1)
+        return np.array([(a if kind in ("a", "m", "b") else x)[i] for kind, i, _ in self.unknowns], float).reshape(-1)

@@ -65,10 +65,10 @@ def make_plan(
     try:
         order, pivot = elimination_order(layout.nw, matrix.row, matrix.col, weak)
     except StructurallySingular as e:
-        names = layout.names()
+        names, variables = layout.names(), layout.unknown_names()
         raise DeclarationError(
             f"{terms.model.name}: structurally singular: {', '.join(names[r] for r in e.rows)} cannot be solved for "
-            f"{', '.join(names[c] for c in e.cols)}; check for an ideal loop of sources or a port without inertia, "
+            f"{', '.join(variables[c] for c in e.cols)}; check for an ideal loop of sources or a port without inertia, "
             "compliance or resistance"
         ) from None
     regularised = np.flatnonzero((matrix.row == matrix.col) & np.isin(matrix.col, weak)).astype(np.int32)

@@ -175,5 +175,5 @@ def compile(
 
 
 def require_compiler(target: str | None = None) -> str:
-    """Version of the compiler that would be used for `target` (default: this machine); CompilerMissing if none is."""
+    """Version of the compiler for `target` (default: this machine); CompilerMissing if there is none."""
     return _find(target or host_target(), None).version

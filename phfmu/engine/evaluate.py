@@ -71,7 +71,7 @@ class Evaluator:
         for w in self._work:
             if w.group.stage == 0:
                 y[plan.nv :] += self._group(w, x, p, h, plan.nz)
-        r = np.bincount(plan.const_row, plan.const_val * h**plan.const_pow * y[plan.const_src], plan.nrow)
+        r = np.bincount(plan.const_row, plan.const_val * h**plan.const_pow * y[plan.const_src], plan.nrow).astype(float)
         for w in self._work:
             if w.group.stage == 1:
                 r += self._group(w, x, p, h, plan.nrow)

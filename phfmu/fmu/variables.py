@@ -173,7 +173,7 @@ def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
                 yield FMUVariable(name, causality, block, first + i, 1, None, port.output_unit,
                                   description=f"{text}: {found}, {when}")  # fmt: skip
         yield FMUVariable(f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J",
-                          description=f"{text}: energy supplied to the component since the start")  # fmt: skip
+                          description=f"{text}: energy supplied since the start")  # fmt: skip
 
 
 def _entries(value: Number, n: int) -> list[float]:

@@ -150,7 +150,8 @@ int fmu_reset(fmu *f, const char *function) {
         return FMU_ERROR;
     f->phase = start;
     f->step_known = f->end_known = 0;
-    return ph_reset(f->in) ? fmu_refuse(f, "%s: the start values of the model were refused", function) : FMU_OK;
+    return ph_reset(f->in) ? fmu_refuse(f, "%s: the start values of the model were refused", function)
+                           : FMU_OK;
 }
 
 /* n internal steps of equal length, none longer than the declared one. */

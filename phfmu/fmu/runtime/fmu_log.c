@@ -56,8 +56,8 @@ int fmu_solver(const fmu *f, const char *what, int status) {
     const ph_plan *plan = r->instant ? f->about->model->instant : f->about->model->step;
     const char *const *names = r->instant ? f->about->end_equations : f->about->equations;
     int place = r->row >= 0 ? r->row : r->column;
-    if (status == PH_ABI || status == PH_ARGUMENT || status == PH_NO_SENSITIVITY)
-        return fmu_refuse(f, "%s: %s", what, ph_status_text(status));
+    if (status == PH_ABI || status == PH_ARGUMENT || status == PH_VALUE || status == PH_NO_SENSITIVITY)
+        return fmu_refuse(f, "%s: %s", what, ph_status_text(status)); /* these come without a report */
     return fmu_refuse(
         f,
         "%s: %s. Worst: %s, scaled residual %.3g, last update %.3g after %d iterations, in [%.9g s, "
