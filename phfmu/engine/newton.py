@@ -85,7 +85,10 @@ class Newton:
             dw = self.solve(r)
             if not np.isfinite(dw).all():
                 return self._failed(out, Status.NOT_FINITE, r)
-            w, r, dw = self._searched(w, dw, r, fixed) if damped else (w + dw, None, dw)
+            found = self._searched(w, dw, r, fixed) if damped else (w + dw, None, dw)
+            if found is None:
+                return self._failed(out, Status.NO_CONVERGENCE, r)
+            w, r, dw = found
             out.w, out.update = w, float(np.max(np.abs(dw) / (plan.nominal + np.abs(w)), initial=0.0))
             if r is None:
                 r = self.residual(w, fixed)
@@ -98,16 +101,20 @@ class Newton:
             last = out.update
         return self._failed(out, Status.NO_CONVERGENCE, r)
 
-    def _searched(self, w: Array, dw: Array, r: Array, fixed: tuple) -> tuple[Array, Array | None, Array]:
+    def _searched(
+        self, w: Array, dw: Array, r: Array, fixed: tuple
+    ) -> tuple[Array, Array | None, Array] | None:
+        """The longest of the steps 1, 1/2, .. 1/64 that reduces the scaled residual; None if none does."""
         base = np.linalg.norm(self._scale * r)
         step = 1.0
-        while True:
+        while step >= SMALLEST:
             trial = w + step * dw
             r_trial = self.residual(trial, fixed).copy()
             size = np.linalg.norm(self._scale * r_trial)
-            if size < base or step <= SMALLEST:
+            if size < base:
                 return trial, r_trial, step * dw
             step /= 2
+        return None
 
     def _failed(self, out: Outcome, status: Status, r: Array) -> Outcome:
         scaled = np.abs(self._scale * r)

@@ -152,28 +152,33 @@ def ordered_ports(declaration: PHDAE) -> list[tuple[Port, int]]:
     return result
 
 
+#: suffix, block and time of the outputs of a port
+OUTPUTS = (("", "PH_Y_END", "at the present time"), ("_step", "PH_Y_STEP", "mean of the last step"))
+
+
 def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
     for port, first in ordered_ports(declaration):
         flow, effort = port.domain.flow, port.domain.effort
         given, found = (effort, flow) if port.given == "effort" else (flow, effort)
-        text = f"{port.description or f'{port.domain.name} port'} {port.name}"
+        text = f"of port {port.name}" + (f" ({port.description})" if port.description else "")
         causality: Causality = "output" if port.external else "local"
         if port.external:
             nominal = _entries(port.nominal, port.n)
             for i, name in enumerate(port.input_names()):
                 yield FMUVariable(
                     name, "input", "FMU_INPUT", first + i, 1, float(model.u0[first + i]), port.input_unit,
-                    abs(nominal[i]) or None, f"{text}: {given}, held over a step",
+                    abs(nominal[i]) or None, f"{given} {text}, held over a step",
                 )  # fmt: skip
-        for suffix, block, when in (
-            ("", "PH_Y_END", "at the present time"),
-            ("_step", "PH_Y_STEP", "mean of the last step"),
-        ):
+        for suffix, block, when in OUTPUTS:
             for i, name in enumerate(port.output_names(suffix)):
-                yield FMUVariable(name, causality, block, first + i, 1, None, port.output_unit,
-                                  description=f"{text}: {found}, {when}")  # fmt: skip
-        yield FMUVariable(f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J",
-                          description=f"{text}: energy supplied since the start")  # fmt: skip
+                about = f"{found} {text}, {when}"
+                yield FMUVariable(
+                    name, causality, block, first + i, 1, None, port.output_unit, description=about
+                )
+        about = f"energy {text}, supplied since the start"
+        yield FMUVariable(
+            f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J", description=about
+        )
 
 
 def _entries(value: Number, n: int) -> list[float]:

@@ -140,13 +140,21 @@ class Coupled:
         return np.concatenate([m.energies() for m in self.members])
 
     def end_sums(self) -> Array:
-        """Sum of the joined flows (efforts) at the present time: the Kirchhoff residual at the step's end."""
-        y = np.concatenate([m.end_output() for m in self.members])
-        r = self.face.P.T @ y + self.face.C @ self.xi
-        rows = [i for s in self.face.sums.values() for i in range(s.start, s.stop)]
-        # rows with a dual input are met by definition of that input; only pure sums constrain the states
-        pure = ~self.face.C.any(axis=1)
-        return np.where(pure, r, 0.0)[rows]
+        """What the states violate at the present time, per common variable: the sum of the joined flows (efforts).
+
+        A junction with dual inputs meets its sum by them; if no port takes the common variable (a rigid joint of
+        masses), it is the spread of the outputs that must be equal.
+        """
+        y = self.face.P.T @ np.concatenate([m.end_output() for m in self.members])
+        r = y + self.face.C @ self.xi
+        out = []
+        for i in (i for s in self.face.sums.values() for i in range(s.start, s.stop)):
+            dual = np.flatnonzero(self.face.C[i])
+            if not dual.size:
+                out.append(r[i])
+            else:
+                out.append(0.0 if self.face.P[:, i].any() else float(np.ptp(y[dual])))
+        return np.array(out)
 
     def check_start(self) -> None:
         """InconsistentState if joined flows (efforts) of states do not sum to zero."""

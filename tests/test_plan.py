@@ -1,0 +1,332 @@
+"""Plans of random models: Newton matrix, derivatives and sensitivity against differences; kernels; ordering."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import splu
+
+from phfmu import (
+    ELECTRICAL,
+    PHDAE,
+    TRANSLATIONAL,
+    Collocated,
+    DeclarationError,
+    Holonomic,
+    NativeInstance,
+    Network,
+    Port,
+    PythonInstance,
+    algebraic,
+    block,
+    build_model,
+    energy,
+    observable,
+    parameter,
+    skew,
+    state,
+    strain_energy,
+    time,
+)
+from phfmu.components.library import build
+from phfmu.components.mechanical.translational import mass, spring
+from phfmu.discretise.ordering import StructurallySingular, elimination_order
+from phfmu.engine.evaluate import Evaluator
+
+SEEDS = range(4)
+
+
+def random_model(seed: int) -> PHDAE:
+    """All kinds of terms at once, with seeded coefficients.
+
+    x (3): diagonal E of parameters; y (2): constant non-diagonal E; w (2): identity.  J, R and the port depend on
+    the state, R on an algebraic variable; three energies of one kind share states; a source depends on time.
+    """
+    rng = np.random.default_rng(seed)
+
+    def numbers(*shape):
+        return ca.DM(np.round(rng.uniform(-1.0, 1.0, shape), 3))
+
+    x, y, w = (state(n, s, start=rng.uniform(-0.5, 0.5, s)) for n, s in (("x", 3), ("y", 2), ("w", 2)))
+    a, i = algebraic("a", 2, start=[0.1, -0.2]), algebraic("i", start=0.2)
+    m = parameter("m", rng.uniform(0.5, 2.0, 3), 3)
+    c = parameter("c", rng.uniform(0.5, 1.5, 2), 2)
+    z = ca.vertcat(x.sx, y.sx, w.sx)
+
+    def well(u, v):
+        return energy(c[0] * (u - v) ** 4 / 4 + c[1] * (u**2 + v**2) / 2)
+
+    energies = (
+        well(x[0], x[1]), well(x[1], y[0]), well(y[1], w[0]),
+        energy((ca.dot(numbers(7), z)) ** 4 / 8 + ca.sumsqr(z) / 2),
+        energy(ca.exp(0.3 * x[2]) + ca.cos(w[1])),
+        strain_energy(ca.sumsqr(x[:2] - w[:2]), lambda s: ca.sqrt(1 + s)),
+        strain_energy(ca.sumsqr(y[:2]) + x[0] ** 2, lambda s: c[0] * (s - 1) ** 2),
+    )  # fmt: skip
+    varying = numbers(7, 7) + x[0] * numbers(7, 7) + ca.sin(w[1]) * numbers(7, 7)
+    root = numbers(7, 7) + y[0] * numbers(7, 7)
+    resistance = ca.SX.eye(2) + 0.5 * ca.mtimes(a.sx, a.sx.T) + 0.2 * x[1] ** 2 * ca.SX.eye(2)
+    return PHDAE(
+        f"random_{seed}",
+        states=(x, y, w),
+        algebraics=(a, i),
+        parameters=(m, c),
+        energies=energies,
+        E={x: m.sx, y: np.array([[1.5, 0.4], [-0.2, 0.8]])},
+        structure=(
+            block([x, y, w], varying - varying.T),
+            skew(x, a, numbers(3, 2) * (1 + x[2])),
+            skew(w, i, numbers(2, 1)),
+            skew(a, i, ca.vertcat(0.3, y[1])),
+        ),
+        dissipation=(block([x, y, w], ca.mtimes(root, root.T)), block([a], resistance), block([i], 0.7 + i.sx**2)),
+        ports=(
+            Port("in", ELECTRICAL, "effort", {x: numbers(3, 2) * (1 + w[0] ** 2), a: numbers(2, 2)}, size=2),
+            Port("out", ELECTRICAL, "flow", {y: numbers(2, 1), i: 1.0 + x[0] ** 2}),
+            Port("fed", ELECTRICAL, "effort", {w: ca.vertcat(1.0, x[1])}, source=c[0] * ca.sin(3 * time)),
+        ),
+        observables=(observable("o", ca.vertcat(x.z[0] * a[0], w[1] + i.sx)),),
+    )
+
+
+def pendulums(seed: int) -> PHDAE:
+    """Two constrained points (quadratic constraints, one also not quadratic) with a state-dependent damper and a port."""
+    rng = np.random.default_rng(100 + seed)
+    q, v = state("q", 4, start=[1.0, 0.0, 1.0, 1.0]), state("v", 4)
+    lam, m = algebraic("lambda", 2), parameter("m", rng.uniform(0.5, 2.0, 4), 4)
+    g = ca.vertcat((ca.sumsqr(q[:2]) - 1) / 2, (ca.sumsqr(q[2:] - q[:2]) - 1) / 2 + (0.1 * q[0] ** 3 if seed else 0))
+    return PHDAE(
+        f"pendulums_{seed}",
+        states=(q, v),
+        algebraics=(lam,),
+        parameters=(m,),
+        energies=(*(energy(m[j] * v[j] ** 2 / 2) for j in range(4)), energy(3 * q[1] + q[3] ** 4 / 4)),
+        E={v: m.sx},
+        structure=(skew(q, v, 1.0),),
+        dissipation=(block([v], ca.diag(0.1 + q.sx**2)),),
+        constraints=(Holonomic(lam, g),),
+        ports=(Port("push", TRANSLATIONAL, "effort", {v: ca.vertcat(0, 0, 1, q[0])}),),
+    )
+
+
+@cache
+def random_plan(seed, k):
+    return build_model(random_model(seed), Collocated(k))
+
+
+def differences(function, at, step=1e-3):
+    """Jacobian of `function` by central differences of order 6 (n x len(at))."""
+    columns = []
+    for j in range(len(at)):
+        total = 0.0
+        for shift, weight in ((1, 45.0), (2, -9.0), (3, 1.0)):
+            d = np.zeros(len(at))
+            d[j] = shift * step
+            total = total + weight * (function(at + d) - function(at - d))
+        columns.append(total / (60.0 * step))
+    return np.array(columns).T.reshape(-1, len(at))
+
+
+def assert_plan_is_the_derivative(plan, model, seed, h):
+    """Matrix and derivative blocks of a plan at a random point; mean outputs and held inputs beside w."""
+    rng, evaluator = np.random.default_rng(seed), Evaluator(plan)
+    x = np.append(model.x0 + rng.uniform(-0.1, 0.1, plan.nx), 0.3)
+    inside = rng.uniform(-0.3, 0.3, plan.nw + plan.nu)
+
+    def rows(v):
+        full = np.concatenate([v[: plan.nw], np.tile(v[plan.nw :], plan.k), [h]])
+        r = evaluator.residual(x, full, model.p0, h)
+        means = plan.weights @ r[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
+        return np.concatenate([r[: plan.nw], means[: plan.nu]])
+
+    expected = differences(rows, inside)
+    rows(inside)
+    got = np.zeros_like(expected)
+    for block_ in (plan.matrix, plan.derivative):
+        np.add.at(got, (block_.row, block_.col), evaluator.products(block_, h))
+    assert np.max(np.abs(got - expected)) <= 1e-9 * max(1.0, np.max(np.abs(expected)))
+    inner = expected[: plan.nw, : plan.nw]
+    outside = np.ones_like(inner, bool)
+    outside[plan.matrix.row, plan.matrix.col] = False
+    assert np.max(np.abs(inner * outside), initial=0.0) <= 1e-9
+    assert (np.diff(plan.colptr) == np.bincount(plan.matrix.col, minlength=plan.nw)).all()
+    assert sorted(plan.order) == sorted(plan.pivot_row) == list(range(plan.nw))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_matrix_of_a_random_model_is_the_derivative_of_its_residual(seed, k):
+    model = random_plan(seed, k)
+    assert_plan_is_the_derivative(model.step, model, seed, 0.13)
+    if k == 1:
+        assert_plan_is_the_derivative(model.instant, model, seed, 1.0)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("k", "two_level"), [(1, False), (1, True), (3, True)])
+def test_matrix_of_a_constrained_model_is_the_derivative_of_its_residual(seed, k, two_level):
+    if seed and k > 1:
+        pytest.skip("the two-level form of higher order is for quadratic constraints")
+    model = build_model(pendulums(seed), Collocated(k, two_level=two_level))
+    assert_plan_is_the_derivative(model.step, model, seed, 0.07)
+    assert_plan_is_the_derivative(model.instant, model, seed, 1.0)
+
+
+@pytest.mark.parametrize("name", ["smib", "two_machine"])
+def test_matrix_of_a_scene_is_the_derivative_of_its_residual(name):
+    """Bare nodes, sources and junctions in real units: compared per row, which have sizes from 1 to 1e9."""
+    model = build_model(build(name).declaration())
+    for plan, h in ((model.step, 1e-4), (model.instant, 1.0)):
+        evaluator, rng = Evaluator(plan), np.random.default_rng(3)
+        x = np.append(model.x0, 0.01)
+        scale = plan.nominal
+        tail = np.append(np.tile(model.u0, plan.k), h)
+
+        def rows(s, evaluator=evaluator, x=x, scale=scale, tail=tail, plan=plan, h=h):
+            return evaluator.residual(x, np.concatenate([s * scale, tail]), model.p0, h)[: plan.nw].copy()
+
+        at = rng.uniform(-1e-3, 1e-3, plan.nw)
+        expected = differences(rows, at, 1e-2)
+        rows(at)
+        got = np.zeros((plan.nw, plan.nw))
+        got[plan.matrix.row, plan.matrix.col] = evaluator.products(plan.matrix, h)
+        size = np.max(np.abs(expected), axis=1, keepdims=True)
+        assert np.max(np.abs(got * scale - expected) / size) <= 1e-8
+
+
+@pytest.mark.parametrize("seed", SEEDS[:2])
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_sensitivity_is_the_derivative_of_the_step_map(seed, k):
+    model, h = random_plan(seed, k), 0.1
+    instance = PythonInstance(model)
+    instance.run(0.0, h, 2)
+    base, u = instance.get_state(), np.array([0.3, -0.2, 0.1])
+
+    def outputs(values):
+        instance.set_state(base)
+        instance.set_input(values)
+        instance.do_step(2 * h, h)
+        return instance.output()
+
+    expected = differences(outputs, u, 1e-2)
+    outputs(u)
+    assert instance.sensitivity() == pytest.approx(expected, abs=1e-9)
+    if seed == 0:
+        native = NativeInstance(model)
+        native.run(0.0, h, 2)
+        native.set_input(u)
+        native.do_step(2 * h, h)
+        assert native.sensitivity() == pytest.approx(expected, abs=1e-9)
+        assert native.output() == pytest.approx(instance.output(), abs=1e-13)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_random_models_balance(seed, k):
+    instance = PythonInstance(random_plan(seed, k))
+    for n in range(10):
+        instance.set_input(np.sin([n, 2.0 * n, 3.0 * n]))
+        instance.do_step(0.1 * n, 0.1)
+        row = instance.ledger()
+        assert abs(np.sum(row["stored"] + row["dissipated"] - row["supplied"])) <= 2e-14
+        assert np.sum(row["dissipated"]) >= 0.0 and row["supplied"][0] == pytest.approx(np.sum(row["pairs"]), abs=1e-15)
+
+
+# -- kernels --------------------------------------------------------------------------------------------------
+
+
+def chain(n: int) -> PHDAE:
+    net = Network(f"chain{n}")
+    for j in range(n):
+        net.add(f"m{j}", mass(1.0 + j, k=0.5, d=0.1))
+    for j in range(n - 1):
+        net.add(f"s{j}", spring(2.0 + j, d=0.2))
+    ends = {j: [f"m{j}.flange"] for j in range(n)}
+    for j in range(n - 1):
+        ends[j].append(f"s{j}.a")
+        ends[j + 1].append(f"s{j}.b")
+    for j in range(n):
+        net.junction(f"j{j}", ends[j])
+    return net.compose()
+
+
+def test_kernels_of_a_chain_do_not_grow_with_its_length():
+    small, large = (build_model(chain(n)) for n in (4, 24))
+    names = [{g.kernel.name for g in m.step.groups} for m in (small, large)]
+    assert names[0] == names[1] and len(small.kernels) == len(large.kernels)
+    counts = [sum(g.n for g in m.step.groups) for m in (small, large)]
+    per_mass, per_spring = 5, 2  # mass: E, two energies, damper ..; the counts grow linearly
+    assert counts[1] - counts[0] == (counts[0] + per_spring) // 4 * 20 or counts[1] / counts[0] < 24 / 4 + 1
+    assert per_mass > 0
+
+
+# -- structure ------------------------------------------------------------------------------------------------
+
+
+def test_structurally_singular_models_are_refused_with_the_names():
+    x, a, b = state("x"), algebraic("a"), algebraic("b")
+    with pytest.raises(DeclarationError, match="structurally singular") as error:
+        build_model(PHDAE("open", (x,), (a, b), energies=(energy(x**2 / 2),), dissipation=(block([a], 1.0),)))
+    assert "open" in str(error.value) and str(error.value).count("equation of b") == 2
+    loop = PHDAE(
+        "loop",
+        (x,),
+        (a, b),
+        energies=(energy(x**2 / 2),),
+        structure=(skew(x, a, 1.0), skew(x, b, 1.0)),
+        ports=(Port("p", ELECTRICAL, "effort", {a: 1.0}), Port("r", ELECTRICAL, "effort", {b: 1.0})),
+    )
+    with pytest.raises(DeclarationError, match="structurally singular") as error:
+        build_model(loop)
+    assert "equation of a" in str(error.value) or "equation of b" in str(error.value)
+
+
+def fill(n, row, col, weak):
+    """Nonzeros of L + U with the given order and preferred pivots, all pivots structurally present."""
+    order, pivot = elimination_order(n, row, col, weak)
+    assert sorted(order) == sorted(pivot) == list(range(n))
+    values = np.random.default_rng(0).uniform(1.0, 2.0, len(row))
+    a = csc_matrix((values, (row, col)), shape=(n, n))[pivot][:, order]
+    lu = splu(a.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
+    return lu.L.nnz + lu.U.nnz
+
+
+def ladder(n: int, scrambled: bool):
+    """Branches with a diagonal between n nodes without one: [D, G; -G^T, 0]."""
+    pairs = [(j, j) for j in range(n)]
+    for j in range(n):
+        for node in (j, j + 1):
+            if node < n:
+                pairs += [(j, n + node), (n + node, j)]
+    row, col = np.array(pairs).T
+    if scrambled:
+        new = np.random.default_rng(n).permutation(2 * n)
+        row, col = new[row], new[col]
+    return 2 * n, row.astype(np.int32), col.astype(np.int32)
+
+
+@pytest.mark.parametrize("scrambled", [False, True])
+@pytest.mark.parametrize("diagonal", [False, True])
+def test_ladder_of_zero_diagonals_fills_linearly(scrambled, diagonal):
+    """Nodes without a diagonal, or with one that is present but zero: both are eliminated as pairs."""
+    sizes = []
+    for n in (50, 200, 800):
+        size, row, col = ladder(n, scrambled)
+        weak = np.setdiff1d(np.arange(size), row[row == col]).astype(np.int32)
+        if diagonal:
+            row, col = np.append(row, weak).astype(np.int32), np.append(col, weak).astype(np.int32)
+        sizes.append(fill(size, row, col, weak) / size)
+    assert max(sizes) <= 8.0 and sizes[-1] <= 1.1 * sizes[0]
+
+
+def test_ordering_reports_rows_and_columns_without_partner():
+    row, col = np.array([0, 1, 1, 2], np.int32), np.array([0, 0, 1, 0], np.int32)
+    with pytest.raises(StructurallySingular) as error:
+        elimination_order(3, row, col, np.zeros(0, np.int32))
+    assert len(error.value.rows) == len(error.value.cols) == 1 and error.value.cols == [2]
+    order, pivot = elimination_order(0, row[:0], col[:0], np.zeros(0, np.int32))
+    assert len(order) == len(pivot) == 0
