@@ -31,8 +31,11 @@ def recorded(name: str, order: int = 2) -> tuple[Result, Any]:
         with AuditWriter(path) as writer:
             result = run(
                 Monolithic(model, NativeInstance(model)),
-                stop=scene.stop, step=scene.step, events=scene.events, sink=writer,
-            )  # fmt: skip
+                stop=scene.stop,
+                step=scene.step,
+                events=scene.events,
+                sink=writer,
+            )
         return result, read(path)
 
 
@@ -65,17 +68,27 @@ def smib() -> Path:
     result, table = recorded("smib")
     t, window = result.time, 250
     plt.rcParams.update({"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False})
-    figure, axes = plt.subplot_mosaic([["current", "speed"], ["ledger", "ledger"]], figsize=(9, 5.6), layout="constrained")
+    figure, axes = plt.subplot_mosaic(
+        [["current", "speed"], ["ledger", "ledger"]], figsize=(9, 5.6), layout="constrained"
+    )
 
     shown = (t >= 0.4) & (t <= 1.4)
     axes["current"].plot(t[shown], result.column("gen.I[1]")[shown] / 1e3, COLOURS["gen"], lw=0.8)
     axes["current"].axvline(0.5, color="0.5", lw=0.9, ls=":")
     axes["current"].annotate("torque + 10 %", (0.5, 20.5), (4, 0), textcoords="offset points", color="0.3")
-    axes["current"].set(xlabel="time in s", ylabel="current in kA", title="stator current, phase a", xlim=(0.4, 1.4), ylim=(-23, 23))
+    axes["current"].set(
+        xlabel="time in s",
+        ylabel="current in kA",
+        title="stator current, phase a",
+        xlim=(0.4, 1.4),
+        ylim=(-23, 23),
+    )
 
     axes["speed"].plot(t, result.column("gen.shaft.speed"), COLOURS["gen"], lw=1.2)
     axes["speed"].axhline(2 * np.pi * 60, color="0.6", lw=0.8, ls=":")
-    axes["speed"].annotate("2π · 60 Hz", (0.02, 2 * np.pi * 60), (2, -12), textcoords="offset points", color="0.3", fontsize=8)
+    axes["speed"].annotate(
+        "2π · 60 Hz", (0.02, 2 * np.pi * 60), (2, -12), textcoords="offset points", color="0.3", fontsize=8
+    )
     axes["speed"].set(xlabel="time in s", ylabel="speed in rad/s", title="rotor speed", xlim=(0, 5))
 
     middle = (t[1:].reshape(-1, window)[:, 0] + t[1:].reshape(-1, window)[:, -1]) / 2
@@ -83,13 +96,26 @@ def smib() -> Path:
     ax.semilogy(middle, largest(through(table, "gen", "shaft"), window), "0.35", lw=1.4)
     ax.annotate("supplied by the shaft", (0.1, 1.2e5), color="0.25")
     for name in ("gen", "line"):
-        ax.semilogy(middle, largest(of_component(table, name, "dissipated"), window), COLOURS[name], lw=1.4, ls="--")
-        ax.semilogy(middle, np.maximum(largest(of_component(table, name, "residual"), window), 1e-18), COLOURS[name], lw=1.4)
+        ax.semilogy(
+            middle, largest(of_component(table, name, "dissipated"), window), COLOURS[name], lw=1.4, ls="--"
+        )
+        ax.semilogy(
+            middle,
+            np.maximum(largest(of_component(table, name, "residual"), window), 1e-18),
+            COLOURS[name],
+            lw=1.4,
+        )
     ax.annotate("dissipated: machine and line (dashed)", (0.1, 2.5e1), color="0.25")
     ax.annotate("residual of the machine's balance", (0.1, 5e-10), color=COLOURS["gen"])
     ax.annotate("residual of the line's balance", (0.1, 2e-13), color=COLOURS["line"])
-    ax.set(xlabel="time in s", ylabel="energy per step in J", xlim=(0, 5), ylim=(3e-14, 3e6),
-           title=f"energy ledger, largest value in {window} steps of 0.1 ms: stored + dissipated − supplied = rounding")  # fmt: skip
+    ax.set(
+        xlabel="time in s",
+        ylabel="energy per step in J",
+        xlim=(0, 5),
+        ylim=(3e-14, 3e6),
+        title=f"energy ledger, largest value in {window} steps of 0.1 ms: "
+        "stored + dissipated − supplied = rounding",
+    )
     ax.grid(axis="y", color="0.9")
 
     path = IMAGES / "smib.png"

@@ -1,11 +1,12 @@
-"""Prints the tables of docs/results: `python docs/make_tables.py [NAME ...]` (needs a C compiler).
+"""Prints the tables of docs/results: `python docs/make_tables.py [--write] [NAME ...]` (needs a C compiler).
 
-NAME is one of the functions at the end of this file; without a name all tables are printed.  Errors are measured
-against tests/reference/*.csv, independent solutions of high accuracy, or against closed forms.
+NAME is a table of `TABLES`; without a name all are printed.  `--write` also puts them into the pages, below
+the line with their command.  Errors are measured against tests/reference/*.csv, independent solutions of high accuracy, or against closed forms.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -38,7 +39,7 @@ SCHEMES = {
 }
 
 
-# -- tools ------------------------------------------------------------------------------------------------------------
+# -- tools --------------------------------------------------------------------------------
 
 
 def reference(name: str) -> dict[str, Array]:
@@ -100,11 +101,10 @@ def four(scheme: tuple[str, int, str], h: float, stop: float, **starts: float) -
     r = run(stepper, stop=stop, step=h)
     rows = {n: r.values[:, i] for i, n in enumerate(r.names)}
     rows["x"] = np.column_stack([r.column(f"{s}[{i}]") for s in "qv" for i in range(1, 13)])
-    rows["worst"] = np.array([worst(r)])
     return rows
 
 
-# -- tables -----------------------------------------------------------------------------------------------------------
+# -- tables --------------------------------------------------------------------------------
 
 
 def four_particle_convergence() -> str:
@@ -125,7 +125,9 @@ def four_particle_convergence() -> str:
         for j, h in enumerate(steps):
             cells = [c for n in errors for c in (errors[n][j], order[n][j])]
             rows.append([label if j == 0 else "", f"{h:g}", *cells])
-    return table(["scheme", "h in s", "q4", "slope", "v4", "slope", "λ1 mean", "slope", "λ1 end", "slope"], rows)
+    return table(
+        ["scheme", "h in s", "q4", "slope", "v4", "slope", "λ1 mean", "slope", "λ1 end", "slope"], rows
+    )
 
 
 def four_particle_balance() -> str:
@@ -142,12 +144,11 @@ def four_particle_balance() -> str:
         momentum = np.abs(p.sum(axis=1) - p[0].sum(axis=0)).max()
         spin = np.cross(q, p).sum(axis=1)
         conserved = np.abs(free["energy.stored"] - free["energy.stored"][0]).max()
-        rows.append([
-            label, float(defect), int((rises > 1e-13).sum()), float(g), float(w), float(conserved), float(momentum),
-            float(np.abs(spin - spin[0]).max()),
-        ])  # fmt: skip
-    head = ["scheme", "max ΔH + D", "steps with rising H", "max g", "max Dg v", "undamped: max H − H0", "linear momentum",
-            "angular momentum"]  # fmt: skip
+        turned = np.abs(spin - spin[0]).max()
+        numbers = (g, w, conserved, momentum, turned)
+        rows.append([label, float(defect), int((rises > 1e-13).sum()), *map(float, numbers)])
+    head = ["scheme", "max ΔH + D", "steps with rising H", "max g", "max Dg v", "undamped: max H − H0"]
+    head += ["linear momentum", "angular momentum"]
     return table(head, rows)
 
 
@@ -165,15 +166,18 @@ def four_particle_large_steps() -> str:
                 cells.append(f"refused at {failure.time:.3g} s")
                 continue
             rises = int((np.diff(np.append(20 / 17, H)) > 1e-13).sum())
-            extra = [f"{instance.counts[n]} {text}" for n, text in (("line_searches", "line searches"), ("substeps", "halvings"))
-                     if instance.counts[n]]  # fmt: skip
+            extra = [
+                f"{instance.counts[n]} {text}"
+                for n, text in (("line_searches", "line searches"), ("substeps", "halvings"))
+                if instance.counts[n]
+            ]
             cells.append(", ".join([f"{H[-1]:.4f}", *([f"{rises} rises"] if rises else []), *extra]))
         rows.append([label, *cells])
     return table(["scheme", *(f"h = {h} s" for h in (0.1, 0.2, 0.25, 0.4, 1.0))], rows)
 
 
 def oscillator_coupling() -> str:
-    """Largest error of q1 (m) over 1 s, energy drift, interface iterations: one model against coupled members."""
+    """Error of q1 (m) over 1 s, energy drift, iterations: one model against coupled members."""
     rows, steps = [], (0.04, 0.02, 0.01, 0.005)
     for how in (monolithic, newton):
         for k in (1, 2):
@@ -188,71 +192,99 @@ def oscillator_coupling() -> str:
             for j, (h, order) in enumerate(zip(steps, slopes(errors, steps), strict=True)):
                 label = f"{how.__name__}, order {2 * k} members" if j == 0 else ""
                 rows.append([label, f"{h:g}", errors[j], order, drift[j], iterations[j]])
-    return table(["coupling", "h in s", "error of q1", "slope", "drift of H / H0", "iterations per step"], rows)
+    return table(
+        ["coupling", "h in s", "error of q1", "slope", "drift of H / H0", "iterations per step"], rows
+    )
+
+
+def stator_error(r: Result, ref: dict[str, Array], machines: dict[str, str], until: float = np.inf) -> float:
+    """Largest error of stator currents relative to the machine's largest one; machines: member -> suffix."""
+    rows, worst_error = ref["time"] <= until, 0.0
+    for member, suffix in machines.items():
+        largest = max(np.abs(ref[f"I{suffix}[{j}]"]).max() for j in (1, 2, 3))
+        for j in (1, 2, 3):
+            error = at(r, ref["time"][rows], f"{member}.I[{j}]") - ref[f"I{suffix}[{j}]"][rows]
+            worst_error = max(worst_error, float(np.abs(error).max() / largest))
+    return worst_error
+
+
+def angle_error(r: Result, ref: dict[str, Array], machines: dict[str, str], until: float = np.inf) -> float:
+    """Largest error of the rotor angles in rad."""
+    rows = ref["time"] <= until
+    errors = [
+        at(r, ref["time"][rows], f"{m}.theta") - ref[f"theta{suffix}"][rows] for m, suffix in machines.items()
+    ]
+    return float(np.abs(errors).max())
+
+
+def machine_table(
+    scene: Callable[[], Scene], name: str, machines: dict[str, str], stop: float, steps: Sequence[float]
+) -> str:
+    """Orders 2 and 4 over h: currents, angles, Kirchhoff residual, ledger."""
+    ref, rows = reference(name), []
+    for k in (1, 2):
+        found = [monolithic(scene(), h, stop, k) for h in steps]
+        current = [stator_error(r, ref, machines) for r in found]
+        angle = [angle_error(r, ref, machines) for r in found]
+        kcl = [kirchhoff(r) for r in found]
+        order = [slopes(e, steps) for e in (current, angle, kcl)]
+        for j, h in enumerate(steps):
+            cells = [c for e, o in zip((current, angle, kcl), order, strict=True) for c in (e[j], o[j])]
+            rows.append([f"order {2 * k}" if j == 0 else "", f"{1e3 * h:g}", *cells, worst(found[j])])
+    head = ["scheme", "h in ms", "stator current / max", "slope", "rotor angle in rad", "slope"]
+    return table([*head, "KCL residual in A", "slope", "worst ledger"], rows)
 
 
 def smib_convergence() -> str:
     """Errors over all rows of the reference up to 5 s; Kirchhoff residual at the step ends; ledger."""
-    ref, rows, steps = reference("smib"), [], (5e-4, 2.5e-4, 1.25e-4)
-    largest = max(np.abs(ref[f"I[{j}]"]).max() for j in (1, 2, 3))
-    for k in (1, 2):
-        found = [monolithic(smib(), h, 5.0, k) for h in steps]
-        current = [float(max(np.abs(at(r, ref["time"], f"gen.I[{j}]") - ref[f"I[{j}]"]).max() for j in (1, 2, 3)) / largest)
-                   for r in found]  # fmt: skip
-        angle = [float(np.abs(at(r, ref["time"], "gen.theta") - ref["theta"]).max()) for r in found]
-        kcl = [kirchhoff(r) for r in found]
-        order = [slopes(e, steps) for e in (current, angle, kcl)]
-        for j, h in enumerate(steps):
-            rows.append([f"order {2 * k}" if j == 0 else "", f"{1e3 * h:g}", current[j], order[0][j], angle[j], order[1][j],
-                         kcl[j], order[2][j], worst(found[j])])  # fmt: skip
-    head = ["scheme", "h in ms", "stator current / max", "slope", "rotor angle in rad", "slope", "KCL residual in A", "slope",
-            "worst ledger"]  # fmt: skip
-    return table(head, rows)
+    return machine_table(smib, "smib", {"gen": ""}, 5.0, (5e-4, 2.5e-4, 1.25e-4))
+
+
+def two_machine_order() -> str:
+    """Two machines through a fault on [0.02 s, 0.06 s), errors over all reference rows to 0.1 s."""
+    scene = lambda: two_machine(t_fault=0.02, t_clear=0.06, stop=0.1)  # noqa: E731
+    return machine_table(scene, "two_machine_early", {"m1": "1", "m2": "2"}, 0.1, (2e-4, 1e-4, 5e-5))
 
 
 def smib_coordinates() -> str:
     """The three coordinate systems of the machine, to 0.6 s at 0.1 ms."""
     ref, rows = reference("smib"), []
-    chosen = ref["time"] <= 0.6 + 1e-9
-    t, largest = ref["time"][chosen], max(np.abs(ref[f"I[{j}]"]).max() for j in (1, 2, 3))
     for coordinates in ("dq-flux", "abc-flux", "current"):
         r = monolithic(smib(coordinates=coordinates), 1e-4, 0.6, 1)  # type: ignore[arg-type]
-        error = max(np.abs(at(r, t, f"gen.I[{j}]") - ref[f"I[{j}]"][chosen]).max() for j in (1, 2, 3)) / largest
-        angle = np.abs(at(r, t, "gen.theta") - ref["theta"][chosen]).max()
-        rows.append([coordinates, float(error), float(angle), kirchhoff(r), worst(r)])
-    return table(["coordinates", "stator current / max", "rotor angle in rad", "KCL residual in A", "worst ledger"], rows)
-
-
-def two_machine_order() -> str:
-    """Two machines through a fault on [0.02 s, 0.06 s), errors over all reference rows to 0.1 s."""
-    ref, rows, steps = reference("two_machine_early"), [], (2e-4, 1e-4, 5e-5)
-    for k in (1, 2):
-        found = [monolithic(two_machine(t_fault=0.02, t_clear=0.06, stop=0.1), h, 0.1, k) for h in steps]
-        current, angle = [], []
-        for r in found:
-            parts = [np.abs(at(r, ref["time"], f"m{m}.I[{j}]") - ref[f"I{m}[{j}]"]).max()
-                     / max(np.abs(ref[f"I{m}[{i}]"]).max() for i in (1, 2, 3)) for m in (1, 2) for j in (1, 2, 3)]  # fmt: skip
-            current.append(float(max(parts)))
-            angle.append(float(max(np.abs(at(r, ref["time"], f"m{m}.theta") - ref[f"theta{m}"]).max() for m in (1, 2))))
-        kcl = [kirchhoff(r) for r in found]
-        order = [slopes(e, steps) for e in (current, angle, kcl)]
-        for j, h in enumerate(steps):
-            rows.append([f"order {2 * k}" if j == 0 else "", f"{1e3 * h:g}", current[j], order[0][j], angle[j], order[1][j],
-                         kcl[j], order[2][j], worst(found[j])])  # fmt: skip
-    head = ["scheme", "h in ms", "stator currents / max", "slope", "rotor angles in rad", "slope", "KCL residual in A",
-            "slope", "worst ledger"]  # fmt: skip
+        errors = [f(r, ref, {"gen": ""}, 0.6 + 1e-9) for f in (stator_error, angle_error)]
+        rows.append([coordinates, *errors, kirchhoff(r), worst(r)])
+    head = ["coordinates", "stator current / max", "rotor angle in rad", "KCL residual in A", "worst ledger"]
     return table(head, rows)
 
 
 TABLES: dict[str, Callable[[], str]] = {
     f.__name__: f
-    for f in (four_particle_convergence, four_particle_balance, four_particle_large_steps, oscillator_coupling,
-              smib_convergence, smib_coordinates, two_machine_order)
-}  # fmt: skip
+    for f in (
+        four_particle_convergence,
+        four_particle_balance,
+        four_particle_large_steps,
+        oscillator_coupling,
+        smib_convergence,
+        smib_coordinates,
+        two_machine_order,
+    )
+}
+
+
+def write(name: str, text: str) -> None:
+    """Replace the table below the command `python docs/make_tables.py <name>` in docs/results."""
+    below = re.compile(rf"(^    python docs/make_tables\.py {name}\n\n)(?:\|.*\n)*", re.MULTILINE)
+    for page in (Path(__file__).parent / "results").glob("*.md"):
+        old = page.read_text(encoding="utf-8")
+        page.write_text(below.sub(lambda m: f"{m[1]}{text}\n", old), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or TABLES:
+    names = [a for a in sys.argv[1:] if a != "--write"] or list(TABLES)
+    for name in names:
         if name not in TABLES:
             sys.exit(f"no table '{name}'; there are: {', '.join(TABLES)}")
-        print(f"### {name}\n\n{TABLES[name].__doc__}\n\n{TABLES[name]()}\n")
+        text = TABLES[name]()
+        print(f"### {name}\n\n{TABLES[name].__doc__}\n\n{text}\n")
+        if "--write" in sys.argv:
+            write(name, text)

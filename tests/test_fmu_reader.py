@@ -21,6 +21,7 @@ from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.export import export
 from phfmu.fmu.manifest import PATH, PortMap
 from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.slave import References
 from phfmu.fmu.variables import FMUError
 
 VERSIONS = ["2.0", "3.0"]
@@ -114,6 +115,11 @@ def test_a_serialized_state_continues_in_a_second_instance(
             two.deserialize(b"x" * len(data), state)
         with pytest.raises(FMUError, match="bytes given"):
             two.deserialize(data[:-1], state)
+        for place in (70, len(data) // 2, len(data) - 1):
+            damaged = bytearray(data)
+            damaged[place] ^= 1
+            with pytest.raises(FMUError, match="the state is damaged"):
+                two.deserialize(bytes(damaged), state)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -246,6 +252,24 @@ def test_values_that_are_not_finite_or_not_settable_are_refused_by_name(circuits
 
 
 @pytest.mark.parametrize("version", VERSIONS)
+def test_calls_out_of_their_mode_are_refused(circuits, version: str) -> None:
+    with FMUInstance(circuits[1][version]) as unit:
+        fixed = References([unit.variable("C").reference, unit.variable("line.v").reference])
+        fixed.values[:] = [2.0, 3.0]
+        with pytest.raises(FMUError, match="'C' is fixed after initialization"):
+            unit._slave.set(fixed)
+        assert unit.get(["line.v"]) == 0.0, "a refused call changes nothing"
+        with pytest.raises(FMUError, match="ExitInitializationMode is not allowed in the mode 'Step Mode'"):
+            unit._slave.leave()
+        unit._slave.call(unit._slave.fmu.terminate)
+        assert unit.get(["psi"]) == pytest.approx(0.2)
+        with pytest.raises(StepFailure, match="DoStep is not allowed in the mode 'Terminated'"):
+            unit.do_step(0.0, STEP)
+        unit.reset()
+        unit.do_step(0.0, STEP)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
 def test_an_inconsistent_start_is_refused(particles: dict[str, Path], version: str) -> None:
     with pytest.raises(FMUError, match=r"inconsistent: constraint.position.lambda\[1\] = 0.05.*allowed"):
         FMUInstance(particles[version], starts={"q[4]": np.sqrt(1.1)})
@@ -273,8 +297,9 @@ def test_a_refused_step_names_the_equation_and_leaves_the_state(tmp_path: Path, 
         unit.do_step(0.0, 0.1)
         before = unit.get(["q"])
         unit.set_input([1e3])
-        with pytest.raises(StepFailure, match=r"Worst: .*back at t = 0.1 s"):
+        with pytest.raises(StepFailure, match=r"Worst: .*back at t = 0.1 s") as failure:
             unit.do_step(0.1, 0.1)
+        assert failure.value.status in (Status.NO_CONVERGENCE, Status.NOT_FINITE)
         assert unit.get(["q"]) == before
         unit.set_input([0.1])
         unit.do_step(0.1, 0.1)

@@ -1,8 +1,8 @@
-"""The README keeps its word: its Python blocks and its commands run, in order, in one folder.
+"""README and docs keep their word: their Python blocks and commands run, page by page, in order.
 
-Rules:  ```python blocks share one namespace; a block whose first line is `# name.py` is also saved under that name.
+Rules:  ```python blocks of a page share one namespace; one that starts with `# name.py` is also saved so.
         ```console blocks hold lines `$ phfmu ...`; each must end with exit code 0.
-        ```bash blocks are set-up commands that change the machine (`python3 -m venv ...`) and are not run.
+        ```bash blocks are set-up commands that change the machine (`python3 -m venv ...`); they are not run.
 """
 
 from __future__ import annotations
@@ -18,68 +18,74 @@ from phfmu.engine.compile import CompilerMissing, require_compiler
 
 ROOT = Path(__file__).parent.parent
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
-def blocks(language: str) -> list[str]:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return [body for name, body in BLOCK.findall(text) if name == language]
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """(language, text) of the fenced blocks."""
+    return BLOCK.findall(page.read_text(encoding="utf-8"))
 
 
-def commands() -> list[str]:
-    lines = [line for body in blocks("console") for line in body.splitlines()]
-    return [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+RUN = [p for p in PAGES if {"python", "console"} & {language for language, _ in blocks(p)}]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def commands(body: str) -> list[str]:
+    """What stands behind the prompts."""
+    return [line.removeprefix("$ ") for line in body.splitlines() if line.startswith("$ ")]
+
+
+@pytest.mark.parametrize("page", RUN, ids=name)
+def test_blocks_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     try:
         require_compiler()
     except CompilerMissing as error:
         pytest.skip(str(error))
-    return tmp_path_factory.mktemp("readme")
-
-
-@pytest.fixture(scope="module")
-def session(folder: Path) -> dict[str, object]:
-    """The Python blocks, run one after the other."""
+    monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        for number, body in enumerate(blocks("python"), 1):
+    for number, (language, body) in enumerate(blocks(page), 1):
+        if language == "python":
             first = body.splitlines()[0]
             if re.fullmatch(r"# \w+\.py", first):
-                (folder / first.removeprefix("# ")).write_text(body, encoding="utf-8")
-            exec(compile(body, f"README.md, Python block {number}", "exec"), namespace)
-    return namespace
+                Path(first.removeprefix("# ")).write_text(body, encoding="utf-8")
+            exec(compile(body, f"{name(page)}, block {number}", "exec"), namespace)
+        elif language == "console":
+            for command in commands(body):
+                program, *arguments = shlex.split(command)
+                assert program == "phfmu", command
+                assert main(arguments) == 0, f"{command}\n{capsys.readouterr().err}"
 
 
-def test_readme_python_blocks_run(session: dict[str, object]) -> None:
-    assert "result" in session and "rows" in session
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_blocks_are_of_known_kinds(page: Path) -> None:
+    for language, body in blocks(page):
+        assert language in ("python", "console", "bash")
+        assert language != "bash" or body.startswith("python3 -m venv ")
+        assert language != "console" or commands(body)
 
 
-def test_readme_commands_end_well(
-    session: dict[str, object], folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(folder)
-    assert len(commands()) > 5
-    for command in commands():
-        program, *arguments = shlex.split(command)
-        assert program == "phfmu", command
-        assert main(arguments) == 0, f"{command}\n{capsys.readouterr().err}"
+def anchors(page: Path) -> set[str]:
+    """Anchors of the headings, as GitHub makes them."""
+    titles = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", t.lower()).replace(" ", "-") for t in titles}
 
 
-def test_setup_commands_are_the_only_blocks_not_run() -> None:
-    known = {"python", "console", "bash"}
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert {name for name, _ in BLOCK.findall(text)} <= known
-    assert all(body.startswith("python3 -m venv ") for body in blocks("bash"))
-
-
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("page", PAGES, ids=name)
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
-        if "://" not in target:
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        path, _, anchor = target.partition("#")
+        found = page.parent / path if path else page
+        assert found.exists(), f"{name(page)} links to {target}"
+        assert not anchor or anchor in anchors(found), f"{name(page)} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_pages_are_short(page: Path) -> None:
+    assert len(page.read_text(encoding="utf-8").splitlines()) < 300

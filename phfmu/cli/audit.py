@@ -17,9 +17,11 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table, read, recover, verdict
     from phfmu.cli import FINE, LEDGER
+    from phfmu.cli.options import tolerance
 
+    tolerance(args.rtol)
     if args.file[0] == "recover" and len(args.file) == 2:
-        found = recover(_existing(args.file[1]))
+        found = recover(args.file[1])
         print(f"recovered {found.rows} rows into {found.path}{' (the torn end was left out)' if found.torn else ''}")
         return FINE
     if len(args.file) != 1:
@@ -31,6 +33,6 @@ def call(args: argparse.Namespace) -> int:
 
 def _existing(path: str) -> Path:
     found = Path(path)
-    if not found.is_file():
+    if not found.is_file() and not found.with_suffix(".arrows").is_file():
         raise FileNotFoundError(f"no audit file '{path}'; write one with: phfmu run TARGET --audit {path}")
     return found

@@ -12,6 +12,7 @@ from phfmu.cli.target import is_fmu, scene
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
+    from phfmu.network.network import End, Network
     from phfmu.network.scene import Scene
     from phfmu.network.stepper import Stepper
 
@@ -64,12 +65,30 @@ def _with_settings(system: Any, values: dict[str, float]) -> Any:
     if not isinstance(system, Network):
         return system.with_starts(values)
     net = Network(system.name, dict(system.members), list(system.junctions), system.description)
+    joined = {n: j.name for j in net.junctions for e in j.ends for n in _inputs_of(net, e)}
     for name, value in values.items():
         member, _, rest = name.partition(".")
-        if member not in net.members:
-            raise KeyError(f"{net.name} has no member '{member}'; there are: {', '.join(net.members)}")
-        net.members[member] = net.members[member].with_starts({rest: value})
+        if name in joined:
+            raise KeyError(f"'{name}' is fed by the junction '{joined[name]}'; it cannot be set")
+        try:
+            net.members[member] = net.members[member].with_starts({rest: value})
+        except KeyError:
+            raise KeyError(_unknown(net, name)) from None
     return net
+
+
+def _inputs_of(net: Network, end: End) -> list[str]:
+    return [f"{end.member}.{n}" for n in net.port_of(end).input_names()]
+
+
+def _unknown(net: Network, name: str) -> str:
+    """The message for a name that no member has, with close ones."""
+    from difflib import get_close_matches
+
+    known = [f"{m}.{n}" for m, d in net.members.items() for n in d.settable_names()]
+    close = get_close_matches(name, known, 5)
+    hint = f"did you mean {', '.join(close)}?" if close else f"members: {', '.join(net.members)}"
+    return f"{net.name} has no parameter, state or input '{name}'; {hint}"
 
 
 def _label(scheme: Any, engine: str, coupling: str) -> str:
@@ -135,5 +154,19 @@ def _fmu_run(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
     from phfmu.fmu.reader import FMUInstance
     from phfmu.network.fmu_member import FMUStepper, fmu_scene
 
+    _refuse_compiled_in(args)
     unit = FMUInstance(args.target, starts=settings(args.set))
     return FMUStepper(unit), fmu_scene(unit), f"FMI {unit.interface.version}"
+
+
+def _refuse_compiled_in(args: argparse.Namespace) -> None:
+    """ValueError for options that an FMU has compiled in."""
+    usual = {"order": (2,), "scheme": ("auto",), "gradient": ("per-term",), "engine": ("auto", "fmu"),
+             "coupling": ("monolithic",)}  # fmt: skip
+    for option, values in usual.items():
+        asked = getattr(args, option)
+        if asked not in values:
+            raise ValueError(
+                f"{args.target}: --{option} {asked} has no effect on an FMU, its method is compiled in; "
+                "run the declaration, or export it with the options you want"
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 
@@ -34,6 +35,8 @@ def call(args: argparse.Namespace) -> int:
     step = args.step if args.step is not None else s.step
     if not step > 0:
         raise ValueError(f"--step {step} s must be positive")
+    if Path(args.output).exists() and not Path(args.output).is_dir():
+        raise ValueError(f"-o {args.output} is a file; name a folder for the FMUs")
     versions = tuple(f"{v}.0" for v in (args.fmi or ("2", "3")))
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
     model = build_model(declaration, scheme_of(args, declaration))

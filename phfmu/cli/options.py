@@ -29,6 +29,13 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
                         help="parameter, start value of a state, or start of an input; may be repeated")  # fmt: skip
 
 
+def tolerance(rtol: float) -> float:
+    """--rtol checked."""
+    if not 0 <= rtol < float("inf"):
+        raise ValueError(f"--rtol {rtol}: expected a number from 0, e.g. 1e-11")
+    return rtol
+
+
 def settings(items: list[str]) -> dict[str, float]:
     """NAME=VALUE items; ValueError names the bad one."""
     out = {}

@@ -39,15 +39,19 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.build import stepper_for
     from phfmu.network.run import run
 
+    _check_files(args)
     stepper, scene, label = stepper_for(args)
     stop = scene.stop if args.stop is None else args.stop
     step = scene.step if args.step is None else args.step
     events = [*scene.events, *(_input_events(args.input, stepper.settable()) if args.input else [])]
     writer = _audit_writer(args, label)
     report = _Progress(stop, args.quiet)
+    keep = None if args.output else _forget
     try:
         with report:
-            result = run(stepper, stop=stop, step=step, events=events, sink=writer, progress=report.update)
+            result = run(
+                stepper, stop=stop, step=step, events=events, sink=writer, progress=report.update, keep=keep
+            )  # fmt: skip
     finally:
         if writer is not None:
             writer.close()
@@ -63,6 +67,28 @@ def call(args: argparse.Namespace) -> int:
     if bad:
         print(f"phfmu: ledger violated: {', '.join(c.component for c in bad)}", file=sys.stderr)
     return LEDGER if bad else FINE
+
+
+def _forget(*_: object) -> None:
+    """Rows that nobody asked for are not kept in memory."""
+
+
+def _check_files(args: argparse.Namespace) -> None:
+    """What would fail after the run fails before it."""
+    from pathlib import Path
+
+    from phfmu.cli.options import tolerance
+
+    tolerance(args.rtol)
+    if args.output:
+        from phfmu.cli.table import check_table
+
+        check_table(args.output)
+    folder = Path(args.audit or ".").parent
+    if not folder.is_dir():
+        raise ValueError(f"--audit {args.audit}: there is no folder '{folder}'; make it first")
+    if args.audit and args.output and Path(args.audit).resolve() == Path(args.output).resolve():
+        raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
 
 def _audit_writer(args: argparse.Namespace, label: str) -> Any:

@@ -63,10 +63,30 @@ def _from_file(target: str) -> Any:
     sys.modules[path.stem] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
-        raise TargetError(f"{path_text}: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise TargetError(f"{_place(path, error)}: {_said(error)}") from error
     found = getattr(module, function, None)
     if found is None:
         names = [n for n, v in vars(module).items() if callable(v) and getattr(v, "__module__", "") == module.__name__]
         raise TargetError(f"{path_text} has no function '{function}'; it has: {', '.join(names) or 'none'}")
-    return found() if callable(found) else found
+    if not callable(found):
+        return found
+    try:
+        return found()
+    except (Exception, SystemExit) as error:
+        raise TargetError(f"{_place(path, error)}, {function}: {_said(error)}") from error
+
+
+def _place(path: Path, error: BaseException) -> str:
+    """The file and the last of its lines that led to the error."""
+    from traceback import extract_tb
+
+    lines = [f.lineno for f in extract_tb(error.__traceback__) if Path(f.filename) == path]
+    return f"{path}, line {lines[-1]}" if lines else str(path)
+
+
+def _said(error: BaseException) -> str:
+    """Type and words of an error; the words alone where this package chose them."""
+    text = error.args[0] if isinstance(error, KeyError) and error.args else error
+    own = type(error).__module__.startswith("phfmu.")
+    return str(text) if own else f"{type(error).__name__}: {text}"

@@ -38,13 +38,19 @@ def model_description(unit: Unit, token: str | None = None, sources: Sequence[st
     description.add_log_categories(root)
     description.add_experiment(root, unit)
     listed = etree.SubElement(root, "ModelVariables")
-    for reference, v in enumerate(unit.variables):
-        _variable(listed, reference, v)
+    # time is optional here, and a widely used importer reports it as an error for having no start value
+    written = [r for r, v in enumerate(unit.variables) if v.causality != "independent"]
+    for reference in written:
+        _variable(listed, reference, unit.variables[reference])
+    place = {reference: str(i + 1) for i, reference in enumerate(written)}
     structure = etree.SubElement(root, "ModelStructure")
-    outputs = unit.outputs()
-    if outputs:
-        _unknowns(etree.SubElement(structure, "Outputs"), unit, outputs, initial=False)
-        _unknowns(etree.SubElement(structure, "InitialUnknowns"), unit, outputs, initial=True)
+    outputs = etree.SubElement(structure, "Outputs")
+    unknowns = etree.SubElement(structure, "InitialUnknowns")
+    for reference in unit.outputs():
+        unknown = etree.SubElement(outputs, "Unknown", index=place[reference])
+        if not unit.direct(unit.variables[reference]):
+            unknown.set("dependencies", "")
+        etree.SubElement(unknowns, "Unknown", index=place[reference])
     return text_of(root)
 
 
@@ -62,11 +68,3 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
         real.set("nominal", number(v.nominal))
     if v.start is not None:
         real.set("start", number(v.start))
-
-
-def _unknowns(parent: Element, unit: Unit, references: list[int], *, initial: bool) -> None:
-    """Indices count from 1 in the order of ModelVariables."""
-    for reference in references:
-        unknown = etree.SubElement(parent, "Unknown", index=str(reference + 1))
-        if not initial and not unit.direct(unit.variables[reference]):
-            unknown.set("dependencies", "")

@@ -150,9 +150,9 @@ class FMUInstance:
         try:
             self._slave.do_step(t, h)
         except FMUError as error:
-            raise StepFailure(
-                Status.NO_CONVERGENCE, self.name, t, h, tried=f"its own means: {error}"
-            ) from error
+            unknown = Status.NO_CONVERGENCE if self.estimated else Status.ARGUMENT
+            status = next((s for s in Status if s.value in str(error)), unknown)
+            raise StepFailure(status, self.name, t, h, tried=f"its own means: {error}") from error
         self.time, self._h = t + h, h
         if self.estimated:
             self._before, self._after = self._after, self._slave.get(self._y_end).copy()

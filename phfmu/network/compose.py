@@ -17,7 +17,7 @@ import casadi as ca
 from phfmu.declare.phdae import PHDAE, Observable, skew
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, algebraic
-from phfmu.network.network import End, Junction, Network
+from phfmu.network.network import ConnectionError, End, Junction, Network
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ def _start(ports: list[Port]):
 
 def compose(network: Network) -> PHDAE:
     """One PHDAE with all states, terms and free ports of the members, and the junction equations."""
+    require_members(network)
     unknowns = [junction_unknowns(network, j) for j in network.junctions]
     feed = {end: u for u in unknowns for end in u.junction.ends}
     parts = [_prefixed(name, model, feed) for name, model in network.members.items()]
@@ -88,6 +89,12 @@ def compose(network: Network) -> PHDAE:
         junctions=tuple((j.name, tuple(map(str, j.ends))) for j in network.junctions),
         description=network.description,
     )
+
+
+def require_members(network: Network) -> None:
+    """ConnectionError if there is nothing to step."""
+    if not network.members:
+        raise ConnectionError(f"network '{network.name}' has no members; add one: network.add('name', component)")
 
 
 def _all(parts: list[PHDAE], field: str) -> tuple:

@@ -11,14 +11,15 @@ the matrix regular.  Whatever the iteration leaves is booked at the junctions: s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import Status, StepFailure
-from phfmu.network.compose import junction_unknowns
+from phfmu.network.compose import require_members
+from phfmu.network.hidden import hidden_part, instant_sensitivity
+from phfmu.network.interface import interface
 from phfmu.network.members import Member
 from phfmu.network.network import Network
 from phfmu.network.stepper import Booking, InconsistentState, Steps
@@ -31,69 +32,21 @@ COMPONENT = 1e-9  # largest one at which a stalled iteration counts as its round
 ITERATIONS = 30
 
 
-@dataclass(frozen=True)
-class Interface:
-    """xi names and units, P (inputs x unknowns), C (skew), and which rows sum flows or efforts (Kirchhoff rows)."""
-
-    names: list[str]
-    P: Array
-    C: Array
-    start: Array
-    nominal: Array
-    sums: dict[str, slice]
-
-
-def interface(network: Network, members: list[Member]) -> Interface:
-    """The interface equations of `network` in the members' stacked external inputs."""
-    offset, column = {}, 0
-    for m in members:
-        for port, place in m.places.items():
-            offset[(m.name, port)] = np.arange(place.start, place.stop) + column
-        column += m.nu
-    names: list[str] = []
-    start: list[float] = []
-    nominal: list[float] = []
-    entries: list[tuple[int, int]] = []
-    skew: list[tuple[int, int]] = []
-    sums = {}
-    for j in network.junctions:
-        u = junction_unknowns(network, j)
-        common = len(names) + np.arange(u.common.n)
-        sums[j.name] = slice(len(names), len(names) + u.common.n)
-        for variable in (u.common, *u.dual.values()):
-            names += variable.names()
-            start += variable.start
-            nominal += variable.nominal
-        place = {end: common for end in j.ends}
-        first = len(sums) and common[-1] + 1
-        for end, variable in u.dual.items():
-            place[end] = first + np.arange(variable.n)
-            first += variable.n
-            skew += list(zip(common, place[end], strict=True))
-        for end, columns in place.items():
-            entries += list(zip(offset[(end.member, end.port)], columns, strict=True))
-    n = len(names)
-    P, C = np.zeros((column, n)), np.zeros((n, n))
-    for row, col in entries:
-        P[row, col] = 1.0
-    for c, d in skew:
-        C[c, d], C[d, c] = 1.0, -1.0
-    return Interface(names, P, C, np.array(start), np.array(nominal), sums)
-
-
 class Coupled:
     """Members coupled by interface Newton; the run loop drives it like a single model."""
 
     def __init__(self, network: Network, members: list[Member]):
+        require_members(network)
         self.network, self.members = network, members
+        self._hidden: Array | None = None
         self.face = interface(network, members)
         self.xi = self.face.start.copy()
-        self._free = np.concatenate([m.start_inputs() for m in members]) if members else np.zeros(0)
+        self._free = np.concatenate([m.start_inputs() for m in members])
         self._free[self.face.P.any(axis=1)] = 0.0
         self._slices = _stacked([m.nu for m in members])
         self.names = [f"{m.name}.{n}" for m in members for n in m.names]
         self.names += self.face.names
-        self.names += [f"constraint.sum.{n}" for n in self._sum_names()]
+        self.names += [f"constraint.sum.{n}" for n in self.face.sum_names()]
         at = {str(e): j.name for j in network.junctions for e in j.ends}
         components = tuple(c for m in members for c in m.booking.components)
         pairs = tuple(
@@ -103,9 +56,6 @@ class Coupled:
         self.booking = Booking(components, pairs)
         self.iterations = 0
         self.accepted_by = ""
-
-    def _sum_names(self) -> list[str]:
-        return [self.face.names[i] for s in self.face.sums.values() for i in range(s.start, s.stop)]
 
     # -- the stepper's side -----------------------------------------------------------------------------------------
 
@@ -119,11 +69,12 @@ class Coupled:
         member, _, rest = name.partition(".")
         for m, place in zip(self.members, self._slices, strict=True):
             if m.name == member:
-                index = m.input_index(rest)
-                if index is not None:
-                    if self.face.P[place.start + index].any():
+                self._hidden = None
+                indices = [place.start + i for i in m.input_places(rest)]
+                if indices:
+                    if self.face.P[indices].any():
                         raise KeyError(f"{name} is fed by a junction; it cannot be set")
-                    self._free[place.start + index] = value
+                    self._free[indices] = value
                     m.set_input(self._inputs()[place])
                     return
                 if m.set_parameter(rest, value):
@@ -142,19 +93,23 @@ class Coupled:
     def end_sums(self) -> Array:
         """What the states violate at the present time, per common variable: the sum of the joined flows (efforts).
 
-        A junction with dual inputs meets its sum by them; if no port takes the common variable (a rigid joint of
-        masses), it is the spread of the outputs that must be equal.
+        A junction with dual inputs meets its sum by them; there it is the spread of the outputs that must be equal.
+        Zero where outputs follow the junction unknowns.
         """
-        y = self.face.P.T @ np.concatenate([m.end_output() for m in self.members])
-        r = y + self.face.C @ self.xi
-        out = []
-        for i in (i for s in self.face.sums.values() for i in range(s.start, s.stop)):
-            dual = np.flatnonzero(self.face.C[i])
-            if not dual.size:
-                out.append(r[i])
-            else:
-                out.append(0.0 if self.face.P[:, i].any() else float(np.ptp(y[dual])))
-        return np.array(out)
+        y = np.concatenate([m.end_output() for m in self.members])
+        r = self._hidden_rows() @ (self.face.P.T @ y + self.face.C @ self.xi)
+        return np.array([r[own[0]] if len(own) == 1 else np.ptp(r[own]) for own in self.face.rows_of_sums()])
+
+    def _hidden_rows(self) -> Array:
+        """Projector to what no junction unknown can change, found anew after parameters were set."""
+        if self._hidden is None:
+            M, u = self.face.C.copy(), self._inputs()
+            for m, place in zip(self.members, self._slices, strict=True):
+                part = self.face.P[place]
+                if part.any():
+                    M += part.T @ instant_sensitivity(m, u[place]) @ part
+            self._hidden = hidden_part(M, self.face.nominal)
+        return self._hidden
 
     def check_start(self) -> None:
         """InconsistentState if joined flows (efforts) of states do not sum to zero."""
@@ -162,22 +117,26 @@ class Coupled:
             m.check_start()
         self._apply(self.xi)
         sums = self.end_sums()
-        y = np.concatenate([m.end_output() for m in self.members])
-        rows = [i for s in self.face.sums.values() for i in range(s.start, s.stop)]
-        scale = (np.abs(self.face.P.T) @ np.abs(y))[rows] + 1e-6
-        bad = [f"{n}: sum {v:.6g}" for n, v, s in zip(self._sum_names(), sums, scale, strict=True) if abs(v) > 1e-7 * s]
+        size = np.abs(self.face.P.T) @ np.abs(np.concatenate([m.end_output() for m in self.members]))
+        bad = []
+        for n, v, own in zip(self.face.sum_names(), sums, self.face.rows_of_sums(), strict=True):
+            if not abs(v) <= 1e-7 * (size[own].max() + 1e-6):
+                pure = not self.face.C[own[0], : own[0]].any()
+                bad.append(f"{n}: sum {v:.6g}" if pure else f"{n}: joined outputs differ by {v:.6g}")
         if bad:
             raise InconsistentState(
-                f"{self.network.name}: inconsistent start: {'; '.join(bad)}. The joined flows must sum to zero at the "
-                "start; change the start values"
+                f"{self.network.name}: inconsistent start: {'; '.join(bad)}. Joined flows of states must sum to zero "
+                "and joined outputs must be equal at the start; change the start values"
             )
 
     def prepare(self, t0: float, h: float) -> None:
         """Junction values before the first step: those of a trial step, then everything back."""
         states = [m.get_state() for m in self.members]
-        self._solve(t0, h, states)
-        for m, s in zip(self.members, states, strict=True):
-            m.set_state(s)
+        try:
+            self._solve(t0, h, states)
+        finally:
+            for m, s in zip(self.members, states, strict=True):
+                m.set_state(s)
         self._apply(self.xi)
 
     def advance(self, t0: float, h: float, n: int) -> Steps:
@@ -209,7 +168,7 @@ class Coupled:
         xi = self.xi.copy()
         try:
             self._solve(t, h, states)
-        except StepFailure:
+        except BaseException:
             for m, s in zip(self.members, states, strict=True):
                 m.set_state(s)
             self.xi = xi
@@ -247,6 +206,8 @@ class Coupled:
                 dxi = np.linalg.solve(matrix * scale[:, None], -r * scale)
             except np.linalg.LinAlgError:
                 raise self._failure(Status.SINGULAR, t, h, r, y, xi, history) from None
+            if not np.isfinite(dxi).all():
+                raise self._failure(Status.NOT_FINITE, t, h, r, y, xi, history)
             xi = xi + dxi
         raise self._failure(Status.NO_CONVERGENCE, t, h, r, y, xi, history)
 

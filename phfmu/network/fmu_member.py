@@ -11,7 +11,7 @@ from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.members import finite_differences
 from phfmu.network.scene import Scene
-from phfmu.network.stepper import Booking, Steps
+from phfmu.network.stepper import Booking, Steps, places
 
 Array = NDArray[np.float64]
 
@@ -58,19 +58,18 @@ class FMUMember:
         self.names = _columns(unit)
         self.booking = _booking(unit, name)
         self._u = unit.start_inputs()
-        self._nominal = np.array([unit.variable(n).nominal for n in unit.inputs])
+        self.nominal = np.array([unit.variable(n).nominal for n in unit.inputs])
 
     def settable(self) -> list[str]:
         return list(self.unit.inputs)
 
-    def input_index(self, name: str) -> int | None:
-        return self.unit.inputs.index(name) if name in self.unit.inputs else None
+    def input_places(self, name: str) -> list[int]:
+        return places({n: i for i, n in enumerate(self.unit.inputs)}, name)
 
     def set_parameter(self, name: str, value: float) -> bool:
         """Parameters of an FMU are fixed once it is initialised; ValueError says so."""
-        known = self.unit.interface.variables
-        names = [n for n in known if n == name or n.partition("[")[0] == name and "[" not in name]
-        if not names:
+        known = {n: i for i, (n, v) in enumerate(self.unit.interface.variables.items()) if v.causality == "parameter"}
+        if not places(known, name):
             return False
         raise ValueError(
             f"{self.name}.{name} = {value:g}: parameters of an FMU are fixed during a run; use --engine native for this "
@@ -99,7 +98,7 @@ class FMUMember:
         except StepFailure as failure:
             if failure.status is not Status.NO_SENSITIVITY:
                 raise
-            return finite_differences(self, self._u, t, h, state, self._nominal)
+            return finite_differences(self, self._u, t, h, state, self.nominal)
 
     def get_state(self) -> Any:
         return self.unit.get_state()
@@ -135,15 +134,17 @@ class FMUStepper:
 
     def set_value(self, name: str, value: float) -> None:
         """Set an input; KeyError names close ones, ValueError refuses parameters."""
-        i = self.member.input_index(name)
-        if i is None:
+        found = self.member.input_places(name)
+        if not found:
             if not self.member.set_parameter(name, value):
                 from difflib import get_close_matches
 
                 close = get_close_matches(name, self.settable(), 5)
-                raise KeyError(f"{self.unit.name} has no input '{name}'; close: {', '.join(close) or 'none'}")
+                there = ", ".join(self.settable()) or "none"
+                hint = f"did you mean {', '.join(close)}?" if close else f"there are: {there}"
+                raise KeyError(f"{self.unit.name} has no input '{name}'; {hint}")
             return
-        self._u[i] = value
+        self._u[found] = value
         self.unit.set_input(self._u)
 
     def read(self) -> Array:

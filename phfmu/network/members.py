@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.columns import Columns
-from phfmu.network.stepper import Booking, Inputs, booking, require_consistent
+from phfmu.network.stepper import Booking, Inputs, booking, places, require_consistent
 
 Array = NDArray[np.float64]
 
@@ -22,10 +22,11 @@ class Member(Protocol):
     nu: int
     names: list[str]
     places: dict[str, slice]
+    nominal: Array
     booking: Booking
 
     def settable(self) -> list[str]: ...
-    def input_index(self, name: str) -> int | None: ...
+    def input_places(self, name: str) -> list[int]: ...
     def set_parameter(self, name: str, value: float) -> bool: ...
     def start_inputs(self) -> Array: ...
     def set_input(self, u: Array) -> None: ...
@@ -74,7 +75,7 @@ class EngineMember:
         for p in free:
             self.places[p.name] = slice(start, start + p.n)
             start += p.n
-        self._nominal = np.concatenate([np.broadcast_to(np.asarray(p.nominal, float), p.n) for p in free] or [np.zeros(0)])
+        self.nominal = np.concatenate([np.broadcast_to(np.asarray(p.nominal, float), p.n) for p in free] or [np.zeros(0)])
         own = booking(model)
         rename = {model.name: name}
         self.booking = Booking(
@@ -87,12 +88,11 @@ class EngineMember:
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]
 
-    def input_index(self, name: str) -> int | None:
-        return self._inputs.inputs.get(name)
+    def input_places(self, name: str) -> list[int]:
+        return places(self._inputs.inputs, name)
 
     def set_parameter(self, name: str, value: float) -> bool:
-        known = {n.partition("[")[0] for n in self._inputs.parameters} | set(self._inputs.parameters)
-        return name in known and self._inputs.set(name, value)
+        return bool(places(self._inputs.parameters, name)) and self._inputs.set(name, value)
 
     def start_inputs(self) -> Array:
         return self.model.u0.copy()
@@ -116,7 +116,7 @@ class EngineMember:
         except StepFailure as failure:
             if failure.status is not Status.NO_SENSITIVITY:
                 raise
-            return finite_differences(self, self._inputs.u, t, h, state, self._nominal)
+            return finite_differences(self, self._inputs.u, t, h, state, self.nominal)
 
     def get_state(self) -> Any:
         return self.instance.get_state()

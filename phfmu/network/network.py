@@ -60,8 +60,7 @@ class Network:
             raise ConnectionError(f"{self.name}: there is a member '{name}' already; give the new one another name")
         if any(member is m for m in self.members.values()):
             raise ConnectionError(f"{self.name}: '{name}' is the same object as another member; build a second one")
-        if not name.isidentifier():
-            raise ConnectionError(f"{self.name}: member name '{name}' must be a letter followed by letters, digits, _")
+        self._check_name("member", name)
         self.members[name] = member
 
     def connect(self, a: str, b: str, *, name: str = "", signs: tuple[int, int] | None = None) -> Junction:
@@ -112,6 +111,7 @@ class Network:
     # -- checks -----------------------------------------------------------------------------------------------------
 
     def _join(self, junction: Junction) -> Junction:
+        self._check_name("junction", junction.name)
         taken = {str(e): j.name for j in self.junctions for e in j.ends}
         for e in junction.ends:
             if str(e) in taken:
@@ -124,6 +124,12 @@ class Network:
             raise ConnectionError(f"the name '{junction.name}' is taken by another junction or member")
         self.junctions.append(junction)
         return junction
+
+    def _check_name(self, what: str, name: str) -> None:
+        if not (name.isidentifier() and name.isascii()):
+            raise ConnectionError(
+                f"{self.name}: {what} name '{name}' must be a letter followed by letters a-z, A-Z, digits, _"
+            )
 
     def _end(self, text: str) -> End:
         member, _, port = text.partition(".")

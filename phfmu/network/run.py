@@ -52,7 +52,7 @@ class HeldInputs:
     values: Array
 
     def events(self) -> list[Event]:
-        """One event per changed value; times before the first row keep the start values."""
+        """One event per changed value; before the first row the start values hold."""
         out = []
         for i, t in enumerate(self.time):
             for j, name in enumerate(self.names):
@@ -62,10 +62,15 @@ class HeldInputs:
 
 
 def segments(t0: float, stop: float, events: Sequence[Event]) -> Iterator[tuple[float, float, list[Event]]]:
-    """(start, end, events at start) in order; the grid of steps starts anew at each event."""
+    """(start, end, events at start) in order; the grid of steps starts anew at each event.
+
+    Events before t0 have happened: they count at t0, in order of time.
+    """
     times = sorted({t0, stop, *(e.t for e in events if t0 <= e.t < stop)})
+    past = sorted((e for e in events if e.t < t0), key=lambda e: e.t)
     for start, end in zip(times[:-1], times[1:], strict=True):
-        yield start, end, [e for e in events if e.t == start]
+        yield start, end, past + [e for e in events if e.t == start]
+        past = []
 
 
 def pieces(start: float, end: float, h: float) -> Iterator[tuple[float, float, int]]:
@@ -101,9 +106,7 @@ def run(
     from phfmu.audit import Ledger
 
     _check_times(t0, stop, step)
-    late = [e for e in events if not np.isfinite(e.t) or not np.isfinite(e.value)]
-    if late:
-        raise ValueError(f"event {late[0].name} at t = {late[0].t}: value {late[0].value} is not finite")
+    _check_events(stepper, [e for e in events if not e.t >= stop])
     ledger = Ledger(sink)
     book = _Book(stepper, ledger)
     times: list[Array] = []
@@ -126,7 +129,7 @@ def run(
             stepper.check_start()
             prepare = getattr(stepper, "prepare", None)
             if prepare is not None:
-                prepare(t0, step)
+                prepare(t0, min(step, end - t0))
             book.start()
             take(np.array([t0]), stepper.read()[None])
             first = False
@@ -146,6 +149,20 @@ def _check_times(t0: float, stop: float, step: float) -> None:
         raise ValueError(f"--step {step} s must be positive and finite")
     if not (np.isfinite(stop) and stop > t0):
         raise ValueError(f"--stop {stop} s must be finite and after the start {t0} s")
+    if stop - step == stop:
+        raise ValueError(f"--step {step} s is lost in the rounding of times near --stop {stop} s; take a longer one")
+
+
+def _check_events(stepper: Stepper, events: Sequence[Event]) -> None:
+    """ValueError for numbers that are not finite, KeyError for unknown names, before the first step."""
+    for e in events:
+        if not np.isfinite(e.t) or not np.isfinite(e.value):
+            raise ValueError(f"event {e.name} = {e.value} at t = {e.t} s: time and value must be finite")
+    names = stepper.settable()
+    known = {*names, *(n.partition("[")[0] for n in names)}
+    for e in events:
+        if e.name not in known:
+            stepper.set_value(e.name, e.value)  # raises with what there is instead
 
 
 class _Book:

@@ -83,18 +83,23 @@ class Inputs:
     def set(self, name: str, value: float) -> bool:
         """True if `name` is known here and was set; the bare name of a vector sets all its entries."""
         for table in (self.parameters, self.inputs):
-            places = [i for n, i in table.items() if n == name or n.partition("[")[0] == name and "[" not in name]
-            if not places:
+            found = places(table, name)
+            if not found:
                 continue
             if table is self.parameters:
                 p = self.instance.parameters
-                p[places] = value
+                p[found] = value
                 self.instance.set_parameters(p)
             else:
-                self.u[places] = value
+                self.u[found] = value
                 self.instance.set_input(self.u)
             return True
         return False
+
+
+def places(table: Mapping[str, int], name: str) -> list[int]:
+    """Places of `name` in a table of scalar names; the bare name of a vector has those of all its entries."""
+    return [i for n, i in table.items() if n == name or n.partition("[")[0] == name]
 
 
 def booking(model: Model) -> Booking:
@@ -127,8 +132,12 @@ class Monolithic:
 
     def set_value(self, name: str, value: float) -> None:
         """Set a parameter or free input; KeyError names close ones."""
-        if not self._inputs.set(name, value):
-            raise KeyError(self.model.declaration.unknown_name(name))
+        if self._inputs.set(name, value):
+            return
+        d = self.model.declaration
+        if name in {n for v in (*d.states, *d.algebraics) for n in (v.name, *v.names())}:
+            raise KeyError(f"{d.name}: '{name}' follows from the equations; set a parameter or a free input")
+        raise KeyError(d.unknown_name(name))
 
     def read(self) -> Array:
         """Values of `names` now."""

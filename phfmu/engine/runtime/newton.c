@@ -8,7 +8,8 @@
 #include "system.h"
 
 #define MAX_ITERATIONS 30
-#define TOLERANCE 1e-9  /* on max |dw_i| / (nominal_i + |w_i|) */
+#define TOLERANCE 1e-9 /* on max |dw_i| / (nominal_i + |w_i|) */
+#define ROUNDING 1e-15
 #define STAGNATION 1e-6 /* below it, an update that no longer halves is rounding */
 /* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
  * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
@@ -118,6 +119,15 @@ static int polish(ph_system *s) {
     return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
 }
 
+/* Update small enough that one polish reaches rounding. A kept factor contracts linearly, by the ratio of
+ * two updates: what it leaves after the polish must be rounding too, and a slow one is not yet the floor. */
+static int solved(const ph_system *s, int kept, double previous) {
+    double ratio = s->update / previous;
+    if (kept)
+        return s->update <= TOLERANCE && ratio * ratio * s->update <= ROUNDING;
+    return s->update <= TOLERANCE || (s->update <= STAGNATION && ratio > 0.5);
+}
+
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
 int ph_newton(ph_system *s, int damped) {
     double previous = INFINITY;
@@ -125,6 +135,7 @@ int ph_newton(ph_system *s, int damped) {
     s->update = INFINITY;
     for (s->iterations = 1; s->iterations <= MAX_ITERATIONS; s->iterations++) {
         double norm, damping = 1.0;
+        int kept = chord;
         int status = linearise(s, chord, &norm);
         if (status)
             return status;
@@ -139,8 +150,7 @@ int ph_newton(ph_system *s, int damped) {
             if (!isfinite(s->update))
                 return PH_NOT_FINITE;
         }
-        if (damping == 1.0 &&
-            (s->update <= TOLERANCE || (s->update <= STAGNATION && s->update > 0.5 * previous)))
+        if (damping == 1.0 && solved(s, kept, previous))
             return polish(s);
         chord = !damped && s->update <= CHORD && s->update <= CONTRACTION * previous;
         previous = s->update;

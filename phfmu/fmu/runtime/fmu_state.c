@@ -1,4 +1,6 @@
-/* Saved states: the token, the mode and a copy of the model's state, in one block without pointers. */
+/* Saved states: the token, the mode and a copy of the model's state, in one block without pointers.
+ *
+ * Serialized states carry a checksum: they come from files, and the model trusts its state. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,8 +9,25 @@
 typedef struct saved {
     char token[FMU_TOKEN + 2];
     unsigned long long size;
+    unsigned long long sum; /* of a serialized state, else 0 */
     fmu_phase phase;
 } saved;
+
+static unsigned long long mix(unsigned long long hash, const void *bytes, size_t n) {
+    const unsigned char *byte = bytes;
+    for (size_t i = 0; i < n; i++)
+        hash = (hash ^ byte[i]) * 1099511628211ULL;
+    return hash;
+}
+
+/* FNV-1a of a serialized state; its own place counts as zero. */
+static unsigned long long sum_of(const void *bytes, size_t size) {
+    saved head;
+    memcpy(&head, bytes, sizeof(head));
+    head.sum = 0;
+    return mix(mix(14695981039346656037ULL, &head, sizeof(head)), (const saved *)bytes + 1,
+               size - sizeof(head));
+}
 
 size_t fmu_state_size(const fmu *f) {
     return sizeof(saved) + ph_state_size(f->in);
@@ -66,11 +85,15 @@ int fmu_forget(fmu *f, void **state) {
 }
 
 int fmu_write(fmu *f, const char *function, const void *state, void *bytes, size_t size) {
+    saved head;
     if (fmu_allow(f, function, FMU_ANY))
         return FMU_ERROR;
     if (!state || size < fmu_state_size(f))
         return fmu_refuse(f, "%s: %zu bytes given, the state has %zu", function, size, fmu_state_size(f));
+    memcpy(&head, state, sizeof(head));
+    head.sum = sum_of(state, fmu_state_size(f));
     memcpy(bytes, state, fmu_state_size(f));
+    memcpy(bytes, &head, sizeof(head));
     return FMU_OK;
 }
 
@@ -83,10 +106,14 @@ int fmu_read(fmu *f, const char *function, const void *bytes, size_t size, void 
     memcpy(&head, bytes, sizeof(head));
     if (check(f, function, &head))
         return FMU_ERROR;
+    if (head.sum != sum_of(bytes, size))
+        return fmu_refuse(f, "%s: the state is damaged, its checksum does not fit", function);
     if (!*state)
         *state = malloc(size);
     if (!*state)
         return fmu_refuse(f, "%s: no memory for a state (%zu bytes)", function, size);
+    head.sum = 0;
     memcpy(*state, bytes, size);
+    memcpy(*state, &head, sizeof(head));
     return FMU_OK;
 }

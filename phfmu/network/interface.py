@@ -1,0 +1,76 @@
+"""The interface equations of a network in the stacked inputs and outputs of its members."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.network.compose import junction_unknowns
+from phfmu.network.members import Member
+from phfmu.network.network import Network
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """xi names and units, P (inputs x unknowns), C (skew), and which rows sum flows or efforts (Kirchhoff rows)."""
+
+    names: list[str]
+    P: Array
+    C: Array
+    start: Array
+    nominal: Array
+    sums: dict[str, slice]
+
+    def commons(self) -> list[int]:
+        """Rows of the common variables."""
+        return [i for s in self.sums.values() for i in range(s.start, s.stop)]
+
+    def sum_names(self) -> list[str]:
+        return [self.names[i] for i in self.commons()]
+
+    def rows_of_sums(self) -> list[Array]:
+        """Per common variable: its row, or the rows of the outputs that must equal it."""
+        duals = [(i, np.flatnonzero(self.C[i])) for i in self.commons()]
+        return [dual if dual.size else np.array([i]) for i, dual in duals]
+
+
+def interface(network: Network, members: list[Member]) -> Interface:
+    """The interface equations of `network` in the members' stacked external inputs."""
+    offset, column = {}, 0
+    for m in members:
+        for port, place in m.places.items():
+            offset[(m.name, port)] = np.arange(place.start, place.stop) + column
+        column += m.nu
+    names: list[str] = []
+    start: list[float] = []
+    nominal: list[float] = []
+    entries: list[tuple[int, int]] = []
+    skew: list[tuple[int, int]] = []
+    sums = {}
+    for j in network.junctions:
+        u = junction_unknowns(network, j)
+        common = len(names) + np.arange(u.common.n)
+        sums[j.name] = slice(len(names), len(names) + u.common.n)
+        for variable in (u.common, *u.dual.values()):
+            names += variable.names()
+            start += variable.start
+            nominal += variable.nominal
+        place = {end: common for end in j.ends}
+        first = len(sums) and common[-1] + 1
+        for end, variable in u.dual.items():
+            place[end] = first + np.arange(variable.n)
+            first += variable.n
+            skew += list(zip(common, place[end], strict=True))
+        for end, columns in place.items():
+            entries += list(zip(offset[(end.member, end.port)], columns, strict=True))
+    n = len(names)
+    P, C = np.zeros((column, n)), np.zeros((n, n))
+    for row, col in entries:
+        P[row, col] = 1.0
+    for c, d in skew:
+        C[c, d], C[d, c] = 1.0, -1.0
+    return Interface(names, P, C, np.array(start), np.array(nominal), sums)

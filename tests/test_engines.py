@@ -1,0 +1,290 @@
+"""Python engine = native engine on everything in the library; saved states, resets, parts, refused arguments."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from phfmu import Collocated, NativeInstance, PythonInstance, Scene, Status, StepFailure, build_model
+from phfmu.components.electrical import fault_resistor, rlc_load, synchronous_machine
+from phfmu.components.library import LIBRARY, build
+from phfmu.components.mechanical.translational import mass, spring
+
+ENGINES = (PythonInstance, NativeInstance)
+ERRORS = (ValueError, StepFailure)
+#: forms of the library's components with terms that the default arguments leave out
+FORMS = {
+    "mass_spring_damper": lambda: mass(2.0, k=5.0, d=0.3),
+    "spring_damper": lambda: spring(3.0, d=0.2),
+    "closed_fault": lambda: fault_resistor(20.0),
+    "rl_load": lambda: rlc_load(2.0, 0.01),
+    "machine_abc_flux": lambda: synchronous_machine(coordinates="abc-flux"),
+    "machine_current": lambda: synchronous_machine(coordinates="current"),
+}
+NAMES = [*LIBRARY, *FORMS]
+SECOND_ORDER_ONLY = {"machine_current"}
+HIGHER = ["synchronous_machine", "dc_motor", "rlc_load", "two_machine", "mass_spring_damper", "machine_abc_flux"]
+SLOW = pytest.mark.slow
+
+
+@cache
+def declaration(name):
+    made = FORMS[name]() if name in FORMS else build(name)
+    return made.declaration() if isinstance(made, Scene) else made
+
+
+@cache
+def plan(name, k):
+    d = declaration(name)
+    return build_model(d, Collocated(k, two_level=bool(d.constraints)))
+
+
+def step_size(name):
+    made = None if name in FORMS else build(name)
+    if isinstance(made, Scene):
+        return made.step
+    return 0.01 if "mechanical" in LIBRARY.get(name, ("", ""))[1] or "spring" in name else 1e-4
+
+
+def tones(model, h, n, first=0):
+    """Two-tone inputs around the start values (n x nu), every pair with phases of its own."""
+    nominal = np.array([v for p in model.declaration.ports if p.external for v in np.broadcast_to(p.nominal, p.n)])
+    t = 2 * np.pi * (np.arange(first, first + n)[:, None] + 0.5)
+    j = np.arange(len(nominal))
+    return model.u0 + nominal * (0.3 * np.sin(t / 37.3 + j) + 0.2 * np.sin(t / 11.7 + 2 * j + 1))
+
+
+def start(instance):
+    """A state away from zero: moved by a third of its size, unless hidden constraints tie the states together."""
+    model = instance.model
+    instance.reset()
+    if not model.checks:
+        size = np.maximum(np.abs(model.x0), [v for s in model.declaration.states for v in s.nominal])
+        instance.set_x(model.t0, model.x0 + size * np.random.default_rng(5).uniform(0.1, 0.3, len(size)))
+        instance.initialise()
+    return instance
+
+
+def named(model):
+    """Per block of the signal table the names of its columns without their indices."""
+    d = model.declaration
+    pairs = [p for p in d.ports if p.external] + [p for p in d.ports if not p.external]
+    names = {
+        "x": [v.name for v in d.states for _ in v.names()],
+        "a": [v.name for v in d.algebraics for _ in v.names()],
+        "y_step": [p.name for p in pairs for _ in range(p.n)],
+        "observables": [n.split("[")[0] for n in model.observable_names],
+    }
+    # energies are compared with the largest of any member: an ideal source passes on what it gets
+    names |= dict.fromkeys(("supplied", "dissipated", "H"), ["energy"] * len(model.members))
+    return names | {"a_end": names["a"], "y_end": names["y_step"], "energy": names["y_step"], "time": ["time"]}
+
+
+def relative(one, two, names):
+    """Largest difference of columns in units of the largest value of the variable they belong to."""
+    worst = 0.0
+    for name in set(names):
+        mine = [j for j, n in enumerate(names) if n == name]
+        size = np.max(np.abs(one[:, mine]), initial=0.0)
+        worst = max(worst, float(np.max(np.abs(one[:, mine] - two[:, mine]), initial=0.0)) / (size or 1.0))
+    return worst
+
+
+RECORD = ("signals", "stored", "dissipated", "supplied", "pairs", "energy")
+
+
+def compare(name, k, n, bound=1e-11):
+    model, h = plan(name, k), step_size(name)
+    u = tones(model, h, n)
+    python, native = (start(e(model)) for e in ENGINES)
+    assert (python.x == native.x).all()
+    one, two = (i.run(model.t0, h, n, RECORD, inputs=u) for i in (python, native))
+    assert python.layout == native.layout
+    for block, columns in named(model).items():
+        at = python.layout[block]
+        first, second = (r["signals"][:, at][:, : len(columns)] for r in (one, two))
+        assert np.isfinite(second).all()
+        assert relative(first, second, columns) <= bound, block
+    for rows in (one, two):
+        gap = np.abs(rows["stored"] + rows["dissipated"] - rows["supplied"])
+        play = sum(np.abs(rows[r]) for r in ("energy", "stored", "dissipated", "supplied"))
+        play = play + np.sum(np.abs(rows["pairs"]), axis=1, keepdims=True) + 1e-300
+        assert np.max(gap / play) <= 1e-12
+    used = np.max(np.abs(one["pairs"]), axis=0, initial=0.0)[: model.step.nu]
+    assert name == "fault_resistor" or (used > 0.0).all()  # power through every port; the fault is open
+    assert python.counts["steps"] == native.counts["steps"] == n
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_engines_agree_and_ledgers_close(name):
+    compare(name, 1, 200)
+
+
+@pytest.mark.parametrize("name", HIGHER)
+def test_engines_agree_at_order_four(name):
+    compare(name, 2, 100)
+
+
+@pytest.mark.parametrize("name", ["dc_motor", "four_particle"])
+def test_engines_agree_at_order_six(name):
+    compare(name, 3, 100)
+
+
+@SLOW
+@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("name", NAMES)
+def test_engines_agree_over_a_thousand_steps(name, k):
+    if k > 1 and name in SECOND_ORDER_ONLY or k == 2 and declaration(name).constraints:
+        pytest.skip("this order does not exist for this model")
+    compare(name, k, 1000, 1e-10)
+
+
+# -- state -----------------------------------------------------------------------------------------
+
+SAVED = [("synchronous_machine", 1), ("two_machine", 2), ("four_particle", 1), ("dc_motor", 2), ("infinite_bus", 1)]
+
+
+def later(instance, model, h, n):
+    """Everything seen over n steps from step 20, as bytes."""
+    rows = instance.run(model.t0 + 20 * h, h, n, RECORD, inputs=tones(model, h, n, 20))
+    return {name: values.tobytes() for name, values in rows.items()} | {"end": instance.x.tobytes()}
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("name", "k"), SAVED)
+def test_restored_states_repeat_bitwise(engine, name, k):
+    model, h = plan(name, k), step_size(name)
+    instance = start(engine(model))
+    instance.run(model.t0, h, 20, inputs=tones(model, h, 20))
+    saved = instance.get_state()
+    first = later(instance, model, h, 100)
+    instance.set_state(saved)
+    assert later(instance, model, h, 100) == first
+    other = engine(model)
+    other.run(model.t0, 3 * h, 3)
+    other.set_state(saved)
+    assert later(other, model, h, 100) == first
+    untouched = engine(model)
+    instance.reset()
+    for block, values in untouched.signals().items():
+        assert values.tobytes() == instance.signals()[block].tobytes(), block
+    assert all((instance.ledger()[r] == untouched.ledger()[r]).all() for r in instance.ledger())
+    start(instance).run(model.t0, h, 20, inputs=tones(model, h, 20))
+    assert later(instance, model, h, 100) == first
+
+
+def test_native_state_of_another_model_is_refused():
+    one, two = (NativeInstance(plan(n, 1)) for n in ("dc_motor", "infinite_bus"))
+    before = two.get_state()
+    with pytest.raises(ERRORS):
+        two.set_state(one.get_state())
+    assert two.get_state() == before
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("name", "k"), [("dc_motor", 2), ("synchronous_machine", 1), ("spring_damper", 1)])
+def test_parts_are_internal_steps_with_one_booking(engine, name, k):
+    model, h, n = plan(name, k), step_size(name), 4
+    whole, single = start(engine(model)), start(engine(model))
+    u = tones(model, h, 5)
+    for s in range(5):
+        whole.set_input(u[s])
+        single.set_input(u[s])
+        whole.do_step(n * s * h, n * h, parts=n)
+        means, booked = [], []
+        for i in range(n):
+            single.do_step((n * s + i) * h, h)
+            means.append(single.output())
+            booked.append(single.ledger())
+        size = np.max(np.abs(means))
+        assert whole.output() == pytest.approx(np.mean(means, axis=0), rel=1e-11, abs=1e-13 * size)
+        for row, values in whole.ledger().items():
+            parts = np.array([b[row] for b in booked])
+            assert values == pytest.approx(np.sum(parts, axis=0), rel=1e-9, abs=1e-11 * np.max(np.abs(parts)))
+        assert whole.ledger()["pairs"] == pytest.approx(n * h * u[s] * whole.output(), rel=1e-12)
+        assert whole.x == pytest.approx(single.x, rel=1e-12)
+    assert whole.counts["steps"] == 5 and whole.time == pytest.approx(5 * n * h)
+
+
+# -- refused arguments -----------------------------------------------------------------------------
+
+
+def refused(instance, what, *words):
+    """`what` raises an error with the model's name and the words, and changes nothing."""
+    before = {n: v.tobytes() for n, v in instance.signals().items()}
+    with pytest.raises(ERRORS) as error:
+        what()
+    for word in (instance.model.name, *words):
+        assert word in str(error.value)
+    assert before == {n: v.tobytes() for n, v in instance.signals().items()}
+
+
+BAD_VALUES = {
+    "input": lambda i, bad: i.set_input([1.0, bad]),
+    "node input": lambda i, bad: i.set_node_inputs([[1.0, 0.0], [bad, 0.0]]),
+    "parameter": lambda i, bad: i.set_parameters([bad, *i.parameters[1:]]),
+    "state": lambda i, bad: i.set_x(0.0, [bad, 0.0]),
+    "time": lambda i, bad: i.do_step(bad, 1e-4),
+}
+BAD_SHAPES = {
+    "short input": lambda i: i.set_input([1.0]),
+    "long input": lambda i: i.set_input([1.0, 2.0, 3.0]),
+    "scalar input": lambda i: i.set_input(1.0),
+    "table of inputs": lambda i: i.set_input([[1.0, 2.0]]),
+    "one node": lambda i: i.set_node_inputs([[1.0, 2.0]]),
+    "flat nodes": lambda i: i.set_node_inputs([1.0, 2.0]),
+    "too many nodes": lambda i: i.set_node_inputs(np.zeros((3, 2))),
+    "too wide nodes": lambda i: i.set_node_inputs(np.zeros((2, 3))),
+    "parameters": lambda i: i.set_parameters([1.0]),
+    "state": lambda i: i.set_x(0.0, [1.0]),
+    "run": lambda i: i.run(0.0, 1e-4, 3, inputs=np.zeros((2, 2))),
+}
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("what", BAD_VALUES)
+def test_values_that_are_not_finite_are_refused(engine, what):
+    instance = start(engine(plan("dc_motor", 2)))
+    instance.do_step(0.0, 1e-4)
+    for bad in (np.nan, np.inf, -np.inf):
+        refused(instance, lambda bad=bad: BAD_VALUES[what](instance, bad))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_run_refuses_an_input_that_is_not_finite(engine):
+    instance = start(engine(plan("dc_motor", 2)))
+    with pytest.raises(ERRORS, match="not finite"):
+        instance.run(0.0, 1e-4, 3, ("x",), inputs=[[1.0, 0.0], [np.nan, 0.0], [1.0, 0.0]])
+    assert instance.time == pytest.approx(1e-4)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("what", BAD_SHAPES)
+def test_wrong_shapes_are_refused(engine, what):
+    instance = start(engine(plan("dc_motor", 2)))
+    refused(instance, lambda: BAD_SHAPES[what](instance))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("h", [0.0, -1e-3, np.nan, np.inf])
+def test_steps_that_are_not_positive_and_finite_are_refused(engine, h):
+    instance = start(engine(plan("dc_motor", 2)))
+    instance.do_step(0.0, 1e-4)
+    refused(instance, lambda: instance.do_step(1e-4, h), "step", "positive and finite")
+    refused(instance, lambda: instance.run(1e-4, h, 3), "step", "positive and finite")
+    instance.do_step(1e-4, 1e-4)
+    assert instance.counts["steps"] == 2
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("parts", [0, -1])
+def test_a_step_of_no_parts_is_refused(engine, parts):
+    instance = start(engine(plan("dc_motor", 2)))
+    refused(instance, lambda: instance.do_step(0.0, 1e-4, parts=parts))
+
+
+def test_status_messages_of_both_engines_are_those_of_the_runtime():
+    library = NativeInstance(plan("dc_motor", 2))._lib
+    assert [library.ph_status_text(i).decode() for i in range(len(Status))] == [s.value for s in Status]
