@@ -1,7 +1,8 @@
 """Prints the tables of docs/results: `python docs/make_tables.py [--write] [NAME ...]` (needs a C compiler).
 
 NAME is a table of `TABLES`; without a name all are printed.  `--write` also puts them into the pages, below
-the line with their command.  Errors are measured against tests/reference/*.csv, independent solutions of high accuracy, or against closed forms.
+the line with their command.  Errors are measured against tests/reference/*.csv, independent solutions of high
+accuracy, or against closed forms.
 """
 
 from __future__ import annotations
