@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,6 @@ from phfmu.components.library import LIBRARY, build
 Cli = Callable[..., tuple[int, str, str]]
 
 VERBS = ("list", "info", "check", "run", "export", "audit")
-
 MODELS = '''
 """Models of a user."""
 from phfmu import Event, Network, Scene
@@ -33,7 +33,7 @@ def pushed():
     return Scene("pushed", mass(2.0), 1.0, 0.1, events)
 
 def joined():
-    net = Network("joined", description="a mass on a spring")
+    net = Network("joined", description="mass and spring")
     net.add("m", mass(1.0, q=0.5))
     net.add("s", spring(3.0, elongation=0.2))
     net.connect("m.flange", "s.b", name="joint")
@@ -105,8 +105,7 @@ def test_list_names_the_whole_library(cli: Cli) -> None:
 def test_info_and_check_of_the_library(cli: Cli, target: str) -> None:
     code, out, _ = cli("info", target)
     assert code == 0
-    item = build(target)
-    declaration = item.declaration() if hasattr(item, "declaration") else item
+    declaration = getattr(build(target), "declaration", lambda: build(target))()
     for variable in (*declaration.states, *declaration.parameters):
         name = variable.name + (f"[1..{variable.size}]" if variable.size else "")
         assert any(line.split()[:2] == [name, variable.unit] for line in out.splitlines()), name
@@ -178,8 +177,7 @@ def test_set(cli: Cli) -> None:
     words = ["--set", "mass1.q=0.5", "--set", "mass2.m = 2", "--set", "spring12.e=-0.5"]
     assert cli("run", "oscillator", *words, "-o", "o.csv", "--stop", "0.02", "--quiet")[0] == 0
     assert column("o.csv", "mass1.q")[0] == 0.5
-    k, k12 = 4 * np.pi**2, 16 * np.pi**2
-    assert column("o.csv", "energy.stored")[0] == pytest.approx(0.125 * (k + k12), rel=1e-14)
+    assert column("o.csv", "energy.stored")[0] == pytest.approx(2.5 * np.pi**2, rel=1e-14)
     assert cli("run", "mass", "--set", "flange.force=3", "-o", "m.csv", "--quiet")[0] == 0
     assert column("m.csv", "v")[-1] == pytest.approx(3.0, rel=1e-12)
     words = ["--set", "G=2", "--set", "terminal.v[1]=3", "--stop", "0.01"]
@@ -203,9 +201,7 @@ def test_order(cli: Cli) -> None:
 
 def test_engines_and_couplings_agree(cli: Cli) -> None:
     results = {}
-    ways = [("python", "monolithic"), ("native", "monolithic"), ("fmu", "monolithic"), ("python", "newton"),
-            ("native", "newton"), ("fmu", "newton")]  # fmt: skip
-    for engine, coupling in ways:
+    for engine, coupling in product(("python", "native", "fmu"), ("monolithic", "newton")):
         words = ["--engine", engine, "--coupling", coupling, "--stop", "0.2", "-o", "o.csv"]
         code, out, _ = cli("run", "oscillator", *words)
         assert code == 0 and f"{engine} engine, {coupling}" in out and "VIOLATED" not in out
@@ -219,7 +215,7 @@ def test_engines_and_couplings_agree(cli: Cli) -> None:
 def test_targets_in_a_file(cli: Cli) -> None:
     assert cli("run", "models.py:ready", "--stop", "0.01")[0] == 0
     code, out, _ = cli("info", "models.py:joined")
-    assert code == 0 and "junction joint: m.flange, s.b" in out and "a mass on a spring" in out
+    assert code == 0 and "junction joint: m.flange, s.b" in out and "mass and spring" in out
     assert cli("check", str(Path("models.py").resolve()) + ":joined")[0] == 0
     code, out, _ = cli("run", "models.py:joined", "-o", "j.csv")
     assert code == 0 and "step 0.001 s to 1 s: 1000 steps" in out
@@ -245,9 +241,7 @@ def test_export_and_run_of_the_unit(cli: Cli) -> None:
     code, out, _ = cli("export", "oscillator", "-o", "out/units", "--fmi", "3", "--set", "mass1.q=0.5")
     (path,) = out.split()
     assert code == 0 and path == str(Path("out/units/oscillator_fmi3.fmu"))
-    code, out, _ = cli("info", path)
-    assert code == 0 and "mass1.m" in out
-    assert cli("check", path)[0] == 0
+    assert cli("check", path)[0] == 0 and "mass1.m" in cli("info", path)[1]
     assert cli("run", path, "--stop", "0.105", "-o", "u.csv", "--audit", "u.parquet")[0] == 0
     assert cli("run", "oscillator", "--set", "mass1.q=0.5", "--stop", "0.105", "-o", "o.csv")[0] == 0
     assert column("u.csv", "time")[-1] == 0.105
@@ -294,7 +288,8 @@ def test_recover(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy("o.arrows", "by_name.arrows")
     os.truncate("o.arrows", os.path.getsize("o.arrows") - 5)
     code, said, _ = cli("audit", "recover", "o.arrows")
-    assert code == 0 and "recovered 0 rows into o.parquet (the torn end" in said and not Path("o.arrows").exists()
+    assert code == 0 and "recovered 0 rows into o.parquet (the torn end" in said
+    assert not Path("o.arrows").exists()
     code, out, _ = cli("audit", "by_name.arrows")
     assert code == 0 and "100 steps" in out
     assert cli("audit", "recover", "by_name.parquet")[0] == 0

@@ -1,4 +1,4 @@
-"""Python engine = native engine on everything in the library; saved states, resets, parts, refused arguments."""
+"""Python engine = native engine on everything in the library; saved states, parts, refused arguments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phfmu.components.mechanical.translational import mass, spring
 
 ENGINES = (PythonInstance, NativeInstance)
 ERRORS = (ValueError, StepFailure)
-#: forms of the library's components with terms that the default arguments leave out
+#: components with terms that the default arguments leave out
 FORMS = {
     "mass_spring_damper": lambda: mass(2.0, k=5.0, d=0.3),
     "spring_damper": lambda: spring(3.0, d=0.2),
@@ -24,9 +24,7 @@ FORMS = {
     "machine_current": lambda: synchronous_machine(coordinates="current"),
 }
 NAMES = [*LIBRARY, *FORMS]
-SECOND_ORDER_ONLY = {"machine_current"}
-HIGHER = ["synchronous_machine", "dc_motor", "rlc_load", "two_machine", "mass_spring_damper", "machine_abc_flux"]
-SLOW = pytest.mark.slow
+HIGHER = ["synchronous_machine", "dc_motor", "rlc_load", "two_machine", "spring_damper", "machine_abc_flux"]
 
 
 @cache
@@ -50,14 +48,15 @@ def step_size(name):
 
 def tones(model, h, n, first=0):
     """Two-tone inputs around the start values (n x nu), every pair with phases of its own."""
-    nominal = np.array([v for p in model.declaration.ports if p.external for v in np.broadcast_to(p.nominal, p.n)])
+    free = [p for p in model.declaration.ports if p.external]
+    nominal = np.array([v for p in free for v in np.broadcast_to(p.nominal, p.n)])
     t = 2 * np.pi * (np.arange(first, first + n)[:, None] + 0.5)
     j = np.arange(len(nominal))
     return model.u0 + nominal * (0.3 * np.sin(t / 37.3 + j) + 0.2 * np.sin(t / 11.7 + 2 * j + 1))
 
 
 def start(instance):
-    """A state away from zero: moved by a third of its size, unless hidden constraints tie the states together."""
+    """A state away from zero: moved by 10 to 30 % of its size, unless hidden constraints tie it."""
     model = instance.model
     instance.reset()
     if not model.checks:
@@ -77,17 +76,17 @@ def named(model):
         "y_step": [p.name for p in pairs for _ in range(p.n)],
         "observables": [n.split("[")[0] for n in model.observable_names],
     }
-    # energies are compared with the largest of any member: an ideal source passes on what it gets
+    # energies are compared with the largest of any member or port: an ideal source passes on what it gets
     names |= dict.fromkeys(("supplied", "dissipated", "H"), ["energy"] * len(model.members))
-    return names | {"a_end": names["a"], "y_end": names["y_step"], "energy": names["y_step"], "time": ["time"]}
+    return names | {"a_end": names["a"], "y_end": names["y_step"], "energy": names["y_step"]}
 
 
-def relative(one, two, names):
-    """Largest difference of columns in units of the largest value of the variable they belong to."""
+def relative(one, two, names, least=0.0):
+    """Largest difference of columns in units of the largest value (or `least`) of their variable."""
     worst = 0.0
     for name in set(names):
         mine = [j for j, n in enumerate(names) if n == name]
-        size = np.max(np.abs(one[:, mine]), initial=0.0)
+        size = np.max(np.abs(one[:, mine]), initial=least)
         worst = max(worst, float(np.max(np.abs(one[:, mine] - two[:, mine]), initial=0.0)) / (size or 1.0))
     return worst
 
@@ -95,18 +94,20 @@ def relative(one, two, names):
 RECORD = ("signals", "stored", "dissipated", "supplied", "pairs", "energy")
 
 
-def compare(name, k, n, bound=1e-11):
+def compare(name, k, n):
     model, h = plan(name, k), step_size(name)
     u = tones(model, h, n)
     python, native = (start(e(model)) for e in ENGINES)
     assert (python.x == native.x).all()
     one, two = (i.run(model.t0, h, n, RECORD, inputs=u) for i in (python, native))
     assert python.layout == native.layout
+    traded = np.max(np.abs(one["signals"][:, python.layout["energy"]]), initial=0.0)
     for block, columns in named(model).items():
         at = python.layout[block]
         first, second = (r["signals"][:, at][:, : len(columns)] for r in (one, two))
         assert np.isfinite(second).all()
-        assert relative(first, second, columns) <= bound, block
+        size = traded if "energy" in columns else 0.0
+        assert relative(first, second, columns, size) <= 1e-11, block
     for rows in (one, two):
         gap = np.abs(rows["stored"] + rows["dissipated"] - rows["supplied"])
         play = sum(np.abs(rows[r]) for r in ("energy", "stored", "dissipated", "supplied"))
@@ -114,7 +115,6 @@ def compare(name, k, n, bound=1e-11):
         assert np.max(gap / play) <= 1e-12
     used = np.max(np.abs(one["pairs"]), axis=0, initial=0.0)[: model.step.nu]
     assert name == "fault_resistor" or (used > 0.0).all()  # power through every port; the fault is open
-    assert python.counts["steps"] == native.counts["steps"] == n
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -132,18 +132,18 @@ def test_engines_agree_at_order_six(name):
     compare(name, 3, 100)
 
 
-@SLOW
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 2, 3])
 @pytest.mark.parametrize("name", NAMES)
 def test_engines_agree_over_a_thousand_steps(name, k):
-    if k > 1 and name in SECOND_ORDER_ONLY or k == 2 and declaration(name).constraints:
+    if k > 1 and declaration(name).closed or k == 2 and declaration(name).constraints:
         pytest.skip("this order does not exist for this model")
-    compare(name, k, 1000, 1e-10)
+    compare(name, k, 1000)
 
 
 # -- state -----------------------------------------------------------------------------------------
 
-SAVED = [("synchronous_machine", 1), ("two_machine", 2), ("four_particle", 1), ("dc_motor", 2), ("infinite_bus", 1)]
+SAVED = [("synchronous_machine", 1), ("two_machine", 2), ("four_particle", 1), ("infinite_bus", 1)]
 
 
 def later(instance, model, h, n):
@@ -181,6 +181,21 @@ def test_native_state_of_another_model_is_refused():
     with pytest.raises(ERRORS):
         two.set_state(one.get_state())
     assert two.get_state() == before
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_sensitivity_belongs_to_the_saved_state_and_to_undivided_steps(engine):
+    h, instance = 1e-3, start(engine(plan("synchronous_machine", 1)))
+    instance.do_step(0.0, h)
+    saved, expected = instance.get_state(), instance.sensitivity()
+    instance.do_step(h, h)
+    size = np.max(np.abs(expected))
+    assert np.max(np.abs(instance.sensitivity() - expected)) > 0.01 * size
+    instance.set_state(saved)
+    assert np.max(np.abs(instance.sensitivity() - expected)) <= 1e-12 * size
+    instance.do_step(h, h, parts=2)
+    with pytest.raises(StepFailure, match=Status.NO_SENSITIVITY.value):
+        instance.sensitivity()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -230,13 +245,11 @@ BAD_VALUES = {
 }
 BAD_SHAPES = {
     "short input": lambda i: i.set_input([1.0]),
-    "long input": lambda i: i.set_input([1.0, 2.0, 3.0]),
     "scalar input": lambda i: i.set_input(1.0),
     "table of inputs": lambda i: i.set_input([[1.0, 2.0]]),
     "one node": lambda i: i.set_node_inputs([[1.0, 2.0]]),
-    "flat nodes": lambda i: i.set_node_inputs([1.0, 2.0]),
-    "too many nodes": lambda i: i.set_node_inputs(np.zeros((3, 2))),
-    "too wide nodes": lambda i: i.set_node_inputs(np.zeros((2, 3))),
+    "flat nodes": lambda i: i.set_node_inputs(np.zeros(4)),
+    "wide nodes": lambda i: i.set_node_inputs(np.zeros((2, 3))),
     "parameters": lambda i: i.set_parameters([1.0]),
     "state": lambda i: i.set_x(0.0, [1.0]),
     "run": lambda i: i.run(0.0, 1e-4, 3, inputs=np.zeros((2, 2))),
@@ -283,8 +296,3 @@ def test_steps_that_are_not_positive_and_finite_are_refused(engine, h):
 def test_a_step_of_no_parts_is_refused(engine, parts):
     instance = start(engine(plan("dc_motor", 2)))
     refused(instance, lambda: instance.do_step(0.0, 1e-4, parts=parts))
-
-
-def test_status_messages_of_both_engines_are_those_of_the_runtime():
-    library = NativeInstance(plan("dc_motor", 2))._lib
-    assert [library.ph_status_text(i).decode() for i in range(len(Status))] == [s.value for s in Status]

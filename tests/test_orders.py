@@ -140,11 +140,12 @@ def test_inputs_held_over_the_step_limit_the_order_to_two():
     assert slope(steps, errors) == pytest.approx(-2.0, abs=0.1)
 
 
-def test_parts_of_a_step_resample_the_node_inputs():
+@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+def test_parts_of_a_step_resample_the_node_inputs(engine):
     """Inner steps see the polynomial through the node inputs: order 2k holds with a fixed number of parts."""
     model, errors, steps = build_model(rlc("nodes", "state"), Collocated(2)), [], (10, 20, 40)
     for n in steps:
-        instance, h = NativeInstance(model), END / n
+        instance, h = engine(model), END / n
         for s in range(n):
             instance.set_node_inputs(drive(h * (s + model.nodes))[:, None])
             instance.do_step(s * h, h, parts=3)

@@ -11,23 +11,13 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 import phfmu as ph
-from phfmu import (
-    ELECTRICAL,
-    PHDAE,
-    Collocated,
-    DeclarationError,
-    Port,
-    PythonInstance,
-    block,
-    build_model,
-    energy,
-)
+from phfmu import PHDAE, Collocated, DeclarationError, Port, PythonInstance, block, build_model, energy
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.discretise.ordering import StructurallySingular, elimination_order
 from phfmu.engine.evaluate import Evaluator
 
-SEEDS = range(4)
+SEEDS, EL = range(4), ph.ELECTRICAL
 
 
 def random_model(seed: int) -> PHDAE:
@@ -75,9 +65,9 @@ def random_model(seed: int) -> PHDAE:
         ),
         dissipation=(block([x, y, w], root @ root.T), block([a], resistance), block([i], 0.7 + i.sx**2)),
         ports=(
-            Port("in", ELECTRICAL, "effort", {x: numbers(3, 2) * (1 + w[0] ** 2), a: numbers(2, 2)}, size=2),
-            Port("out", ELECTRICAL, "flow", {y: numbers(2, 1), i: 1.0 + x[0] ** 2}),
-            Port("fed", ELECTRICAL, "effort", {w: ca.vertcat(1.0, x[1])}, source=c[0] * ca.sin(3 * ph.time)),
+            Port("in", EL, "effort", {x: numbers(3, 2) * (1 + w[0] ** 2), a: numbers(2, 2)}, size=2),
+            Port("out", EL, "flow", {y: numbers(2, 1), i: 1.0 + x[0] ** 2}),
+            Port("fed", EL, "effort", {w: ca.vertcat(1.0, x[1])}, source=c[0] * ca.sin(3 * ph.time)),
         ),
         observables=(ph.observable("o", ca.vertcat(x.z[0] * a[0], w[1] + i.sx)),),
     )
@@ -168,7 +158,7 @@ def test_matrix_of_a_constrained_model_is_the_derivative_of_its_residual(seed, k
 
 @pytest.mark.parametrize("name", ["smib", "two_machine"])
 def test_matrix_of_a_scene_is_the_derivative_of_its_residual(name):
-    """Bare nodes, sources and junctions in real units: compared per row, which have sizes from 1 to 1e9."""
+    """Bare nodes, sources and junctions in SI units, compared row by row."""
     model = build_model(build(name).declaration())
     for plan, h in ((model.step, 1e-4), (model.instant, 1.0)):
         evaluator, x = Evaluator(plan), np.append(model.x0, 0.01)
@@ -235,12 +225,9 @@ def chain(n: int) -> PHDAE:
         net.add(f"m{j}", mass(1.0 + j, k=0.5, d=0.1))
     for j in range(n - 1):
         net.add(f"s{j}", spring(2.0 + j, d=0.2))
-    ends = {j: [f"m{j}.flange"] for j in range(n)}
-    for j in range(n - 1):
-        ends[j].append(f"s{j}.a")
-        ends[j + 1].append(f"s{j}.b")
     for j in range(n):
-        net.junction(f"j{j}", ends[j])
+        springs = [f"s{j - 1}.b"] * (j > 0) + [f"s{j}.a"] * (j < n - 1)
+        net.junction(f"j{j}", [f"m{j}.flange", *springs])
     return net.compose()
 
 
@@ -279,16 +266,10 @@ def fill(n, row, col, weak):
 
 def ladder(n: int, scrambled: bool):
     """Branches with a diagonal between n nodes without one: [D, G; -G^T, 0]."""
-    pairs = [(j, j) for j in range(n)]
-    for j in range(n):
-        for node in (j, j + 1):
-            if node < n:
-                pairs += [(j, n + node), (n + node, j)]
-    row, col = np.array(pairs).T
-    if scrambled:
-        new = np.random.default_rng(n).permutation(2 * n)
-        row, col = new[row], new[col]
-    return 2 * n, row.astype(np.int32), col.astype(np.int32)
+    ends = [(j, n + node) for j in range(n) for node in (j, j + 1) if node < n]
+    row, col = np.array([(j, j) for j in range(n)] + ends + [(b, a) for a, b in ends], np.int32).T
+    new = np.random.default_rng(n).permutation(2 * n).astype(np.int32) if scrambled else np.arange(2 * n)
+    return 2 * n, new[row], new[col]
 
 
 @pytest.mark.parametrize("scrambled", [False, True])

@@ -81,7 +81,7 @@ def _place(path: Path, error: BaseException) -> str:
     """The file and the last of its lines that led to the error."""
     from traceback import extract_tb
 
-    lines = [f.lineno for f in extract_tb(error.__traceback__) if Path(f.filename) == path]
+    lines = [f.lineno for f in extract_tb(error.__traceback__) if Path(f.filename) == path.absolute()]
     return f"{path}, line {lines[-1]}" if lines else str(path)
 
 

@@ -1,0 +1,1 @@
+"""Benchmarks: published results reproduced, error against run time."""

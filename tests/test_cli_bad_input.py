@@ -1,0 +1,293 @@
+"""The command line on bad input: exit code, named object, numbers and remedy, never a traceback."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from phfmu.audit import read, summarise
+from phfmu.cli import main
+
+MODELS = '''
+from phfmu import ELECTRICAL, PHDAE, Event, Network, Port, Scene, block, energy, state
+from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.sources import voltage_source
+from phfmu.components.mechanical.translational import mass, spring
+
+def two(a, b, *bond, **options):
+    net = Network("net")
+    net.add("a", a)
+    net.add("b", b)
+    if bond:
+        net.connect(*bond, **options)
+    return net
+def at_junction(net, *ports, **options):
+    net.junction("joint", ports, **options)
+    return net
+def units(): return two(mass(), voltage_source(1.0), "a.flange", "b.terminal")
+def sign(): return two(mass(), spring(), "a.flange", "b.a", signs=(1, 1))
+def efforts(): return two(mass(), mass(), "a.flange", "b.flange")
+def sizes(): return two(rl_line(1.0, 1.0), voltage_source(1.0), "a.a", "b.terminal")
+def no_port(): return two(mass(), spring(), "a.flang", "b.a")
+def again(): return two(mass(), spring(), "a.flange", "b.a").connect("a.flange", "b.b")
+def umlaut(): return Network("net").add("größe", mass())
+def nothing(): return Network("net")
+def line(c): return rl_line(1.0, 0.1, i=(1.0, -0.5, c))
+def currents(): return at_junction(two(line(-0.5), line(-0.4)), "a.b", "b.a")
+def rigid(): return at_junction(two(mass(v=0.3), mass()), "a.flange", "b.flange", kind="1")
+def unsolvable():  # x' = x^2 u leaves every bound at t = 1
+    x = state("x", unit="C", start=1.0)
+    port = Port("feed", ELECTRICAL, "flow", {x: x.sx**2}, start=1.0)
+    return PHDAE("unsolvable", states=(x,), energies=(energy(0.5 * x.sx**2),), ports=(port,))
+def broken():
+    x, y = state("x"), state("y", unit="banana")
+    return PHDAE("broken", states=(x, y), energies=(energy(0.5 * x.sx**2),), dissipation=(block([x], -1.0),))
+def late(name, value=1.0): return Scene("late", mass(), 1e9, 0.1, events=(Event(9e8, name, value),))
+def bad_event(): return late("flange.forc")
+def state_event(): return late("q")
+def nan_event(): return late("m", float("nan"))
+def divides(): return 1 / 0
+def misses(): return {}["key"]
+def leaves(): raise SystemExit(0)
+def number(): return 3
+def needs(a): return a
+'''
+
+Cli = Callable[..., str]
+
+
+@pytest.fixture
+def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Runs a command line that must end with the code and say the words; gives all that it says."""
+    monkeypatch.chdir(tmp_path)
+    Path("models.py").write_text(MODELS, encoding="utf-8")
+
+    def call(code: int, line: str, *words: str) -> str:
+        try:
+            found = main(line.split())
+        except SystemExit as leave:
+            found = leave.code
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err and "internal error" not in err
+        assert found == code, err
+        assert all(w in out + err for w in words), (err or out, words)
+        return out + err
+
+    return call
+
+
+# -- the command line itself ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "line, said",
+    [
+        ("", "required: VERB"),
+        ("simulate mass", "invalid choice: 'simulate' 'list' 'info' 'check' 'run' 'export' 'audit'"),
+        ("run", "required: target"),
+        ("run mass --stpo 1", "unrecognized arguments: --stpo"),
+        ("run mass --step fast", "--step 'fast'"),
+        ("run mass --engine quick", "'quick' 'python' 'native' 'fmu'"),
+        ("run mass --order 3", "invalid choice: 3 2 4 6"),
+        ("run osillator", "no component or scene 'osillator' did you mean oscillator?"),
+        ("info zzz", "no component or scene 'zzz' there are: synchronous_machine two_machine"),
+        ("check smib_hidro", "did you mean smib_hydro"),
+        ("export osilator", "did you mean oscillator"),
+        ("export mass -o models.py", "models.py is a file; name a folder"),
+        ("export mass --step 0", "--step 0.0 s must be positive"),
+        ("export mass --platform pdp11", "pdp11 x86_64-linux aarch64-darwin"),
+        ("run models.py", "say which function of models.py models.py:function"),
+        ("run models.py:unit", "no function 'unit' units, sign, efforts"),
+        ("run none.py:f", "no file 'none.py'"),
+        ("run bad.py:f", "bad.py: SyntaxError line 1"),
+        ("run empty.py:f", "empty.py has no function 'f'; it has: none"),
+        ("run models.py:number", "gives a int; expected a PHDAE, a Network or a Scene"),
+        ("run models.py:divides", "models.py, line 39, divides: ZeroDivisionError: division by zero"),
+        ("info models.py:misses", "line 40, misses: KeyError: key"),
+        ("run models.py:leaves", "line 41, leaves: SystemExit: 0"),
+        ("run models.py:needs", "needs: TypeError 1 required positional argument: 'a'"),
+        ("run models.py:units", "unit mismatch a.flange N, b.terminal V; transformer"),
+        ("check models.py:sign", "a.flange - b.a: u_a = +1 y_b and u_b = +1 y_a create power 2 opposite"),
+        ("run models.py:efforts", "a.flange b.flange both take the effort junction('name', kind='0'"),
+        ("run models.py:sizes", "a.a has 3 scalar pairs, b.terminal has 1"),
+        ("run models.py:no_port", "member 'a' has no free port 'flang'; did you mean flange?"),
+        ("run models.py:again", "a.flange is joined at 'a_flange_b_a' already"),
+        ("run models.py:umlaut", "member name 'größe' letters a-z"),
+        ("run models.py:nothing", "network 'net' has no members network.add"),
+        ("run models.py:bad_event", "no parameter, state or input 'flange.forc'; did you mean flange.force?"),
+        ("run models.py:state_event", "'q' follows from the equations; set a parameter"),
+        ("run models.py:nan_event", "event m = nan at t = 900000000.0 s must be finite"),
+        ("run models.py:currents", "net: joint.v[3] residual -0.1 tolerance sum of currents"),
+        ("run models.py:currents --coupling newton", "net: joint.v[3]: sum 0.1 change the start values"),
+        ("run models.py:rigid", "net: flange.force residual 0.3 change the start values"),
+        ("run models.py:rigid --coupling newton", "joint.velocity: joined outputs differ by 0.3"),
+        ("run four_particle --set v[4]=1", "lambda[1]: velocity residual 1 change the start values"),
+        ("run four_particle --set q[4]=1.1", "lambda[1]: position residual 0.105 change the start values"),
+        ("run four_particle --order 4", "odd stages use --order 2 or 6"),
+        ("run four_particle --order 4 --scheme collocated", "four_particle: order 4 use --order 2 or 6"),
+        ("run four_particle --coupling newton", "four_particle is a single component"),
+        ("audit none.parquet", "no audit file 'none.parquet' phfmu run TARGET --audit none.parquet"),
+        ("audit recover none.arrows", "no stream none.arrows to recover"),
+        ("audit bad.py", "bad.py is not an audit log"),
+        ("audit a.parquet b.parquet", "audit takes one file"),
+        ("audit x --rtol nan", "--rtol nan"),
+    ],
+)
+def test_refused(refused: Cli, line: str, said: str) -> None:
+    Path("bad.py").write_text("def f(:\n")
+    Path("empty.py").touch()
+    refused(2, line, *said.split())
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        ("--set mass1.qq=1", "no parameter, state or input 'mass1.qq'; did you mean mass1.q"),
+        ("--set mas1.q=1", "no parameter, state or input 'mas1.q'; did you mean mass1.q"),
+        ("--set =1", "'' members: mass1, mass2, spring12"),
+        ("--set mass1.q=nan", "--set mass1.q=nan: finite number"),
+        ("--set mass1.q=-inf", "--set mass1.q=-inf: finite number"),
+        ("--set mass1.q", "--set mass1.q: NAME=VALUE"),
+        ("--set mass1.flange.force=1", "'mass1.flange.force' is fed by the junction 'left'"),
+        ("--step 0", "--step 0.0 s must be positive"),
+        ("--step -0.1", "--step -0.1 s must be positive"),
+        ("--step nan", "--step nan s must be positive and finite"),
+        ("--step inf", "--step inf s must be positive and finite"),
+        ("--step 1e-17", "--step 1e-17 s is lost in the rounding --stop 1.0 s"),
+        ("--stop 0", "--stop 0.0 s after the start 0.0 s"),
+        ("--stop -1", "--stop -1.0 s"),
+        ("--stop nan", "--stop nan s must be finite"),
+        ("--stop 1e300", "--step 0.01 s is lost in the rounding --stop 1e+300 s"),
+        ("--rtol -1", "--rtol -1.0"),
+        ("-o none/o.csv", "-o none/o.csv: there is no folder 'none'"),
+        ("-o o.xlsx", "-o o.xlsx: the ending must be .csv or .parquet"),
+        ("--audit none/a.parquet", "--audit none/a.parquet: there is no folder 'none'"),
+        ("--audit a.csv", "a.csv must end in .parquet, e.g. a.audit.parquet"),
+        ("--audit a.parquet -o a.parquet", "both name a.parquet"),
+        ("--input none.csv", "--input none.csv: no such file"),
+        ("--scheme two-level", "oscillator has no holonomic constraints; use --scheme collocated"),
+        ("--gradient joint-gonzalez --order 4", "joint-gonzalez has order 2 per-term"),
+        ("--scheme midpoint --order 4", "midpoint has order 2"),
+    ],
+)
+def test_options_of_a_run(refused: Cli, words: str, said: str) -> None:
+    """Refused before the first step: nothing is written."""
+    refused(2, f"run oscillator --engine python {words}", *said.split())
+    assert {p.name for p in Path().iterdir()} <= {"models.py", "__pycache__"}
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        (b"", "first column must be 'time'"),
+        (b"m,time\n1,0\n", "first column must be 'time'"),
+        (b"time;m\n0;1\n", "first column must be 'time' commas"),
+        (b"time,m\n", "no rows below its header"),
+        (b"time,flange.forc\n0,1\n", "unknown input 'flange.forc'; did you mean flange.force?"),
+        ("time,größe\n0,1\n".encode(), "unknown input 'größe'; there are: m, flange.force"),
+        (b"time,m,m\n0,1,2\n", "2 columns are called 'm'"),
+        (b"time,m\n# comment\n\n0,1\n0.5,nan\n", "in.csv, line 5, column m: nan at time 0.5 is not finite"),
+        (b"time,m\n0,-1e400\n", "in.csv, line 2, column m: -1e400 at time 0"),
+        (b"time,m\n0,1\ninf,1\n", "in.csv, line 3, column time: inf"),
+        (b"time,m\n0,one\n", "in.csv, line 2, column m: 'one' is not a number"),
+        (b"time,m\n0,1\n0.5\n", "in.csv, line 3: 1 values, expected 2 (time, m)"),
+        (b"time,m\n0,1\n1,1\n1,2\n", "in.csv, line 4: time 1 after 1; times must increase"),
+        (b"\xff\xfet\x00i\x00", "in.csv is not a CSV file in UTF-8"),
+    ],
+)
+def test_input_tables(refused: Cli, text: bytes, said: str) -> None:
+    Path("in.csv").write_bytes(text)
+    refused(2, "run mass --engine python --input in.csv", "in.csv", *said.split())
+
+
+# -- runs that fail ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ["python", "native"])
+def test_no_convergence(refused: Cli, engine: str) -> None:
+    """The audit written so far holds all accepted steps; no table is left."""
+    line = f"run models.py:unsolvable --stop 2 --step 0.02 --engine {engine} --audit u.parquet -o u.csv"
+    said = "unsolvable at t = 0.9|, h = 0.000|Newton's method did not converge|worst: |Next: reduce the step"
+    text = refused(3, line, *said.split("|"))
+    failed = float(text.split("t = ")[1].split(" s")[0])
+    summary = summarise(read("u.parquet"))
+    assert summary.events == {"nonconverged": 1} and not Path("u.csv").exists()
+    assert 0 <= failed - summary.t_end < 0.02 and summary.steps == round(summary.t_end / 0.02) > 40
+    refused(0, "audit u.parquet", "closed", "1 nonconverged")
+
+
+def test_a_scheme_that_does_not_keep_energy(refused: Cli) -> None:
+    line = "run four_particle --scheme midpoint --stop 1 --audit m.parquet"
+    text = refused(4, line, "VIOLATED", "ledger violated: four_particle", "allowed: 1.0e-11")
+    assert "four_particle: step" in text
+    refused(4, "audit m.parquet", "VIOLATED", "misses")
+    refused(0, "audit m.parquet --rtol 1e-2", "closed")
+
+
+def test_check_gives_all_problems(refused: Cli) -> None:
+    refused(1, "check models.py:broken", "'banana'", "[unit]", "eigenvalue -1", "[passivity]", "2 problems")
+
+
+def test_audit_files(refused: Cli) -> None:
+    refused(0, "run mass --stop 0.01 --audit a.parquet -o t.parquet")
+    sound = Path("a.parquet").read_bytes()
+    for name, data in (("half", sound[:2000]), ("none", b""), ("junk", b"junk")):
+        Path(f"{name}.parquet").write_bytes(data)
+        refused(2, f"audit {name}.parquet", f"{name}.parquet is not an audit log")
+    refused(2, "audit t.parquet", "t.parquet is not an audit log: it lacks the key")
+    table = pq.read_table("a.parquet")
+    leak = pa.array([None if x is None else x + 1.0 for x in table["dH"].to_pylist()])
+    pq.write_table(table.set_column(table.column_names.index("dH"), "dH", leak), "b.parquet")
+    refused(4, "audit b.parquet", "VIOLATED", "misses 1.000e+00 J")
+    Path("c.arrows").write_bytes(b"left by a crash")
+    refused(2, "run mass --audit c.parquet", "c.arrows is left from a run", "phfmu audit recover c.arrows")
+    refused(2, "audit recover c.arrows", "c.arrows was cut off in its header")
+    assert Path("c.arrows").exists()
+
+
+# -- units ---------------------------------------------------------------------------------------------------
+
+
+def test_units(refused: Cli) -> None:
+    refused(0, "export mass --fmi 3")
+    sound, description = Path("mass_fmi3.fmu").read_bytes(), "modelDescription.xml"
+
+    def changed(change: Callable[[str, bytes], tuple[str, bytes]], **more: bytes) -> None:
+        with zipfile.ZipFile("mass_fmi3.fmu") as old, zipfile.ZipFile("x.fmu", "w") as new:
+            for name in old.namelist():
+                new.writestr(*change(name, old.read(name)))
+            for name, data in more.items():
+                new.writestr(name, data)
+
+    def refuse(*words: str) -> None:
+        for code, verb in ((2, "run"), (2, "info"), (1, "check")):
+            refused(code, f"{verb} x.fmu", "x.fmu", *words)
+
+    for data in (sound[: len(sound) // 2], b"no archive", b""):
+        Path("x.fmu").write_bytes(data)
+        refuse("not a readable archive", "export or download it again")
+    changed(lambda n, b: (n.replace("binaries/", "binaries/pdp11-").replace("sources/", "sources/"), b))
+    refuse("no library for this platform", "the archive has pdp11-")
+    for name in ("../out.txt", "/out.txt", "a/../../out.txt"):
+        changed(lambda n, b: (n, b), **{name: b"out"})
+        refuse(f"the path '{name}', which leaves its folder")
+    entity = b'<!DOCTYPE a [<!ENTITY e SYSTEM "file:///etc/passwd">]>\n<fmiModelDescription'
+    changed(lambda n, b: (n, b.replace(b"<fmiModelDescription", entity) if n == description else b))
+    refuse("document type definition", "refused")
+    changed(lambda n, b: (n, b[:300] if n == description else b))
+    refuse("x.fmu/modelDescription.xml", "not well formed")
+    changed(lambda n, b: (n.replace(description, "other.xml"), b))
+    refuse("no modelDescription.xml")
+    refused(2, "run none.fmu", "none.fmu: there is no such file")
+    refused(2, "export mass_fmi3.fmu", "is an FMU; this verb needs a declaration")
+    refused(2, "run mass_fmi3.fmu --set mm=1", "no variable 'mm'; did you mean m?")
+    refused(2, "run mass_fmi3.fmu --order 4", "--order 4 has no effect", "compiled in")
+    refused(2, "run mass_fmi3.fmu --coupling newton", "--coupling newton has no effect")
+    Path("in.csv").write_text("time,m\n0,1\n")
+    refused(2, "run mass_fmi3.fmu --input in.csv", "unknown input 'm'; there are: flange.force")
+    refused(2, "run two_machine --engine fmu", "fault.G = 20: parameters of an FMU are fixed during a run")

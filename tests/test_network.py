@@ -1,0 +1,238 @@
+"""Networks: the algebra of junctions, and members stepped apart that give the composed model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phfmu import (
+    ELECTRICAL,
+    PHDAE,
+    Collocated,
+    NativeInstance,
+    Network,
+    Port,
+    PythonInstance,
+    Scene,
+    Status,
+    StepFailure,
+    build_model,
+    energy,
+    export,
+    run,
+    state,
+)
+from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.rlc_load import rlc_load
+from phfmu.components.mechanical.translational import mass, spring
+from phfmu.components.scenes.drive import drive
+from phfmu.components.scenes.oscillator import oscillator
+from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.two_machine import two_machine
+from phfmu.fmu.reader import FMUInstance
+from phfmu.network.coupled import Coupled
+from phfmu.network.fmu_member import FMUMember
+from phfmu.network.members import EngineMember, finite_differences
+from phfmu.network.network import ConnectionError
+from phfmu.network.run import Result
+from phfmu.network.stepper import InconsistentState, Monolithic
+
+ENGINES = {"python": PythonInstance, "native": NativeInstance}
+PHASES = (1.0, -0.5, -0.5)
+
+
+def member(name: str, declaration: PHDAE, kind: str, folder: Any = None, step: float = 0.01) -> Any:
+    """A member of a coupled network: stepped in Python, in compiled code, or as an exported unit."""
+    own = replace(declaration, name=name)
+    model = build_model(own, Collocated(1))
+    if kind != "fmu":
+        return EngineMember(name, model, ENGINES[kind](model))
+    (path,) = export(own, model, folder, versions=("3.0",), step=step)
+    return FMUMember(name, FMUInstance(path))
+
+
+def couple(net: Network, kinds: Sequence[str] = ("python",), folder: Any = None, step: float = 0.01) -> Coupled:
+    """Members in turn of the kinds."""
+    kind = {n: kinds[i % len(kinds)] for i, n in enumerate(net.members)}
+    return Coupled(net, [member(n, d, kind[n], folder, step) for n, d in net.members.items()])
+
+
+def composed(net: Network, engine: str = "python") -> Monolithic:
+    model = build_model(net.compose(), Collocated(1))
+    return Monolithic(model, ENGINES[engine](model))
+
+
+def joined(members: dict[str, PHDAE], *junctions: tuple[str, ...], kind: Any = None) -> Network:
+    """Members and their junctions ("name", "member.port", ...)."""
+    net = Network("net")
+    for name, declaration in members.items():
+        net.add(name, declaration)
+    for name, *ports in junctions:
+        net.junction(name, ports, kind=kind)
+    return net
+
+
+def both(net: Network, stop: float = 0.2, step: float = 0.01) -> tuple[Result, Result]:
+    """The network composed and coupled; the states agree and the ledgers close."""
+    one, two = (run(s, stop=stop, step=step) for s in (composed(net), couple(net)))
+    same(one, two, 1e-10)
+    return one, two
+
+
+def same(one: Result, two: Result, rtol: float) -> None:
+    """Every column of both (energies of members and junction values at the start apart) agrees."""
+    shared = [n for n in one.names if n in two.names and not n.startswith("constraint.")]
+    assert len(shared) > 3 and np.array_equal(one.time, two.time)
+    for n in shared:
+        a, b = one.column(n)[1:], two.column(n)[1:]
+        kind = n.split("[")[0]  # a vector has one size
+        size = max(np.abs(one.column(m)).max() for m in shared if m.split("[")[0] == kind)
+        if n.endswith(("energy.residual",)):
+            continue
+        assert np.abs(a - b).max() <= rtol * size + 1e-13, n
+
+
+def closes(result: Result, rtol: float = 1e-11) -> None:
+    """Components close, and junctions with what is unexplained account for the network."""
+    s = result.ledger.summary()
+    net = s.network
+    scale = max(abs(p.supplied) for p in s.ports) + sum(abs(c.H_end) for c in s.components)
+    assert all(c.worst_relative <= rtol for c in s.components)
+    assert net.junction_residual == pytest.approx(sum(j.residual for j in s.junctions), abs=1e-14 * scale)
+    balance = net.stored + (net.dissipated or 0.0) - (net.external or 0.0)
+    assert balance == pytest.approx(net.junction_residual + net.unexplained, abs=1e-14 * scale)
+    assert abs(net.unexplained) <= rtol * scale and abs(net.junction_residual) <= 1e-9 * scale
+
+
+# -- junctions ------------------------------------------------------------------------------------------------
+
+
+def test_rigid_link_of_two_masses() -> None:
+    """Both are given their force: the force in the link is the multiplier."""
+    m1, m2, k = 1.0, 2.0, 10.0
+    net = joined({"a": mass(m1, k=k, q=0.1, v=0.3), "b": mass(m2, v=0.3)}, ("link", "a.flange", "b.flange"))
+    declaration = net.compose()
+    assert [v.name for v in declaration.algebraics] == ["link.velocity", "a.flange.force", "b.flange.force"]
+    for result in both(net, stop=1.0, step=0.001):
+        t, w = result.time, np.sqrt(k / (m1 + m2))
+        q = 0.1 * np.cos(w * t) + 0.3 / w * np.sin(w * t)
+        assert np.allclose(result.column("a.q"), q, rtol=0, atol=1e-6)
+        assert np.allclose(result.column("a.v"), result.column("b.v"), rtol=0, atol=1e-13)
+        force = result.column("b.flange.force")[1:]
+        assert np.allclose(force, -result.column("a.flange.force")[1:], rtol=1e-12)
+        middle = (q[1:] + q[:-1]) / 2
+        assert np.allclose(force, -k * m2 / (m1 + m2) * middle, rtol=0, atol=1e-5)
+        closes(result)
+
+
+@pytest.mark.parametrize(
+    "net, words",
+    [
+        (joined({"a": mass(v=0.3), "b": mass()}, ("link", "a.flange", "b.flange")), ("0.3", "flange.force", "link.velocity")),
+        (joined({"a": rl_line(1.0, 0.1, i=PHASES), "b": rl_line(1.0, 0.1)}, ("bus", "a.b", "b.a")),
+         ("0.5", "bus.v[3]", "bus.v[3]")),
+        (joined({"a": rlc_load(C=1.0, v=PHASES), "b": rlc_load(C=1.0), "r": rlc_load(R=1.0)},
+                ("bus", "a.terminal", "b.terminal", "r.terminal")), ("0.5", "terminal.i[2]", "bus.v[2]")),
+    ],
+    ids=["inelastic", "Kirchhoff", "capacitors"],
+)  # fmt: skip
+def test_inconsistent_starts_are_refused(net: Network, words: tuple[str, str, str]) -> None:
+    number, composed_name, coupled_name = words
+    for stepper, name in ((composed(net), composed_name), (couple(net), coupled_name)):
+        before = stepper.energies()
+        with pytest.raises(InconsistentState, match="net: inconsistent start") as refusal:
+            run(stepper, stop=0.1, step=0.01)
+        assert name in str(refusal.value) and number in str(refusal.value) and "change the start" in str(refusal.value)
+        assert np.array_equal(stepper.energies(), before)
+
+
+@pytest.mark.parametrize("what", ["line", "capacitor", "both"])
+def test_resistors_at_a_bus(what: str) -> None:
+    """Three resistors with an inductive line, a capacitor, or both: the parallel resistance decides."""
+    parts = {f"r{i}": rlc_load(R=float(i)) for i in (1, 2, 3)}
+    R, L, C = 6 / 11, 0.1, 0.2
+    if what != "capacitor":
+        parts["l"] = rl_line(0.5, L, i=PHASES)
+    if what != "line":
+        parts["c"] = rlc_load(C=C, v=PHASES)
+    net = joined(parts, ("bus", *(f"{n}.b" if n == "l" else f"{n}.terminal" for n in parts)))
+    for result in both(net, stop=0.2, step=1e-3):
+        t = result.time
+        if what == "line":
+            assert np.allclose(result.column("l.i[1]"), np.exp(-(0.5 + R) / L * t), rtol=0, atol=1e-5)
+        if what == "capacitor":
+            assert np.allclose(result.column("c.v[1]"), np.exp(-t / (R * C)), rtol=0, atol=1e-5)
+        v = result.column("bus.v[1]")[1:]
+        total = sum(result.column(f"r{i}.terminal.i_step[1]")[1:] for i in (1, 2, 3))
+        assert np.allclose(total, v / R, rtol=1e-11)
+        closes(result)
+
+
+def test_a_member_joined_to_itself() -> None:
+    """Both ends of a line at one bus: its current decays by its own resistance, and the bus does not see it."""
+    net = joined({"l": rl_line(0.5, 0.1, i=PHASES), "c": rlc_load(R=2.0, C=0.1, v=(3.0, 0.0, 1.0))},
+                 ("bus", "l.a", "l.b", "c.terminal"))  # fmt: skip
+    for result in both(net, step=1e-3):
+        t = result.time
+        assert np.allclose(result.column("l.i[1]"), np.exp(-5 * t), rtol=0, atol=1e-6)
+        assert np.allclose(result.column("c.v[1]"), 3 * np.exp(-5 * t), rtol=0, atol=1e-5)
+        closes(result)
+
+
+def test_an_uncoupled_part() -> None:
+    """A member without a connection, and a second pair, run beside the first."""
+    net = joined({"a": mass(1.0, q=0.2), "s": spring(4.0, elongation=0.2), "alone": mass(2.0, k=8.0, q=1.0),
+                  "b": mass(1.0, v=1.0), "z": spring(9.0)},
+                 ("one", "a.flange", "s.b"), ("two", "b.flange", "z.b"))  # fmt: skip
+    for result in both(net, stop=0.5, step=1e-3):
+        t = result.time
+        assert np.allclose(result.column("alone.q"), np.cos(2 * t), rtol=0, atol=1e-6)
+        assert np.allclose(result.column("b.v"), np.cos(3 * t), rtol=0, atol=1e-6)
+        assert result.ledger.summary().network.stored == pytest.approx(0.0, abs=1e-13)
+        closes(result)
+
+
+def test_junctions_that_cannot_be_made() -> None:
+    net = joined({"a": mass(), "b": mass(), "s": spring()}, ("left", "a.flange", "s.a"))
+    for words, ports in (("needs at least two", ["s.b"]), ("lists a port twice", ["s.b", "s.b"]),
+                         ("joined at 'left' already", ["b.flange", "s.a"]), ("no member 'c'", ["c.x", "s.b"])):  # fmt: skip
+        with pytest.raises(ConnectionError, match=words):
+            net.junction("right", ports)
+    for name, words in (("left", "taken"), ("a", "taken"), ("new joint", "letter")):
+        with pytest.raises(ConnectionError, match=words):
+            net.junction(name, ["b.flange", "s.b"])
+    assert len(net.junctions) == 1
+
+
+# -- composed and coupled -------------------------------------------------------------------------------------
+
+
+SCENES = {
+    "oscillator": (oscillator, 1.0, 0.01),
+    "drive": (drive, 0.02, 1e-4),
+    "smib": (smib, 0.005, 1e-4),
+    "two_machine": (lambda: two_machine(t_fault=0.01, t_clear=0.02015), 0.05, 2e-4),
+}
+
+
+@pytest.mark.parametrize("kinds", ["python", "native", "native python fmu"])
+@pytest.mark.parametrize("name", SCENES)
+def test_coupled_is_composed(name: str, kinds: str, tmp_path: Any) -> None:
+    """Members in Python, compiled, and as units mixed; events fall between the grid points."""
+    make, stop, step = SCENES[name]
+    if name == "two_machine":
+        stop = 0.025 if kinds == "python" else stop
+    scene: Scene = make()
+    mono = run(composed(scene.system, "native"), stop=stop, step=step, events=scene.events)
+    apart = couple(scene.system, kinds.split(), tmp_path, step)
+    if "fmu" in kinds and name == "two_machine":  # parameters of units are fixed: the fault is an engine's
+        assert not isinstance(apart.members[-1], FMUMember)
+    two = run(apart, stop=stop, step=step, events=scene.events)
+    same(mono, two, 1e-10)
+    closes(mono), closes(two)
+    assert two.iterations <= 6 * two.steps
