@@ -96,9 +96,7 @@ def smib() -> Path:
     ax.semilogy(middle, largest(through(table, "gen", "shaft"), window), "0.35", lw=1.4)
     ax.annotate("supplied by the shaft", (0.1, 1.2e5), color="0.25")
     for name in ("gen", "line"):
-        ax.semilogy(
-            middle, largest(of_component(table, name, "dissipated"), window), COLOURS[name], lw=1.4, ls="--"
-        )
+        ax.semilogy(middle, largest(of_component(table, name, "dissipated"), window), COLOURS[name], lw=1.4, ls="--")
         ax.semilogy(
             middle,
             np.maximum(largest(of_component(table, name, "residual"), window), 1e-18),
@@ -113,8 +111,7 @@ def smib() -> Path:
         ylabel="energy per step in J",
         xlim=(0, 5),
         ylim=(3e-14, 3e6),
-        title=f"energy ledger, largest value in {window} steps of 0.1 ms: "
-        "stored + dissipated − supplied = rounding",
+        title=f"energy ledger, largest value in {window} steps of 0.1 ms: stored + dissipated − supplied = rounding",
     )
     ax.grid(axis="y", color="0.9")
 

@@ -126,9 +126,7 @@ def four_particle_convergence() -> str:
         for j, h in enumerate(steps):
             cells = [c for n in errors for c in (errors[n][j], order[n][j])]
             rows.append([label if j == 0 else "", f"{h:g}", *cells])
-    return table(
-        ["scheme", "h in s", "q4", "slope", "v4", "slope", "λ1 mean", "slope", "λ1 end", "slope"], rows
-    )
+    return table(["scheme", "h in s", "q4", "slope", "v4", "slope", "λ1 mean", "slope", "λ1 end", "slope"], rows)
 
 
 def four_particle_balance() -> str:
@@ -168,11 +166,11 @@ def four_particle_large_steps() -> str:
                 continue
             rises = int((np.diff(np.append(20 / 17, H)) > 1e-13).sum())
             extra = [
-                f"{instance.counts[n]} {text}"
-                for n, text in (("line_searches", "line searches"), ("substeps", "halvings"))
+                f"{instance.counts[n]}× {text}"
+                for n, text in (("line_searches", "line search"), ("substeps", "halved"))
                 if instance.counts[n]
             ]
-            cells.append(", ".join([f"{H[-1]:.4f}", *([f"{rises} rises"] if rises else []), *extra]))
+            cells.append(", ".join([f"{H[-1]:.4f}", *([f"{rises}× rising"] if rises else []), *extra]))
         rows.append([label, *cells])
     return table(["scheme", *(f"h = {h} s" for h in (0.1, 0.2, 0.25, 0.4, 1.0))], rows)
 
@@ -193,9 +191,7 @@ def oscillator_coupling() -> str:
             for j, (h, order) in enumerate(zip(steps, slopes(errors, steps), strict=True)):
                 label = f"{how.__name__}, order {2 * k} members" if j == 0 else ""
                 rows.append([label, f"{h:g}", errors[j], order, drift[j], iterations[j]])
-    return table(
-        ["coupling", "h in s", "error of q1", "slope", "drift of H / H0", "iterations per step"], rows
-    )
+    return table(["coupling", "h in s", "error of q1", "slope", "drift of H / H0", "iterations per step"], rows)
 
 
 def stator_error(r: Result, ref: dict[str, Array], machines: dict[str, str], until: float = np.inf) -> float:
@@ -212,9 +208,7 @@ def stator_error(r: Result, ref: dict[str, Array], machines: dict[str, str], unt
 def angle_error(r: Result, ref: dict[str, Array], machines: dict[str, str], until: float = np.inf) -> float:
     """Largest error of the rotor angles in rad."""
     rows = ref["time"] <= until
-    errors = [
-        at(r, ref["time"][rows], f"{m}.theta") - ref[f"theta{suffix}"][rows] for m, suffix in machines.items()
-    ]
+    errors = [at(r, ref["time"][rows], f"{m}.theta") - ref[f"theta{suffix}"][rows] for m, suffix in machines.items()]
     return float(np.abs(errors).max())
 
 

@@ -13,7 +13,7 @@ import pytest
 from phfmu.audit import read, summarise
 from phfmu.cli import main
 
-MODELS = '''
+MODELS = """
 from phfmu import ELECTRICAL, PHDAE, Event, Network, Port, Scene, block, energy, state
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.sources import voltage_source
@@ -56,7 +56,7 @@ def misses(): return {}["key"]
 def leaves(): raise SystemExit(0)
 def number(): return 3
 def needs(a): return a
-'''
+"""
 
 Cli = Callable[..., str]
 

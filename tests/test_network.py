@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
+from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from phfmu import (
-    ELECTRICAL,
-    PHDAE,
-    Collocated,
-    NativeInstance,
-    Network,
-    Port,
-    PythonInstance,
-    Scene,
-    Status,
-    StepFailure,
-    build_model,
-    energy,
-    export,
-    run,
-    state,
-)
+from phfmu import PHDAE, NativeInstance, Network, PythonInstance, StepFailure, build_model, export, run
 from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
@@ -34,6 +19,7 @@ from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
+from phfmu.engine.status import Status
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.coupled import Coupled
 from phfmu.network.fmu_member import FMUMember
@@ -42,28 +28,28 @@ from phfmu.network.network import ConnectionError
 from phfmu.network.run import Result
 from phfmu.network.stepper import InconsistentState, Monolithic
 
-ENGINES = {"python": PythonInstance, "native": NativeInstance}
 PHASES = (1.0, -0.5, -0.5)
+ENGINES = {"python": PythonInstance, "native": NativeInstance}
 
 
 def member(name: str, declaration: PHDAE, kind: str, folder: Any = None, step: float = 0.01) -> Any:
     """A member of a coupled network: stepped in Python, in compiled code, or as an exported unit."""
     own = replace(declaration, name=name)
-    model = build_model(own, Collocated(1))
+    model = build_model(own)
     if kind != "fmu":
         return EngineMember(name, model, ENGINES[kind](model))
     (path,) = export(own, model, folder, versions=("3.0",), step=step)
     return FMUMember(name, FMUInstance(path))
 
 
-def couple(net: Network, kinds: Sequence[str] = ("python",), folder: Any = None, step: float = 0.01) -> Coupled:
+def couple(net: Network, kinds: str = "python", folder: Any = None, step: float = 0.01) -> Coupled:
     """Members in turn of the kinds."""
-    kind = {n: kinds[i % len(kinds)] for i, n in enumerate(net.members)}
-    return Coupled(net, [member(n, d, kind[n], folder, step) for n, d in net.members.items()])
+    kind = cycle(kinds.split())
+    return Coupled(net, [member(n, d, next(kind), folder, step) for n, d in net.members.items()])
 
 
 def composed(net: Network, engine: str = "python") -> Monolithic:
-    model = build_model(net.compose(), Collocated(1))
+    model = build_model(net.compose())
     return Monolithic(model, ENGINES[engine](model))
 
 
@@ -80,21 +66,23 @@ def joined(members: dict[str, PHDAE], *junctions: tuple[str, ...], kind: Any = N
 def both(net: Network, stop: float = 0.2, step: float = 0.01) -> tuple[Result, Result]:
     """The network composed and coupled; the states agree and the ledgers close."""
     one, two = (run(s, stop=stop, step=step) for s in (composed(net), couple(net)))
-    same(one, two, 1e-10)
+    same(net, one, two, 1e-10)
     return one, two
 
 
-def same(one: Result, two: Result, rtol: float) -> None:
-    """Every column of both (energies of members and junction values at the start apart) agrees."""
-    shared = [n for n in one.names if n in two.names and not n.startswith("constraint.")]
-    assert len(shared) > 3 and np.array_equal(one.time, two.time)
-    for n in shared:
-        a, b = one.column(n)[1:], two.column(n)[1:]
-        kind = n.split("[")[0]  # a vector has one size
-        size = max(np.abs(one.column(m)).max() for m in shared if m.split("[")[0] == kind)
-        if n.endswith(("energy.residual",)):
-            continue
-        assert np.abs(a - b).max() <= rtol * size + 1e-13, n
+def same(net: Network, one: Result, two: Result, rtol: float) -> None:
+    """Columns of both agree after the start; values at the end of a step that follow held inputs may differ."""
+    d = net.compose()
+    ends = {n.partition("[")[0] for p in d.ports for n in p.output_names()} | {o.name for o in d.observables}
+    groups: dict[str, list[str]] = {}
+    for n in set(one.names) & set(two.names):
+        base = n.partition("[")[0]
+        if base not in ends and not n.startswith("constraint.") and not base.endswith(("_end", "energy.residual")):
+            groups.setdefault("energy" if ".energy" in n else base, []).append(n)
+    assert {v.name for v in (*d.states, *d.algebraics)} <= set(groups) and np.array_equal(one.time, two.time)
+    for group, names in groups.items():
+        a, b = (np.array([r.column(n) for n in names]) for r in (one, two))
+        assert np.abs(a - b)[:, 1:].max() <= rtol * np.abs(a).max() + 1e-13, group
 
 
 def closes(result: Result, rtol: float = 1e-11) -> None:
@@ -109,7 +97,7 @@ def closes(result: Result, rtol: float = 1e-11) -> None:
     assert abs(net.unexplained) <= rtol * scale and abs(net.junction_residual) <= 1e-9 * scale
 
 
-# -- junctions ------------------------------------------------------------------------------------------------
+# -- junctions -----------------------------------------------------------------------------------------------
 
 
 def test_rigid_link_of_two_masses() -> None:
@@ -118,22 +106,22 @@ def test_rigid_link_of_two_masses() -> None:
     net = joined({"a": mass(m1, k=k, q=0.1, v=0.3), "b": mass(m2, v=0.3)}, ("link", "a.flange", "b.flange"))
     declaration = net.compose()
     assert [v.name for v in declaration.algebraics] == ["link.velocity", "a.flange.force", "b.flange.force"]
-    for result in both(net, stop=1.0, step=0.001):
+    for result in both(net, stop=1.0):
         t, w = result.time, np.sqrt(k / (m1 + m2))
         q = 0.1 * np.cos(w * t) + 0.3 / w * np.sin(w * t)
-        assert np.allclose(result.column("a.q"), q, rtol=0, atol=1e-6)
+        assert np.allclose(result.column("a.q"), q, rtol=0, atol=1e-4)
         assert np.allclose(result.column("a.v"), result.column("b.v"), rtol=0, atol=1e-13)
-        force = result.column("b.flange.force")[1:]
+        force, middle = result.column("b.flange.force")[1:], (q[1:] + q[:-1]) / 2
         assert np.allclose(force, -result.column("a.flange.force")[1:], rtol=1e-12)
-        middle = (q[1:] + q[:-1]) / 2
-        assert np.allclose(force, -k * m2 / (m1 + m2) * middle, rtol=0, atol=1e-5)
+        assert np.allclose(force, -k * m2 / (m1 + m2) * middle, rtol=0, atol=1e-3)
         closes(result)
 
 
 @pytest.mark.parametrize(
     "net, words",
     [
-        (joined({"a": mass(v=0.3), "b": mass()}, ("link", "a.flange", "b.flange")), ("0.3", "flange.force", "link.velocity")),
+        (joined({"a": mass(v=0.3), "b": mass()}, ("link", "a.flange", "b.flange")),
+         ("0.3", "flange.force", "link.velocity")),
         (joined({"a": rl_line(1.0, 0.1, i=PHASES), "b": rl_line(1.0, 0.1)}, ("bus", "a.b", "b.a")),
          ("0.5", "bus.v[3]", "bus.v[3]")),
         (joined({"a": rlc_load(C=1.0, v=PHASES), "b": rlc_load(C=1.0), "r": rlc_load(R=1.0)},
@@ -161,12 +149,12 @@ def test_resistors_at_a_bus(what: str) -> None:
     if what != "line":
         parts["c"] = rlc_load(C=C, v=PHASES)
     net = joined(parts, ("bus", *(f"{n}.b" if n == "l" else f"{n}.terminal" for n in parts)))
-    for result in both(net, stop=0.2, step=1e-3):
+    for result in both(net, stop=0.1, step=2e-3):
         t = result.time
         if what == "line":
-            assert np.allclose(result.column("l.i[1]"), np.exp(-(0.5 + R) / L * t), rtol=0, atol=1e-5)
+            assert np.allclose(result.column("l.i[1]"), np.exp(-(0.5 + R) / L * t), rtol=0, atol=1e-4)
         if what == "capacitor":
-            assert np.allclose(result.column("c.v[1]"), np.exp(-t / (R * C)), rtol=0, atol=1e-5)
+            assert np.allclose(result.column("c.v[1]"), np.exp(-t / (R * C)), rtol=0, atol=1e-4)
         v = result.column("bus.v[1]")[1:]
         total = sum(result.column(f"r{i}.terminal.i_step[1]")[1:] for i in (1, 2, 3))
         assert np.allclose(total, v / R, rtol=1e-11)
@@ -175,12 +163,12 @@ def test_resistors_at_a_bus(what: str) -> None:
 
 def test_a_member_joined_to_itself() -> None:
     """Both ends of a line at one bus: its current decays by its own resistance, and the bus does not see it."""
-    net = joined({"l": rl_line(0.5, 0.1, i=PHASES), "c": rlc_load(R=2.0, C=0.1, v=(3.0, 0.0, 1.0))},
-                 ("bus", "l.a", "l.b", "c.terminal"))  # fmt: skip
-    for result in both(net, step=1e-3):
-        t = result.time
-        assert np.allclose(result.column("l.i[1]"), np.exp(-5 * t), rtol=0, atol=1e-6)
-        assert np.allclose(result.column("c.v[1]"), 3 * np.exp(-5 * t), rtol=0, atol=1e-5)
+    parts = {"l": rl_line(0.5, 0.1, i=PHASES), "c": rlc_load(R=2.0, C=0.1, v=(3.0, 0.0, 1.0))}
+    net = joined(parts, ("bus", "l.a", "l.b", "c.terminal"))
+    for result in both(net):
+        decay = np.exp(-5 * result.time)
+        assert np.allclose(result.column("l.i[1]"), decay, rtol=0, atol=1e-4)
+        assert np.allclose(result.column("c.v[1]"), 3 * decay, rtol=0, atol=3e-4)
         closes(result)
 
 
@@ -189,18 +177,17 @@ def test_an_uncoupled_part() -> None:
     net = joined({"a": mass(1.0, q=0.2), "s": spring(4.0, elongation=0.2), "alone": mass(2.0, k=8.0, q=1.0),
                   "b": mass(1.0, v=1.0), "z": spring(9.0)},
                  ("one", "a.flange", "s.b"), ("two", "b.flange", "z.b"))  # fmt: skip
-    for result in both(net, stop=0.5, step=1e-3):
-        t = result.time
-        assert np.allclose(result.column("alone.q"), np.cos(2 * t), rtol=0, atol=1e-6)
-        assert np.allclose(result.column("b.v"), np.cos(3 * t), rtol=0, atol=1e-6)
+    for result in both(net, stop=0.5):
+        assert np.allclose(result.column("alone.q"), np.cos(2 * result.time), rtol=0, atol=1e-4)
+        assert np.allclose(result.column("b.v"), np.cos(3 * result.time), rtol=0, atol=2e-4)
         assert result.ledger.summary().network.stored == pytest.approx(0.0, abs=1e-13)
         closes(result)
 
 
 def test_junctions_that_cannot_be_made() -> None:
     net = joined({"a": mass(), "b": mass(), "s": spring()}, ("left", "a.flange", "s.a"))
-    for words, ports in (("needs at least two", ["s.b"]), ("lists a port twice", ["s.b", "s.b"]),
-                         ("joined at 'left' already", ["b.flange", "s.a"]), ("no member 'c'", ["c.x", "s.b"])):  # fmt: skip
+    wrong = {"needs at least two": ["s.b"], "lists a port twice": ["s.b", "s.b"], "no member 'c'": ["c.x", "s.b"]}
+    for words, ports in (wrong | {"joined at 'left' already": ["b.flange", "s.a"]}).items():
         with pytest.raises(ConnectionError, match=words):
             net.junction("right", ports)
     for name, words in (("left", "taken"), ("a", "taken"), ("new joint", "letter")):
@@ -209,7 +196,7 @@ def test_junctions_that_cannot_be_made() -> None:
     assert len(net.junctions) == 1
 
 
-# -- composed and coupled -------------------------------------------------------------------------------------
+# -- composed and coupled ------------------------------------------------------------------------------------
 
 
 SCENES = {
@@ -218,21 +205,96 @@ SCENES = {
     "smib": (smib, 0.005, 1e-4),
     "two_machine": (lambda: two_machine(t_fault=0.01, t_clear=0.02015), 0.05, 2e-4),
 }
+MIXED = "native python fmu"
+WAYS = [(n, k) for n in SCENES for k in ("python", "native", MIXED) if k != "python" or n in ("oscillator", "drive")]
 
 
-@pytest.mark.parametrize("kinds", ["python", "native", "native python fmu"])
-@pytest.mark.parametrize("name", SCENES)
-def test_coupled_is_composed(name: str, kinds: str, tmp_path: Any) -> None:
-    """Members in Python, compiled, and as units mixed; events fall between the grid points."""
+@pytest.mark.parametrize("name, kinds", WAYS)
+def test_coupled_is_composed(name: str, kinds: str, tmp_path: Path) -> None:
+    """Members in Python, compiled, and as units in one network; events fall between the grid points."""
     make, stop, step = SCENES[name]
-    if name == "two_machine":
-        stop = 0.025 if kinds == "python" else stop
-    scene: Scene = make()
-    mono = run(composed(scene.system, "native"), stop=stop, step=step, events=scene.events)
-    apart = couple(scene.system, kinds.split(), tmp_path, step)
-    if "fmu" in kinds and name == "two_machine":  # parameters of units are fixed: the fault is an engine's
-        assert not isinstance(apart.members[-1], FMUMember)
+    scene, net = make(), make().system
+    mono = run(composed(net, "native"), stop=stop, step=step, events=scene.events)
+    apart = couple(net, kinds, tmp_path, step)
     two = run(apart, stop=stop, step=step, events=scene.events)
-    same(mono, two, 1e-10)
-    closes(mono), closes(two)
-    assert two.iterations <= 6 * two.steps
+    same(net, mono, two, 1e-10)
+    closes(mono)
+    closes(two)
+    assert two.iterations <= 4 * two.steps
+
+
+def test_names() -> None:
+    """A junction's common variable and the inputs that it feeds, then the Kirchhoff sums."""
+    net: Any = smib().system
+    d, stepper = net.compose(), couple(net, "native")
+    junction = [f"{v}[{i}]" for v in ("bus1.v", "bus2.v", "grid.terminal.i") for i in (1, 2, 3)]
+    assert [n for v in d.algebraics for n in v.names() if n in junction] == junction
+    assert d.junctions == (("bus1", ("gen.terminal", "line.a")), ("bus2", ("line.b", "grid.terminal")))
+    sums = [f"constraint.sum.bus{b}.v[{i}]" for b in (1, 2) for i in (1, 2, 3)]
+    assert stepper.names[-15:] == junction + sums
+    shown = {"gen.terminal.i_step[1]", "gen.I[1]", "line.flux[3]", "grid.source.energy", "gen.energy.stored"}
+    assert shown <= set(composed(net, "native").names) and shown <= set(stepper.names)
+    assert len(set(stepper.names)) == len(stepper.names) == len(stepper.read())
+    assert {"gen.shaft.torque", "gen.J"} <= set(stepper.settable())
+    for name, words in (("gen.terminal.v", "fed by a junction"), ("gen.JJ", "did you mean gen.J"), ("q", "no param")):
+        with pytest.raises(KeyError, match=words):
+            stepper.set_value(name, 1.0)
+
+
+# -- steps that fail, and members that say less --------------------------------------------------------------
+
+
+def bits(stepper: Coupled) -> list[Any]:
+    """Everything that the members and the junctions hold."""
+    first, second, third = stepper.members
+    python, unit = second.get_state(), third.unit
+    return [first.get_state(), [np.array(python.x).tobytes(), python.carry.tobytes(), python.w.tobytes(), python.t],
+            unit.serialize(unit.get_state()), unit.time, stepper.xi.tobytes()]  # fmt: skip
+
+
+@pytest.mark.parametrize("error", [StepFailure(Status.NO_CONVERGENCE, "spring12", 0.2, 0.01), ValueError("not finite")])
+@pytest.mark.parametrize("trial", [1, 2])
+def test_rollback(tmp_path: Path, error: Exception, trial: int) -> None:
+    """After a member failed in any trial of a step, all are bitwise where they were, and can go on."""
+    kinds, net = "native python fmu", oscillator().system
+    stepper, twin = couple(net, kinds, tmp_path), couple(net, kinds, tmp_path)
+    for k in range(5):
+        stepper.step(k * 0.01, 0.01)
+    before, last = bits(stepper), stepper.members[2]
+    sound, left = last.do_step, iter([*[None] * (trial - 1), error])
+
+    def stubborn(t: float, h: float) -> None:
+        sound(t, h)
+        if refusal := next(left):
+            raise refusal
+
+    last.do_step = stubborn
+    with pytest.raises(type(error), match=str(error)[:8]):
+        stepper.step(0.05, 0.01)
+    assert bits(stepper) == before
+    last.do_step = sound
+    stepper.step(0.05, 0.01)
+    for k in range(6):
+        twin.step(k * 0.01, 0.01)
+    assert bits(twin) == bits(stepper)
+
+
+def test_finite_differences(tmp_path: Path) -> None:
+    """A unit that takes two internal steps has no sensitivity: differences stand in, and the ledger is exact."""
+    net = drive().system
+    stepper = couple(net, "fmu", tmp_path, step=5e-5)
+    stepper.step(0.0, 1e-4)
+    with pytest.raises(StepFailure, match="sensitivity"):
+        stepper.members[0].unit.sensitivity()
+    result = run(couple(net, "fmu", tmp_path, step=5e-5), stop=0.01, step=1e-4)
+    closes(result)
+    fine = run(composed(net, "native"), stop=0.01, step=5e-5)
+    assert result.column("load.w")[-1] == pytest.approx(fine.column("load.w")[-1], rel=1e-4)
+    one = member("motor", dc_motor(), "python")
+    u = np.array([12.0, 0.1])
+    start = one.get_state()
+    one.set_input(u)
+    one.do_step(0.0, 1e-3)
+    exact, y = one.sensitivity(0.0, 1e-3, start), one.output()
+    assert np.allclose(finite_differences(one, u, 0.0, 1e-3, start, one.nominal), exact, rtol=1e-6, atol=1e-12)
+    assert np.array_equal(one.output(), y) and one.instance.time == 1e-3

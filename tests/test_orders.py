@@ -28,6 +28,7 @@ from phfmu import (
     state,
     time,
 )
+from phfmu.components.electrical import rlc_load
 from phfmu.components.library import build
 
 FOLDER = Path(__file__).parent / "reference"
@@ -151,6 +152,17 @@ def test_parts_of_a_step_resample_the_node_inputs(engine):
             instance.do_step(s * h, h, parts=3)
         errors.append(np.max(np.abs(instance.x - rlc_exact("state"))))
     assert slope(steps, errors) == pytest.approx(-4.0, abs=0.15)
+
+
+@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+def test_end_values_see_the_polynomial_through_the_node_inputs(engine):
+    """i(t + h) of a resistor and an inductor at u(t) = 1 + t: the input at the end is extrapolated, not held."""
+    model, h = build_model(rlc_load(2.0, 0.01), Collocated(2)), 1e-3
+    instance = engine(model)
+    instance.set_node_inputs(np.tile(1.0 + h * model.nodes[:, None], 3))
+    instance.do_step(0.0, h)
+    expected = (1.0 + h) / 2.0 + (h + h**2 / 2) / 0.01
+    assert instance.signals()["y_end"] == pytest.approx(np.full(3, expected), rel=1e-12)
 
 
 # -- linear drive against the matrix exponential ------------------------------------------------------------

@@ -69,6 +69,11 @@ def two_level(term: Term, k: int) -> list[Spec]:
     if p is not None and p <= 2:
         turn = [ca.jtimes(grad, q, v_node[i]) for i in range(k)]
         shift = rows
+    elif k > 1:
+        raise DeclarationError(
+            f"the two-level scheme of order {2 * k} needs quadratic constraints (bars, directors); use --order 2, or write "
+            "the constraint with more variables so that it is quadratic"
+        )
     else:
         turn, shift = [_turn(grad, q, d, v_node[0])], [(grad + at(grad, q, q_end)) / 2]
     out: list[tuple[Address, int, ca.SX]] = []

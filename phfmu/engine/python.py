@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.discretise.quadrature import nodes
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.newton import Newton, Outcome
 from phfmu.engine.status import Status, StepFailure
@@ -31,6 +32,10 @@ class State:
     u: Array
     p: Array
     t: float
+    theta: float
+    x_old: Array
+    u_old: Array
+    solved: int
     y_step: Array
     energy: Array
     stored: Array
@@ -61,7 +66,7 @@ class PythonInstance:
         m, plan = self.model, self.model.step
         self._s = State(
             np.append(m.x0, m.t0), np.zeros(plan.nx), np.zeros(plan.nw), 0.0, m.a0.copy(), np.tile(m.u0, plan.k),
-            m.p0.copy(), m.t0, np.zeros(plan.nq), np.zeros(plan.nq), np.zeros(plan.ncomp), np.zeros(plan.ncomp),
+            m.p0.copy(), m.t0, 0.0, np.append(m.x0, m.t0), np.tile(m.u0, plan.k), 0, np.zeros(plan.nq), np.zeros(plan.nq), np.zeros(plan.ncomp), np.zeros(plan.ncomp),
             np.zeros(plan.ncomp),
         )  # fmt: skip
         self._s.counts = dict.fromkeys(("steps", "iterations", "restarts", "line_searches", "substeps"), 0)
@@ -88,19 +93,16 @@ class PythonInstance:
 
     def set_input(self, u: Array) -> None:
         """Inputs (nu), held over the next steps."""
-        u = np.asarray(u, float)
-        if not np.isfinite(u).all():
-            raise ValueError(f"{self.model.name}: input {int(np.flatnonzero(~np.isfinite(u))[0]) + 1} is {u}, not finite")
-        self._s.u = np.tile(u, self.model.step.k)
-        self._s.end = None
+        self._s.u = np.tile(self._array(u, self.model.step.nu), self.model.step.k)
+        self._s.theta, self._s.end = 0.0, None
 
     def set_node_inputs(self, u: Array) -> None:
         """Inputs at the k quadrature nodes of the next step (k x nu)."""
-        self._s.u = np.asarray(u, float).ravel().copy()
-        self._s.end = None
+        self._s.u = self._array(u, self.model.step.k, self.model.step.nu).ravel().copy()
+        self._s.theta, self._s.end = 0.0, None
 
     def set_parameters(self, p: Array) -> None:
-        self._s.p = np.asarray(p, float).copy()
+        self._s.p = self._array(p, self.model.step.np).copy()
         self._s.end = None
 
     @property
@@ -109,7 +111,8 @@ class PythonInstance:
 
     def set_x(self, t: float, x: Array) -> None:
         """Place the state; call `initialise` afterwards."""
-        self._s.x[:-1], self._s.x[-1], self._s.t = x, t, t
+        self._array([t], 1)
+        self._s.x[:-1], self._s.x[-1], self._s.t = self._array(x, self.model.step.nx), t, t
         self._s.carry[:] = 0.0
         self._s.end = None
 
@@ -117,24 +120,25 @@ class PythonInstance:
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
         """One communication step over [t, t + h] in `parts` equal internal steps."""
-        if not h > 0 or not np.isfinite(h):
-            raise ValueError(f"{self.model.name}: step h = {h} must be positive and finite")
+        if not (h > 0 and np.isfinite(h) and np.isfinite(t) and parts >= 1):
+            raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
         before = self.get_state()
         s, plan = self._s, self.model.step
+        s.x_old, s.u_old, s.solved = np.append(s.x[:-1], t), s.u.copy(), 0
         for name, n in (("stored", plan.ncomp), ("dissipated", plan.ncomp), ("supplied", plan.ncomp), ("pairs", plan.nq)):
             s.last[name] = np.zeros(n)
         y, a = np.zeros(plan.nq), np.zeros(plan.na)
         try:
             for i in range(parts):
-                for y_part, a_part, weight in self._advance(t + i * h / parts, h / parts, 0):
-                    y += weight / h * y_part
-                    a += weight / h * a_part
+                for y_part, a_part, weight in self._advance(t, h, i / parts, 1.0 / parts, 0):
+                    y += weight * y_part
+                    a += weight * a_part
         except StepFailure:
             counts = self._s.counts
             self._s = before
             self._s.counts = counts
             raise
-        s.y_step, s.a, s.t = y, a, t + h
+        s.y_step, s.a, s.t, s.theta = y, a, t + h, 1.0
         s.x[-1] = t + h
         s.energy += s.last["pairs"]
         s.stored += s.last["stored"]
@@ -143,23 +147,37 @@ class PythonInstance:
         s.counts["steps"] += 1
         s.end = None
 
-    def _advance(self, t: float, h: float, depth: int) -> list[tuple[Array, Array, float]]:
+    def _advance(
+        self, t: float, h: float, start: float, part: float, depth: int
+    ) -> list[tuple[Array, Array, float]]:
+        """The part [start, start + part] of the step [t, t + h]: (mean outputs, mean algebraics, part) per solve."""
         s = self._s
-        s.x[-1] = t
-        outcome = self._attempts(h)
+        s.x[-1] = t + h * start
+        u = self._inputs(start + part * self.model.nodes)
+        outcome = self._attempts(h * part, u)
         if outcome.status is Status.OK:
-            return [self._accept(outcome, h)]
+            return [(*self._accept(outcome, h * part, u), part)]
         if depth == DEPTH:
             name = self.model.row_names[outcome.row] if outcome.row >= 0 else ""
             raise StepFailure(
-                outcome.status, self.model.name, t, h, equation=name, residual=outcome.residual,
+                outcome.status, self.model.name, t + h * start, h * part, equation=name, residual=outcome.residual,
                 iterations=outcome.iterations, tried=f"two starts, line search and {2**DEPTH} substeps",
             )  # fmt: skip
         s.counts["substeps"] += 1
-        first = self._advance(t, h / 2, depth + 1)
-        return first + self._advance(t + h / 2, h / 2, depth + 1)
+        first = self._advance(t, h, start, part / 2, depth + 1)
+        return first + self._advance(t, h, start + part / 2, part / 2, depth + 1)
 
-    def _attempts(self, h: float) -> Outcome:
+    def _inputs(self, at: Array) -> Array:
+        """The polynomial through the node inputs of the communication step, at the fractions `at` of it (stacked)."""
+        k = self.model.step.k
+        if k == 1 or not self._s.u.size:
+            return np.tile(self._s.u, len(at)) if k == 1 else np.zeros(0)
+        values, basis = self._s.u.reshape(k, -1), nodes(k)
+        if (values == values[0]).all():
+            return np.tile(values[0], len(at))
+        return np.concatenate([basis.value(float(c)) @ values for c in at])
+
+    def _attempts(self, h: float, u: Array) -> Outcome:
         """Newton from the extrapolated last step, from zero increments, then both with line search."""
         s, plan = self._s, self.model.step
         rest = np.where(plan.increments == 1, 0.0, s.w)
@@ -167,7 +185,7 @@ class PythonInstance:
         if s.h_last > 0:
             ratio = (h / s.h_last) ** plan.guess_pow
             starts.insert(0, np.add.reduceat(plan.guess_val * ratio * s.w[plan.guess_idx], plan.guess_ptr[:-1]))
-        fixed = (s.x, np.append(s.u, h), s.p, h)
+        fixed = (s.x, np.append(u, h), s.p, h)
         outcome = Outcome(Status.NO_CONVERGENCE, rest)
         for damped in (False, True):
             for start in starts:
@@ -179,10 +197,11 @@ class PythonInstance:
                     return outcome
         return outcome
 
-    def _accept(self, outcome: Outcome, h: float) -> tuple[Array, Array, float]:
-        """Book the ledger at the converged unknowns and move the state."""
+    def _accept(self, outcome: Outcome, h: float, u: Array) -> tuple[Array, Array]:
+        """Book the ledger at the converged unknowns and move the state; mean outputs and algebraic variables."""
         s, plan = self._s, self.model.step
-        fixed = (s.x, np.append(s.u, h), s.p, h)
+        fixed = (s.x, np.append(u, h), s.p, h)
+        s.solved += 1
         self._newton.residual(outcome.w, fixed)
         stored, lost = self._step.ledger(s.x, s.p)
         y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
@@ -198,7 +217,7 @@ class PythonInstance:
         s.carry = change - (total - s.x[:-1])
         s.x[:-1] = total
         a = np.bincount(plan.mean_a, plan.mean_c * outcome.w[plan.mean_w], plan.na)
-        return plan.weights @ y_nodes, a, h
+        return plan.weights @ y_nodes, a
 
     def run(
         self,
@@ -212,6 +231,8 @@ class PythonInstance:
         """Steps k = 0..n-1 from t0 + k h; arguments and results as in `NativeInstance.run`."""
         rows: dict[str, list[Array]] = {name: [] for name in record}
         held = None if inputs is None else np.asarray(inputs, float)
+        if held is not None and held.shape != (n, self.model.step.nu):
+            raise ValueError(f"{self.model.name}: expected values of shape {(n, self.model.step.nu)}, got {held.shape}")
         for k in range(n):
             if held is not None:
                 self.set_input(held[k])
@@ -278,8 +299,7 @@ class PythonInstance:
         if s.end is None:
             w = np.zeros(plan.nw)
             w[plan.mean_w] = s.a[plan.mean_a]
-            held = s.u.reshape(self.model.step.k, -1)[-1] if s.u.size else s.u
-            fixed = (s.x, np.append(held, 1.0), s.p, 1.0)
+            fixed = (s.x, np.append(self._inputs(np.array([s.theta])), 1.0), s.p, 1.0)
             if plan.nw:
                 outcome = self._solver.attempt(w, fixed, False)
                 if outcome.status is not Status.OK:
@@ -290,21 +310,45 @@ class PythonInstance:
             r = self._instant.residual(s.x, np.concatenate([w, fixed[1]]), s.p, 1.0)
             stored, _ = self._instant.ledger(s.x, s.p)
             s.end = {
-                "a": w[plan.mean_w], "y": r[plan.nw : plan.nw + plan.nq].copy(),
+                "w": w, "a": w[plan.mean_w], "y": r[plan.nw : plan.nw + plan.nq].copy(),
                 "o": r[plan.nw + plan.nq :].copy(), "H": stored,
             }  # fmt: skip
         return s.end
 
-    def sensitivity(self) -> Array:
-        """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu), by the implicit function theorem."""
-        plan, s = self.model.step, self._s
+    def sensitivity(self, end: bool = False) -> Array:
+        """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu): implicit function theorem.
+
+        `end`: of the outputs at the present time instead.  StepFailure NO_SENSITIVITY after a divided step.
+        """
+        s = self._s
+        if end:
+            w = self._end_values()["w"]
+            u = self._inputs(np.array([s.theta]))
+            return self._derivative(self._solver, w, (s.x, np.append(u, 1.0), s.p, 1.0))
+        if s.solved != 1:
+            raise StepFailure(Status.NO_SENSITIVITY, self.model.name, s.t, s.h_last)
+        return self._derivative(self._newton, s.w, (s.x_old, np.append(s.u_old, s.h_last), s.p, s.h_last))
+
+    def _derivative(self, newton: Newton, w: Array, fixed: tuple[Array, Array, Array, float]) -> Array:
+        """D - C A^-1 B at w, one refinement against the regularisation of the factor."""
+        plan, d = newton.plan, newton.plan.derivative
         nw, nu = plan.nw, plan.nu
-        values = self._step.products(plan.derivative, s.h_last)
-        d = plan.derivative
+        newton.residual(w, fixed)
         full = np.zeros((nw + nu, nw + nu))
-        np.add.at(full, (d.row, d.col), values)
-        if nw == 0:
+        np.add.at(full, (d.row, d.col), newton.evaluator.products(d, fixed[3]))
+        if nw == 0 or nu == 0:
             return full[nw:, nw:]
-        self._newton.factor(s.h_last)
-        dw = np.column_stack([self._newton.solve(full[:nw, nw + j]) for j in range(nu)]) if nu else np.zeros((nw, 0))
+        newton.factor(fixed[3])
+        a = np.zeros((nw, nw))
+        a[plan.matrix.row, plan.matrix.col] = newton.evaluator.products(plan.matrix, fixed[3])
+        dw = np.column_stack([newton.solve(b) for b in full[:nw, nw:].T])
+        dw += np.column_stack([newton.solve(b) for b in (full[:nw, nw:] + a @ dw).T])
         return full[nw:, nw:] + full[nw:, :nw] @ dw
+
+    def _array(self, values: ArrayLike, *shape: int) -> Array:
+        array = np.asarray(values, float)
+        if array.shape != shape:
+            raise ValueError(f"{self.model.name}: expected values of shape {shape}, got {array.shape}")
+        if not np.isfinite(array).all():
+            raise StepFailure(Status.VALUE, self.model.name, self._s.t if hasattr(self, "_s") else 0.0, 0.0)
+        return array

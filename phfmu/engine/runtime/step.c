@@ -174,8 +174,11 @@ int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record,
     for (*done = 0; *done < n; ++*done) {
         double before[2] = {(double)in->count[PH_ITERATIONS], (double)in->count[PH_SOLVES]}, spent[2];
         int status;
-        if (r->input)
-            ph_set_input(in, r->input + *done * r->input_stride);
+        if (r->input) {
+            status = ph_set_input(in, r->input + *done * r->input_stride);
+            if (status)
+                return status;
+        }
         status = ph_step_parts(in, t0 + *done * h, h, r->parts);
         if (status)
             return status;
