@@ -28,6 +28,12 @@ _WHERE = {
     "phfmu.network.network": ("Network",),
     "phfmu.network.scene": ("Scene", "Event"),
     "phfmu.network.run": ("run",),
+    "phfmu.network.stepper": ("Monolithic", "InconsistentState"),
+    "phfmu.network.coupled": ("Coupled",),
+    "phfmu.network.members": ("EngineMember",),
+    "phfmu.network.fmu_member": ("FMUMember",),
+    "phfmu.fmu.manifest": ("PortMap",),
+    "phfmu.discretise.start": ("project_start",),
 }  # fmt: skip
 _OWNER = {name: module for module, names in _WHERE.items() for name in names}
 
@@ -67,14 +73,20 @@ if TYPE_CHECKING:
     from phfmu.discretise.collocated import Collocated as Collocated
     from phfmu.discretise.model import Model as Model, build_model as build_model, default_scheme as default_scheme
     from phfmu.discretise.terms import DeclarationError as DeclarationError
+    from phfmu.discretise.start import project_start as project_start
     from phfmu.engine.native import NativeInstance as NativeInstance
     from phfmu.engine.python import PythonInstance as PythonInstance
     from phfmu.engine.status import Status as Status, StepFailure as StepFailure
     from phfmu.fmu.export import export as export
     from phfmu.fmu.reader import FMUInstance as FMUInstance
+    from phfmu.fmu.manifest import PortMap as PortMap
+    from phfmu.network.coupled import Coupled as Coupled
+    from phfmu.network.fmu_member import FMUMember as FMUMember
+    from phfmu.network.members import EngineMember as EngineMember
     from phfmu.network.network import Network as Network
     from phfmu.network.run import run as run
     from phfmu.network.scene import Event as Event, Scene as Scene
+    from phfmu.network.stepper import InconsistentState as InconsistentState, Monolithic as Monolithic
 
 
 def __getattr__(name: str) -> Any:

@@ -96,14 +96,15 @@ def make_block(
     port_u: ArrayLike | None = None,
     port_y: ArrayLike | None = None,
     *,
+    H0: ArrayLike | None = None,
     scale: ArrayLike | None = None,
     newton: ArrayLike | None = None,
     substeps: ArrayLike | None = None,
 ) -> Block:
     """Copy n steps into a block and derive residuals, junctions and the network balance.
 
-    Shapes: step, t0 [n], h [n] or scalar; H (at the ends of the steps), dH, dissipated, supplied, scale,
-    newton, substeps [n,c]; port_energy, port_u, port_y [n,q].
+    Shapes: step, t0 [n], h [n] or scalar; H (at the ends of the steps), dH, H0 (at their starts; default H - dH), dissipated,
+    supplied, scale, newton, substeps [n,c]; port_energy, port_u, port_y [n,q].
     Errors: ValueError naming the array and both shapes.
     """
     steps = np.array(step, np.int64, ndmin=1)
@@ -116,7 +117,7 @@ def make_block(
     sizes = _maybe("scale", scale, (n, c))
     energy = _table("port_energy", np.zeros((n, 0)) if port_energy is None else port_energy, (n, q))
     with np.errstate(invalid="ignore", over="ignore"):
-        starts = ends - change
+        starts = ends - change if H0 is None else _table("H0", H0, (n, c))
         spent, got = (0.0 if lost is None else lost), (0.0 if gained is None else gained)
         residual = change + spent - got
         magnitude = np.maximum(np.abs(starts), np.abs(ends)) if sizes is None else sizes

@@ -10,7 +10,9 @@ from typing import Any
 def add_parser(verbs: Any) -> None:
     parser = verbs.add_parser("audit", help="table of where the energy went; exit 4 if a component does not close")
     parser.add_argument("file", help="X.parquet or X.arrows; or 'recover X.arrows' after a crash", nargs="+")
-    parser.add_argument("--rtol", type=float, default=1e-11, help="allowed step residual relative to the energy in play")
+    parser.add_argument(
+        "--rtol", type=float, default=1e-11, help="allowed step residual relative to the energy in play"
+    )
     parser.set_defaults(call=call)
 
 

@@ -28,5 +28,9 @@ def call(args: argparse.Namespace) -> int:
         problems = [str(p) for p in check(scene(args.target).declaration())]
     for problem in problems:
         print(problem)
-    print(f"{args.target}: {len(problems)} problem{'s' if len(problems) != 1 else ''}" if problems else f"{args.target}: no problems")
+    print(
+        f"{args.target}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
+        if problems
+        else f"{args.target}: no problems"
+    )
     return PROBLEMS if problems else FINE

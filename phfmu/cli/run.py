@@ -29,6 +29,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--audit", metavar="FILE", help="energy ledger per step, FILE.parquet")
     parser.add_argument("--rtol", type=float, default=1e-11, help="allowed relative residual of a component's step")
+    parser.add_argument("--project", action="store_true",
+                        help="move an inconsistent start onto its constraints instead of refusing it")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(call=call)
 
@@ -50,7 +52,8 @@ def call(args: argparse.Namespace) -> int:
     try:
         with report:
             result = run(
-                stepper, stop=stop, step=step, events=events, sink=writer, progress=report.update, keep=keep
+                stepper, stop=stop, step=step, events=events, sink=writer, progress=report.update, keep=keep,
+                project=args.project,
             )  # fmt: skip
     finally:
         if writer is not None:
@@ -105,11 +108,9 @@ def _input_events(path: str, known: list[str]) -> list[Event]:
     return read_inputs(path, known).events()
 
 
-def _print_run(
-    args: argparse.Namespace, label: str, result: Result, stop: float, step: float, seconds: float
-) -> None:
+def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float, step: float, seconds: float) -> None:
     its = result.iterations / max(result.steps, 1)
-    print(f"{args.target}: {label}; step {step:g} s to {stop:g} s: {result.steps} steps, {its:.2f} iterations per step, "
+    print(f"{args.target}: {label}; step {step:g} s to {stop:g} s: {result.steps} steps, {its:.2f} iterations a step, "
           f"{seconds:.3g} s")  # fmt: skip
     groups: dict[str, float] = {}
     for name, value in result.worst.items():

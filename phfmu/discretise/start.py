@@ -61,7 +61,8 @@ def project_start(model: Model, x: Array | None = None, *, keep: Iterable[str] =
     nominal = np.array([v.nominal[j] for v in d.states for j in range(v.n)])
     now = _newton(f, model, start, level == "position", free & positions, np.diag(1 / nominal**2))
     hessian = np.array(f(now, model.p0)[3])
-    now = _newton(f, model, now, level == "velocity", free & ~positions, hessian + 1e-12 * np.diag(1 / nominal**2))
+    without = np.where(np.diag(hessian) == 0.0, 1 / nominal**2, 0.0)  # states that store no energy
+    now = _newton(f, model, now, level == "velocity", free & ~positions, hessian + np.diag(without))
     labels = [f"{c.name} ({c.level})" for c in model.checks]
     first, last = (np.array(f(v, model.p0)[0]).ravel() for v in (start, now))
     bad = [n for n, v, s in zip(labels, last, model.check_scale, strict=True) if not abs(v) <= CONSISTENCY * s]

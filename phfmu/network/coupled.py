@@ -53,7 +53,7 @@ class Coupled:
             (c, p, i, at.get(f"{m.name}.{p}") if c == m.name else junction)
             for m in members for c, p, i, junction in m.booking.pairs
         )  # fmt: skip
-        self.booking = Booking(components, pairs)
+        self.booking = Booking(components, pairs, frozenset(c for m in members for c in m.booking.estimated))
         self.iterations = 0
         self.accepted_by = ""
 
@@ -129,6 +129,10 @@ class Coupled:
                 "and joined outputs must be equal at the start; change the start values"
             )
 
+    def project_start(self, t0: float) -> None:
+        """Members know their own constraints only; ValueError tells how to start."""
+        raise ValueError(f"{self.network.name}: a coupled network cannot be projected at t = {t0:g} s; use --coupling monolithic")
+
     def prepare(self, t0: float, h: float) -> None:
         """Junction values before the first step: those of a trial step, then everything back."""
         states = [m.get_state() for m in self.members]
@@ -144,12 +148,13 @@ class Coupled:
         for k in range(n):
             try:
                 self.step(t0 + k * h, h)
+                now = self.read(), self.energies()
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
                 raise
             books = [m.ledger() for m in self.members]
             parts = [np.concatenate([b[key] for b in books]) for key in ("stored", "dissipated", "supplied", "pairs")]
-            rows.append((self.read(), self.energies(), *parts, np.array(float(self.iterations))))
+            rows.append((*now, *parts, np.array(float(self.iterations))))
         return Steps.stacked(rows)
 
     # -- one step ---------------------------------------------------------------------------------------------------
@@ -219,7 +224,7 @@ class Coupled:
         return np.maximum(flow, 1e-3)
 
     def _accepted(self, r: Array, y: Array, xi: Array, h: float, history: list[float]) -> str:
-        """ "energy": interface energy below budget and every row at rounding; "rounding floor": rows stopped shrinking."""
+        """energy: interface energy below budget, every row at rounding; rounding floor: rows stopped shrinking."""
         energy = h * float(np.abs(xi) @ np.abs(r))
         in_play = max(float(np.abs(self.energies()).sum()), h * float(np.abs(self._inputs_at(xi)) @ np.abs(y)))
         stalled = len(history) > 2 and history[-1] > 0.5 * history[-2]

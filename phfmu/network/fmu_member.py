@@ -28,7 +28,7 @@ def _booking(unit: FMUInstance, name: str) -> Booking:
         pairs += [(name, p.name, i + 1 if vector else None, None) for i in range(len(p.inputs))]
     if _fed_from_inside(unit):
         pairs.append((name, "inside", None, None))
-    return Booking((name,), tuple(pairs))
+    return Booking((name,), tuple(pairs), frozenset({name} if unit.estimated else ()))
 
 
 def _fed_from_inside(unit: FMUInstance) -> bool:
@@ -68,12 +68,13 @@ class FMUMember:
 
     def set_parameter(self, name: str, value: float) -> bool:
         """Parameters of an FMU are fixed once it is initialised; ValueError says so."""
-        known = {n: i for i, (n, v) in enumerate(self.unit.interface.variables.items()) if v.causality == "parameter"}
+        variables = self.unit.interface.variables.items()
+        known = {n: i for i, (n, v) in enumerate(variables) if v.causality == "parameter"}
         if not places(known, name):
             return False
         raise ValueError(
-            f"{self.name}.{name} = {value:g}: parameters of an FMU are fixed during a run; use --engine native for this "
-            "member, or drive an input instead"
+            f"{self.name}.{name} = {value:g}: parameters of an FMU are fixed during a run; use --engine native for "
+            "this member, or drive an input instead"
         )
 
     def start_inputs(self) -> Array:
@@ -155,6 +156,10 @@ class FMUStepper:
 
     def check_start(self) -> None:
         self.member.check_start()
+
+    def project_start(self, t0: float) -> None:
+        """The state of a unit is its own; ValueError tells how to start."""
+        raise ValueError(f"{self.unit.name}: a start inside an FMU cannot be projected at t = {t0:g} s; set start values")
 
     def advance(self, t0: float, h: float, n: int) -> Steps:
         rows: list[tuple[Array, ...]] = []

@@ -75,7 +75,9 @@ class EngineMember:
         for p in free:
             self.places[p.name] = slice(start, start + p.n)
             start += p.n
-        self.nominal = np.concatenate([np.broadcast_to(np.asarray(p.nominal, float), p.n) for p in free] or [np.zeros(0)])
+        self.nominal = np.concatenate(
+            [np.broadcast_to(np.asarray(p.nominal, float), p.n) for p in free] or [np.zeros(0)]
+        )
         own = booking(model)
         rename = {model.name: name}
         self.booking = Booking(

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
 from phfmu.network.scene import Event
-from phfmu.network.stepper import Stepper, Steps
+from phfmu.network.stepper import Booking, Stepper, Steps
 
 if TYPE_CHECKING:
-    from phfmu.audit import Ledger
+    from phfmu.audit import Ledger, PortKey
 
 Array = NDArray[np.float64]
 
@@ -96,11 +96,13 @@ def run(
     sink: Any = None,
     progress: Callable[[float], None] | None = None,
     keep: Callable[[Array, Array], None] | None = None,
+    project: bool = False,
 ) -> Result:
     """Run from t0 to stop; returns all rows (first row: the start).
 
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
     keep:  receives (time, values) blocks instead of collecting them
+    project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
     Errors: ValueError for a bad step or stop; InconsistentState; StepFailure (audit written so far stays readable)
     """
     from phfmu.audit import Ledger
@@ -122,10 +124,13 @@ def run(
     first = True
     for start, end, here in segments(t0, stop, events):
         for e in here:
-            stepper.set_value(e.name, e.value)
-            if not first:
-                ledger.event(e.t, "input", message=f"{e.name} = {e.value:.9g}")
+            if first:
+                stepper.set_value(e.name, e.value)
+            else:
+                book.set_value(e)
         if first:
+            if project:
+                book.project(t0)
             stepper.check_start()
             prepare = getattr(stepper, "prepare", None)
             if prepare is not None:
@@ -169,11 +174,11 @@ class _Book:
     """Books the steps of a stepper in a ledger and watches the hidden constraints."""
 
     def __init__(self, stepper: Stepper, ledger: Ledger):
-        from phfmu.audit import Layout, PortKey
+        from phfmu.audit import Layout
 
         self.stepper, self.ledger = stepper, ledger
         b = stepper.booking
-        self.layout = Layout(b.components, tuple(PortKey(c, p, i, j) for c, p, i, j in b.pairs))
+        self.layout = Layout(b.components, tuple(self._key(*pair, b) for pair in b.pairs))
         self._owners = np.array([[float(c == name) for name in b.components] for c, *_ in b.pairs])
         self._owners = self._owners.reshape(len(b.pairs), len(b.components))
         self.steps, self.iterations = 0, 0.0
@@ -181,8 +186,33 @@ class _Book:
         self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
         self._H = np.zeros(0)
 
+    @staticmethod
+    def _key(component: str, port: str, index: int | None, junction: str | None, b: Booking) -> PortKey:
+        from phfmu.audit import PortKey
+
+        quality = "estimated" if component in b.estimated else "exact"
+        return PortKey(component, port, index, junction, quality=quality)
+
     def start(self) -> None:
         self._H = self.stepper.energies()
+
+    def set_value(self, e: Event) -> None:
+        """Set an event's value and book the energy that a changed parameter makes or takes."""
+        self.stepper.set_value(e.name, e.value)
+        message, now = f"{e.name} = {e.value:.9g}", self.stepper.energies()
+        changed = [(c, float(d)) for c, d in zip(self.layout.components, now - self._H, strict=True) if d]
+        for component, jump in changed:
+            self.ledger.event(e.t, "parameter", component, jump, message)
+        if not changed:
+            self.ledger.event(e.t, "input", message=message)
+        self._H = now
+
+    def project(self, t0: float) -> None:
+        """Move the start onto its constraints; the energy change is an event."""
+        found = self.stepper.project_start(t0)
+        if found is not None and found.moved:
+            moved = ", ".join(f"{n} {a:.6g} -> {b:.6g}" for n, a, b in found.moved)
+            self.ledger.event(t0, "reprojection", None, found.energy, moved)
 
     def advance(self, t: float, h: float, n: int) -> Steps:
         try:
@@ -205,8 +235,8 @@ class _Book:
         scale = np.maximum(np.abs(before), np.abs(s.H)) + np.abs(s.pairs) @ self._owners
         newton = np.repeat(s.iterations.astype(int)[:, None], len(self.layout.components), axis=1)
         self.ledger.add_block(
-            self.layout, k, t + h * np.arange(n), h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, scale=scale,
-            newton=newton,
+            self.layout, k, t + h * np.arange(n), h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, H0=before,
+            scale=scale, newton=newton,
         )  # fmt: skip
         self.steps += n
         self.iterations += float(s.iterations.sum())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.status import StepFailure
 from phfmu.network.columns import Columns
+
+if TYPE_CHECKING:
+    from phfmu.discretise.start import Projection
 
 Array = NDArray[np.float64]
 
@@ -40,6 +43,8 @@ class Booking:
 
     components: tuple[str, ...]
     pairs: tuple[tuple[str, str, int | None, str | None], ...]
+    #: components whose ledger is a quadrature of port power (foreign FMUs): it closes by construction
+    estimated: frozenset[str] = frozenset()
 
 
 class Stepper(Protocol):
@@ -56,6 +61,7 @@ class Stepper(Protocol):
     def read(self) -> Array: ...
     def energies(self) -> Array: ...
     def check_start(self) -> None: ...
+    def project_start(self, t0: float) -> Projection | None: ...
     def advance(self, t0: float, h: float, n: int) -> Steps: ...
 
 
@@ -149,6 +155,17 @@ class Monolithic:
     def check_start(self) -> None:
         require_consistent(self.model, self.instance)
 
+    def project_start(self, t0: float) -> Projection | None:
+        """Move the state onto its hidden constraints; None if it has none."""
+        if not self.model.checks:
+            return None
+        from phfmu.discretise.start import project_start
+
+        found = project_start(self.model, self.instance.x)
+        self.instance.set_x(t0, found.x)
+        self.instance.initialise()
+        return found
+
     def advance(self, t0: float, h: float, n: int) -> Steps:
         wanted = ("signals", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
         try:
@@ -180,7 +197,6 @@ def require_consistent(model: Model, instance: Any) -> None:
     if bad:
         raise InconsistentState(
             f"{model.name}: inconsistent start: {'; '.join(bad)}. A start off the constraints would chatter for ever; "
-            "change the start values so that the constraint holds (position, velocity or sum of currents)"
+            "change the start values so that the constraint holds (position, velocity or sum of currents), or let the run "
+            "move the start onto it with --project (energy change booked)"
         )
-
-
