@@ -154,7 +154,7 @@ def test_events_land_on_the_grid_exactly(cli: Cli) -> None:
 def test_input_table_is_held(cli: Cli) -> None:
     Path("in.csv").write_text("time,flange.force,m\n0,1,1\n# the mass doubles\n\n0.25,1,2\n0.5,-2,2\n")
     code, out, _ = cli("run", "mass", "--step", "0.1", "--input", "in.csv", "-o", "p.csv")
-    assert code == 0 and "events: 2 input" in out
+    assert code == 0 and "events: 1 parameter, 1 input" in out
     time_, q, v = (column("p.csv", n) for n in ("time", "q", "v"))
     (middle,) = np.flatnonzero(time_ == 0.5)
     assert 0.25 in time_

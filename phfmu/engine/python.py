@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,37 +12,12 @@ from phfmu.discretise.model import Model
 from phfmu.discretise.quadrature import nodes
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.newton import Newton, Outcome
+from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
 
 Array = NDArray[np.float64]
 
 DEPTH = 6  # halvings of a step before it is given up
-
-
-@dataclass
-class State:
-    """Everything a step depends on and changes; a copy of it is a saved state."""
-
-    x: Array
-    carry: Array
-    w: Array
-    h_last: float
-    a: Array
-    u: Array
-    p: Array
-    t: float
-    theta: float
-    x_old: Array
-    u_old: Array
-    solved: int
-    y_step: Array
-    energy: Array
-    stored: Array
-    dissipated: Array
-    supplied: Array
-    last: dict[str, Array] = field(default_factory=dict)
-    end: dict[str, Array] | None = None
-    counts: dict[str, int] = field(default_factory=dict)
 
 
 class PythonInstance:
@@ -63,13 +37,7 @@ class PythonInstance:
 
     def reset(self) -> None:
         """Back to the start values; the algebraic variables are solved for the start."""
-        m, plan = self.model, self.model.step
-        self._s = State(
-            np.append(m.x0, m.t0), np.zeros(plan.nx), np.zeros(plan.nw), 0.0, m.a0.copy(), np.tile(m.u0, plan.k),
-            m.p0.copy(), m.t0, 0.0, np.append(m.x0, m.t0), np.tile(m.u0, plan.k), 0, np.zeros(plan.nq), np.zeros(plan.nq), np.zeros(plan.ncomp), np.zeros(plan.ncomp),
-            np.zeros(plan.ncomp),
-        )  # fmt: skip
-        self._s.counts = dict.fromkeys(("steps", "iterations", "restarts", "line_searches", "substeps"), 0)
+        self._s = State.at_start(self.model)
         self.initialise()
 
     def initialise(self) -> None:

@@ -1,0 +1,71 @@
+"""The state of a Python instance: everything a step depends on and changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.discretise.model import Model
+
+Array = NDArray[np.float64]
+
+COUNTERS = ("steps", "iterations", "restarts", "line_searches", "substeps")
+
+
+@dataclass
+class State:
+    """A copy of it is a saved state.
+
+    x [states | t], carry (owed by compensated summation), w and h_last (last solve), a (algebraic means), u (k x nu
+    inputs), p, t;  theta: where in its step a node input is read for end values;  x_old, u_old, solved: state and
+    inputs at the start of the last step and how many solves it took;  y_step, energy: pair outputs and energies;
+    stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values.
+    """
+
+    x: Array
+    carry: Array
+    w: Array
+    h_last: float
+    a: Array
+    u: Array
+    p: Array
+    t: float
+    theta: float
+    x_old: Array
+    u_old: Array
+    solved: int
+    y_step: Array
+    energy: Array
+    stored: Array
+    dissipated: Array
+    supplied: Array
+    last: dict[str, Array] = field(default_factory=dict)
+    end: dict[str, Array] | None = None
+    counts: dict[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def at_start(cls, m: Model) -> State:
+        """The start values of a model, nothing solved yet."""
+        plan, x, u = m.step, np.append(m.x0, m.t0), np.tile(m.u0, m.step.k)
+        return cls(
+            x=x,
+            carry=np.zeros(plan.nx),
+            w=np.zeros(plan.nw),
+            h_last=0.0,
+            a=m.a0.copy(),
+            u=u,
+            p=m.p0.copy(),
+            t=m.t0,
+            theta=0.0,
+            x_old=x.copy(),
+            u_old=u.copy(),
+            solved=0,
+            y_step=np.zeros(plan.nq),
+            energy=np.zeros(plan.nq),
+            stored=np.zeros(plan.ncomp),
+            dissipated=np.zeros(plan.ncomp),
+            supplied=np.zeros(plan.ncomp),
+            counts=dict.fromkeys(COUNTERS, 0),
+        )
