@@ -38,55 +38,99 @@ _WHERE = {
 _OWNER = {name: module for module, names in _WHERE.items() for name in names}
 
 if TYPE_CHECKING:
-    from phfmu.declare.check import Problem as Problem, check as check
+    from phfmu.declare.check import Problem as Problem
+    from phfmu.declare.check import check as check
     from phfmu.declare.energy import (
         ClosedPair as ClosedPair,
+    )
+    from phfmu.declare.energy import (
         Energy as Energy,
+    )
+    from phfmu.declare.energy import (
         energy as energy,
+    )
+    from phfmu.declare.energy import (
         strain_energy as strain_energy,
     )
     from phfmu.declare.phdae import (
         PHDAE as PHDAE,
+    )
+    from phfmu.declare.phdae import (
         Block as Block,
+    )
+    from phfmu.declare.phdae import (
         Holonomic as Holonomic,
+    )
+    from phfmu.declare.phdae import (
         Observable as Observable,
+    )
+    from phfmu.declare.phdae import (
         block as block,
+    )
+    from phfmu.declare.phdae import (
         damping as damping,
+    )
+    from phfmu.declare.phdae import (
         observable as observable,
+    )
+    from phfmu.declare.phdae import (
         skew as skew,
     )
     from phfmu.declare.port import (
         ELECTRICAL as ELECTRICAL,
+    )
+    from phfmu.declare.port import (
         HYDRAULIC as HYDRAULIC,
+    )
+    from phfmu.declare.port import (
         ROTATIONAL as ROTATIONAL,
+    )
+    from phfmu.declare.port import (
         TRANSLATIONAL as TRANSLATIONAL,
+    )
+    from phfmu.declare.port import (
         Domain as Domain,
+    )
+    from phfmu.declare.port import (
         Port as Port,
     )
     from phfmu.declare.variable import (
         Variable as Variable,
+    )
+    from phfmu.declare.variable import (
         algebraic as algebraic,
+    )
+    from phfmu.declare.variable import (
         parameter as parameter,
+    )
+    from phfmu.declare.variable import (
         state as state,
+    )
+    from phfmu.declare.variable import (
         time as time,
     )
     from phfmu.discretise.collocated import Collocated as Collocated
-    from phfmu.discretise.model import Model as Model, build_model as build_model, default_scheme as default_scheme
-    from phfmu.discretise.terms import DeclarationError as DeclarationError
+    from phfmu.discretise.model import Model as Model
+    from phfmu.discretise.model import build_model as build_model
+    from phfmu.discretise.model import default_scheme as default_scheme
     from phfmu.discretise.start import project_start as project_start
+    from phfmu.discretise.terms import DeclarationError as DeclarationError
     from phfmu.engine.native import NativeInstance as NativeInstance
     from phfmu.engine.python import PythonInstance as PythonInstance
-    from phfmu.engine.status import Status as Status, StepFailure as StepFailure
+    from phfmu.engine.status import Status as Status
+    from phfmu.engine.status import StepFailure as StepFailure
     from phfmu.fmu.export import export as export
-    from phfmu.fmu.reader import FMUInstance as FMUInstance
     from phfmu.fmu.manifest import PortMap as PortMap
+    from phfmu.fmu.reader import FMUInstance as FMUInstance
     from phfmu.network.coupled import Coupled as Coupled
     from phfmu.network.fmu_member import FMUMember as FMUMember
     from phfmu.network.members import EngineMember as EngineMember
     from phfmu.network.network import Network as Network
     from phfmu.network.run import run as run
-    from phfmu.network.scene import Event as Event, Scene as Scene
-    from phfmu.network.stepper import InconsistentState as InconsistentState, Monolithic as Monolithic
+    from phfmu.network.scene import Event as Event
+    from phfmu.network.scene import Scene as Scene
+    from phfmu.network.stepper import InconsistentState as InconsistentState
+    from phfmu.network.stepper import Monolithic as Monolithic
 
 
 def __getattr__(name: str) -> Any:

@@ -59,9 +59,7 @@ def products(entries: dict[tuple[int, int], list[tuple[int, int, float, int]]]) 
     )
 
 
-def jacobian(
-    plan: dict[str, Any], groups: Sequence[Group], const: Sequence[Triplet]
-) -> tuple[Products, Products]:
+def jacobian(plan: dict[str, Any], groups: Sequence[Group], const: Sequence[Triplet]) -> tuple[Products, Products]:
     """Newton matrix and the other derivative blocks, by brute force over all Jacobian entries."""
     nw, nu, k, nq, weights = (plan[n] for n in ("nw", "nu", "k", "nq", "weights"))
     nv = nw + nu * k + 1
@@ -106,9 +104,7 @@ def make_plan(**given: Any) -> Plan:
     for kern, stage, *tables, power in plan["groups"]:
         n = len(tables[3])
         xi, yi, pi, oi = (np.array(t, np.int32).reshape(n, -1) for t in tables)
-        groups.append(
-            Group(kern, stage, slot, xi, yi, pi, oi, np.array(power, np.int8), np.zeros(n, np.int32))
-        )
+        groups.append(Group(kern, stage, slot, xi, yi, pi, oi, np.array(power, np.int8), np.zeros(n, np.int32)))
         slot += n * kern.nj
     matrix, derivative = jacobian(plan, groups, plan["const"])
     nw = plan["nw"]
@@ -150,9 +146,7 @@ def make_plan(**given: Any) -> Plan:
     )
 
 
-MIDPOINT = kernel(
-    "midpoint", (1, 1, 1), lambda x, y, p: [p * (x + y / 2)], lambda x, y, p: (p * (x + y / 2) * y, 0)
-)
+MIDPOINT = kernel("midpoint", (1, 1, 1), lambda x, y, p: [p * (x + y / 2)], lambda x, y, p: (p * (x + y / 2) * y, 0))
 DAMPER = kernel("damper", (0, 1, 1), lambda x, y, p: [p * y], lambda x, y, p: (0, p * y * y))
 NOTHING = [[]]
 
@@ -175,9 +169,7 @@ def oscillator(scale: float = 1.0) -> HandMade:
         groups=[(energy, 0, [[0], [1]], [[], []], [[0], [1]], [[0], [1]], [0])],
         const=[(0, 3, 1.0, 0), (1, 2, 1.0, 0)],
     )  # fmt: skip
-    return HandMade(
-        "oscillator", step, instant, np.array([1.0, 0.2]), np.zeros(1), np.array([stiff, mobile, 0.3])
-    )
+    return HandMade("oscillator", step, instant, np.array([1.0, 0.2]), np.zeros(1), np.array([stiff, mobile, 0.3]))
 
 
 def oscillator_step(x: np.ndarray, u: float, h: float, p: np.ndarray) -> tuple[np.ndarray, float]:
@@ -192,9 +184,7 @@ def pendulum() -> HandMade:
 
     def gradient(x: Any, y: Any, p: Any) -> list[Any]:
         half = y / 2
-        ratio = ca.if_else(
-            ca.fabs(half) > 1e-4, ca.sin(half) / ca.if_else(half == 0, 1, half), 1 - half**2 / 6
-        )
+        ratio = ca.if_else(ca.fabs(half) > 1e-4, ca.sin(half) / ca.if_else(half == 0, 1, half), 1 - half**2 / 6)
         return [ca.sin(x + half) * ratio]
 
     potential = kernel("cos", (1, 1, 0), gradient, lambda x, y, p: (ca.cos(x) - ca.cos(x + y), 0))
@@ -205,9 +195,7 @@ def pendulum() -> HandMade:
         groups=[(potential, 0, [[0]], [[0]], none, [[0]], [0]), (kinetic, 0, [[1]], [[1]], none, [[1]], [0])],
         const=[(0, 0, 1.0, 0), (0, 4, -1.0, 1), (1, 1, 1.0, 0), (1, 3, 1.0, 1)],
     )  # fmt: skip
-    energy = kernel(
-        "E", (2, 0, 0), lambda x, y, p: [0 * x[0]], lambda x, y, p: (x[1] ** 2 / 2 - ca.cos(x[0]), 0)
-    )
+    energy = kernel("E", (2, 0, 0), lambda x, y, p: [0 * x[0]], lambda x, y, p: (x[1] ** 2 / 2 - ca.cos(x[0]), 0))
     instant = make_plan(nx=2, nw=0, nz=1, groups=[(energy, 0, [[0, 1]], none, none, [[0]], [0])])
     return HandMade("pendulum", step, instant, np.array([2.0, 0.1]))
 

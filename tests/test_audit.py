@@ -185,9 +185,7 @@ def test_junction_facts_given_by_the_solver_are_kept():
 def test_sums_are_compensated_and_do_not_depend_on_the_cut(values: list[float], size: int):
     one, many = CompensatedSum(), CompensatedSum()
     last = [one.add(x) for x in values][-1]
-    running = np.concatenate(
-        [many.extend(np.array(values[k : k + size])) for k in range(0, len(values), size)]
-    )
+    running = np.concatenate([many.extend(np.array(values[k : k + size])) for k in range(0, len(values), size)])
     assert (many.high, many.low) == (one.high, one.low)
     assert running[-1] == last
     exact = float(sum(map(Fraction, values)))

@@ -391,9 +391,7 @@ BAD = {
     ),
     "closed: ebar": (
         "closed-pair",
-        lambda: machine(
-            ebar=lambda p: lambda x, d: 2 * p.ebar(x, d), zbar=lambda p: lambda x, d: p.zbar(x, d) / 2
-        ),
+        lambda: machine(ebar=lambda p: lambda x, d: 2 * p.ebar(x, d), zbar=lambda p: lambda x, d: p.zbar(x, d) / 2),
         "E d",
     ),
     "closed: z": ("closed-pair", lambda: machine(z=lambda p: -p.z), "grad H"),
@@ -502,9 +500,7 @@ def test_a_closed_pair_of_one_state():
     )
     model = PHDAE("closed", states=(x,), closed=(pair,), dissipation=(damping(x, 1.0),))
     assert check(model) == []
-    assert rules(replace(model, closed=(replace(pair, zbar=lambda a, d: (a + d / 2) ** 2),))) == [
-        "closed-pair"
-    ]
+    assert rules(replace(model, closed=(replace(pair, zbar=lambda a, d: (a + d / 2) ** 2),))) == ["closed-pair"]
     assert rules(replace(model, closed=(replace(pair, E=ca.SX(0), z=ca.SX(1)),)))[0] == "mass"
 
 
@@ -540,9 +536,7 @@ def library() -> list[tuple[str, Any]]:
             own = function.__module__ == info.name and not name.startswith("_")
             if not own or signature.return_annotation not in ("PHDAE", "Scene"):
                 continue
-            needed = [
-                p for p in signature.parameters.values() if p.default is p.empty and p.kind < p.VAR_POSITIONAL
-            ]
+            needed = [p for p in signature.parameters.values() if p.default is p.empty and p.kind < p.VAR_POSITIONAL]
             for kwargs in ARGUMENTS.get(name, ({},)):
                 given = {p.name: 1.0 for p in needed if p.name not in kwargs} | kwargs
                 label = ", ".join(f"{k}={v}" for k, v in given.items())

@@ -112,17 +112,13 @@ def test_steady_state_has_no_rates(name, coordinates):
     assert p == pytest.approx(point.p, rel=1e-8)
     assert theta - point.theta == pytest.approx(1e-3 * data.omega, rel=1e-7)
     instance.reset()
-    assert instance.signals()["y_end"] == pytest.approx(
-        [*point.I[:4], data.omega / data.pole_pairs], rel=1e-12
-    )
+    assert instance.signals()["y_end"] == pytest.approx([*point.I[:4], data.omega / data.pole_pairs], rel=1e-12)
     assert model.port("shaft").start == point.tau and model.port("field").start == point.Vf
 
 
 def test_built_in_names_and_the_two_ways_to_give_stator_inductances():
     assert machine_names() == ["krause_hydro325", "kundur555_1q"]
-    raw = {
-        k: v for k, v in SCENES["two_machine"]["machine2"].items() if k not in ("Ld", "Lq", "L0", "pu", "H")
-    }
+    raw = {k: v for k, v in SCENES["two_machine"]["machine2"].items() if k not in ("Ld", "Lq", "L0", "pu", "H")}
     a, b = machine_set(raw), machine_set(SCENES["two_machine"]["machine2"])
     assert (a.Ld, a.Lq, a.L0) == pytest.approx((b.Ld, b.Lq, b.L0), rel=1e-12)
     assert machine_set(a) == a and machine_set(a, J=1.0).J == 1.0
@@ -420,9 +416,7 @@ def test_fault_resistor(G):
     assert worst < 1e-13
     assert instance.signals()["y_end"] == pytest.approx(values * u(h * n), rel=1e-12, abs=1e-12)
     t, w = np.polynomial.legendre.leggauss(40)
-    heat = sum(
-        wi * h * n / 2 * float(values @ u(h * n * (ti + 1) / 2) ** 2) for ti, wi in zip(t, w, strict=True)
-    )
+    heat = sum(wi * h * n / 2 * float(values @ u(h * n * (ti + 1) / 2) ** 2) for ti, wi in zip(t, w, strict=True))
     assert float(instance.signals()["dissipated"][0]) == pytest.approx(heat, rel=1e-6, abs=1e-12)
 
 
@@ -440,9 +434,7 @@ def test_infinite_bus_holds_its_voltage_and_passes_the_power_to_its_source():
     assert signals["y_end"][:3] == pytest.approx(voltage(end), rel=1e-12)
     t, w = np.polynomial.legendre.leggauss(40)
     at = end * (t + 1) / 2
-    work = np.array(
-        [sum(w[j] * end / 2 * voltage(at[j])[x] * u(at[j])[x] for j in range(40)) for x in range(3)]
-    )
+    work = np.array([sum(w[j] * end / 2 * voltage(at[j])[x] * u(at[j])[x] for j in range(40)) for x in range(3)])
     assert signals["energy"][:3] == pytest.approx(work, rel=1e-6)
     assert signals["energy"][:3] == pytest.approx(-signals["energy"][3:], rel=1e-12)
     assert model.port("source").external is False and model.port("terminal").given == "flow"

@@ -237,9 +237,7 @@ def test_names_are_those_of_the_contract(exported) -> None:
 
 def test_illegal_and_repeated_names_are_refused_together(tmp_path: Path) -> None:
     q = state("q 1", unit="m", start=1.0)
-    declaration = PHDAE(
-        "bad", states=(q,), energies=(energy(0.5 * q.sx**2),), parameters=(parameter("time", 1.0),)
-    )
+    declaration = PHDAE("bad", states=(q,), energies=(energy(0.5 * q.sx**2),), parameters=(parameter("time", 1.0),))
     with pytest.raises(FMUError, match="'q 1' is no structured name.*two variables are called 'time'"):
         export(declaration, build_model(declaration), tmp_path, step=0.1)
     declaration, model, _ = build("mass")
@@ -252,9 +250,7 @@ def test_illegal_and_repeated_names_are_refused_together(tmp_path: Path) -> None
     assert not list(tmp_path.iterdir())
 
 
-def test_without_a_step_time_terminals_or_members_nothing_is_written_about_them(
-    exported, tmp_path: Path
-) -> None:
+def test_without_a_step_time_terminals_or_members_nothing_is_written_about_them(exported, tmp_path: Path) -> None:
     declaration, model, _, paths = exported("four_particle")
     (path,) = export(declaration, model, tmp_path, ("3.0",), step=0.01)
     text = zipfile.ZipFile(path).read("modelDescription.xml")
@@ -299,23 +295,17 @@ def test_no_warnings_no_writable_data_and_only_the_standard_is_exported(tmp_path
     headers.mkdir()
     for name in sources.headers():
         (tmp_path / name).rename(headers / name)
-    options = (
-        "-std=c11 -Wall -Wextra -Werror -O1 -fvisibility=hidden -DPH_API= -shared -fPIC -I. -isystem standard"
-    )
+    options = "-std=c11 -Wall -Wextra -Werror -O1 -fvisibility=hidden -DPH_API= -shared -fPIC -I. -isystem standard"
     command = ["cc", *options.split(), *files, "-o", str(library), "-lm"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     if not shutil.which("nm"):
         pytest.skip("needs nm")
-    table = subprocess.run(
-        ["nm", "-f", "sysv", str(library)], capture_output=True, text=True, check=True
-    ).stdout
+    table = subprocess.run(["nm", "-f", "sysv", str(library)], capture_output=True, text=True, check=True).stdout
     rows = [[cell.strip() for cell in line.split("|")] for line in table.splitlines() if line.count("|") == 6]
     writable = {r[0] for r in rows if r[6] in (".data", ".bss") and r[3] == "OBJECT"}
     assert writable <= {"__dso_handle", "completed.0", "__TMC_END__"}
-    table = subprocess.run(
-        ["nm", "-D", "--defined-only", str(library)], capture_output=True, text=True, check=True
-    )
+    table = subprocess.run(["nm", "-D", "--defined-only", str(library)], capture_output=True, text=True, check=True)
     exported = {line.split()[2] for line in table.stdout.splitlines()}
     declared: set[str] = set()
     for header in ("fmi2Functions.h", "fmi3Functions.h"):

@@ -179,9 +179,7 @@ def test_directional_derivatives_of_other_pairs_are_refused(circuits, version: s
         adjoint = getattr(unit._slave.fmu, "getAdjointDerivative", None)
         if adjoint:
             rows, columns = [ref["line.i_step"], ref["load.v_step"]], [ref["line.v"], ref["load.i"]]
-            assert adjoint(rows, columns, [0.0, 1.0]) == pytest.approx(
-                unit.sensitivity()[1].tolist(), rel=1e-15
-            )
+            assert adjoint(rows, columns, [0.0, 1.0]) == pytest.approx(unit.sensitivity()[1].tolist(), rel=1e-15)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -329,11 +327,7 @@ def in_description(change: Callable[[bytes], bytes]) -> Callable[[str, bytes], b
 
 def entity(data: bytes) -> bytes:
     head, body = data.split(b"\n", 1)
-    return (
-        head
-        + b'\n<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>\n'
-        + body.replace(b"circuit", b"&e;", 1)
-    )
+    return head + b'\n<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>\n' + body.replace(b"circuit", b"&e;", 1)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -385,9 +379,7 @@ def test_a_link_in_the_archive_is_refused(circuits, tmp_path: Path) -> None:
 def test_a_foreign_unit_is_stepped_with_a_port_map_and_its_ledger_is_an_estimate(
     circuits, tmp_path: Path, version: str
 ) -> None:
-    path = rewritten(
-        circuits[1][version], tmp_path / "foreign.fmu", lambda n, d: None if n == PATH else d, {}
-    )
+    path = rewritten(circuits[1][version], tmp_path / "foreign.fmu", lambda n, d: None if n == PATH else d, {})
     ports = [
         PortMap("line", ELECTRICAL, "effort", ("line.v",), ("line.i",)),
         PortMap("load", ELECTRICAL, "flow", ("load.i",), ("load.v",), sign=-1.0),
@@ -422,18 +414,14 @@ def test_a_foreign_unit_is_stepped_with_a_port_map_and_its_ledger_is_an_estimate
 
 
 def test_a_unit_that_cannot_save_says_so(circuits, tmp_path: Path) -> None:
-    change = in_description(
-        lambda d: d.replace(b'canGetAndSetFMUState="true"', b'canGetAndSetFMUState="false"')
-    )
+    change = in_description(lambda d: d.replace(b'canGetAndSetFMUState="true"', b'canGetAndSetFMUState="false"'))
     path = rewritten(circuits[1]["3.0"], tmp_path / "forgetful.fmu", change, {})
     with FMUInstance(path) as unit, pytest.raises(FMUError, match="cannot save its state; choose a coupling"):
         unit.get_state()
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_saved_states_and_instances_are_freed(
-    circuits, version: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_saved_states_and_instances_are_freed(circuits, version: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from phfmu.fmu.slave import Slave
 
     freed: list[str] = []

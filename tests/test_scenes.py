@@ -90,7 +90,9 @@ def test_drive_against_matrix_exponential(k: int, order: int) -> None:
     errors = []
     for h in (1e-4, 5e-5):
         r = monolithic(drive(), h, 0.1, k)
-        errors.append(max(np.max(np.abs(at(r, ref["time"], n) - ref[c])) / np.max(np.abs(ref[c])) for c, n in names.items()))
+        errors.append(
+            max(np.max(np.abs(at(r, ref["time"], n) - ref[c])) / np.max(np.abs(ref[c])) for c, n in names.items())
+        )
         assert closed(r, 1e-12)
     assert slope(errors)[0] == pytest.approx(order, abs=0.15)
 
@@ -144,7 +146,9 @@ def test_two_machine_through_fault_and_clearing(how) -> None:
     for h in steps:
         scene = two_machine(t_fault=0.02, t_clear=0.06, stop=0.1)
         r = how(scene, h, 0.1)
-        errors.append(max(stator_error(r, ref, f"m{m}", f"I{m}", 0.1) / np.max(np.abs(ref[f"I{m}[1]"])) for m in (1, 2)))
+        errors.append(
+            max(stator_error(r, ref, f"m{m}", f"I{m}", 0.1) / np.max(np.abs(ref[f"I{m}[1]"])) for m in (1, 2))
+        )
         angles.append(np.max(np.abs(at(r, ref["time"], "m1.theta") - ref["theta1"])))
         assert closed(r, 1e-11)
     assert errors[0] <= 3e-4 and angles[0] <= 1e-5

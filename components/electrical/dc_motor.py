@@ -6,7 +6,14 @@ from phfmu import ELECTRICAL, PHDAE, ROTATIONAL, Port, damping, energy, observab
 
 
 def dc_motor(
-    *, L: float = 2e-3, R: float = 0.4, J: float = 1e-4, k: float = 0.05, d: float = 1e-5, flux: float = 0.0, w: float = 0.0
+    *,
+    L: float = 2e-3,
+    R: float = 0.4,
+    J: float = 1e-4,
+    k: float = 0.05,
+    d: float = 1e-5,
+    flux: float = 0.0,
+    w: float = 0.0,
 ) -> PHDAE:
     """One winding, one rotor, coupled by the torque constant.
 

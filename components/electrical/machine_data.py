@@ -118,9 +118,7 @@ def machine_set(machine: str | Mapping[str, Any] | MachineData, **changes: Any) 
     if isinstance(machine, str):
         if machine not in _file():
             names = ", ".join(machine_names())
-            raise MachineDataError(
-                f"no machine set '{machine}'; there are: {names}; or give a mapping of its entries"
-            )
+            raise MachineDataError(f"no machine set '{machine}'; there are: {names}; or give a mapping of its entries")
         machine = _file()[machine]
     base = asdict(machine) if isinstance(machine, MachineData) else dict(machine)
     entries = {**_stator(base), **_stator(changes)}
@@ -173,9 +171,7 @@ def _sizes(data: MachineData) -> list[str]:
         if found != m:
             out.append(f"{name} has {found} entries for {m} rotor windings (axis)")
     if len(data.L_rotor) != m or any(np.size(row) != m for row in data.L_rotor):
-        out.append(
-            f"L_rotor has rows of {[np.size(row) for row in data.L_rotor]} entries; expected {m} x {m}"
-        )
+        out.append(f"L_rotor has rows of {[np.size(row) for row in data.L_rotor]} entries; expected {m} x {m}")
     if not isinstance(data.pole_pairs, int) or data.pole_pairs < 1:
         out.append(f"pole_pairs = {data.pole_pairs}; it is a positive integer")
     return out
@@ -207,8 +203,7 @@ def _definite(data: MachineData) -> list[str]:
         out.append("L_rotor is not symmetric")
     across = [(i, j) for i in data.on_axis("d") for j in data.on_axis("q") if rotor[i, j] or rotor[j, i]]
     out += [
-        f"L_rotor[{i + 1},{j + 1}] couples a d with a q winding; the axes are orthogonal, so it is 0"
-        for i, j in across
+        f"L_rotor[{i + 1},{j + 1}] couples a d with a q winding; the axes are orthogonal, so it is 0" for i, j in across
     ]
     if not data.L0 > SINGULAR * max(abs(data.Ld), abs(data.Lq)):
         out.append(

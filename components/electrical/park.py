@@ -64,15 +64,11 @@ def inductances(data: MachineData) -> Inductances:
         parameter("Lq", data.Lq, unit="H", description="synchronous inductance, q axis"),
         parameter("L0", data.L0, unit="H", description="zero-sequence inductance"),
         tuple(
-            parameter(
-                f"M_{n}", m, unit="H", description=f"peak mutual inductance of a phase with winding {n}"
-            )
+            parameter(f"M_{n}", m, unit="H", description=f"peak mutual inductance of a phase with winding {n}")
             for n, m in zip(names, data.M_stator_rotor, strict=True)
         ),
         {
-            (i, j): parameter(
-                f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", description="rotor inductance"
-            )
+            (i, j): parameter(f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", description="rotor inductance")
             for i, j in same
         },
         data.axis,

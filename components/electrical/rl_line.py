@@ -22,9 +22,7 @@ def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: floa
     inductance = parameter("L", L, unit="H", description="inductance per phase")
     resistance = parameter("R", R, unit="ohm", description="resistance per phase")
     size = max([abs(L * k) for k in i] + [L])
-    flux = state(
-        "flux", 3, unit="Wb", start=[L * k for k in i], nominal=size, description="flux per phase, a to b"
-    )
+    flux = state("flux", 3, unit="Wb", start=[L * k for k in i], nominal=size, description="flux per phase, a to b")
     return PHDAE(
         "rl_line",
         states=(flux,),

@@ -50,9 +50,7 @@ def rlc_load(
         raise ValueError("rlc_load: give at least one of R, L, C")
     for name, value in (("R", R), ("L", L), ("C", C)):
         if value is not None and not value > 0:
-            raise ValueError(
-                f"rlc_load: {name} = {value} must be positive; leave it out (None) for an open branch"
-            )
+            raise ValueError(f"rlc_load: {name} = {value} must be positive; leave it out (None) for an open branch")
     resistance = None if R is None else parameter("R", R, unit="ohm", description="resistance per phase")
     inductance = None if L is None else parameter("L", L, unit="H", description="inductance per phase")
     capacitance = None if C is None else parameter("C", C, unit="F", description="capacitance per phase")

@@ -88,9 +88,7 @@ class _Common:
         self.p = state(
             "p", unit="kg.m2/s", start=start.p, nominal=momentum, description="momentum J omega (electrical)"
         )
-        self.theta = state(
-            "theta", unit="rad", start=start.theta, description="electrical angle of the d axis"
-        )
+        self.theta = state("theta", unit="rad", start=start.theta, description="electrical angle of the d axis")
         self.kinetic: ca.SX = self.p**2 / (2 * self.J_el)
 
     @property
@@ -108,14 +106,10 @@ class _Common:
         rotor = [data.L_rotor[j][j] * i for j, i in enumerate(self.base_current[3:])]
         return [data.Vn_rms_ll / data.omega] * 3 + rotor
 
-    def windings(
-        self, name: str, unit: str, values: tuple[float, ...], nominal: list[float], text: str
-    ) -> Variable:
+    def windings(self, name: str, unit: str, values: tuple[float, ...], nominal: list[float], text: str) -> Variable:
         return state(name, self.data.n, unit=unit, start=values, nominal=nominal, description=text)
 
-    def model(
-        self, windings: Variable, stator: ca.SX, extra: dict[str, Any], observables: dict[str, ca.SX]
-    ) -> PHDAE:
+    def model(self, windings: Variable, stator: ca.SX, extra: dict[str, Any], observables: dict[str, ca.SX]) -> PHDAE:
         """The declaration; `stator` (3 x 3): terminal voltage -> rows of the first three windings."""
         data, start, n = self.data, self.start, self.data.n
         units = {

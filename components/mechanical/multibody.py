@@ -1,6 +1,6 @@
 """A builder for particle systems with springs, dampers, bars, gravity, supports, constraints and ports.
 
-    q' = v,   M v' = -DV(q) - R(q) v - Dg(q)^T lambda + B u,   0 = Dg(q) v,   H = 1/2 v^T M v + V(q)
+q' = v,   M v' = -DV(q) - R(q) v - Dg(q)^T lambda + B u,   0 = Dg(q) v,   H = 1/2 v^T M v + V(q)
 """
 
 from __future__ import annotations

@@ -204,9 +204,7 @@ def _ports(rows: _Rows) -> list[PortSummary]:
 def _junctions(rows: _Rows) -> list[JunctionSummary]:
     residual, exchanged = rows.numbers("residual", math.nan), rows.numbers("exchanged", math.nan)
     return [
-        JunctionSummary(
-            name, _sum(residual[members]), _present(exchanged[members]), largest(residual[members])
-        )
+        JunctionSummary(name, _sum(residual[members]), _present(exchanged[members]), largest(residual[members]))
         for name, members in _groups(rows.names("junction"))
     ]
 

@@ -78,9 +78,7 @@ def compact(stream: Path, target: Path) -> tuple[int, bool]:
     rows = 0
     for batch in first:
         rows += batch.num_rows
-        columns |= {
-            name for name, c in zip(batch.schema.names, batch.columns, strict=True) if c.null_count < len(c)
-        }
+        columns |= {name for name, c in zip(batch.schema.names, batch.columns, strict=True) if c.null_count < len(c)}
     keep = _used(columns)
     schema = pa.schema([first.schema.field(name) for name in keep], metadata=first.schema.metadata)
     partial = target.with_name(target.name + ".partial")
@@ -122,9 +120,7 @@ def recover(path: str | os.PathLike[str]) -> Recovered:
     """
     stream = stream_path(path)
     if not stream.exists():
-        raise FileNotFoundError(
-            f"no stream {stream} to recover; a run that ended well leaves only its Parquet file"
-        )
+        raise FileNotFoundError(f"no stream {stream} to recover; a run that ended well leaves only its Parquet file")
     target = stream.with_suffix(".parquet")
     rows, torn = compact(stream, target)
     stream.unlink()
@@ -162,9 +158,7 @@ def _check_schema(metadata: Mapping[bytes, bytes] | None, path: Path) -> None:
     if found is None:
         raise ValueError(f"{path} is not an audit log: it lacks the key {SCHEMA_KEY.decode()!r}")
     if int(found) > SCHEMA_VERSION:
-        raise ValueError(
-            f"{path} has audit schema {int(found)}, this phfmu reads up to {SCHEMA_VERSION}; update phfmu"
-        )
+        raise ValueError(f"{path} has audit schema {int(found)}, this phfmu reads up to {SCHEMA_VERSION}; update phfmu")
 
 
 def metadata(table: "pa.Table") -> dict[str, Any]:

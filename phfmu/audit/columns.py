@@ -106,9 +106,7 @@ def _filled(column: str, values: Sequence[Any], encode: Encode) -> tuple[NDArray
     return np.array([0 if value is None else value for value in values], DTYPES[kind]), valid
 
 
-def rows_section(
-    kind: str, rows: Sequence[tuple[int | None, float, float | None, Row]], encode: Encode
-) -> Section:
+def rows_section(kind: str, rows: Sequence[tuple[int | None, float, float | None, Row]], encode: Encode) -> Section:
     """Rows of one kind, each with its step, t0 and h."""
     columns = {
         "row": _filled("row", [kind] * len(rows), encode),

@@ -109,9 +109,7 @@ class Ledger:
         booked = _complete(junctions, ports)
         estimated = {row.component for row in ports if row.quality == ESTIMATED}
         if estimated:
-            components = [
-                replace(r, quality=ESTIMATED) if r.component in estimated else r for r in components
-            ]
+            components = [replace(r, quality=ESTIMATED) if r.component in estimated else r for r in components]
         for row in components:
             self._add_component_row(step, t0, row)
         for row in ports:
@@ -121,9 +119,7 @@ class Ledger:
             self._sums["junction", row.junction].add(row.residual or 0.0)
             if row.exchanged is not None:
                 self._sums["exchanged", row.junction].add(row.exchanged)
-            self._junctions[row.junction] = larger(
-                self._junctions.get(row.junction, 0.0), row.residual or 0.0
-            )
+            self._junctions[row.junction] = larger(self._junctions.get(row.junction, 0.0), row.residual or 0.0)
         network = self._network_row(components, ports, booked, status)
         self._count(1, t0, t0 + h)
         if self._sink is not None:
@@ -174,9 +170,7 @@ class Ledger:
             unexplained=unexplained,
             cum_dissipated=None if dissipated is None else self._sums["dissipated",].add(dissipated),
             cum_external=None if external is None else self._sums["external",].add(external),
-            cum_junction_residual=None
-            if residual is None
-            else self._sums["junction_residual",].add(residual),
+            cum_junction_residual=None if residual is None else self._sums["junction_residual",].add(residual),
             cum_unexplained=self._sums["unexplained",].add(unexplained),
             status=status,
         )
@@ -352,9 +346,7 @@ def _complete(junctions: Iterable[JunctionRow], ports: Sequence[PortRow]) -> lis
         members = energies.get(name)
         if row.residual is None:
             if members is None:
-                raise ValueError(
-                    f"junction {name!r} has neither a residual nor a port in this step; give one"
-                )
+                raise ValueError(f"junction {name!r} has neither a residual nor a port in this step; give one")
             row = replace(row, residual=total(members))
         if row.exchanged is None and members is not None:
             row = replace(row, exchanged=0.5 * (total(abs(e) for e in members) or 0.0))

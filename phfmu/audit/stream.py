@@ -46,9 +46,7 @@ class AuditWriter:
                 f"{self.stream} is left from a run that did not end; "
                 f"keep its rows with `phfmu audit recover {self.stream}` or delete it"
             )
-        self._codes: dict[str, dict[str, int]] = {
-            name: {} for name, kind in COLUMNS.items() if kind == "name"
-        }
+        self._codes: dict[str, dict[str, int]] = {name: {} for name, kind in COLUMNS.items() if kind == "name"}
         self._names: dict[str, pa.Array] = {}
         self._rows: dict[str, list[tuple[int | None, float, float | None, Row]]] = {}
         self._sections: list[Section] = []
@@ -133,9 +131,7 @@ class AuditWriter:
 
     def _encode(self, column: str, names: Sequence[str | None]) -> np.ndarray[Any, np.dtype[np.int32]]:
         codes = self._codes[column]
-        return np.array(
-            [-1 if name is None else codes.setdefault(name, len(codes)) for name in names], np.int32
-        )
+        return np.array([-1 if name is None else codes.setdefault(name, len(codes)) for name in names], np.int32)
 
     def _dictionary(self, column: str) -> "pa.Array":
         import pyarrow as pa

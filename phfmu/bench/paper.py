@@ -89,7 +89,9 @@ def convergence(models: dict[str, Model], reference: float = 1e-4, stop: float =
     return rows
 
 
-def large_steps(models: dict[str, Model], steps: tuple[float, ...] = (0.1, 0.2, 0.25, 0.4)) -> dict[tuple[str, float], Run | None]:
+def large_steps(
+    models: dict[str, Model], steps: tuple[float, ...] = (0.1, 0.2, 0.25, 0.4)
+) -> dict[tuple[str, float], Run | None]:
     """Runs to 10 s at large steps; None where a step has no solution that Newton's attempts find."""
     out: dict[tuple[str, float], Run | None] = {}
     for scheme in ("DG", "MP"):
@@ -167,5 +169,3 @@ def write(declaration: Any, folder: str | Path) -> list[Statement]:
     lines += [f'{"yes" if s.holds else "no"},{s.number:.6g},"{s.text}","{s.remark}"' for s in found]
     (folder / "statements.csv").write_text("\n".join(lines) + "\n")
     return found
-
-

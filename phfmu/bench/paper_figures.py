@@ -67,13 +67,17 @@ def _figure_3(dg: Run, mp: Run, folder: Path) -> None:
 
 def _figure_4(dg: Run, folder: Path) -> None:
     figure, axes = _axes(2)
-    for axis, rows, title in zip(axes, (dg.g, dg.dgv), ("position level, $g_i(q)$", "velocity level, $Dg_i(q)\\,v$"), strict=True):
+    for axis, rows, title in zip(
+        axes, (dg.g, dg.dgv), ("position level, $g_i(q)$", "velocity level, $Dg_i(q)\\,v$"), strict=True
+    ):
         for i in range(rows.shape[1]):
             axis.plot(dg.t[1:], rows[:, i], label=f"i = {i + 1}")
         axis.set(xlabel="t in s", title=title)
         axis.legend()
     _save(figure, folder / "figure_4.png")
-    columns = {"t": dg.t[1:]} | {f"g{i + 1}": dg.g[:, i] for i in range(2)} | {f"Dgv{i + 1}": dg.dgv[:, i] for i in range(2)}
+    columns = (
+        {"t": dg.t[1:]} | {f"g{i + 1}": dg.g[:, i] for i in range(2)} | {f"Dgv{i + 1}": dg.dgv[:, i] for i in range(2)}
+    )
     _csv(folder / "figure_4.csv", columns)
 
 

@@ -10,7 +10,9 @@ def add_parser(verbs: Any) -> None:
     parser = verbs.add_parser("bench", help="reproduce published results")
     parser.add_argument("target", help="four_particle")
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
-    parser.add_argument("-o", "--output", default="bench", metavar="DIR", help="folder for PNG and CSV (default: bench)")
+    parser.add_argument(
+        "-o", "--output", default="bench", metavar="DIR", help="folder for PNG and CSV (default: bench)"
+    )
     parser.set_defaults(call=call)
 
 

@@ -34,9 +34,7 @@ def energies(entries: Entries, sample: Sample) -> list[Problem]:
     quadratic = [(e.label, e.expr, x) for e, x in terms if e.origin.kind == "quadratic"]
     found += _quadratic(entries, sample, quadratic, "H", "declare it with energy(..): its kind is recognised")
     invariants = [(e.label, e.expr, _states(entries, e.expr)) for e in entries.of("C")]
-    found += _quadratic(
-        entries, sample, invariants, "C", "use energy(..), or an invariant such as a squared distance"
-    )
+    found += _quadratic(entries, sample, invariants, "C", "use energy(..), or an invariant such as a squared distance")
     return found + _strains(entries, sample)
 
 
@@ -119,9 +117,7 @@ def closed_pairs(entries: Entries, sample: Sample) -> list[Problem]:
         names = {h: entries.known[h][1] for h in own}
         states = ca.symvar(_states(entries, ca.SX(pair.origin.hamiltonian)))
         foreign = [s for s in states if s.element_hash() not in names]
-        text = [
-            f"H depends on '{entries.known[s.element_hash()][1]}', not one of its variables" for s in foreign
-        ]
+        text = [f"H depends on '{entries.known[s.element_hash()][1]}', not one of its variables" for s in foreign]
         text += [f"'{names[h]}' is in {taken[h]} as well" for h in own if h in taken]
         taken |= dict.fromkeys(own, pair.label)
         for e in entries.of("H", "E"):
@@ -168,11 +164,7 @@ def _apart(left: str, a: NDArray, right: str, b: NDArray, allowed: NDArray, name
     """Where two vectors per point differ by more than `allowed`, "" if nowhere or not finite."""
     excess = np.nan_to_num(np.abs(a - b) - allowed, nan=-1.0, posinf=-1.0)
     if not (excess > 0).any():
-        return (
-            ""
-            if np.isfinite(a - b).any()
-            else f"{left} and {right} are not finite at any of the sampled points"
-        )
+        return "" if np.isfinite(a - b).any() else f"{left} and {right} are not finite at any of the sampled points"
     i = int(np.argmax((excess > 0).any(axis=(1, 2))))
     j = int(np.argmax(excess[i, :, 0]))
     return f"{left} = {a[i, j, 0]:.9g} but {right} = {b[i, j, 0]:.9g} ({names[j]})"

@@ -93,9 +93,7 @@ class Entries:
         self.doubtful |= {s.element_hash() for v in rows for s in ca.vertsplit(v.sx)}
         self.complete &= what not in ("H", "E")
 
-    def add(
-        self, what: str, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None
-    ) -> bool:
+    def add(self, what: str, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None) -> bool:
         """File an expression; True if its shape, rows and symbols are right."""
         matrix = as_matrix(expr, shape if what in ("E", "B") else None)
         ok = self._rows(what, label, rows)
@@ -222,9 +220,7 @@ def _ports(e: Entries) -> None:
         for v, coefficient in p.on.items():
             e.add("B", f"port '{p.name}': B on '{v.name}'", coefficient, (v.n, p.n), (v,), p)
         if p.u.shape != (p.n, 1):
-            e._problem(
-                "shape", f"port '{p.name}'", f"u has {p.u.numel()} entries, expected {p.n}", "leave u out"
-            )
+            e._problem("shape", f"port '{p.name}'", f"u has {p.u.numel()} entries, expected {p.n}", "leave u out")
         if p.source is not None:
             e.add("source", f"source of '{p.name}'", p.source, (p.n, 1), origin=p)
         if p.bound is not None:

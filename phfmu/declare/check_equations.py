@@ -49,9 +49,7 @@ def _idle_ports(entries: Entries) -> list[Problem]:
     acting = {id(e.origin) for e in sound if ca.sparsify(e.expr).nnz()}
     judged = Counter(id(e.origin) for e in sound)
     return [
-        Problem(
-            "unused", f"port '{p.name}'", "B is zero: the port acts on no equation", "give `on` its variables"
-        )
+        Problem("unused", f"port '{p.name}'", "B is zero: the port acts on no equation", "give `on` its variables")
         for p in entries.model.ports
         if id(p) not in acting and judged[id(p)] == len(p.on)
     ]
@@ -121,11 +119,7 @@ def equations(model: PHDAE, scheme: Collocated | None) -> list[Problem]:
     except StepFailure as e:
         rule = "solvability" if e.status is Status.SINGULAR else "start"
         where = f" ({e.equation}, scaled residual {e.residual:.3g})" if e.equation else ""
-        return [
-            Problem(
-                rule, model.name, f"the start cannot be solved: {e.status.value}{where}", REMEDY[e.status]
-            )
-        ]
+        return [Problem(rule, model.name, f"the start cannot be solved: {e.status.value}{where}", REMEDY[e.status])]
     found = hidden(built, signals["observables"])
     for name, value in zip(built.observable_names, signals["observables"], strict=False):
         if not np.isfinite(value):

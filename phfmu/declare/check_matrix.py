@@ -35,9 +35,7 @@ def finite(entries: Entries, sample: Sample) -> list[Problem]:
 
 def skew_symmetry(entries: Entries, sample: Sample) -> list[Problem]:
     """J + J^T = 0 per block."""
-    return _mirrored(
-        entries, sample, "J", +1, "skew", "build it with skew(rows, cols, matrix), or correct the sign"
-    )
+    return _mirrored(entries, sample, "J", +1, "skew", "build it with skew(rows, cols, matrix), or correct the sign")
 
 
 def symmetry(entries: Entries, sample: Sample) -> list[Problem]:
@@ -46,9 +44,7 @@ def symmetry(entries: Entries, sample: Sample) -> list[Problem]:
     return _mirrored(entries, sample, "R", -1, "symmetry", remedy)
 
 
-def _mirrored(
-    entries: Entries, sample: Sample, what: str, sign: int, rule: str, remedy: str
-) -> list[Problem]:
+def _mirrored(entries: Entries, sample: Sample, what: str, sign: int, rule: str, remedy: str) -> list[Problem]:
     blocks, found = entries.of(what), []
     for e, value in zip(blocks, sample.values([e.expr for e in blocks]), strict=True):
         good = np.isfinite(value)

@@ -27,12 +27,8 @@ def variables(model: PHDAE) -> Iterator[tuple[Variable, str]]:
 
 def names(model: PHDAE) -> list[Problem]:
     """Names are structured and unique among variables, ports, observables, members; owners are members."""
-    once = {v.sx[0].element_hash(): v for v, _ in variables(model)} | {
-        p.u[0].element_hash(): p for p in model.ports
-    }
-    declared = [
-        (f"{'port' if isinstance(v, Port) else 'variable'} '{v.name}'", v.name) for v in once.values()
-    ]
+    once = {v.sx[0].element_hash(): v for v, _ in variables(model)} | {p.u[0].element_hash(): p for p in model.ports}
+    declared = [(f"{'port' if isinstance(v, Port) else 'variable'} '{v.name}'", v.name) for v in once.values()]
     declared += [(f"observable '{o.name}'", o.name) for o in model.observables]
     declared += [(f"member '{m}'", m) for m in model.members if m]
     declared += [(f"junction '{j}'", j) for j, _ in model.junctions]
@@ -46,9 +42,7 @@ def names(model: PHDAE) -> list[Problem]:
             found.append(Problem("name", entry, text, remedy))
     twice = _repeated(declared)
     for name, (n, entries) in twice.items():
-        found.append(
-            Problem("name", entries, f"'{name}' is used {n} times", "give each entry a name of its own")
-        )
+        found.append(Problem("name", entries, f"'{name}' is used {n} times", "give each entry a name of its own"))
     if len(once) < len(list(variables(model))) + len(model.ports):
         return found  # entries listed twice repeat all of their signals
     clear = [(entry, name) for entry, name in _signals(model) if entry.split("'")[1] not in twice]
@@ -207,6 +201,4 @@ def _start(entry: str, what: str, value, n: int, scalar: list[str]) -> list[Prob
     bad = np.flatnonzero(~np.isfinite(array))
     if not bad.size:
         return []
-    return [
-        Problem("start", entry, f"the {what} of {scalar[bad[0]]} is {array[bad[0]]}", "give a finite number")
-    ]
+    return [Problem("start", entry, f"the {what} of {scalar[bad[0]]} is {array[bad[0]]}", "give a finite number")]

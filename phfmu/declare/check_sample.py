@@ -94,9 +94,7 @@ class Sample:
         """z = E^-T grad H at every point, not a number where E is singular."""
         entries = self._entries
         blocks = entries.of("E")
-        grad, *rest = self.values(
-            [self.gradient(), *(b.expr for b in blocks), *(p.origin.z for p in entries.pairs)]
-        )
+        grad, *rest = self.values([self.gradient(), *(b.expr for b in blocks), *(p.origin.z for p in entries.pairs)])
         z = grad[:, :, 0].copy()
         for b, value in zip(blocks, rest[: len(blocks)], strict=True):
             where = [i for v in b.rows for i in self.rows(v)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from math import pi
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -80,7 +80,7 @@ def _symbol(text: str, token: str) -> tuple[float, dict[str, int]]:
     raise UnitError(f"unknown unit symbol '{token}' in '{text}'; known: {', '.join(_SYMBOLS)}")
 
 
-@lru_cache(maxsize=None)
+@cache
 def parse_unit(text: str) -> Unit:
     """Parse `text` (factors separated by `.`, `*` or `/`; everything after a `/` divides until the next one)."""
     exponents = dict.fromkeys(BASE, 0)

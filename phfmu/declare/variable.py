@@ -112,21 +112,31 @@ def make_variable(
 
 
 def state(
-    name: str, size: int | None = None, *, unit: str = "1", start: Number = 0.0, nominal: Number = 1.0, description: str = ""
+    name: str,
+    size: int | None = None,
+    *,
+    unit: str = "1",
+    start: Number = 0.0,
+    nominal: Number = 1.0,
+    description: str = "",
 ) -> Variable:
     """A differential variable, part of x1.  `nominal`: typical magnitude, scales the stopping test."""
     return make_variable("state", name, size, unit, start, nominal, description)
 
 
 def algebraic(
-    name: str, size: int | None = None, *, unit: str = "1", start: Number = 0.0, nominal: Number = 1.0, description: str = ""
+    name: str,
+    size: int | None = None,
+    *,
+    unit: str = "1",
+    start: Number = 0.0,
+    nominal: Number = 1.0,
+    description: str = "",
 ) -> Variable:
     """An algebraic variable, part of x2 = z2 (multiplier, node voltage, source current)."""
     return make_variable("algebraic", name, size, unit, start, nominal, description)
 
 
-def parameter(
-    name: str, value: Number, size: int | None = None, *, unit: str = "1", description: str = ""
-) -> Variable:
+def parameter(name: str, value: Number, size: int | None = None, *, unit: str = "1", description: str = "") -> Variable:
     """A constant that may be changed before (and by events during) a run."""
     return make_variable("parameter", name, size, unit, value, 1.0, description)

@@ -21,6 +21,7 @@ from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.spec import Spec, substituted
 from phfmu.discretise.terms import DeclarationError, Term, Terms
 
+
 @dataclass(frozen=True)
 class Collocated:
     """k Gauss nodes.

@@ -79,7 +79,9 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
             for j, i in enumerate(where):
                 diagonal[i] = matrix[j, j]
                 out.terms.append(
-                    make_term("mass", {"m": matrix[j, j]}, locator, f"E of '{v.name}'", rows=[("x", i)], extra=[v.sx[j]])
+                    make_term(
+                        "mass", {"m": matrix[j, j]}, locator, f"E of '{v.name}'", rows=[("x", i)], extra=[v.sx[j]]
+                    )
                 )
         else:
             solved += where
@@ -140,7 +142,9 @@ def _blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
             rows, z = _rows(b.variables, locator)
             label = f"{what} block on {', '.join(v.name for v in b.variables)}"
             if b.matrix.shape != (len(rows), len(rows)):
-                raise DeclarationError(f"{label} is {b.matrix.shape[0]} x {b.matrix.shape[1]}, expected {len(rows)} square")
+                raise DeclarationError(
+                    f"{label} is {b.matrix.shape[0]} x {b.matrix.shape[1]}, expected {len(rows)} square"
+                )
             owner = _member(out.members, b.owner)
             if what == "R":
                 _dissipation(out, locator, b, rows, z, owner, label)

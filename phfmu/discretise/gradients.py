@@ -108,9 +108,7 @@ def guarded(num: ca.SX, den: ca.SX, guard: float) -> ca.SX:
     return ca.if_else(active, num / ca.if_else(active, den, 1), 0)
 
 
-def strain(
-    c: ca.SX, phi: ca.SX, s: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes
-) -> Gradient:
+def strain(c: ca.SX, phi: ca.SX, s: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     """H = phi(C(x)), C quadratic: W_i = S_i grad C(X_i), with the strain carried as an energy variable.
 
     Cd_i = grad C(X_i)^T D_i,  Chat(t) = C(x) + sum_j (int_0^t l_j) Cd_j,  S_i = 1/b_i sum_q w_q l_i phi'(Chat(t_q)).
@@ -142,7 +140,9 @@ def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     which has no cancellation near x' = x.
     """
     if nd.k != 1:
-        raise ValueError("the joint Gonzalez gradient exists for order 2 only; use the per-term gradient for order 4 or 6")
+        raise ValueError(
+            "the joint Gonzalez gradient exists for order 2 only; use the per-term gradient for order 4 or 6"
+        )
     m = x + d / 2
     grad = at(ca.gradient(h, x), x, m)
     p = degree(h, x)

@@ -49,9 +49,7 @@ def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
         for a in which:
             rows[(a, code)] = len(terms.observable_names) + len(checks)
             checks.append(Check(names[a], level, a))
-    layout = Layout(
-        terms, 1, unknowns, costate_rate=bool(hidden.rows), checks=rows, solved_by=hidden.solved_by
-    )
+    layout = Layout(terms, 1, unknowns, costate_rate=bool(hidden.rows), checks=rows, solved_by=hidden.solved_by)
     rule = _Instant(hidden, bound_variables(terms))
     cache: dict[tuple, list[Spec]] = {}
     work = []

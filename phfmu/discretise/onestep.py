@@ -50,7 +50,9 @@ def _constants(layout: Layout) -> list[tuple[int, int, float, int]]:
             out.append((layout.w_of[("Z", i, node)], layout.nv + layout.slot(i, node), -1.0, 0))
         for row_kind, row, kind, source, value in terms.constants:
             sign = 1.0 if row_kind == "y" else -1.0
-            out.append((layout.row(row_kind, row, node), layout.value(kind, source, node), sign * value, int(row_kind == "x")))
+            out.append(
+                (layout.row(row_kind, row, node), layout.value(kind, source, node), sign * value, int(row_kind == "x"))
+            )
     return out
 
 

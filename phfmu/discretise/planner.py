@@ -135,7 +135,9 @@ class _Entries:
 
     @staticmethod
     def joined(parts: Sequence[_Entries]) -> _Entries:
-        return _Entries(*(np.concatenate([getattr(p, f) for p in parts]) for f in ("row", "col", "s", "t", "value", "power")))
+        return _Entries(
+            *(np.concatenate([getattr(p, f) for p in parts]) for f in ("row", "col", "s", "t", "value", "power"))
+        )
 
 
 def _slots(groups: Sequence[Group], stage: int) -> tuple[NDArray[np.int64], ...]:
@@ -164,7 +166,9 @@ def _derivatives(layout: Layout, groups: Sequence[Group], const: NDArray, value:
     powers = np.concatenate([c_pow, power])
     values = np.concatenate([value, np.ones(len(row))])
     direct = cols < nv
-    d = _Entries(rows[direct], cols[direct], slots[direct], np.zeros(direct.sum(), np.int64), values[direct], powers[direct])
+    d = _Entries(
+        rows[direct], cols[direct], slots[direct], np.zeros(direct.sum(), np.int64), values[direct], powers[direct]
+    )
     via = np.flatnonzero(~direct)
     z = cols[via] - nv
     count = z_ptr[z + 1] - z_ptr[z]

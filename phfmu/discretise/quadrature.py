@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 
-@lru_cache(maxsize=None)
+@cache
 def gauss(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Nodes and weights of the m-point Gauss rule on [0, 1], exact up to degree 2m - 1."""
     t, w = np.polynomial.legendre.leggauss(m)
@@ -36,7 +36,7 @@ class Nodes:
         return np.array([p.integ()(t) for p in self.basis])
 
 
-@lru_cache(maxsize=None)
+@cache
 def nodes(k: int) -> Nodes:
     """The k Gauss nodes; k = 1 is the midpoint."""
     c, b = gauss(k)

@@ -95,9 +95,7 @@ def _costates(terms: Terms) -> ca.SX:
     return z
 
 
-def _globals(
-    t: Term, x: ca.SX, z: ca.SX, p: ca.SX, a: ca.SX, bound: dict[int, int]
-) -> tuple[list[ca.SX], list[ca.SX]]:
+def _globals(t: Term, x: ca.SX, z: ca.SX, p: ca.SX, a: ca.SX, bound: dict[int, int]) -> tuple[list[ca.SX], list[ca.SX]]:
     """Old and new symbols that bring a local expression back to the model's; free inputs become 0."""
     old, new = [], []
     for kind, source in (("x", x), ("z", z), ("p", p), ("a", a)):

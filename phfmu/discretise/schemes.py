@@ -11,9 +11,7 @@ GRADIENTS = ("per-term", "joint-gonzalez", "mean-value", "itoh-abe", "itoh-abe-s
 ORDERS = (2, 4, 6)
 
 
-def named_scheme(
-    declaration: PHDAE, name: str = "auto", order: int = 2, gradient: str = "per-term"
-) -> Collocated:
+def named_scheme(declaration: PHDAE, name: str = "auto", order: int = 2, gradient: str = "per-term") -> Collocated:
     """The scheme `name` of `order` for a declaration; DeclarationError says what fits instead.
 
     auto:           two-level with holonomic constraints, collocated else
@@ -28,7 +26,9 @@ def named_scheme(
         name = "two-level" if holonomic else "collocated"
     if name == "midpoint":
         if order != 2 or gradient != "per-term":
-            raise DeclarationError("scheme midpoint has order 2 and no discrete gradient; leave out --order and --gradient")
+            raise DeclarationError(
+                "scheme midpoint has order 2 and no discrete gradient; leave out --order and --gradient"
+            )
         return Collocated(1, gradient="nodal", name="midpoint")
     if name == "two-level":
         if not holonomic:

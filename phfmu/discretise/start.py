@@ -53,7 +53,9 @@ def project_start(model: Model, x: Array | None = None, *, keep: Iterable[str] =
     names = [n for v in d.states for n in v.names()]
     unknown = set(keep) - set(names)
     if unknown:
-        raise DeclarationError(f"{model.name} has no state {', '.join(sorted(unknown))}; states: {', '.join(names[:12])}")
+        raise DeclarationError(
+            f"{model.name} has no state {', '.join(sorted(unknown))}; states: {', '.join(names[:12])}"
+        )
     free = np.array([n not in set(keep) for n in names])
     f = _functions(model)
     level = np.array([c.level for c in model.checks])
@@ -71,7 +73,9 @@ def project_start(model: Model, x: Array | None = None, *, keep: Iterable[str] =
             f"{model.name}: no consistent start near the given one; left over: {', '.join(bad)}. Keep fewer states or "
             "start nearer"
         )
-    moved = [(n, float(a), float(b)) for n, a, b in zip(names, start, now, strict=True) if abs(a - b) > 1e-15 * (1 + abs(a))]
+    moved = [
+        (n, float(a), float(b)) for n, a, b in zip(names, start, now, strict=True) if abs(a - b) > 1e-15 * (1 + abs(a))
+    ]
     energy = float(f(now, model.p0)[2]) - float(f(start, model.p0)[2])
     return Projection(
         now, tuple(moved), dict(zip(labels, map(float, first), strict=True)),

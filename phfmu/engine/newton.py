@@ -101,9 +101,7 @@ class Newton:
             last = out.update
         return self._failed(out, Status.NO_CONVERGENCE, r)
 
-    def _searched(
-        self, w: Array, dw: Array, r: Array, fixed: tuple
-    ) -> tuple[Array, Array | None, Array] | None:
+    def _searched(self, w: Array, dw: Array, r: Array, fixed: tuple) -> tuple[Array, Array | None, Array] | None:
         """The longest of the steps 1, 1/2, .. 1/64 that reduces the scaled residual; None if none does."""
         base = np.linalg.norm(self._scale * r)
         step = 1.0

@@ -93,7 +93,12 @@ class PythonInstance:
         before = self.get_state()
         s, plan = self._s, self.model.step
         s.x_old, s.u_old, s.solved = np.append(s.x[:-1], t), s.u.copy(), 0
-        for name, n in (("stored", plan.ncomp), ("dissipated", plan.ncomp), ("supplied", plan.ncomp), ("pairs", plan.nq)):
+        for name, n in (
+            ("stored", plan.ncomp),
+            ("dissipated", plan.ncomp),
+            ("supplied", plan.ncomp),
+            ("pairs", plan.nq),
+        ):
             s.last[name] = np.zeros(n)
         y, a = np.zeros(plan.nq), np.zeros(plan.na)
         try:
@@ -115,9 +120,7 @@ class PythonInstance:
         s.counts["steps"] += 1
         s.end = None
 
-    def _advance(
-        self, t: float, h: float, start: float, part: float, depth: int
-    ) -> list[tuple[Array, Array, float]]:
+    def _advance(self, t: float, h: float, start: float, part: float, depth: int) -> list[tuple[Array, Array, float]]:
         """The part [start, start + part] of the step [t, t + h]: (mean outputs, mean algebraics, part) per solve."""
         s = self._s
         s.x[-1] = t + h * start

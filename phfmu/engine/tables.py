@@ -130,9 +130,7 @@ def _split(products: Products, slots: Floats) -> tuple[_Fixed, _Varying]:
     """Products of numbers are multiplied out here, the rest is left to every iteration."""
     entry = np.repeat(np.arange(products.nnz, dtype=np.int32), np.diff(products.ptr))
     known_s, known_t = ~np.isnan(slots[products.s]), ~np.isnan(slots[products.t])
-    value = (
-        products.value * np.where(known_s, slots[products.s], 1.0) * np.where(known_t, slots[products.t], 1.0)
-    )
+    value = products.value * np.where(known_s, slots[products.s], 1.0) * np.where(known_t, slots[products.t], 1.0)
     s, t = np.where(known_s, np.int32(0), products.s), np.where(known_t, np.int32(0), products.t)
     fixed, rest = known_s & known_t, ~(known_s & known_t)
     varying, first = np.unique(entry[rest], return_index=True)

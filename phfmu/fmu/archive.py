@@ -49,9 +49,7 @@ class Archive:
         ) as error:
             if isinstance(error, FMUError):
                 raise
-            raise FMUError(
-                f"{path}: not a readable archive ({error}); export or download it again"
-            ) from error
+            raise FMUError(f"{path}: not a readable archive ({error}); export or download it again") from error
         self.folder = Path(self._folder.name)
         (self.folder / "resources").mkdir(exist_ok=True)
 
@@ -100,9 +98,7 @@ def _library(names: list[str], interface: Interface, path: Path) -> str:
         name = f"binaries/{folder}/{interface.identifier}{fmpy.sharedLibraryExtension}"
         if name in names:
             return name
-    found = sorted(
-        {PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
-    )
+    found = sorted({PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
     raise FMUError(
         f"{path}: no library for this platform ({' or '.join(folders)}); the archive has "
         f"{', '.join(found) if found else 'none'}. Export it with this platform"

@@ -25,9 +25,7 @@ CAPABILITIES = {
 def model_description(unit: Unit, token: str | None = None, sources: Sequence[str] = ()) -> bytes:
     """The document; without `token` it is the text the token is made of.  `sources`: files to compile."""
     root = description.root(unit, "2.0", ("guid", token) if token else None)
-    interface = etree.SubElement(
-        root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false"
-    )
+    interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
     for name, value in CAPABILITIES.items():
         interface.set(name, value)
     if sources:

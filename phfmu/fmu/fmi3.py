@@ -27,9 +27,7 @@ CAPABILITIES = {
 def model_description(unit: Unit, token: str | None = None) -> bytes:
     """The document; without `token` it is the text the token is made of."""
     root = description.root(unit, "3.0", ("instantiationToken", token) if token else None)
-    interface = etree.SubElement(
-        root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false"
-    )
+    interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
     for name, value in CAPABILITIES.items():
         interface.set(name, value)
     description.add_units(root, unit)

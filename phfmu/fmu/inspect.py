@@ -18,19 +18,13 @@ def fmu_info(path: str | Path) -> str:
         "gives directional derivatives": face.derivatives,
     }
     lines += [f"{text}: {'yes' if able else 'no'}" for text, able in abilities.items()]
-    lines.append(
-        f"energy ledger: {'exact, in the unit' if face.energy else 'none; port work can be estimated'}"
-    )
+    lines.append(f"energy ledger: {'exact, in the unit' if face.energy else 'none; port work can be estimated'}")
     if face.step is not None:
-        lines.append(
-            f"suggested step {face.step:g} s" + (f", stop {face.stop:g} s" if face.stop is not None else "")
-        )
+        lines.append(f"suggested step {face.step:g} s" + (f", stop {face.stop:g} s" if face.stop is not None else ""))
     if face.ports:
         lines.append("ports (power positive into the component):")
     for p in face.ports:
-        lines.append(
-            f"  {p.name:<24} {p.domain.name:<14} input {', '.join(p.inputs)}; output {', '.join(p.outputs)}"
-        )
+        lines.append(f"  {p.name:<24} {p.domain.name:<14} input {', '.join(p.inputs)}; output {', '.join(p.outputs)}")
     for causality in ("parameter", "input", "output", "local"):
         chosen = [v for v in face.variables.values() if v.causality == causality]
         if chosen:

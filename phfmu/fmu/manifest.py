@@ -88,13 +88,9 @@ def read_ports(root: Element) -> list[PortMap]:
     ports = []
     for port in root.findall("Port"):
         pairs = port.findall("Pair")
-        inputs, outputs, means = (
-            tuple(p.get(k, "") for p in pairs) for k in ("input", "output", "stepOutput")
-        )
+        inputs, outputs, means = (tuple(p.get(k, "") for p in pairs) for k in ("input", "output", "stepOutput"))
         about: dict[str, Any] = {attribute: port.get(name, "") for name, attribute in DOMAIN.items()}
         given: Given = "flow" if port.get("given") == "flow" else "effort"
         vector = port.get("vector") == "true"
-        ports.append(
-            PortMap(port.get("name", ""), Domain(**about), given, inputs, outputs, means, vector=vector)
-        )
+        ports.append(PortMap(port.get("name", ""), Domain(**about), given, inputs, outputs, means, vector=vector))
     return ports

@@ -66,9 +66,7 @@ class FMUInstance:
         self._y_end = References(refs(self.outputs, "output"))
         self._y_mean = self._y_end if self.estimated else References(refs(means, "output"))
         self._mean_refs = [] if self.estimated else refs(means, "output")
-        self._books = References(
-            [] if self.estimated else refs([self.interface.energy[s] for s in _STEP], "output")
-        )
+        self._books = References([] if self.estimated else refs([self.interface.energy[s] for s in _STEP], "output"))
         self._require_pairs()
         self._starts, self._span = (
             dict(starts or {}),
@@ -86,9 +84,7 @@ class FMUInstance:
     def _require_pairs(self) -> None:
         for p in self.ports:
             if len(p.inputs) != len(p.outputs):
-                raise FMUError(
-                    f"{self.name}.{p.name}: {len(p.inputs)} inputs but {len(p.outputs)} outputs; give pairs"
-                )
+                raise FMUError(f"{self.name}.{p.name}: {len(p.inputs)} inputs but {len(p.outputs)} outputs; give pairs")
         for n in self.inputs:
             if self.interface.variables[n].causality != "input":
                 raise FMUError(f"{self.name}: '{n}' is no input but {self.interface.variables[n].causality}")
@@ -181,9 +177,7 @@ class FMUInstance:
             for j, known in enumerate(self._u.references[: self.nu]):
                 s[:, j] = self._slave.derivative(self._mean_refs, known)
         except FMUError as error:
-            raise StepFailure(
-                Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)
-            ) from error
+            raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)) from error
         return s
 
     # -- saved states ---------------------------------------------------------------------------------------
@@ -191,9 +185,7 @@ class FMUInstance:
     def get_state(self) -> SavedState:
         """A complete copy; stepping after `set_state` gives the same bits.  FMUError if there is none."""
         if not self.interface.saves:
-            raise FMUError(
-                f"{self.name}: the unit cannot save its state; choose a coupling without rollback (jacobi)"
-            )
+            raise FMUError(f"{self.name}: the unit cannot save its state; choose a coupling without rollback (jacobi)")
         handle = self._slave.save()
         return self._kept(handle)
 

@@ -53,9 +53,7 @@ class Slave:
                 self.fmu.instantiate(callbacks=self._callbacks())
             else:
                 self.fmu = FMU3Slave(**common)
-                self.fmu.instantiate(
-                    logMessage=lambda _environment, status, _category, text: self._log(status, text)
-                )
+                self.fmu.instantiate(logMessage=lambda _environment, status, _category, text: self._log(status, text))
         except Exception as error:  # the bindings raise plain Exception for a library that does not load
             raise FMUError(f"{archive.path}: {error}{self._last_words()}") from error
         self._get, self._set = (

@@ -84,8 +84,7 @@ def interface_text(unit: Unit, token: str) -> str:
     place = {v.name: i for i, v in enumerate(unit.variables)}
     rows = [f'{{{v.block}, {v.first}, {v.count}, "{v.name}"}}' for v in unit.variables]
     limits = [
-        f"{{{place[n]}, {number(CONSISTENCY * s)}}}"
-        for n, s in zip(check_names(model), model.check_scale, strict=True)
+        f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in zip(check_names(model), model.check_scale, strict=True)
     ]
     equations, equations_name = _strings("equations", model.row_names)
     end_equations, end_name = _strings("end_equations", model.instant_names)

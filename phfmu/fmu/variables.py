@@ -79,11 +79,7 @@ def variables(declaration: PHDAE, model: Model) -> tuple[FMUVariable, ...]:
 
 
 def _problems(table: tuple[FMUVariable, ...]) -> list[str]:
-    found = [
-        f"'{v.name}' is no structured name (write e.g. gen.I[1])"
-        for v in table
-        if not _NAME.fullmatch(v.name)
-    ]
+    found = [f"'{v.name}' is no structured name (write e.g. gen.I[1])" for v in table if not _NAME.fullmatch(v.name)]
     seen: set[str] = set()
     for v in table:
         if v.name in seen:
@@ -102,9 +98,7 @@ def _scalars(declared: tuple[Variable, ...]) -> Iterator[tuple[int, str, str, Va
             place += 1
 
 
-def _starts(
-    declared: tuple[Variable, ...], causality: Causality, block: str, start: list[float]
-) -> list[FMUVariable]:
+def _starts(declared: tuple[Variable, ...], causality: Causality, block: str, start: list[float]) -> list[FMUVariable]:
     return [
         FMUVariable(name, causality, block, i, 1, float(start[i]), v.unit, _nominal(v, j), text)
         for i, name, text, v, j in _scalars(declared)
@@ -118,9 +112,7 @@ def _nominal(v: Variable, entry: int) -> float | None:
 
 def _algebraics(declaration: PHDAE) -> Iterator[FMUVariable]:
     for i, name, text, v, j in _scalars(declaration.algebraics):
-        yield FMUVariable(
-            name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, mean of the last step"
-        )
+        yield FMUVariable(name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, mean of the last step")
     for i, name, text, v, j in _scalars(declaration.algebraics):
         yield FMUVariable(
             end_name(name),
@@ -172,13 +164,9 @@ def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
         for suffix, block, when in OUTPUTS:
             for i, name in enumerate(port.output_names(suffix)):
                 about = f"{found} {text}, {when}"
-                yield FMUVariable(
-                    name, causality, block, first + i, 1, None, port.output_unit, description=about
-                )
+                yield FMUVariable(name, causality, block, first + i, 1, None, port.output_unit, description=about)
         about = f"energy {text}, supplied since the start"
-        yield FMUVariable(
-            f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J", description=about
-        )
+        yield FMUVariable(f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J", description=about)
 
 
 def _entries(value: Number, n: int) -> list[float]:

@@ -131,7 +131,9 @@ class Coupled:
 
     def project_start(self, t0: float) -> None:
         """Members know their own constraints only; ValueError tells how to start."""
-        raise ValueError(f"{self.network.name}: a coupled network cannot be projected at t = {t0:g} s; use --coupling monolithic")
+        raise ValueError(
+            f"{self.network.name}: a coupled network cannot be projected at t = {t0:g} s; use --coupling monolithic"
+        )
 
     def prepare(self, t0: float, h: float) -> None:
         """Junction values before the first step: those of a trial step, then everything back."""

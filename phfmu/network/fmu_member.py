@@ -159,7 +159,9 @@ class FMUStepper:
 
     def project_start(self, t0: float) -> None:
         """The state of a unit is its own; ValueError tells how to start."""
-        raise ValueError(f"{self.unit.name}: a start inside an FMU cannot be projected at t = {t0:g} s; set start values")
+        raise ValueError(
+            f"{self.unit.name}: a start inside an FMU cannot be projected at t = {t0:g} s; set start values"
+        )
 
     def advance(self, t0: float, h: float, n: int) -> Steps:
         rows: list[tuple[Array, ...]] = []

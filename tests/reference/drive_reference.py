@@ -10,21 +10,22 @@ States in the order i (A), w1 (rad/s), twist (rad), w2 (rad/s).
 """
 
 import numpy as np
-from scipy.linalg import expm
-
 from reference_tools import RTOL, agreement, describe, grid, integrate, write
+from scipy.linalg import expm
 
 V, L, R, K = 12.0, 2e-3, 0.4, 0.05
 J, D = 1e-4, 1e-5
 C, B = 20.0, 1e-3
 JL, DL = 5e-4, 2e-4
-MATRIX = np.array([
-    [-R / L, -K / L, 0.0, 0.0, V / L],
-    [K / J, -(D + B) / J, -C / J, B / J, 0.0],
-    [0.0, 1.0, 0.0, -1.0, 0.0],
-    [0.0, B / JL, C / JL, -(B + DL) / JL, 0.0],
-    [0.0, 0.0, 0.0, 0.0, 0.0],
-])
+MATRIX = np.array(
+    [
+        [-R / L, -K / L, 0.0, 0.0, V / L],
+        [K / J, -(D + B) / J, -C / J, B / J, 0.0],
+        [0.0, 1.0, 0.0, -1.0, 0.0],
+        [0.0, B / JL, C / JL, -(B + DL) / JL, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0],
+    ]
+)
 TIMES = grid((0.0, 0.1, 0.005))
 COLUMNS = ["i", "w1", "twist", "w2"]
 GROUPS = {name: (slice(k, k + 1), "relative") for k, name in enumerate(COLUMNS)}
@@ -38,8 +39,9 @@ def solve(times=TIMES):
 def make(name="drive"):
     """Write drive.csv; return (path, errors)."""
     table = solve()
-    check = integrate(((np.inf, lambda t, z: MATRIX @ z),), [0, 0, 0, 0, 1.0], TIMES, [1.0, 1.0, 1e-3, 1.0, 1.0],
-                      max_step=1e-4)
+    check = integrate(
+        ((np.inf, lambda t, z: MATRIX @ z),), [0, 0, 0, 0, 1.0], TIMES, [1.0, 1.0, 1e-3, 1.0, 1.0], max_step=1e-4
+    )
     errors = agreement(table, check[:, :4], GROUPS)
     comments = [
         f"accuracy: expm against DOP853 rtol {RTOL:g} over all rows: {describe(errors, GROUPS)}",

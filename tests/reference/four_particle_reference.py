@@ -15,7 +15,6 @@ Source: Kinon, Morandin, Schulze, Appl. Num. Math. 2026, Sec. 6.3.
 """
 
 import numpy as np
-
 from reference_tools import agreement, describe, grid, integrate, names, write
 
 RTOL, STEP, STEP_CHECK = 2.5e-14, 5e-4, 2e-3  # the stiff spring: steps limited, so that rounding decides
@@ -34,7 +33,7 @@ def constraint(q):
     r = q.reshape(4, 3)
     bars = r[1] - r[0], r[3] - r[2]
     jacobian = np.zeros((2, 4, 3))
-    for row, (i, bar) in enumerate(zip((0, 2), bars)):
+    for row, (i, bar) in enumerate(zip((0, 2), bars, strict=False)):
         jacobian[row, i], jacobian[row, i + 1] = -bar, bar
     return np.array([(bar @ bar - 1.0) / 2.0 for bar in bars]), jacobian.reshape(2, 12)
 
@@ -68,11 +67,11 @@ def accelerate(q, v):
 
 def solve(max_step=STEP, times=TIMES):
     """Return the published table (rows: times; columns: COLUMNS) for steps of at most max_step."""
+
     def rhs(t, y):
         return np.concatenate([y[12:], accelerate(y[:12], y[12:])[0]])
 
-    states = integrate(((np.inf, rhs),), np.concatenate([Q0, V0]), times, np.ones(24), RTOL,
-                       max_step=max_step)
+    states = integrate(((np.inf, rhs),), np.concatenate([Q0, V0]), times, np.ones(24), RTOL, max_step=max_step)
     return np.array([np.concatenate([y, accelerate(y[:12], y[12:])[1]]) for y in states])
 
 

@@ -43,11 +43,19 @@ def integrate(pieces, y0, times, scale, rtol=RTOL, method="DOP853", **options):
         if t_end < times[-1] and t_end not in times:
             raise ValueError(f"discontinuity at t = {t_end} is not an output time")
     rows, step = [np.asarray(y0, dtype=float)], None
-    for t0, t1 in zip(times[:-1], times[1:]):
+    for t0, t1 in zip(times[:-1], times[1:], strict=False):
         rhs = next(f for t_end, f in pieces if t1 <= t_end)
         first = None if step is None else min(step, t1 - t0)
-        run = solve_ivp(rhs, (t0, t1), rows[-1], method=method, rtol=rtol,
-                        atol=rtol * np.asarray(scale, dtype=float), first_step=first, **options)
+        run = solve_ivp(
+            rhs,
+            (t0, t1),
+            rows[-1],
+            method=method,
+            rtol=rtol,
+            atol=rtol * np.asarray(scale, dtype=float),
+            first_step=first,
+            **options,
+        )
         if not run.success:
             raise RuntimeError(f"{method} failed on [{t0}, {t1}]: {run.message}")
         rows.append(run.y[:, -1])
@@ -89,7 +97,7 @@ def read(name):
     """Return ({column: values}) of <name>.csv."""
     lines = [s for s in (FOLDER / f"{name}.csv").read_text().splitlines() if not s.startswith("#")]
     table = np.array([[float(x) for x in s.split(",")] for s in lines[1:]])
-    return dict(zip(lines[0].split(","), table.T))
+    return dict(zip(lines[0].split(","), table.T, strict=False))
 
 
 def names(symbol, count):

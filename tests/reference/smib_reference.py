@@ -18,9 +18,8 @@ oscillation has to be integrated. With T = (orthonormal Park, rows d q 0) and Lh
 """
 
 import numpy as np
-
 from machine_reference import ALPHA, MachineReference
-from reference_tools import (RTOL, RTOL_CHECK, agreement, describe, grid, integrate, load, names, write)
+from reference_tools import RTOL, RTOL_CHECK, agreement, describe, grid, integrate, load, names, write
 
 TIMES = grid((0.0, 0.5, 0.05), 0.505, 0.51, (0.55, 1.0, 0.05), (2.0, 5.0, 1.0))
 COLUMNS = names("I", 6) + ["p", "theta"] + names("v", 3)
@@ -52,6 +51,7 @@ def solve(name, rtol=RTOL, times=TIMES, **options):
         def rhs(t, y):
             psi_dot, p_dot, omega, _, _ = evaluate(t, y, tau)
             return np.concatenate([psi_dot, [p_dot, y[6] / machine.J]])
+
         return rhs
 
     psi0 = machine.fluxes(initial["I"], initial["theta"])
@@ -59,7 +59,7 @@ def solve(name, rtol=RTOL, times=TIMES, **options):
     scale = np.concatenate([[50.0] * 3, np.abs(psi0[3:]), [machine.J], [1.0]])
     pieces = ((scene["torque_step_at"], piece(inputs["tau0"])), (np.inf, piece(inputs["tau1"])))
     rows = []
-    for t, y in zip(times, integrate(pieces, y0, times, scale, rtol, **options)):
+    for t, y in zip(times, integrate(pieces, y0, times, scale, rtol, **options), strict=False):
         psi_dot, _, omega, I, theta = evaluate(t, y, 0.0)
         rate = machine.current_rate(psi_dot, omega, theta, I)
         v = machine.node_voltage(bus_voltage(t), I[:3], rate[:3])
@@ -76,14 +76,18 @@ def park(theta):
 def solve_park(name, rtol=RTOL, times=TIMES, **options):
     """Return I, p, theta (the first eight of COLUMNS) from the rotor-frame equations."""
     scene = load("scenes")[name]
-    data, bus, inputs, initial = (load("machines")[scene["machine"]], scene["infinite_bus"], scene["inputs"],
-                                  scene["initial"])
+    data, bus, inputs, initial = (
+        load("machines")[scene["machine"]],
+        scene["infinite_bus"],
+        scene["inputs"],
+        scene["initial"],
+    )
     w, J, d = bus["w"], data["J"], scene["d"]
     mean, zero, swing = data["Laa0"] + data["Lab0"], data["Laa0"] - 2.0 * data["Lab0"], 1.5 * data["Laa2"]
     Lhat = np.zeros((6, 6))
     Lhat[:3, :3] = np.diag([mean + swing, mean - swing, zero]) + scene["Lx"] * np.eye(3)
     Lhat[3:, 3:] = data["L_rotor"]
-    for k, (axis, M) in enumerate(zip(data["axis"], data["M_stator_rotor"])):
+    for k, (axis, M) in enumerate(zip(data["axis"], data["M_stator_rotor"], strict=False)):
         row = "dq".index(axis)
         Lhat[row, 3 + k] = Lhat[3 + k, row] = np.sqrt(1.5) * M
     R = np.array([data["Ra"] + scene["Rx"]] * 3 + data["R_rotor"])
@@ -97,6 +101,7 @@ def solve_park(name, rtol=RTOL, times=TIMES, **options):
             rate[1] += np.sqrt(1.5) * bus["amp"] * np.sin(angle) - omega * y[0]
             rate[3] += inputs["Vf"]
             return np.concatenate([rate, [tau - d * omega + y[0] * I[1] - y[1] * I[0], y[6] / J]])
+
         return rhs
 
     I0 = np.concatenate([park(initial["theta"]) @ initial["I"][:3], initial["I"][3:]])
@@ -104,7 +109,7 @@ def solve_park(name, rtol=RTOL, times=TIMES, **options):
     scale = np.concatenate([[50.0] * 3, np.abs(y0[3:6]), [J, 1.0]])
     pieces = ((scene["torque_step_at"], piece(inputs["tau0"])), (np.inf, piece(inputs["tau1"])))
     rows = []
-    for t, y in zip(times, integrate(pieces, y0, times, scale, rtol, **options)):
+    for t, y in zip(times, integrate(pieces, y0, times, scale, rtol, **options), strict=False):
         I, theta = inverse @ y[:6], w * t + y[7]
         rows.append(np.concatenate([park(theta).T @ I[:3], I[3:], [J * w + y[6], theta]]))
     return np.array(rows)

@@ -15,15 +15,22 @@ Fault time constant R_fault C = 14 us: DOP853 takes steps of some 5 us; Radau is
 """
 
 import numpy as np
-
 from machine_reference import MachineReference
-from reference_tools import (RTOL, RTOL_CHECK, agreement, describe, grid, integrate, load, names, write)
+from reference_tools import RTOL, RTOL_CHECK, agreement, describe, grid, integrate, load, names, write
 
 W = 2.0 * np.pi * 60.0
 TIMES = grid(0.0, 0.02, 0.05, 0.1, 0.101, 0.11, 0.15, 0.2, 0.201, 0.21, 0.25, 0.3, 0.4, 0.5, 1.0)
 TIMES_EARLY = grid(0.0, 0.01, 0.02, 0.025, 0.03, 0.04, 0.06, 0.065, 0.08, 0.1)
-COLUMNS = (names("I1", 6) + ["p1", "theta1"] + names("I2", 6) + ["p2", "theta2"]
-           + names("v2", 3) + names("iL", 3) + names("i_line", 3) + names("v1", 3))
+COLUMNS = (
+    names("I1", 6)
+    + ["p1", "theta1"]
+    + names("I2", 6)
+    + ["p2", "theta2"]
+    + names("v2", 3)
+    + names("iL", 3)
+    + names("i_line", 3)
+    + names("v1", 3)
+)
 GROUPS = {
     "I1 stator": (slice(0, 3), "relative"),
     "I1 field": (slice(3, 4), "relative"),
@@ -60,24 +67,33 @@ def solve(times, events=None, rtol=RTOL, **options):
             v2, iL = y[16:19], y[19:22]
             v2_dot = (-I1[:3] - I2[:3] - iL - conductance * v2) / loads["C"]
             return np.concatenate([psi1, [p1, y[6] / m1.J], psi2, [p2, y[14] / m2.J], v2_dot, v2 / loads["L"]])
+
         return rhs
 
     psi1, psi2 = m1.fluxes(start["I1"], start["theta1"]), m2.fluxes(start["I2"], start["theta2"])
-    y0 = np.concatenate([psi1, [start["p1"] - m1.J * W, start["theta1"]],
-                         psi2, [start["p2"] - m2.J * W, start["theta2"]], start["v2"], start["iL"]])
-    scale = np.concatenate([[50.0] * 3, np.abs(psi1[3:]), [m1.J, 1.0],
-                            [50.0] * 3, np.abs(psi2[3:]), [m2.J, 1.0], [2e4] * 3, [5e3] * 3])
+    y0 = np.concatenate(
+        [
+            psi1,
+            [start["p1"] - m1.J * W, start["theta1"]],
+            psi2,
+            [start["p2"] - m2.J * W, start["theta2"]],
+            start["v2"],
+            start["iL"],
+        ]
+    )
+    scale = np.concatenate(
+        [[50.0] * 3, np.abs(psi1[3:]), [m1.J, 1.0], [50.0] * 3, np.abs(psi2[3:]), [m2.J, 1.0], [2e4] * 3, [5e3] * 3]
+    )
     on, off = events or (scene["fault"]["t_on"], scene["fault"]["t_off"])
     healthy, faulted = piece(1.0 / loads["R"]), piece(1.0 / loads["R"] + 1.0 / scene["fault"]["R"])
     pieces = ((on, healthy), (off, faulted), (np.inf, healthy))
     rows = []
-    for t, y in zip(times, integrate(pieces, y0, times, scale, rtol, **options)):
+    for t, y in zip(times, integrate(pieces, y0, times, scale, rtol, **options), strict=False):
         (psi1, _, w1, I1), (_, _, w2, I2) = evaluate(t, y)
         theta1, theta2 = W * t + y[7], W * t + y[15]
         rate = m1.current_rate(psi1, w1, theta1, I1)
         v1 = m1.node_voltage(y[16:19], I1[:3], rate[:3])
-        rows.append(np.concatenate([I1, [m1.J * w1, theta1], I2, [m2.J * w2, theta2],
-                                    y[16:19], y[19:22], -I1[:3], v1]))
+        rows.append(np.concatenate([I1, [m1.J * w1, theta1], I2, [m2.J * w2, theta2], y[16:19], y[19:22], -I1[:3], v1]))
     return np.array(rows)
 
 
