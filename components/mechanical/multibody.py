@@ -124,10 +124,11 @@ class Multibody:
 
     def bar(self, a: Point, b: Point, length: float | None = None) -> None:
         """A massless rigid bar, g = (|b - a|^2 - length^2)/2; length defaults to the distance at the start."""
-        if length is None:
+        distance = length
+        if distance is None:
             d = [y - x for x, y in zip(self._start(a), self._start(b), strict=True)]
-            length = sum(x * x for x in d) ** 0.5
-        self._bars.append((a, b, length))
+            distance = sum(x * x for x in d) ** 0.5
+        self._bars.append((a, b, float(distance)))
 
     def constraint(self, g: Callable[[Callable[[Point], ca.SX]], ca.SX]) -> None:
         """A holonomic constraint g = 0; `g` gets a function that maps a point to its position."""

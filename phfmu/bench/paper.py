@@ -17,7 +17,7 @@ from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.status import StepFailure
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 DG = Collocated(1, gradient="joint-gonzalez", name="DG")
 MP = Collocated(1, gradient="nodal", name="MP")

@@ -83,7 +83,7 @@ def _symbol(text: str, token: str) -> tuple[float, dict[str, int]]:
 @cache
 def parse_unit(text: str) -> Unit:
     """Parse `text` (factors separated by `.`, `*` or `/`; everything after a `/` divides until the next one)."""
-    exponents = dict.fromkeys(BASE, 0)
+    exponents: dict[str, int] = dict.fromkeys(BASE, 0)
     factor = 1.0
     parts = re.split(r"(/)", text.replace("*", ".").replace(" ", "").replace("(", "").replace(")", ""))
     sign = 1

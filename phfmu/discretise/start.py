@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,7 +22,7 @@ from phfmu.discretise.model import CONSISTENCY, Model
 from phfmu.discretise.scales import check_rows
 from phfmu.discretise.terms import DeclarationError
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 ITERATIONS = 30
 

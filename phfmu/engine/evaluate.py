@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.plan import Group, Plan, Products
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 class _Buffered:
@@ -18,8 +18,8 @@ class _Buffered:
 
     def __init__(self, function: Any, n: int, widths_in: list[int], widths_out: list[int]):
         mapped = function.map(n) if n > 1 else function
-        self.arg = [np.zeros((n, w)) for w in widths_in]
-        self.res = [np.zeros((n, w)) for w in widths_out]
+        self.arg: list[Any] = [np.zeros((n, w)) for w in widths_in]
+        self.res: list[Any] = [np.zeros((n, w)) for w in widths_out]
         self._keep = mapped.buffer()
         buffer, self.call = self._keep
         for i, a in enumerate(self.arg):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,7 @@ from phfmu.engine.newton import Newton, Outcome
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 DEPTH = 6  # halvings of a step before it is given up
 
@@ -215,7 +216,11 @@ class PythonInstance:
                 raise
             now = self.ledger() | {"counts": np.array([self.counts["iterations"] - before, parts], float)}
             if "signals" in rows or "energy" in rows:
-                signals = self.signals()
+                try:
+                    signals = self.signals()
+                except StepFailure as failure:
+                    failure.recorded = {name: np.array(kept) for name, kept in rows.items()}
+                    raise
                 now |= {"signals": np.concatenate([signals[b] for b in self.layout]), "energy": signals["H"]}
             now |= {"x": self.x, "a": self._s.a, "y_step": self._s.y_step}
             for name, kept in rows.items():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 COUNTERS = ("steps", "iterations", "restarts", "line_searches", "substeps")
 

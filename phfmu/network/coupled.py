@@ -24,7 +24,7 @@ from phfmu.network.members import Member
 from phfmu.network.network import Network
 from phfmu.network.stepper import Booking, InconsistentState, Steps
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 ENERGY = 1e-14  # accepted interface energy relative to the energy in play
 ROUNDING = 1e-13  # componentwise relative residual that counts as solved

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from phfmu.network.compose import junction_unknowns
 from phfmu.network.members import Member
 from phfmu.network.network import Network
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,8 @@ def interface(network: Network, members: list[Member]) -> Interface:
     names: list[str] = []
     start: list[float] = []
     nominal: list[float] = []
-    entries: list[tuple[int, int]] = []
-    skew: list[tuple[int, int]] = []
+    entries: list[tuple[Any, Any]] = []
+    skew: list[tuple[Any, Any]] = []
     sums = {}
     for j in network.junctions:
         u = junction_unknowns(network, j)

@@ -16,7 +16,7 @@ from phfmu.network.stepper import Booking, Stepper, Steps
 if TYPE_CHECKING:
     from phfmu.audit import Ledger, PortKey
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 BLOCK = 4096  # steps between progress reports and audit flushes
 
