@@ -141,7 +141,11 @@ class PHDAE:
             return replace(v, start=tuple(starts))
 
         def renew_port(port: Port) -> Port:
-            starts = [float(left.pop(n, s)) for n, s in zip(port.input_names(), _starts(port), strict=True)]
+            names = port.input_names()
+            starts = [float(left.pop(n, s)) for n, s in zip(names, _starts(port), strict=True)]
+            bare = names[0].partition("[")[0]
+            if port.size is not None and bare in left:
+                starts = [float(left.pop(bare))] * port.n
             return replace(port, start=tuple(starts))
 
         new = self.mapped(renew, renew_port)

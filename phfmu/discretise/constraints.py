@@ -138,6 +138,11 @@ def _require_velocities(terms: Terms, shifted: list[int]) -> None:
     mass = {t.rows[0][1]: _value(t, p) for t in terms.terms if t.kind == "mass"}
     names = [n for v in model.states for n in v.names()]
     for v in shifted:
+        if not mass.get(v, 1.0) > 0:
+            raise DeclarationError(
+                f"{model.name}: the two-level scheme divides by the mass of '{names[v]}', which is {mass[v]:g}; give it a "
+                "positive mass"
+            )
         if abs(g[v] / mass.get(v, 1.0) - x[v]) > 1e-9 * (1 + abs(x[v])) or v in terms.solved_costates:
             raise DeclarationError(
                 f"{model.name}: the two-level scheme needs velocities as states (M v' = ..., z = v) with a diagonal M; "

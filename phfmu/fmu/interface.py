@@ -135,13 +135,18 @@ def _variables3(root: Element) -> dict[str, Scalar]:
 
 
 def _scalar(v: Element, numbers: Element) -> Scalar:
-    start = numbers.get("start")
-    return Scalar(
-        name=v.get("name", ""),
-        reference=int(v.get("valueReference", "0")),
-        causality=v.get("causality", "local"),
-        start=None if start is None else float(start),
-        unit=numbers.get("unit", "1"),
-        nominal=float(numbers.get("nominal", "1")),
-        description=v.get("description", ""),
-    )
+    start, name = numbers.get("start"), v.get("name", "")
+    try:
+        return Scalar(
+            name=name,
+            reference=int(v.get("valueReference", "0")),
+            causality=v.get("causality", "local"),
+            start=None if start is None else float(start),
+            unit=numbers.get("unit", "1"),
+            nominal=float(numbers.get("nominal", "1")),
+            description=v.get("description", ""),
+        )
+    except ValueError as error:
+        raise FMUError(
+            f"modelDescription.xml: variable '{name}': {error}; the unit is damaged, export it again"
+        ) from None
