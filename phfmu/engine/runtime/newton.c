@@ -13,7 +13,7 @@
 #define STAGNATION 1e-6 /* below it, an update that no longer halves is rounding */
 /* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
  * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
-#define CHORD 1e-3
+#define CHORD 1e-1
 #define CONTRACTION 0.1
 #define DELTA 1e-10
 #define MIN_DAMPING (1.0 / 64.0)

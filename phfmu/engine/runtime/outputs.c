@@ -3,10 +3,16 @@
 
 #include "system.h"
 
-/* Instant system at the present x, t and u. */
+/* Instant system at the present x, t and u. It starts from the step means and looks for pivots anew, so
+ * that end values do not depend, not even in the last bit, on when others were read before. */
 static int solve_instant(ph_instance *in) {
     ph_system *s = &in->instant;
+    const double *mean = in->table + in->offset[PH_A];
     int status;
+    for (int l = 0; in->head->parts > 0 && l < s->plan->nmean; l++)
+        s->last[s->plan->mean_w[l]] = mean[s->plan->mean_a[l]];
+    *s->last_h = 0.0;
+    s->lu.ready = s->lu.filled = 0;
     ph_inputs_at(in, in->head->theta, s->y + s->plan->nw);
     in->count[PH_INSTANTS]++;
     status = ph_solve(s, 1.0);
