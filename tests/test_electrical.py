@@ -28,7 +28,7 @@ from phfmu.components.electrical import (
     synchronous_machine,
     voltage_source,
 )
-from phfmu.discretise.model import discretise
+from phfmu.discretise.model import build_model
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "reference"))
@@ -41,7 +41,7 @@ OMEGA = 120.0 * np.pi
 
 def steps(model, k, h, n, inputs):
     """A Python instance after n steps with `inputs` at the k nodes, and the worst ledger gap of a step."""
-    plan = discretise(model, Collocated(k))
+    plan = build_model(model, Collocated(k))
     instance, worst = PythonInstance(plan), 0.0
     for i in range(n):
         instance.set_node_inputs(np.array([inputs(h * (i + c)) for c in plan.nodes]))
@@ -279,7 +279,7 @@ def test_without_losses_and_voltages_energy_and_fluxes_stay(name, coordinates):
     data = machine_set(name, Ra=0.0, R_rotor=[0.0] * 3)
     point = start_of(data)
     model = synchronous_machine(data, coordinates=coordinates, start=point)
-    instance = NativeInstance(discretise(model, Collocated(1)))
+    instance = NativeInstance(build_model(model, Collocated(1)))
     instance.set_input(np.zeros(5))
 
     def conserved():

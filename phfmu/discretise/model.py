@@ -81,9 +81,6 @@ def build_model(declaration: PHDAE, scheme: Collocated | None = None) -> Model:
     )  # fmt: skip
 
 
-discretise = build_model
-
-
 def default_scheme(declaration: PHDAE, order: int = 2) -> Collocated:
     """Two-level with holonomic constraints, plain collocation else."""
     two_level = bool(declaration.constraints)
