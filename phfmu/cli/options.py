@@ -12,15 +12,12 @@ if TYPE_CHECKING:
 
 def add_scheme(parser: argparse.ArgumentParser) -> None:
     """--order, --scheme, --gradient."""
-    parser.add_argument("--order", type=int, default=2, choices=(2, 4, 6), help="order of the scheme (default 2)")
-    parser.add_argument(
-        "--scheme", default="auto", choices=("auto", "collocated", "two-level", "semi-explicit", "midpoint"),
-        help="auto: two-level with holonomic constraints, else collocated",
-    )  # fmt: skip
-    parser.add_argument(
-        "--gradient", default="per-term",
-        choices=("per-term", "joint-gonzalez", "mean-value", "itoh-abe", "itoh-abe-symmetric"),
-    )  # fmt: skip
+    from phfmu.discretise.scheme_names import GRADIENTS, ORDERS, SCHEMES
+
+    parser.add_argument("--order", type=int, default=2, choices=ORDERS, help="order of the scheme (default 2)")
+    parser.add_argument("--scheme", default="auto", choices=SCHEMES,
+                        help="auto: two-level with holonomic constraints, else collocated")  # fmt: skip
+    parser.add_argument("--gradient", default="per-term", choices=GRADIENTS)
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:

@@ -29,6 +29,9 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
         members=members,
     )
     locator = Locator(model, pairs)
+    for i, pair in enumerate(pairs):
+        if pair.port.bound is not None:
+            out.bound[i] = locator.find(pair.port.bound[pair.j], pair.port.name)[1]
     mass = _masses(model, out, locator)
     _closed(model, out, locator)
     _blocks(model, out, locator)

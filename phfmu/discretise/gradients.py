@@ -11,8 +11,6 @@ Gonzalez (J. Nonlinear Sci. 6, 1996).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import casadi as ca
 import numpy as np
 
@@ -162,6 +160,3 @@ def _taylor_remainder(h: ca.SX, x: ca.SX, d: ca.SX, m: ca.SX, p: int) -> ca.SX:
         if j >= 3 and j % 2:
             total += at(g, t, ca.SX(0)) / (2.0 ** (j - 1) * factorial)
     return total
-
-
-EnergyRule = Callable[..., Gradient]

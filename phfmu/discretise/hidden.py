@@ -28,18 +28,6 @@ class Hidden:
         return sorted(self.rows - self.solved_by.keys())
 
 
-def bound_variables(terms: Terms) -> dict[int, int]:
-    """Pair -> the algebraic variable that feeds it."""
-    from phfmu.discretise.terms import Locator
-
-    locator = Locator(terms.model, terms.pairs)
-    return {
-        i: locator.find(p.port.bound[p.j], p.port.name)[1]
-        for i, p in enumerate(terms.pairs)
-        if p.port.bound is not None
-    }
-
-
 def contained(term: Term, j: int, bound: dict[int, int]) -> dict[tuple[str, int], int]:
     """Algebraic variables in output j of a flow term: (local kind, local index) -> variable."""
     found = {}
@@ -60,7 +48,7 @@ def hidden_rows(terms: Terms) -> Hidden:
     if not terms.na:
         return Hidden()
     columns: list[set[int]] = [set() for _ in range(terms.na)]
-    bound = bound_variables(terms)
+    bound = terms.bound
     for kind, row, source, i, _ in terms.constants:
         if kind == "a" and (source == "a" or source == "u" and i in bound):
             columns[row].add(i if source == "a" else bound[i])

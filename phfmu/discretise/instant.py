@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.discretise.arguments import EMPTY, Arguments
-from phfmu.discretise.hidden import Hidden, bound_variables, hidden_rows, rates
+from phfmu.discretise.hidden import Hidden, hidden_rows, rates
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import Maps, make_plan
@@ -50,7 +50,7 @@ def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
             rows[(a, code)] = len(terms.observable_names) + len(checks)
             checks.append(Check(names[a], level, a))
     layout = Layout(terms, 1, unknowns, costate_rate=bool(hidden.rows), checks=rows, solved_by=hidden.solved_by)
-    rule = _Instant(hidden, bound_variables(terms))
+    rule = _Instant(hidden, terms.bound)
     cache: dict[tuple, list[Spec]] = {}
     work = []
     for term in terms.terms:

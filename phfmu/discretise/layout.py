@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from phfmu.discretise.hidden import bound_variables
 from phfmu.discretise.spec import Address
 from phfmu.discretise.terms import Term, Terms
 
@@ -34,7 +33,7 @@ class Layout:
         self.w_of = {u: i for i, u in enumerate(self.unknowns)}
         self.sources = [i for i, p in enumerate(self.terms.pairs) if p.port.source is not None]
         self.source_slot = {p: j for j, p in enumerate(self.sources)}
-        self.bound = bound_variables(self.terms)
+        self.bound = self.terms.bound
 
     @property
     def nw(self) -> int:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.hidden import Hidden, bound_variables, hidden_rows
+from phfmu.discretise.hidden import Hidden, hidden_rows
 from phfmu.discretise.instant import Check
 from phfmu.discretise.terms import Term, Terms
 
@@ -38,7 +38,7 @@ def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
     position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}
     rows = {r: ca.SX(0) for r in hidden.rows}
     out = [ca.SX(0) for _ in checks]
-    bound = bound_variables(terms)
+    bound = terms.bound
     for kind, row, source, i, value in terms.constants:
         if kind == "a" and row in rows:
             variable = i if source == "a" else bound.get(i) if source == "u" else None

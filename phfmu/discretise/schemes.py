@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.scheme_names import ORDERS, SCHEMES
 from phfmu.discretise.terms import DeclarationError
-
-SCHEMES = ("auto", "collocated", "two-level", "semi-explicit", "midpoint")
-GRADIENTS = ("per-term", "joint-gonzalez", "mean-value", "itoh-abe", "itoh-abe-symmetric")
-ORDERS = (2, 4, 6)
 
 
 def named_scheme(declaration: PHDAE, name: str = "auto", order: int = 2, gradient: str = "per-term") -> Collocated:

@@ -63,6 +63,8 @@ class Terms:
     np: int = 0
     pairs: list[Pair] = field(default_factory=list)
     nu: int = 0
+    #: pair -> the algebraic variable that feeds it
+    bound: dict[int, int] = field(default_factory=dict)
     members: list[str] = field(default_factory=list)
     terms: list[Term] = field(default_factory=list)
     constants: list[tuple[str, int, str, int, float]] = field(default_factory=list)

@@ -269,6 +269,10 @@ class PythonInstance:
             "observables": end["o"].copy(), "H": end["H"].copy(),
         }  # fmt: skip
 
+    def signal(self, block: str) -> Array:
+        """One block of `signals`."""
+        return self.signals()[block]
+
     def _end_values(self) -> dict[str, Array]:
         """Solve the instant system for the present state (cached until something changes)."""
         s, plan = self._s, self.model.instant

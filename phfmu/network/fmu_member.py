@@ -36,14 +36,6 @@ def _fed_from_inside(unit: FMUInstance) -> bool:
     return any(n.endswith(".energy") and v.causality == "local" for n, v in unit.interface.variables.items())
 
 
-def _ledger(unit: FMUInstance) -> dict[str, Array]:
-    """The unit's ledger of the last step; what it supplies to itself becomes the pair `inside`."""
-    book = unit.ledger()
-    if _fed_from_inside(unit):
-        book["pairs"] = np.append(book["pairs"], book["supplied"].sum() - book["pairs"].sum())
-    return book
-
-
 class FMUMember:
     """A member of a coupled network that is an FMU, of this package or of another tool."""
 
@@ -56,6 +48,7 @@ class FMUMember:
             self.places[p.name] = slice(start, start + len(p.inputs))
             start += len(p.inputs)
         self.names = _columns(unit)
+        self._inside = _fed_from_inside(unit)
         self.booking = _booking(unit, name)
         self._u = unit.start_inputs()
         self.nominal = np.array([unit.variable(n).nominal for n in unit.inputs])
@@ -108,7 +101,11 @@ class FMUMember:
         self.unit.set_state(state)
 
     def ledger(self) -> dict[str, Array]:
-        return _ledger(self.unit)
+        """The unit's ledger of the last step; what it supplies to itself becomes the pair `inside`."""
+        book = self.unit.ledger()
+        if self._inside:
+            book["pairs"] = np.append(book["pairs"], book["supplied"].sum() - book["pairs"].sum())
+        return book
 
     def energies(self) -> Array:
         return self.unit.energies()
@@ -171,7 +168,7 @@ class FMUStepper:
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
                 raise
-            book = _ledger(self.unit)
+            book = self.member.ledger()
             parts = [book[key] for key in ("stored", "dissipated", "supplied", "pairs")]
             rows.append((self.read(), self.energies(), *parts, np.array(0.0)))
         return Steps.stacked(rows)

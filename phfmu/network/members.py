@@ -110,7 +110,7 @@ class EngineMember:
         return self.instance.output()
 
     def end_output(self) -> Array:
-        return self.instance.signals()["y_end"][: self.nu]
+        return self.instance.signal("y_end")[: self.nu]
 
     def sensitivity(self, t: float, h: float, state: Any) -> Array:
         try:
@@ -130,7 +130,7 @@ class EngineMember:
         return self.instance.ledger()
 
     def energies(self) -> Array:
-        return self.instance.signals()["H"]
+        return self.instance.signal("H")
 
     def read(self) -> Array:
         return self._columns.now(self.instance)

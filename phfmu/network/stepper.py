@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.status import StepFailure
+from phfmu.fmu.variables import ordered_ports
 from phfmu.network.columns import Columns
 
 if TYPE_CHECKING:
@@ -113,9 +114,8 @@ def booking(model: Model) -> Booking:
     d = model.declaration
     components = tuple(m or model.name for m in model.members)
     at = {end: name for name, ends in d.junctions for end in ends}
-    ports = [p for p in d.ports if p.external] + [p for p in d.ports if not p.external]
     pairs = []
-    for p in ports:
+    for p, _ in ordered_ports(d):
         short = p.name.removeprefix(p.owner + ".") if p.owner else p.name
         for j in range(p.n):
             index = None if p.size is None else j + 1
@@ -150,7 +150,7 @@ class Monolithic:
         return self._columns.now(self.instance)
 
     def energies(self) -> Array:
-        return self.instance.signals()["H"]
+        return self.instance.signal("H")
 
     def check_start(self) -> None:
         require_consistent(self.model, self.instance)
@@ -188,7 +188,7 @@ def require_consistent(model: Model, instance: Any) -> None:
 
     if not model.checks:
         return
-    values = instance.signals()["observables"][-len(model.checks) :]
+    values = instance.signal("observables")[-len(model.checks) :]
     bad = [
         f"{c.name}: {c.level} residual {v:.6g} (tolerance {CONSISTENCY * s:.3g})"
         for c, v, s in zip(model.checks, values, model.check_scale, strict=True)
