@@ -93,7 +93,7 @@ def _unknown(net: Network, name: str) -> str:
 
 def _label(scheme: Any, engine: str, coupling: str) -> str:
     gradient = "" if scheme.gradient in ("per-term", "nodal") else f", {scheme.gradient}"
-    return f"{scheme.name}, order {2 * scheme.k}{gradient}, {engine} engine, {coupling}"
+    return f"{scheme.name}, order {scheme.order}{gradient}, {engine} engine, {coupling}"
 
 
 def _monolithic(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:

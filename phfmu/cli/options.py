@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
-    from phfmu.discretise.collocated import Collocated
+    from phfmu.discretise.scheme import Scheme
 
 
 def add_scheme(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def settings(items: list[str]) -> dict[str, float]:
     return out
 
 
-def scheme_of(args: argparse.Namespace, declaration: PHDAE, *, member: bool = False) -> Collocated:
+def scheme_of(args: argparse.Namespace, declaration: PHDAE, *, member: bool = False) -> Scheme:
     """The scheme asked for; members without constraints fall back to collocated under auto and two-level."""
     from phfmu.discretise.schemes import named_scheme
 

@@ -20,7 +20,7 @@ from phfmu.declare.check_sample import Sample
 from phfmu.declare.phdae import PHDAE
 
 if TYPE_CHECKING:
-    from phfmu.discretise.collocated import Collocated
+    from phfmu.discretise.scheme import Scheme
 
 #: a model with a problem of these rules is not discretised: the planner would only repeat it
 BLOCKING = {
@@ -37,7 +37,7 @@ BLOCKING = {
 }
 
 
-def check(model: PHDAE, scheme: Collocated | None = None) -> list[Problem]:
+def check(model: PHDAE, scheme: Scheme | None = None) -> list[Problem]:
     """All problems of `model`; an empty list if it is sound.
 
     Matrices and energies are evaluated at the start and at seeded points around it, within the nominal size

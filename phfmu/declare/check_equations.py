@@ -13,8 +13,8 @@ from phfmu.declare.check_problem import Problem
 from phfmu.declare.phdae import PHDAE
 
 if TYPE_CHECKING:
-    from phfmu.discretise.collocated import Collocated
     from phfmu.discretise.model import Model
+    from phfmu.discretise.scheme import Scheme
 
 
 def unused(entries: Entries) -> list[Problem]:
@@ -101,7 +101,7 @@ def _no_velocity(entries: Entries, rate: ca.SX) -> str:
     return ""
 
 
-def equations(model: PHDAE, scheme: Collocated | None) -> list[Problem]:
+def equations(model: PHDAE, scheme: Scheme | None) -> list[Problem]:
     """The equations can be solved at the start, and the start satisfies their hidden constraints."""
     from phfmu.discretise.model import build_model
     from phfmu.discretise.terms import DeclarationError

@@ -17,7 +17,10 @@ import numpy as np
 
 from phfmu.discretise import constraints, coordinate, gradients
 from phfmu.discretise.arguments import EMPTY, Arguments
-from phfmu.discretise.quadrature import nodes
+from phfmu.discretise.layout import Layout
+from phfmu.discretise.planner import Maps
+from phfmu.discretise.quadrature import Nodes, nodes
+from phfmu.discretise.scheme import Triplet, Unknown, node_constants, node_maps, node_unknowns
 from phfmu.discretise.spec import Spec, substituted
 from phfmu.discretise.terms import DeclarationError, Term, Terms
 
@@ -40,6 +43,26 @@ class Collocated:
     @property
     def joint(self) -> bool:
         return self.gradient == "joint-gonzalez"
+
+    @property
+    def order(self) -> int:
+        return 1 if self.gradient == "itoh-abe" else 2 * self.k
+
+    @property
+    def nodes(self) -> Nodes:
+        return nodes(self.k)
+
+    def unknowns(self, terms: Terms) -> list[Unknown]:
+        out = node_unknowns(terms, self.k)
+        if self.two_level:
+            out += [("m", t.rows[0][1], 0) for t in terms.terms if t.kind == "constraint"]
+        return out
+
+    def constants(self, layout: Layout) -> list[Triplet]:
+        return node_constants(layout)
+
+    def maps(self, layout: Layout) -> Maps:
+        return node_maps(layout, self.nodes)
 
     def prepare(self, terms: Terms) -> Terms:
         """Check that the scheme fits the model; returns the terms to discretise."""

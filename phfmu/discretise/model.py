@@ -15,6 +15,7 @@ from phfmu.discretise.instant import Check, instant_plan
 from phfmu.discretise.onestep import step_plan
 from phfmu.discretise.plan import Kernel, Plan
 from phfmu.discretise.scales import check_scales
+from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.terms import Terms
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ class Model:
 
     name: str
     declaration: PHDAE
-    scheme: Collocated
+    scheme: Scheme
     step: Plan
     instant: Plan
     x0: Array
@@ -56,16 +57,14 @@ class Model:
     @property
     def nodes(self) -> Array:
         """The k quadrature nodes on [0, 1]."""
-        from phfmu.discretise.quadrature import nodes
-
-        return nodes(self.scheme.k).c
+        return self.scheme.nodes.c
 
 
 def _stack(variables: tuple[Variable, ...]) -> Array:
     return np.array([s for v in variables for s in v.start], float)
 
 
-def build_model(declaration: PHDAE, scheme: Collocated | None = None) -> Model:
+def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
     """Discretise `declaration`; DeclarationError names what does not fit.  Default: `default_scheme`."""
     scheme = default_scheme(declaration) if scheme is None else scheme
     terms = extract(declaration, joint=scheme.joint)

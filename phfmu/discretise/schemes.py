@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.scheme_names import ORDERS, SCHEMES
 from phfmu.discretise.terms import DeclarationError
 
 
-def named_scheme(declaration: PHDAE, name: str = "auto", order: int = 2, gradient: str = "per-term") -> Collocated:
+def named_scheme(declaration: PHDAE, name: str = "auto", order: int = 2, gradient: str = "per-term") -> Scheme:
     """The scheme `name` of `order` for a declaration; DeclarationError says what fits instead.
 
     auto:           two-level with holonomic constraints, collocated else
