@@ -247,7 +247,7 @@ def test_values_that_are_not_finite_are_refused() -> None:
         with pytest.raises(StepFailure) as failure:
             call()
         assert failure.value.status is Status.VALUE
-    for h in (0.0, -1.0, np.nan, np.inf):
+    for h in (np.nan, np.inf):
         with pytest.raises(StepFailure) as failure:
             inst.do_step(0.0, h)
         assert failure.value.status is Status.ARGUMENT

@@ -83,7 +83,11 @@ class NativeInstance:
         self._check(self._lib.ph_set_x(self._in, t, values.ctypes.data))
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
-        """One communication step over [t, t + h] in `parts` equal internal steps."""
+        """One communication step over [t, t + h] in `parts` equal internal steps.
+
+        h < 0 goes back in time: the schemes are symmetric, so a step and the same step back give the old state
+        to rounding.  h = 0 leaves the state as it is, books nothing, and gives the means their values at t.
+        """
         status = self._step(self._in, t, h) if parts == 1 else self._lib.ph_step_parts(self._in, t, h, parts)
         if status:
             self._check(status)

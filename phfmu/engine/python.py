@@ -51,7 +51,12 @@ class PythonInstance:
         s.w = np.zeros(plan.nw)
         s.w[plan.mean_w] = s.a[plan.mean_a]
         s.h_last = 0.0
-        s.last = {n: np.zeros(plan.ncomp) for n in ("stored", "dissipated", "supplied")} | {"pairs": np.zeros(plan.nq)}
+        s.last = self._nothing()
+
+    def _nothing(self) -> dict[str, Array]:
+        """The ledger of a step in which nothing moved."""
+        plan = self.model.step
+        return {n: np.zeros(plan.ncomp) for n in ("stored", "dissipated", "supplied")} | {"pairs": np.zeros(plan.nq)}
 
     def get_state(self) -> State:
         """A complete copy; stepping after `set_state` gives the same bits."""
@@ -88,19 +93,20 @@ class PythonInstance:
     # -- stepping ---------------------------------------------------------------------------------------------------
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
-        """One communication step over [t, t + h] in `parts` equal internal steps."""
-        if not (h > 0 and np.isfinite(h) and np.isfinite(t) and parts >= 1):
+        """One communication step over [t, t + h] in `parts` equal internal steps.
+
+        h < 0 goes back in time: the schemes are symmetric, so a step and the same step back give the old state
+        to rounding.  h = 0 leaves the state as it is, books nothing, and gives the means their values at t.
+        """
+        if not (np.isfinite(h) and np.isfinite(t) and parts >= 1):
             raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
         before = self.get_state()
+        if h == 0:
+            self._stay(t, before)
+            return
         s, plan = self._s, self.model.step
         s.x_old, s.u_old, s.solved = np.append(s.x[:-1], t), s.u.copy(), 0
-        for name, n in (
-            ("stored", plan.ncomp),
-            ("dissipated", plan.ncomp),
-            ("supplied", plan.ncomp),
-            ("pairs", plan.nq),
-        ):
-            s.last[name] = np.zeros(n)
+        s.last = self._nothing()
         y, a = np.zeros(plan.nq), np.zeros(plan.na)
         try:
             for i in range(parts):
@@ -120,6 +126,19 @@ class PythonInstance:
         s.supplied += s.last["supplied"]
         s.counts["steps"] += 1
         s.end = None
+
+    def _stay(self, t: float, before: State) -> None:
+        """The step of length zero; its means are their limits for h -> 0."""
+        s = self._s
+        s.x[-1], s.t, s.end = t, t, None
+        try:
+            end = self._end_values()
+        except StepFailure:
+            self._s = before
+            raise
+        s.x_old, s.u_old, s.solved, s.last = s.x.copy(), s.u.copy(), 0, self._nothing()
+        s.a, s.y_step = end["a"].copy(), end["y"].copy()
+        s.counts["steps"] += 1
 
     def _advance(self, t: float, h: float, start: float, part: float, depth: int) -> list[tuple[Array, Array, float]]:
         """The part [start, start + part] of the step [t, t + h]: (mean outputs, mean algebraics, part) per solve."""
@@ -154,7 +173,7 @@ class PythonInstance:
         s, plan = self._s, self.model.step
         rest = np.where(plan.increments == 1, 0.0, s.w)
         starts = [rest]
-        if s.h_last > 0:
+        if s.h_last != 0:
             ratio = (h / s.h_last) ** plan.guess_pow
             starts.insert(0, np.add.reduceat(plan.guess_val * ratio * s.w[plan.guess_idx], plan.guess_ptr[:-1]))
         fixed = (s.x, np.append(u, h), s.p, h)

@@ -26,7 +26,7 @@ REMEDY = {
     Status.NOT_FINITE: "check inputs and parameters, or reduce the step if the state leaves the domain of H",
     Status.LU_CAPACITY: "discretise the model again, so that the memory is planned for its present structure",
     Status.ABI: "empty the cache folder (PHFMU_CACHE_DIR) and build again",
-    Status.ARGUMENT: "the step must be positive and finite, and node inputs need a Gauss scheme",
+    Status.ARGUMENT: "time and step must be finite, the parts at least 1, and node inputs need a Gauss scheme",
     Status.VALUE: "look for its source: inputs, parameters and states must be numbers",
     Status.NO_SENSITIVITY: "take one internal step per communication step, or use finite differences",
 }

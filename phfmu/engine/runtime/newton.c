@@ -188,7 +188,7 @@ static void start_rest(ph_system *s) {
 /* Solves for step size h at the x, u and p in place: plain from the guess, plain from rest, damped
  * from the guess, damped from rest. Nothing but Y, R and work space is written. */
 int ph_solve(ph_system *s, double h) {
-    int status = PH_OK, guessed = *s->last_h > 0.0;
+    int status = PH_OK, guessed = *s->last_h != 0.0;
     ph_eval_h(s, h);
     if (s->plan->nw == 0) {
         s->iterations = 0;

@@ -50,15 +50,19 @@ int ph_refresh(ph_instance *in) {
     return PH_OK;
 }
 
-int ph_initialise(ph_instance *in) {
+void ph_take_instant(ph_instance *in) {
     const ph_plan *p = in->model->step;
     double *table = in->table;
+    memcpy(table + in->offset[PH_A], table + in->offset[PH_A_END], sizeof(double) * (size_t)p->na);
+    memcpy(table + in->offset[PH_Y_STEP], table + in->offset[PH_Y_END], sizeof(double) * (size_t)p->nq);
+}
+
+int ph_initialise(ph_instance *in) {
     int status = ph_refresh(in);
     if (status)
         return status;
-    memcpy(table + in->offset[PH_A], table + in->offset[PH_A_END], sizeof(double) * (size_t)p->na);
-    memcpy(table + in->offset[PH_Y_STEP], table + in->offset[PH_Y_END], sizeof(double) * (size_t)p->nq);
-    ph_seed(in, table + in->offset[PH_A]);
+    ph_take_instant(in);
+    ph_seed(in, in->table + in->offset[PH_A]);
     return PH_OK;
 }
 

@@ -110,7 +110,9 @@ PH_API int ph_set_algebraic(ph_instance *in, const double *a);   /* a: na, start
 PH_API const double *ph_parameters(const ph_instance *in);       /* np */
 PH_API const double *ph_input(const ph_instance *in);            /* k*nu */
 
-/* One step over [t, t+h]; ph_step_parts takes it as n equal internal steps. */
+/* One step over [t, t+h]; ph_step_parts takes it as n equal internal steps. h < 0 goes back in time: the
+ * schemes are symmetric, so a step and the same step back give the old state to rounding. h = 0 leaves the
+ * state as it is, books nothing and gives the step means their values at t. */
 PH_API int ph_step(ph_instance *in, double t, double h);
 PH_API int ph_step_parts(ph_instance *in, double t, double h, int n);
 

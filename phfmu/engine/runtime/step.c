@@ -128,10 +128,33 @@ static void finish(ph_instance *in, double t) {
     in->count[PH_STEPS]++;
 }
 
+/* A step of length zero is the identity: the state stays to the last bit, no energy moves, and the means of
+ * the step are the limits for h -> 0, the values at the instant. */
+static int stay(ph_instance *in, double t) {
+    int status;
+    in->table[in->step.plan->nx] = t;
+    in->head->dirty = 1;
+    status = ph_refresh(in);
+    if (status)
+        return status;
+    begin(in, 0.0);
+    ph_take_instant(in);
+    in->count[PH_STEPS]++;
+    return PH_OK;
+}
+
 int ph_step_parts(ph_instance *in, double t, double h, int n) {
-    if (!(h > 0.0) || !isfinite(h) || !isfinite(t) || n < 1)
+    if (!isfinite(h) || !isfinite(t) || n < 1)
         return PH_ARGUMENT;
     ph_save(in, in->backup);
+    if (h == 0.0) {
+        int status = stay(in, t);
+        if (status == PH_OK)
+            return status;
+        in->count[PH_FAILED]++;
+        ph_load(in, in->backup);
+        return status;
+    }
     begin(in, h);
     for (int i = 0; i < n; i++) {
         int status = walk(in, t, h, i, n);

@@ -113,5 +113,6 @@ int ph_finite(const double *values, int n);
 void ph_resample(ph_instance *in, double from, double length, double *u);
 void ph_inputs_at(ph_instance *in, double theta, double *u);
 void ph_seed(ph_instance *in, const double *a);
+void ph_take_instant(ph_instance *in); /* step means = values at the present time */
 
 #endif
