@@ -18,6 +18,7 @@ _WHERE = {
     ),
     "phfmu.declare.check": ("check", "Problem"),
     "phfmu.discretise.collocated": ("Collocated",),
+    "phfmu.discretise.discrete": ("discrete_gradient", "discrete_jacobian"),
     "phfmu.discretise.model": ("Model", "build_model", "default_scheme"),
     "phfmu.discretise.terms": ("DeclarationError",),
     "phfmu.engine.status": ("Status", "StepFailure"),
@@ -110,6 +111,8 @@ if TYPE_CHECKING:
         time as time,
     )
     from phfmu.discretise.collocated import Collocated as Collocated
+    from phfmu.discretise.discrete import discrete_gradient as discrete_gradient
+    from phfmu.discretise.discrete import discrete_jacobian as discrete_jacobian
     from phfmu.discretise.model import Model as Model
     from phfmu.discretise.model import build_model as build_model
     from phfmu.discretise.model import default_scheme as default_scheme

@@ -78,7 +78,7 @@ def example(rule: str, name: str, k: int) -> Example:
 unit = st.floats(-1.0, 1.0, allow_subnormal=False)
 states = arrays(float, N, elements=unit)
 coefficients = arrays(float, COEFFICIENTS, elements=unit)
-scales = st.integers(-9, 0).map(lambda n: 10.0**n)
+scales = st.integers(-16, 0).map(lambda n: 10.0**n)
 
 
 def increments(k: int) -> st.SearchStrategy:

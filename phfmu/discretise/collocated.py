@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise import constraints, coordinate, gradients
+from phfmu.discretise import constraints, gradients
 from phfmu.discretise.arguments import EMPTY, Arguments
+from phfmu.discretise.discrete import Summand, node_gradients
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.planner import Maps
 from phfmu.discretise.quadrature import Nodes, nodes
@@ -88,22 +89,12 @@ class Collocated:
     # -- terms ------------------------------------------------------------------------------------------------------
 
     def _energy(self, term: Term) -> list[Spec]:
-        nd, args = nodes(self.k), Arguments(term, self.k)
-        x, data = term.local["x"], term.data
+        args, x, data = Arguments(term, self.k), term.local["x"], term.data
         d = args.matrix("D", x.numel())
-        kind = term.key[1][0]
-        if self.gradient == "nodal" and kind != "quadratic":
-            w, dh = gradients.nodal(data["H"], x, d, nd)
-        elif self.gradient == "mean-value" and kind != "quadratic":
-            w, dh = gradients.general(data["H"], x, d, nd, np.ones(x.numel()))
-        elif self.gradient.startswith("itoh-abe"):
-            w, dh = coordinate.itoh_abe(data["H"], x, d, symmetric=self.gradient.endswith("symmetric"))
-        elif kind == "quadratic":
-            w, dh = gradients.quadratic(data["H"], x, d, nd)
-        elif kind == "strain":
-            w, dh = gradients.strain(data["C"], data["phi"], term.local["z"], x, d, nd)
-        else:
-            w, dh = gradients.general(data["H"], x, d, nd, np.array(term.key[1][1]))
+        tag = term.key[1]
+        strain = (data["C"], data["phi"], term.local["z"]) if tag[0] == "strain" else None
+        metric = np.array(tag[1]) if tag[0] == "general" else None
+        w, dh = node_gradients(self.gradient, Summand(tag[0], data["H"], x, strain, metric), d, self.nodes)
         return [self._costates(term, args, w, dh)]
 
     def _joint(self, term: Term) -> list[Spec]:

@@ -18,22 +18,23 @@ import casadi as ca
 import numpy as np
 
 from phfmu.discretise.arguments import EMPTY, Arguments
-from phfmu.discretise.gradients import JOINT_GUARD, at, degree, guarded
+from phfmu.discretise.gradients import JOINT_GUARD, at, degree, general, guarded
 from phfmu.discretise.quadrature import gauss, nodes
 from phfmu.discretise.spec import Address, Spec
 from phfmu.discretise.terms import DeclarationError, Term, Terms
 
 
 def _node_rows(g: ca.SX, q: ca.SX, d: ca.SX, k: int) -> list[ca.SX]:
-    """Discrete Jacobian rows G_i with sum_i b_i G_i D_i = g(q') - g(q).
+    """Discrete Jacobian rows G_i with sum_i b_i G_i D_i = g(q') - g(q); Dg(X_i) for quadratic g.
 
-    G_i = Dg(X_i) + beta D_i^T, beta = [g(q') - g(q) - sum_j b_j Dg(X_j) D_j] / sum_j b_j |D_j|^2 (0 for quadratic g).
+    Polynomial g: the mean value by exact quadrature.  Else G_i = Dg(X_i) + beta D_i^T with
+    beta = [g(q') - g(q) - sum_j b_j Dg(X_j) D_j] / sum_j b_j |D_j|^2.
     """
-    nd, grad = nodes(k), ca.gradient(g, q)
+    nd = nodes(k)
+    if degree(g, q) is not None:
+        return ca.horzsplit(general(g, q, d, nd, np.ones(q.numel()))[0])
+    grad = ca.gradient(g, q)
     rows = [at(grad, q, q + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(k)]
-    p = degree(g, q)
-    if p is not None and p <= 2:
-        return rows
     end = at(g, q, q + ca.mtimes(d, ca.DM(nd.b)))
     num = end - g - sum((nd.b[i] * ca.dot(rows[i], d[:, i]) for i in range(k)), ca.SX(0))
     den = sum((nd.b[i] * ca.dot(d[:, i], d[:, i]) for i in range(k)), ca.SX(0))

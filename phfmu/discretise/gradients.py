@@ -21,6 +21,8 @@ from phfmu.discretise.quadrature import Nodes, gauss
 GUARD = 1e-6
 #: The threshold of the joint Gonzalez quotient on |dx|^2 (Kinon, Morandin, Schulze 2026, section 6.3).
 JOINT_GUARD = 1e-12
+#: The same for polynomials, whose numerator has no cancellation: only 0/0 and its underflow are kept out.
+POLYNOMIAL_GUARD = 1e-100
 
 Gradient = tuple[ca.SX, ca.SX]
 
@@ -147,7 +149,7 @@ def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     direct = at(h, x, x + d) - h
     num = direct - ca.dot(grad, d) if p is None else _taylor_remainder(h, x, d, m, p)
     dh = direct if p is None else num + ca.dot(grad, d)
-    return grad + guarded(num, ca.dot(d, d), JOINT_GUARD) * d, dh
+    return grad + guarded(num, ca.dot(d, d), JOINT_GUARD if p is None else POLYNOMIAL_GUARD) * d, dh
 
 
 def _taylor_remainder(h: ca.SX, x: ca.SX, d: ca.SX, m: ca.SX, p: int) -> ca.SX:
