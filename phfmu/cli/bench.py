@@ -1,30 +1,115 @@
-"""phfmu bench: published results reproduced."""
+"""phfmu bench: error against run time beside peers; published results reproduced."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 
 def add_parser(verbs: Any) -> None:
-    parser = verbs.add_parser("bench", help="reproduce published results")
-    parser.add_argument("target", help="four_particle")
+    from phfmu.cli import TARGET
+    from phfmu.cli.options import add_settings
+
+    parser = verbs.add_parser("bench", help="error against run time, beside peers")
+    parser.add_argument("target", help=TARGET)
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
+    parser.add_argument("--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT],... (default: what fits the target)")
+    parser.add_argument("--engines", metavar="LIST", default="native", help="native, python (default native)")
+    parser.add_argument("--steps", metavar="LIST", help="steps in s, with commas (default: 8 to 1/2 of the scene's)")
+    parser.add_argument("--tolerances", metavar="LIST", help="relative tolerances of peers (default 1e-4 ... 1e-10)")
     parser.add_argument(
-        "-o", "--output", default="bench", metavar="DIR", help="folder for PNG and CSV (default: bench)"
+        "--times", metavar="LIST", help="times in s at which states are compared (default: stop/10, stop)"
     )
+    parser.add_argument("--stop", type=float, help="end of the timed runs in s (default: the scene's)")
+    parser.add_argument(
+        "--states", metavar="LIST", help="state variables in the error (default: all, the worst counts)"
+    )
+    parser.add_argument("--errors", metavar="LIST", help="error levels at which costs are compared")
+    parser.add_argument("--repeat", type=int, default=5, help="timed runs per row, the median counts (default 5)")
+    parser.add_argument("--peers", metavar="LIST", default="all", help="all, none or names with commas (default all)")
+    parser.add_argument("--reference", metavar="CSV", help="states at the times: column time and one per state")
+    add_settings(parser)
+    parser.add_argument("-o", "--output", default="bench", metavar="DIR", help="folder of the files (default: bench)")
     parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
+    from phfmu.bench.machine import one_thread
+
+    one_thread()
+    return _paper(args) if args.paper else _compare(args)
+
+
+def _compare(args: argparse.Namespace) -> int:
+    from dataclasses import replace
+    from pathlib import Path
+
+    from phfmu.bench.problem import problem_of
+    from phfmu.bench.run import TOLERANCES, Choice, compare, known_peers
+    from phfmu.cli import FINE
+    from phfmu.cli.options import settings
+    from phfmu.cli.target import scene
+
+    if args.repeat < 1:
+        raise ValueError(f"--repeat {args.repeat}: at least one timed run is needed")
+    found = scene(args.target)
+    choice = Choice(
+        schemes=_names(args.schemes), engines=_names(args.engines), steps=_numbers("--steps", args.steps),
+        tolerances=_numbers("--tolerances", args.tolerances) or TOLERANCES, peers=known_peers(_names(args.peers)),
+        repeat=args.repeat, errors=_numbers("--errors", args.errors),
+    )  # fmt: skip
+    times, states = _numbers("--times", args.times), _names(args.states)
+    if args.stop is None and times:
+        args.stop = max(found.stop, *times)
+    declared = found.declaration().with_starts(settings(args.set))
+    problem = problem_of(replace(found, system=declared), times=times, stop=args.stop, judged=states)
+    if args.reference:
+        problem.read_reference(args.reference)
+    with _Progress() as progress:
+        lines = compare(problem, choice, Path(args.output), progress)
+    print("\n".join(lines))
+    return FINE
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return tuple(t.strip() for t in text.split(",") if t.strip()) if text else ()
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...]:
+    try:
+        values = tuple(float(t) for t in _names(text))
+    except ValueError:
+        values = (0.0,)
+    if not all(0 < v < float("inf") for v in values):
+        raise ValueError(f"{option} {text}: expected positive numbers with commas between, e.g. 0.02,0.01")
+    return values
+
+
+class _Progress:
+    """What is being measured, on a terminal only."""
+
+    def __enter__(self) -> _Progress:
+        self._show = sys.stderr.isatty()
+        return self
+
+    def __call__(self, text: str) -> None:
+        if self._show:
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+
+    def __exit__(self, *_: object) -> None:
+        self("")
+
+
+def _paper(args: argparse.Namespace) -> int:
     from importlib.util import find_spec
 
     from phfmu.bench.paper import write
     from phfmu.cli import FINE, PROBLEMS
     from phfmu.cli.target import load
 
-    if args.target != "four_particle" or not args.paper:
-        raise ValueError("bench knows: phfmu bench four_particle --paper -o DIR")
+    if args.target != "four_particle":
+        raise ValueError("--paper reproduces the paper of four_particle only: phfmu bench four_particle --paper -o DIR")
     if find_spec("matplotlib") is None:
         raise ValueError('figures need matplotlib: pip install "phfmu[plot]"')
     found = write(load(args.target), args.output)

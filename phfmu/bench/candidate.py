@@ -1,0 +1,46 @@
+"""A candidate of the comparison: a method with one setting, and what a run of it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Run:
+    """States at the times asked for (times x n1); steps, iterations and the worst ledger residual where they are known."""
+
+    x: Array
+    steps: int | None = None
+    iterations: int | None = None
+    ledger: float | None = None
+
+
+class Solve(Protocol):
+    """Solves from the start to the last of `times`; `watch`: also what costs time to look at (the ledger)."""
+
+    def __call__(self, times: Sequence[float], watch: bool = False) -> Run: ...
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """`prepare` does everything that is done once (models, compilation, reservations) and is not timed.
+
+    method: name of its line in the table;  setting: e.g. `h=0.01`, `rtol=1e-06`;  own: a scheme of this package
+    """
+
+    method: str
+    setting: str
+    value: float
+    prepare: Callable[[], Solve]
+    own: bool = False
+
+
+class NotAvailable(Exception):
+    """The peer is not installed or cannot take this problem; the message says why."""

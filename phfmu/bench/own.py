@@ -1,0 +1,106 @@
+"""The schemes of this package as candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.bench.candidate import Candidate, Run
+from phfmu.bench.problem import Problem
+from phfmu.discretise.model import Model, build_model
+from phfmu.discretise.schemes import named_scheme
+from phfmu.network.stepper import Inputs
+
+Array = NDArray[np.float64]
+
+ENGINES = ("native", "python")
+
+
+def default_schemes(problem: Problem) -> list[str]:
+    """Two-level of order 2 and 6 with holonomic constraints, collocated of order 2, 4 and 6 else."""
+    if problem.declaration.constraints:
+        return ["two-level:2", "two-level:6"]
+    return (
+        ["collocated:2", "collocated"]
+        if problem.declaration.closed
+        else ["collocated:2", "collocated:4", "collocated:6"]
+    )
+
+
+def candidates(
+    problem: Problem, schemes: Sequence[str], engines: Sequence[str], steps: Sequence[float]
+) -> Iterator[Candidate]:
+    """One candidate per scheme (`NAME:ORDER[:GRADIENT]`), engine and step [s]."""
+    for text in schemes:
+        name, order, gradient = _parts(text)
+        scheme = named_scheme(problem.declaration, name, order, gradient)
+        model = build_model(problem.declaration, scheme)
+        for engine in engines:
+            if engine not in ENGINES:
+                raise ValueError(f"--engines {engine}: choose from {', '.join(ENGINES)}")
+            label = f"{text}" if engine == "native" else f"{text} ({engine})"
+            for h in steps:
+                yield Candidate(
+                    label, f"h={h:g}", h, lambda e=engine, h=h, m=model: _Solver(problem, m, e, h), own=True
+                )
+
+
+def _parts(text: str) -> tuple[str, int, str]:
+    name, _, rest = text.partition(":")
+    order, _, gradient = rest.partition(":")
+    try:
+        return name, int(order or 2), gradient or "per-term"
+    except ValueError:
+        raise ValueError(f"--schemes {text}: expected NAME:ORDER or NAME:ORDER:GRADIENT, e.g. two-level:6") from None
+
+
+class _Solver:
+    """An instance stepped with a fixed step; intervals are divided into equal steps that land on their end."""
+
+    def __init__(self, problem: Problem, model: Model, engine: str, h: float):
+        self._problem, self._h, self._model = problem, h, model
+        self._instance: Any
+        if engine == "native":
+            from phfmu.engine.native import NativeInstance
+
+            self._instance = NativeInstance(model)
+        else:
+            from phfmu.engine.python import PythonInstance
+
+            self._instance = PythonInstance(model)
+        self._p0 = self._instance.parameters.copy()
+
+    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+        instance = self._instance
+        if self._problem.events:
+            instance.set_parameters(self._p0)
+            instance.set_input(self._model.u0)
+        instance.reset()
+        inputs = Inputs(instance, self._model)
+        x, steps, iterations, worst = [], 0, 0, 0.0
+        record = ("counts", "energy", "stored", "dissipated", "supplied") if watch else ()
+        for piece in self._problem.pieces(times):
+            for name, value in piece.changes.items():
+                inputs.set(name, value)
+            start = piece.start
+            for end in piece.stops:
+                n = max(1, round((end - start) / self._h))
+                rows = instance.run(start, (end - start) / n, n, record=record)
+                steps += n
+                if watch:
+                    iterations += int(rows["counts"][:, 0].sum())
+                    worst = max(worst, _ledger(rows))
+                if end in piece.times:
+                    x.append(instance.x)
+                start = end
+        return Run(np.array(x), steps, iterations if watch else None, worst if watch else None)
+
+
+def _ledger(rows: dict[str, Array]) -> float:
+    """Largest |stored + dissipated - supplied| of a step relative to the energies in play."""
+    residual = np.abs(rows["stored"] + rows["dissipated"] - rows["supplied"])
+    scale = np.abs(rows["energy"]).sum(axis=1, keepdims=True) + np.abs(rows["supplied"]) + np.abs(rows["dissipated"])
+    return float((residual / np.maximum(scale, 1e-300)).max(initial=0.0))
