@@ -16,6 +16,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "fault_resistor": ("component", _E + "switch", "three-phase shunt conductance, switched by events"),
     "dc_motor": ("component", _E + "dc_motor", "permanent-magnet DC motor"),
     "four_particle": ("component", _M + "four_particle", "four particles, two bars, two springs, a damper"),
+    "mass_spring": ("component", _M + "mass_spring", "two masses, two springs, singular mass matrix reduced"),
     "mass": ("component", _M + "translational", "mass with optional spring and damper to ground"),
     "spring": ("component", _M + "translational", "linear spring between two flanges"),
     "damper": ("component", _M + "translational", "linear damper between two flanges"),

@@ -16,6 +16,8 @@ _WHERE = {
     "phfmu.declare.phdae": (
         "PHDAE", "Block", "Holonomic", "Observable", "block", "skew", "damping", "observable",
     ),
+    "phfmu.declare.transformation": ("SystemTransformation", "keeping_E"),
+    "phfmu.declare.descriptor": ("reduce_descriptor",),
     "phfmu.declare.check": ("check", "Problem"),
     "phfmu.discretise.collocated": ("Collocated",),
     "phfmu.discretise.discrete": ("discrete_gradient", "discrete_jacobian"),
@@ -41,6 +43,7 @@ _OWNER = {name: module for module, names in _WHERE.items() for name in names}
 if TYPE_CHECKING:
     from phfmu.declare.check import Problem as Problem
     from phfmu.declare.check import check as check
+    from phfmu.declare.descriptor import reduce_descriptor as reduce_descriptor
     from phfmu.declare.energy import (
         ClosedPair as ClosedPair,
     )
@@ -94,6 +97,12 @@ if TYPE_CHECKING:
     )
     from phfmu.declare.port import (
         Port as Port,
+    )
+    from phfmu.declare.transformation import (
+        SystemTransformation as SystemTransformation,
+    )
+    from phfmu.declare.transformation import (
+        keeping_E as keeping_E,
     )
     from phfmu.declare.variable import (
         Variable as Variable,

@@ -14,7 +14,7 @@ from phfmu.network.columns import Columns
 
 STEPS = 1000
 #: scenes bring their own step; components take one at which they move
-STEP = {"four_particle": 0.01, "mass": 0.01, "spring": 0.01, "damper": 0.01}
+STEP = {"four_particle": 0.01, "mass": 0.01, "mass_spring": 0.01, "spring": 0.01, "damper": 0.01}
 
 
 def two_tone(model, h: float, n: int) -> np.ndarray:

@@ -11,12 +11,13 @@ import casadi as ca
 
 from phfmu.declare.check_problem import Problem
 from phfmu.declare.energy import ClosedPair
-from phfmu.declare.phdae import PHDAE
+from phfmu.declare.phdae import PHDAE, stacked
 from phfmu.declare.variable import Variable, _sx, time
 
 #: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
+#: (z2: the given effort of an algebraic variable)
 ALLOWED = dict.fromkeys(("H", "E", "z", "g", "C"), "xp") | {"source": "pt", "bound": "a"}
-ALLOWED |= dict.fromkeys(("J", "R", "B", "observable"), "xzaupt")
+ALLOWED |= dict.fromkeys(("J", "R", "B", "z2", "observable"), "xzaupt")
 _WORDS = {
     "x": "states",
     "z": "costates",
@@ -150,7 +151,7 @@ class Entries:
         return ok
 
     def _rows(self, what: str, label: str, rows: Sequence[Variable]) -> bool:
-        allowed = {"E": "x", "z": "x", "closed": "x", "correct": "x", "g": "a"}.get(what, "xa")
+        allowed = {"E": "x", "z": "x", "z2": "a", "closed": "x", "correct": "x", "g": "a"}.get(what, "xa")
         bad = [v for v in rows if self.kind(v) not in tuple(allowed)]
         for v in bad:
             words = " or ".join(_WORDS[k] for k in allowed)
@@ -194,13 +195,14 @@ def normal_form(e: Entries) -> None:
             n = sum(v.n for v in b.variables)
             label = f"{what} block on {', '.join(v.name for v in b.variables)}"
             e.add(what, label, b.matrix, (n, n), b.variables, b)
-    for v, value in m.E.items():
-        matrix = as_matrix(value)
-        if matrix is not None and matrix.shape == (v.n, 1) and v.n > 1:
+    for where, value in m.E.items():
+        rows = stacked(where)
+        n, matrix = sum(v.n for v in rows), as_matrix(value)
+        if matrix is not None and matrix.shape == (n, 1) and n > 1:
             value = ca.diag(matrix)
-        e.add("E", f"E of '{v.name}'", value, (v.n, v.n), (v,), v)
+        e.add("E", f"E of {', '.join(repr(v.name) for v in rows)}", value, (n, n), rows)
     for v, value in m.z.items():
-        e.add("z", f"z of '{v.name}'", value, (v.n, 1), (v,), v)
+        e.add("z2" if v.role == "algebraic" else "z", f"z of '{v.name}'", value, (v.n, 1), (v,), v)
     for i, term in enumerate(m.energies):
         label = f"energy term {i + 1}" + (f" of {term.owner}" if term.owner else "")
         if e.add("H", label, term.expr, (1, 1), origin=term) and term.invariant is not None:

@@ -25,11 +25,11 @@ def unused(entries: Entries) -> list[Problem]:
         seen.update(s.element_hash() for s in ca.symvar(ca.sparsify(expr)))
 
     for e in entries.of("J", "R"):
-        see(ca.mtimes(ca.sparsify(e.expr), ca.vertcat(*(v.z for v in e.rows))))
+        see(ca.mtimes(ca.sparsify(e.expr), ca.vertcat(*(entries.model.effort(v) for v in e.rows))))
     for e in entries.of("B"):
         see(e.expr)
         if e.origin.bound is not None:
-            see(ca.mtimes(ca.sparsify(e.expr).T, e.rows[0].z))
+            see(ca.mtimes(ca.sparsify(e.expr).T, entries.model.effort(e.rows[0])))
     for e in entries.of("bound"):
         see(e.expr)
     for e in entries.of("g"):
@@ -62,7 +62,7 @@ def velocities(entries: Entries) -> list[Problem]:
         return []
     row: dict[int, ca.SX] = {}
     for e in entries.of("J", "R", "B"):
-        z = e.origin.u if e.what == "B" else ca.vertcat(*(v.z for v in e.rows))
+        z = e.origin.u if e.what == "B" else ca.vertcat(*(entries.model.effort(v) for v in e.rows))
         flow = ca.mtimes(ca.sparsify(e.expr), z) * (-1 if e.what == "R" else 1)
         for j, s in enumerate(s for v in e.rows for s in ca.vertsplit(v.sx)):
             row[s.element_hash()] = row.get(s.element_hash(), ca.SX(0)) + flow[j]

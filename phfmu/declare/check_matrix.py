@@ -155,11 +155,20 @@ def masses(entries: Entries, sample: Sample) -> list[Problem]:
                         "mass",
                         label,
                         text,
-                        f"give a nonzero mass, or make '{names[row]}' an algebraic variable",
+                        _remedy(entries, expr, names[row]),
                     )
                 )
                 break
     return found
+
+
+def _remedy(entries: Entries, E: ca.SX, name: str) -> str:
+    states = any(entries.known[s.element_hash()][0] == "x" for s in ca.symvar(E))
+    if states:
+        return "start elsewhere; for E of constant rank declare the form of `Parametrised`"
+    if E.sparsity().is_diag():
+        return f"give a nonzero mass, or make '{name}' an algebraic variable"
+    return "give a regular E, or give z of its variables and use reduce_descriptor(model)"
 
 
 def _singular(E: NDArray) -> int:
@@ -178,9 +187,33 @@ def _singular(E: NDArray) -> int:
 
 
 def costates(entries: Entries, sample: Sample) -> list[Problem]:
-    """A given z equals E^-T grad H."""
+    """A given z equals E^-T grad H; where E is singular, E^T z = grad H."""
     if not entries.complete:
         return []
+    return _derived(entries, sample) + _descriptor(entries, sample)
+
+
+def _descriptor(entries: Entries, sample: Sample) -> list[Problem]:
+    """E^T z = grad H for the blocks of E that are singular at the start."""
+    given, grad, found = {id(e.rows[0]): e.expr for e in entries.of("z")}, sample.gradient(), []
+    for e in entries.of("E"):
+        span = [i for v in e.rows for i in sample.rows(v)]
+        if sample.known_z[0, span].all() or any(id(v) not in given for v in e.rows):
+            continue
+        z = ca.vertcat(*(given[id(v)] for v in e.rows))
+        left, right = ca.mtimes(e.expr.T, z), grad[span]
+        parts = ca.mtimes(ca.fabs(e.expr).T, ca.fabs(z)) + ca.fabs(right)
+        a, b, size = (value[:, :, 0] for value in sample.values([left, right, parts]))
+        excess = np.nan_to_num(np.abs(a - b) - 10 * RELATIVE * size, nan=-1.0)
+        if (excess > 0).any():
+            i = int(np.argmax((excess > 0).any(axis=1)))
+            j = int(np.argmax(excess[i]))
+            text = f"{e.names()[j]}: E^T z = {a[i, j]:.9g}, grad H = {b[i, j]:.9g} {sample.where(i, left, right)}"
+            found.append(Problem("costate", e.label, text, "correct z, H or E"))
+    return found
+
+
+def _derived(entries: Entries, sample: Sample) -> list[Problem]:
     chosen, found = entries.of("z"), []
     for e, value in zip(chosen, sample.values([e.expr for e in chosen]), strict=True):
         span = list(sample.rows(e.rows[0]))

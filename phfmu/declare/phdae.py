@@ -77,10 +77,12 @@ class PHDAE:
     """A frozen declaration; lists of small terms, so that a network of models is a concatenation.
 
     energies:    H = sum of the terms
-    E:           variable -> mass matrix block (constant or a function of parameters; diagonal or not); absent = identity
+    E:           variable, or a tuple of variables (stacked) -> block of E, a function of states and parameters, diagonal
+                 or not; absent = identity.  A singular block needs z and `reduce_descriptor` before it can be stepped
     structure:   blocks of J;  dissipation: blocks of R
     closed:      closed-form discrete gradient pairs for states with E(x)
-    z:           variable -> given costate expression (only checked; z is derived from H and E)
+    z:           variable -> given costate.  States: only checked, z is derived from H and a regular E.  Algebraic
+                 variables: their effort z2(x, x2) where it is not the variable itself
     members:     owners of the terms of a composed network;  junctions: (name, member ports) it was joined at
     """
 
@@ -89,7 +91,7 @@ class PHDAE:
     algebraics: tuple[Variable, ...] = ()
     parameters: tuple[Variable, ...] = ()
     energies: tuple[Energy, ...] = ()
-    E: Mapping[Variable, Any] = field(default_factory=dict)
+    E: Mapping[Variable | tuple[Variable, ...], Any] = field(default_factory=dict)
     structure: tuple[Block, ...] = ()
     dissipation: tuple[Block, ...] = ()
     ports: tuple[Port, ...] = ()
@@ -119,6 +121,11 @@ class PHDAE:
         for pair in self.closed:
             total += pair.hamiltonian
         return total
+
+    def effort(self, v: Variable) -> ca.SX:
+        """The costate of `v`: the symbol of a state's z; of an algebraic variable its given z, else itself."""
+        given = self.z.get(v) if v.role == "algebraic" else None
+        return v.z if given is None else ca.SX(_sx(given))
 
     def port(self, name: str) -> Port:
         """The port called `name`; KeyError names the ports there are."""
@@ -167,7 +174,7 @@ class PHDAE:
             self,
             **fields,
             ports=tuple(replace(port(p), on={image(v): m for v, m in p.on.items()}) for p in self.ports),
-            E={image(v): m for v, m in self.E.items()},
+            E={image(v) if isinstance(v, Variable) else tuple(map(image, v)): m for v, m in self.E.items()},
             z={image(v): m for v, m in self.z.items()},
             structure=tuple(_swapped(b, image) for b in self.structure),
             dissipation=tuple(_swapped(b, image) for b in self.dissipation),
@@ -188,6 +195,11 @@ class PHDAE:
         close = get_close_matches(name, self.settable_names(), 5)
         hint = f"; did you mean {', '.join(close)}?" if close else ""
         return f"{self.name} has no parameter, state or input '{name}'{hint}"
+
+
+def stacked(key: Variable | tuple[Variable, ...]) -> tuple[Variable, ...]:
+    """The variables a block of E stands on."""
+    return (key,) if isinstance(key, Variable) else tuple(key)
 
 
 def _starts(port: Port) -> tuple[float, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from phfmu.declare.energy import Energy
-from phfmu.declare.phdae import PHDAE, Block
+from phfmu.declare.phdae import PHDAE, Block, stacked
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, _sx
 from phfmu.discretise.terms import DeclarationError, Locator, Pair, Terms, components, make_term
@@ -66,33 +66,31 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
     """Rows of E other than identity; returns the diagonal entries, state index -> expression."""
     diagonal: dict[int, ca.SX] = {}
     solved: list[int] = []
-    for v, value in model.E.items():
-        matrix = ca.SX(_sx(value))
-        if v.role != "state":
-            raise DeclarationError(f"E of '{v.name}': E acts on states; an algebraic variable has zero rows of E")
-        where = [i for _, i in locator.of(v)]
-        if matrix.numel() == 1 and v.n > 1:
-            matrix = matrix * ca.SX.eye(v.n)
-        elif matrix.shape == (v.n, 1) and v.n > 1:
+    for key, value in model.E.items():
+        variables = stacked(key)
+        label = f"E of {', '.join(repr(v.name) for v in variables)}"
+        if any(v.role != "state" for v in variables):
+            raise DeclarationError(f"{label}: E acts on states; an algebraic variable has zero rows of E")
+        where = [i for v in variables for _, i in locator.of(v)]
+        x, z = ca.vertcat(*(v.sx for v in variables)), ca.vertcat(*(v.z for v in variables))
+        matrix, n = ca.SX(_sx(value)), x.numel()
+        if matrix.numel() == 1 and n > 1:
+            matrix = matrix * ca.SX.eye(n)
+        elif matrix.shape == (n, 1) and n > 1:
             matrix = ca.diag(matrix)
-        if matrix.shape != (v.n, v.n):
-            raise DeclarationError(f"E of '{v.name}' is {matrix.shape[0]} x {matrix.shape[1]}, expected {v.n} x {v.n}")
-        kinds = {locator.find(s, f"E of '{v.name}'")[0] for s in ca.symvar(matrix)}
+        if matrix.shape != (n, n):
+            raise DeclarationError(f"{label} is {matrix.shape[0]} x {matrix.shape[1]}, expected {n} x {n}")
+        kinds = {locator.find(s, label)[0] for s in ca.symvar(matrix)}
         if matrix.sparsity().is_diag() and kinds <= {"p"}:
             for j, i in enumerate(where):
                 diagonal[i] = matrix[j, j]
-                out.terms.append(
-                    make_term(
-                        "mass", {"m": matrix[j, j]}, locator, f"E of '{v.name}'", rows=[("x", i)], extra=[v.sx[j]]
-                    )
-                )
+                out.terms.append(make_term("mass", {"m": matrix[j, j]}, locator, label, rows=[("x", i)], extra=[x[j]]))
         else:
             solved += where
-            z = v.z
             exprs = {"E": matrix, "z": z}
             out.terms.append(
-                make_term("massblock", exprs, locator, f"E of '{v.name}'", rows=[("x", i) for i in where],
-                          extra=[*ca.vertsplit(v.sx), *ca.vertsplit(z)])
+                make_term("massblock", exprs, locator, label, rows=[("x", i) for i in where],
+                          extra=[*ca.vertsplit(x), *ca.vertsplit(z)])
             )  # fmt: skip
     out.solved_costates = tuple(solved)
     return diagonal
@@ -123,12 +121,17 @@ class _WithIncrement(Locator):
         self.where = {k: (("z", v[1]) if v[0] == "d" else v) for k, v in base.where.items()}
 
 
-def _rows(variables: Sequence[Variable], locator: Locator) -> tuple[list[tuple[str, int]], ca.SX]:
+def _rows(
+    model: PHDAE, variables: Sequence[Variable], locator: Locator
+) -> tuple[list[tuple[str, int]], ca.SX, list[tuple[str, int] | None]]:
+    """Rows of `variables`, their efforts, and where each effort is a plain value (None: a given z2)."""
     rows = [r for v in variables for r in locator.of(v)]
     for kind, _ in rows:
         if kind not in ("x", "a"):
             raise DeclarationError("blocks of J and R act on states and algebraic variables only")
-    return rows, ca.vertcat(*(v.z for v in variables))
+    plain = [v.role == "state" or v not in model.z for v in variables for _ in range(v.n)]
+    sources = [_source(row) if ok else None for row, ok in zip(rows, plain, strict=True)]
+    return rows, ca.vertcat(*(model.effort(v) for v in variables)), sources
 
 
 def _constant(entry: ca.SX) -> float | None:
@@ -142,7 +145,7 @@ def _source(row: tuple[str, int]) -> tuple[str, int]:
 def _blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
     for what, blocks in (("J", model.structure), ("R", model.dissipation)):
         for b in blocks:
-            rows, z = _rows(b.variables, locator)
+            rows, z, sources = _rows(model, b.variables, locator)
             label = f"{what} block on {', '.join(v.name for v in b.variables)}"
             if b.matrix.shape != (len(rows), len(rows)):
                 raise DeclarationError(
@@ -152,7 +155,7 @@ def _blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
             if what == "R":
                 _dissipation(out, locator, b, rows, z, owner, label)
             else:
-                _interconnection(out, locator, b, rows, z, owner, label)
+                _interconnection(out, locator, b, rows, z, sources, owner, label)
 
 
 def _dissipation(out: Terms, locator: Locator, b: Block, rows: list, z: ca.SX, owner: int, label: str) -> None:
@@ -163,15 +166,25 @@ def _dissipation(out: Terms, locator: Locator, b: Block, rows: list, z: ca.SX, o
         out.terms.append(make_term("flow", exprs, locator, label, rows=[rows[i] for i in part], owner=owner))
 
 
-def _interconnection(out: Terms, locator: Locator, b: Block, rows: list, z: ca.SX, owner: int, label: str) -> None:
+def _interconnection(
+    out: Terms,
+    locator: Locator,
+    b: Block,
+    rows: list[tuple[str, int]],
+    z: ca.SX,
+    sources: list[tuple[str, int] | None],
+    owner: int,
+    label: str,
+) -> None:
     varying = ca.SX(b.matrix)
     i_row, i_col = b.matrix.sparsity().get_triplet()
     for r, c in zip(i_row, i_col, strict=True):
         value = _constant(b.matrix[r, c])
-        if value is not None:
+        source = sources[c]
+        if value is not None and source is not None:
             varying[r, c] = 0
             if value:
-                out.constants.append((*rows[r], *_source(rows[c]), value))
+                out.constants.append((*rows[r], *source, value))
     varying = ca.sparsify(varying)
     for part in components(varying):
         zp = ca.vertcat(*(z[i] for i in part))
@@ -205,21 +218,27 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
         if b.shape != (v.n, port.n):
             raise DeclarationError(f"port '{port.name}': B on '{v.name}' is {b.shape[0]} x {b.shape[1]}, "
                                    f"expected {v.n} x {port.n}")  # fmt: skip
-        rows = locator.of(v)
+        rows, z, sources = _rows(out.model, [v], locator)
         i_row, i_col = b.sparsity().get_triplet()
         for r, j in zip(i_row, i_col, strict=True):
             pair = first + j
             back = None if port.bound is None else locator.find(port.bound[j], f"port '{port.name}'")
             value = _constant(b[r, j])
-            if value is not None:
-                if value:
-                    out.constants.append((*rows[r], "u", pair, value))
-                    out.constants.append(("y", pair, *_source(rows[r]), value))
-                    if back:
-                        out.constants.append((*back, *_source(rows[r]), -value))
+            if value == 0.0:
                 continue
-            y = b[r, j] * v.z[r]
-            targets = [(rows[r], b[r, j] * port.u[j]), (("y", pair), y)] + ([(back, -y)] if back else [])
+            targets: list[tuple[tuple[str, int], ca.SX]] = []
+            if value is not None:
+                out.constants.append((*rows[r], "u", pair, value))
+            else:
+                targets.append((rows[r], b[r, j] * port.u[j]))
+            source = sources[r]
+            if value is not None and source is not None:
+                out.constants.append(("y", pair, *source, value))
+                if back:
+                    out.constants.append((*back, *source, -value))
+            else:
+                y = b[r, j] * z[r]
+                targets += [(("y", pair), y)] + ([(back, -y)] if back else [])
             for target, expr in targets:
                 varying_f[target] = varying_f.get(target, ca.SX(0)) + expr
     if varying_f:

@@ -14,13 +14,10 @@ from typing import Any
 
 import casadi as ca
 
+from phfmu.declare.error import DeclarationError as DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, time
-
-
-class DeclarationError(ValueError):
-    """The declaration cannot be turned into terms; the message names the entry and the remedy."""
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,7 @@ def compose(network: Network) -> PHDAE:
         structure=_all(parts, "structure") + tuple(blocks),
         dissipation=_all(parts, "dissipation"),
         ports=_all(parts, "ports"),
+        z={v: m for p in parts for v, m in p.z.items()},
         constraints=_all(parts, "constraints"),
         closed=_all(parts, "closed"),
         observables=_all(parts, "observables"),

@@ -1,0 +1,153 @@
+"""Old and new variables of a system transformation of one model, and the substitutions between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.error import DeclarationError
+from phfmu.declare.phdae import PHDAE, stacked
+from phfmu.declare.transformation import SystemTransformation, inverted, solved_starts
+from phfmu.declare.variable import Variable, _sx
+
+Array = NDArray[Any]
+
+POINTS = 5
+
+
+def key(v: Variable) -> int:
+    """What tells variables apart: their symbols."""
+    return v.sx[0].element_hash()
+
+
+class Change:
+    """Old and new variables of one transformation of one model, with the substitutions between them."""
+
+    def __init__(self, model: PHDAE, T: SystemTransformation):
+        own = {key(v): v for v in (*model.states, *model.algebraics)}
+        missing = [v.name for v in T.old if key(v) not in own]
+        if missing:
+            raise DeclarationError(
+                f"{model.name} has no state or algebraic variable {', '.join(missing)}; it has: "
+                f"{', '.join(v.name for v in own.values())}"
+            )
+        touched = {key(v) for v in T.old}
+        shared = [v for k in model.E for v in stacked(k) if touched & {key(w) for w in stacked(k)}]
+        self.model, self.T = model, T.extended([v for v in shared if key(v) not in touched])
+        self.old = tuple(own[key(v)] for v in self.T.old)
+        self.row: dict[int, slice] = slices(self.old)
+        self._require_own_symbols(own)
+        parameters = ca.vertcat(*(v.sx for v in model.parameters))
+        p = np.array([s for v in model.parameters for s in v.start])
+        start = solved_starts(self.T, np.array([s for v in self.old for s in v.start]), p, parameters, model.name)
+        parts = np.split(start, np.cumsum([v.n for v in self.T.new])[:-1])
+        self.new = tuple(replace(v, start=tuple(map(float, s))) for v, s in zip(self.T.new, parts, strict=True))
+        self.column = slices(self.new)
+        self.states = [i for v in self.new if v.role == "state" for i in span(self.column[key(v)])]
+        self.algebraics = [i for v in self.new if v.role == "algebraic" for i in span(self.column[key(v)])]
+        self.U, self.inverse = self.T.U, inverted(self.T.U)
+        self.given: dict[int, ca.SX] = {}
+        around = [v for vs in (model.states, model.algebraics, self.new) for v in vs]
+        self._known = {h: value for v in around for h, *value in zip(_hashes(v), v.start, v.nominal, strict=True)}
+        self._parameters = {h: value for v in model.parameters for h, value in zip(_hashes(v), v.start, strict=True)}
+
+    def _require_own_symbols(self, own: dict[int, Variable]) -> None:
+        known = {s.element_hash() for v in self.model.parameters for s in ca.vertsplit(v.sx)}
+        mine = {s.element_hash(): v.name for v in own.values() for s in ca.vertsplit(v.sx)}
+        for s in self.T.foreign:
+            if s.element_hash() in mine:
+                name = mine[s.element_hash()]
+                raise DeclarationError(
+                    f"{self.model.name}: phi or U depends on '{name}', which is not replaced; list a new variable for "
+                    f"it and map '{name}' to that"
+                )
+            if s.element_hash() not in known:
+                raise DeclarationError(f"{self.model.name}: phi or U depends on '{s}', not a parameter of this model")
+        for port in self.model.ports:
+            if any(s.element_hash() in mine and _owner(own, s) in self.row for s in port.bound or ()):
+                raise DeclarationError(
+                    f"{self.model.name}: port '{port.name}' is fed by a replaced variable; transform the members, then "
+                    "compose them"
+                )
+        for pair in self.model.closed:
+            if any(key(v) in self.row for v in pair.variables):
+                raise DeclarationError(
+                    f"{self.model.name}: {', '.join(v.name for v in pair.variables)} have a closed-form discrete gradient "
+                    "pair, which is written for these coordinates; leave the pair out"
+                )
+
+    # -- expressions ------------------------------------------------------------------------------------------------
+
+    def costate(self) -> ca.SX:
+        """z~ of all new variables, stacked."""
+        return ca.vertcat(*(v.z if v.role == "state" else self.given.get(key(v), v.sx) for v in self.new))
+
+    def expr(self, e: Any) -> ca.SX:
+        """An expression of the old model in new symbols."""
+        olds = [v.sx for v in self.old] + [v.z for v in self.old if v.role == "state"]
+        z = ca.mtimes(self.U, self.costate())
+        news = [self.T.image] + [z[self.row[key(v)]] for v in self.old if v.role == "state"]
+        return ca.substitute([ca.SX(_sx(e))], [ca.vertcat(*olds)], [ca.vertcat(*news)])[0]
+
+    def at_old(self, e: Any) -> ca.SX:
+        """A function of old states only (H, E, z) in new symbols."""
+        return ca.substitute([ca.SX(_sx(e))], [ca.vertcat(*(v.sx for v in self.old))], [self.T.image])[0]
+
+    def sampled(self, exprs: Sequence[ca.SX]) -> list[Array]:
+        """Each expression at the start and at seeded points around it (points x rows x cols)."""
+        rng = np.random.default_rng(4)
+        flat = ca.densify(ca.vertcat(*(ca.vec(e) for e in exprs)))
+        symbols = ca.symvar(flat)
+        f = ca.Function("s", [ca.vertcat(*symbols)], [flat])
+        rows = []
+        for i in range(POINTS + 1):
+            at = []
+            for s in symbols:
+                draw, h = rng.uniform(-1.0, 1.0), s.element_hash()
+                if h in self._known:
+                    start, nominal = self._known[h]
+                    at.append(start + (0.3 * draw * max(nominal, abs(start)) if i else 0.0))
+                elif h in self._parameters:
+                    at.append((self._parameters[h] or 1.0) * (1 + 0.3 * draw) if i else self._parameters[h])
+                else:
+                    at.append(draw)
+            rows.append(np.array(f(np.array(at))).ravel())
+        out, k = [], 0
+        for e in exprs:
+            part = np.array([r[k : k + e.numel()] for r in rows])
+            out.append(part.reshape(-1, e.shape[1], e.shape[0]).transpose(0, 2, 1))
+            k += e.numel()
+        return out
+
+    def listed(self, variables: tuple[Variable, ...], role: str) -> tuple[Variable, ...]:
+        """The variables of one role, the new ones where the first old one was."""
+        new = [v for v in self.new if v.role == role]
+        at = next((i for i, v in enumerate(variables) if key(v) in self.row), len(variables))
+        kept = [v for v in variables[at:] if key(v) not in self.row]
+        return (*variables[:at], *new, *kept)
+
+
+def slices(variables: Sequence[Variable]) -> dict[int, slice]:
+    out, at = {}, 0
+    for v in variables:
+        out[key(v)] = slice(at, at + v.n)
+        at += v.n
+    return out
+
+
+def _hashes(v: Variable) -> list[int]:
+    return [s.element_hash() for s in ca.vertsplit(v.sx)]
+
+
+def span(s: slice) -> list[int]:
+    return list(range(s.start, s.stop))
+
+
+def _owner(own: dict[int, Variable], symbol: ca.SX) -> int:
+    h = symbol.element_hash()
+    return next((k for k, v in own.items() if h in {s.element_hash() for s in ca.vertsplit(v.sx)}), 0)

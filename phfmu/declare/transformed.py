@@ -1,0 +1,141 @@
+"""A declaration under a system transformation (phi, U), part by part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from phfmu.declare.change import Change, key
+from phfmu.declare.energy import Energy, energy
+from phfmu.declare.error import DeclarationError
+from phfmu.declare.phdae import PHDAE, Block, Observable
+from phfmu.declare.port import Port
+from phfmu.declare.transformation import SystemTransformation
+from phfmu.declare.transformed_constraints import velocity_form
+from phfmu.declare.transformed_pair import costates, descriptor, singular_costates
+from phfmu.declare.variable import Variable, _sx
+
+
+def transformed(model: PHDAE, T: SystemTransformation) -> PHDAE:
+    """`model` in the new variables of `T`; see `SystemTransformation`."""
+    model = velocity_form(model, T)
+    change = Change(model, T)
+    z, E = costates(change), descriptor(change)
+    energies = tuple(_energy(change, e) for e in model.energies)
+    return replace(
+        model,
+        states=change.listed(model.states, "state"),
+        algebraics=change.listed(model.algebraics, "algebraic"),
+        energies=energies,
+        E=E,
+        z=z | singular_costates(change, E),
+        structure=tuple(_block(change, b, -1) for b in model.structure),
+        dissipation=tuple(_block(change, b, 1) for b in model.dissipation),
+        ports=tuple(_port(change, p) for p in model.ports),
+        observables=tuple(replace(o, expr=change.expr(o.expr)) for o in model.observables) + _reported(change),
+    )
+
+
+def _energy(change: Change, e: Energy) -> Energy:
+    """H o phi, without the new algebraic variables; a quadratic or strain term stays one if phi is affine."""
+    if not ca.depends_on(e.expr, ca.vertcat(*(v.sx for v in change.old))):
+        return e
+    a = change.T.x[change.algebraics]
+    h = change.at_old(e.expr)
+    fixed = (
+        ca.DM.zeros(a.numel())
+        if change.T.affine
+        else ca.DM([s for v in change.new if v.role == "algebraic" for s in v.start])
+    )
+    if a.numel():
+        _require_independent(change, e, h, a)
+    keep = [v for v in e.correct if key(v) not in change.row]
+    correct = tuple(keep + [v for v in change.new if v.role == "state"]) if len(keep) < len(e.correct) else e.correct
+
+    def without(expr: ca.SX) -> ca.SX:
+        return ca.substitute([change.at_old(expr)], [a], [fixed])[0] if a.numel() else change.at_old(expr)
+
+    if not change.T.affine:
+        return energy(without(e.expr), correct=correct, owner=e.owner)
+    invariant = None if e.invariant is None else without(e.invariant)
+    return replace(e, expr=without(e.expr), invariant=invariant, correct=correct)
+
+
+def _require_independent(change: Change, e: Energy, h: ca.SX, a: ca.SX) -> None:
+    x = ca.vertcat(*(v.sx for v in change.old))
+    size = ca.mtimes(ca.fabs(change.T.jacobian[:, change.algebraics]).T, ca.fabs(change.at_old(ca.gradient(e.expr, x))))
+    value, scale = change.sampled([ca.densify(ca.gradient(h, a)), ca.densify(size)])
+    bad = np.argwhere(np.abs(value) > 1e-9 * scale)
+    if len(bad):
+        i, j, _ = bad[0]
+        name = [n for v in change.new if v.role == "algebraic" for n in v.names()][j]
+        raise DeclarationError(
+            f"{change.model.name}: H depends on the algebraic variable '{name}', dH/d({name}) = {value[i, j, 0]:.6g} with "
+            f"parts of {scale[i, j, 0]:.3g}; H may depend on the states only (E^T z = grad H makes it so): correct H, z "
+            "or E"
+        )
+
+
+def _projection(change: Change, variables: Sequence[Variable]) -> tuple[list[Variable], ca.SX]:
+    """New rows of a block and P with z_old = P z_new on the rows of `variables`."""
+    kept = [v for v in variables if key(v) not in change.row]
+    rows = sum(v.n for v in variables)
+    P = [ca.SX(rows, v.n) for v in kept] + [ca.SX(rows, v.n) for v in change.new]
+    at = 0
+    for v in variables:
+        span = slice(at, at + v.n)
+        if key(v) in change.row:
+            for j, w in enumerate(change.new):
+                P[len(kept) + j][span, :] = change.U[change.row[key(v)], change.column[key(w)]]
+        else:
+            P[kept.index(v)][span, :] = ca.SX.eye(v.n)
+        at += v.n
+    used = [(v, ca.sparsify(p)) for v, p in zip([*kept, *change.new], P, strict=True)]
+    used = [(v, p) for v, p in used if p.nnz()]
+    return [v for v, _ in used], ca.horzcat(*(p for _, p in used))
+
+
+def _block(change: Change, b: Block, sign: int) -> Block:
+    """P^T M P, exactly skew (sign -1) or symmetric (sign 1)."""
+    matrix = change.expr(b.matrix)
+    if not any(key(v) in change.row for v in b.variables):
+        return replace(b, matrix=matrix)
+    variables, P = _projection(change, b.variables)
+    matrix = ca.sparsify(ca.mtimes([P.T, matrix, P]))
+    upper = ca.triu(matrix, sign > 0)
+    return replace(b, variables=tuple(variables), matrix=ca.sparsify(upper + sign * ca.triu(matrix, False).T))
+
+
+def _port(change: Change, p: Port) -> Port:
+    """B~ = P^T B."""
+    on = {v: change.expr(m) for v, m in p.on.items() if key(v) not in change.row}
+    touched = [v for v in p.on if key(v) in change.row]
+    if touched:
+        variables, P = _projection(change, touched)
+        stack = ca.vertcat(*(_coefficient(p.on[v], v.n, p.n) for v in touched))
+        B, at = ca.sparsify(ca.mtimes(P.T, change.expr(stack))), 0
+        for v in variables:
+            part = B[at : at + v.n, :]
+            at += v.n
+            if part.nnz():
+                on[v] = part
+    return replace(p, on=on)
+
+
+def _reported(change: Change) -> tuple[Observable, ...]:
+    """The old variables as observables."""
+    new = {key(v) for v in change.new}
+    return tuple(
+        Observable(v.name, ca.vec(change.T.image[change.row[key(v)]]), v.unit, v.description)
+        for v in change.old
+        if key(v) not in new
+    )
+
+
+def _coefficient(value: Any, rows: int, cols: int) -> ca.SX:
+    matrix = ca.SX(_sx(value))
+    return matrix * ca.SX.eye(rows) if matrix.numel() == 1 and rows == cols > 1 else matrix
