@@ -10,12 +10,12 @@ and E11^T Z_i = W_i, the node gradients of `gradients.py`.  k = 1 is the scheme 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise import constraints, gradients
+from phfmu.discretise import constraints, gradients, impulses
 from phfmu.discretise.arguments import EMPTY, Arguments
 from phfmu.discretise.discrete import Summand, node_gradients
 from phfmu.discretise.layout import Layout
@@ -34,12 +34,14 @@ class Collocated:
     is the midpoint baseline MP, which keeps no energy balance).
 
     `two_level`: holonomic models keep position and velocity constraints both (GGL form, odd k).
+    `impulses`: neutral impulse pairs at bare nodes, where their conditions hold (`impulses.py`).
     """
 
     k: int = 1
     gradient: str = "per-term"
     name: str = "collocated"
     two_level: bool = False
+    impulses: bool = True
 
     @property
     def joint(self) -> bool:
@@ -57,13 +59,19 @@ class Collocated:
         out = node_unknowns(terms, self.k)
         if self.two_level:
             out += [("m", t.rows[0][1], 0) for t in terms.terms if t.kind == "constraint"]
-        return out
+        return out + impulses.unknowns(terms)
 
     def constants(self, layout: Layout) -> list[Triplet]:
         return node_constants(layout)
 
     def maps(self, layout: Layout) -> Maps:
-        return node_maps(layout, self.nodes)
+        maps = node_maps(layout, self.nodes)
+        return replace(
+            maps,
+            update=maps.update + impulses.update(layout),
+            mean=maps.mean + impulses.mean(layout),
+            work=impulses.work(layout),
+        )
 
     def prepare(self, terms: Terms) -> Terms:
         """Check that the scheme fits the model; returns the terms to discretise."""
@@ -79,12 +87,16 @@ class Collocated:
                 f"{terms.model.name}: order {2 * self.k} with holonomic constraints drifts off the velocity constraint; "
                 "use --order 2 or 6"
             )
-        return constraints.prepare(terms) if self.two_level else terms
+        if self.two_level:
+            terms = constraints.prepare(terms)
+        return impulses.prepare(terms) if self.impulses else terms
 
     def specs(self, term: Term) -> list[Spec]:
         """Kernels of one term."""
+        if term.kind == "impulse":
+            return impulses.specs(term, self.nodes)
         build = getattr(self, "_" + term.kind, None)
-        return [] if build is None else build(term)
+        return [] if build is None else [impulses.shifted(s, term) for s in build(term)]
 
     # -- terms ------------------------------------------------------------------------------------------------------
 

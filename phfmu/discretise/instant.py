@@ -58,7 +58,7 @@ def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
         if key not in cache:
             cache[key] = rule.specs(term)
         work.append((term, cache[key]))
-    mean = [(i, layout.w_of[("a", i, 0)], 1.0) for i in range(terms.na)]
+    mean = [(i, layout.w_of[("a", i, 0)], 1.0, 0) for i in range(terms.na)]
     guess = [[(w, 1.0, 0)] for w in range(layout.nw)]
     nobs = len(terms.observable_names) + len(checks)
     maps = Maps([], mean, guess, np.ones(1))

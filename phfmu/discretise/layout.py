@@ -16,7 +16,8 @@ class Layout:
 
     `unknowns`: list of (kind, global index, node), giving w; the row of an unknown has the same number:
     D <-> balance of that state, a <-> row of that algebraic variable, Z <-> E^T z = W, m <-> velocity constraint,
-    b (rate of an algebraic variable) <-> the undifferentiated row that gives it.
+    b (rate of an algebraic variable) <-> the undifferentiated row that gives it, i0 and i1 (impulse, roots) <-> end
+    current and square root at a bare node, s0 and s1 <-> shifts of a state by the impulses.
     """
 
     terms: Terms
@@ -28,12 +29,17 @@ class Layout:
     #: instant plans: differentiated algebraic row -> the algebraic variable its undifferentiated form gives
     solved_by: dict[int, int] = field(default_factory=dict)
     w_of: dict[tuple[str, int, int], int] = field(init=False)
+    #: (row, component) -> row of R with the work of an impulse
+    work: dict[tuple[int, int], int] = field(init=False)
 
     def __post_init__(self) -> None:
         self.w_of = {u: i for i, u in enumerate(self.unknowns)}
         self.sources = [i for i, p in enumerate(self.terms.pairs) if p.port.source is not None]
         self.source_slot = {p: j for j, p in enumerate(self.sources)}
         self.bound = self.terms.bound
+        first = self.nw + len(self.terms.pairs) * self.k
+        impulses = [(i, t.owner) for t in self.terms.terms if t.kind == "impulse" for kind, i in t.rows if kind == "a"]
+        self.work = {key: first + n for n, key in enumerate(impulses)}
 
     @property
     def nw(self) -> int:
@@ -99,6 +105,10 @@ class Layout:
             return self.value("m", term.rows[0][1], 0)
         if kind == "h":
             return self.value("h", 0, 0)
+        if kind == "s0" and term.kind != "impulse":
+            return self.value("s0", term.index["x"][j], 0)
+        if kind in ("s0", "s1", "i0", "i1"):
+            return self.value(kind, term.rows[j][1], node)
         if kind == "da":
             return self.value("b", term.index["a"][j], node)
         if kind == "du":
@@ -140,6 +150,10 @@ class Layout:
             return self.source_index(term.rows[0][1], 0) + len(self.sources)
         if kind == "check":
             return self.row("o", self.checks[(term.rows[j][1], node)], 0)
+        if kind in ("s0", "s1", "i0", "i1"):
+            return self.w_of[(kind, term.rows[j][1], node)]
+        if kind == "work":
+            return self.work[(term.rows[j][1], term.owner)]
         if kind == "costate":
             return self.w_of[("Z", term.rows[j][1], node)]
         row_kind, i = term.rows[j]
@@ -163,6 +177,8 @@ class Layout:
             "Z": lambda i: f"costate of {states[i]}",
             "m": lambda i: f"velocity constraint of {algebraics[i]}",
             "b": lambda i: f"rate of {algebraics[i]}",
+            "i0": lambda i: f"end current at {algebraics[i]}", "i1": lambda i: f"impulse at {algebraics[i]}",
+            "s0": lambda i: f"start impulse on {states[i]}", "s1": lambda i: f"end impulse on {states[i]}",
         }  # fmt: skip
         suffix = (lambda node: f" (node {node + 1})") if self.k > 1 else (lambda node: "")
         return [text[kind](i) + suffix(node) for kind, i, node in self.unknowns]
@@ -171,9 +187,13 @@ class Layout:
         """The variable each unknown stands for, for messages."""
         states = [n for v in self.terms.model.states for n in v.names()]
         algebraics = [n for v in self.terms.model.algebraics for n in v.names()]
-        return [(states if kind in ("D", "Z") else algebraics)[i] for kind, i, _ in self.unknowns]
+        return [(states if kind in ("D", "Z", "s0", "s1") else algebraics)[i] for kind, i, _ in self.unknowns]
 
     def nominals(self) -> np.ndarray:
         x = [v.nominal[j] for v in self.terms.model.states for j in range(v.n)]
         a = [v.nominal[j] for v in self.terms.model.algebraics for j in range(v.n)]
-        return np.array([(a if kind in ("a", "m", "b") else x)[i] for kind, i, _ in self.unknowns], float).reshape(-1)
+        impulse = max(
+            (x[i] for i in self.terms.shifted), default=1.0
+        )  # an impulse has the unit of the states it shifts
+        size = {"a": a, "m": a, "b": a, "i0": [impulse] * len(a), "i1": [impulse] * len(a)}
+        return np.array([size.get(kind, x)[i] for kind, i, _ in self.unknowns], float).reshape(-1)

@@ -20,5 +20,5 @@ def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
         if term.key not in cache:
             cache[term.key] = scheme.specs(term)
         work.append((term, cache[term.key]))
-    plan = make_plan(layout, work, scheme.constants(layout), scheme.maps(layout), na=terms.na, nobs=0)
+    plan = make_plan(layout, work, scheme.constants(layout), scheme.maps(layout), na=terms.na, nobs=len(layout.work))
     return plan, layout

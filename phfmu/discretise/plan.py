@@ -93,6 +93,8 @@ class Plan:
     `matrix` is A in CSC order (columns ascending, rows ascending inside a column).
     `derivative` holds the other blocks of d[residual | mean pair outputs]/d[w | held inputs].
     `order[j]`: j-th pivot column, `pivot_row[j]`: its preferred row or -1.
+    `mean_*`: algebraic reports a[mean_a] = sum mean_c h^mean_pow w[mean_w].
+    `work_*`: pairs that get the energy R[work_row] beside h sum b y u.
     `regularised`: entries of A that get +delta after row scaling, in the factor only.
     """
 
@@ -124,6 +126,9 @@ class Plan:
     mean_a: Ints
     mean_w: Ints
     mean_c: Floats
+    mean_pow: Powers
+    work_pair: Ints
+    work_row: Ints
     guess_ptr: Ints
     guess_idx: Ints
     guess_val: Floats

@@ -33,14 +33,20 @@ class Tables:
 class Maps:
     """Linear maps of a scheme between unknowns and what is reported or carried on.
 
-    `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, w, weight);
-    `guess`: per unknown a list of (w of the last step, weight, power of h/h_last).
+    `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, w, weight, power of h);
+    `guess`: per unknown a list of (w of the last step, weight, power of h/h_last);  `work`: (pair, row of R),
+    energy that goes through a pair beside h sum b y u.
     """
 
     update: list[tuple[int, int, float]]
-    mean: list[tuple[int, int, float]]
+    mean: list[tuple[int, int, float, int]]
     guess: list[list[tuple[int, float, int]]]
     weights: NDArray[np.float64]
+    work: list[tuple[int, int]] = field(default_factory=list)
+
+
+#: Kinds of unknowns that vanish with the step size.
+INCREMENTS = ("D", "i0", "i1", "s0", "s1")
 
 
 def make_plan(
@@ -86,11 +92,14 @@ def make_plan(
         mean_a=np.array([u[0] for u in maps.mean], np.int32),
         mean_w=np.array([u[1] for u in maps.mean], np.int32),
         mean_c=np.array([u[2] for u in maps.mean], float),
+        mean_pow=np.array([u[3] for u in maps.mean], np.int8),
+        work_pair=np.array([u[0] for u in maps.work], np.int32),
+        work_row=np.array([u[1] for u in maps.work], np.int32),
         guess_ptr=np.cumsum([0] + [g[0] for g in guess]).astype(np.int32),
         guess_idx=np.array([i for g in guess for i in g[1]], np.int32),
         guess_val=np.array([i for g in guess for i in g[2]], float),
         guess_pow=np.array([i for g in guess for i in g[3]], np.int8),
-        increments=np.array([kind == "D" for kind, _, _ in layout.unknowns], np.int8),
+        increments=np.array([kind in INCREMENTS for kind, _, _ in layout.unknowns], np.int8),
         weights=np.asarray(maps.weights, float),
         pair_src=np.array([layout.input_index(j, i) for i in range(layout.k) for j in range(nq)], np.int32),
         pair_owner=np.array([p.owner for p in terms.pairs], np.int32),

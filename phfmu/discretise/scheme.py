@@ -92,8 +92,8 @@ def node_maps(layout: Layout, nd: Nodes) -> Maps:
         if kind == "D":
             update.append((i, w, float(nd.b[node])))
         elif kind == "a":
-            mean.append((i, w, float(nd.b[node])))
-        if kind == "m":
+            mean.append((i, w, float(nd.b[node]), 0))
+        if kind not in ("D", "Z", "a"):
             guess.append([(w, 1.0, 0)])
         else:
             last = [layout.w_of[(kind, i, j)] for j in range(layout.k)]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.extract import extract
 from phfmu.discretise.model import CONSISTENCY, Model
-from phfmu.discretise.scales import check_rows
+from phfmu.discretise.rows import check_rows
 from phfmu.discretise.terms import DeclarationError
 
 Array = NDArray[Any]

@@ -33,7 +33,7 @@ class Pair:
 class Term:
     """A canonical local function.
 
-    kind:   energy | joint | closed | flow | constraint | source | observable | mass
+    kind:   energy | joint | closed | flow | constraint | source | observable | mass | massblock | impulse
     key:    equal keys = equal functions
     local:  per value kind the local symbols (SX column), in the order of `index`
     index:  per value kind the global indices
@@ -69,6 +69,9 @@ class Terms:
     velocity_of: dict[int, int] = field(default_factory=dict)
     closed_states: set[int] = field(default_factory=set)
     observable_names: list[str] = field(default_factory=list)
+    #: rows of bare nodes that get impulses, and the states these shift
+    impulse_rows: tuple[int, ...] = ()
+    shifted: tuple[int, ...] = ()
 
 
 class Locator:

@@ -49,7 +49,8 @@ class PythonInstance:
         s.a = end["a"].copy()
         s.y_step = end["y"].copy()
         s.w = np.zeros(plan.nw)
-        s.w[plan.mean_w] = s.a[plan.mean_a]
+        level = plan.increments[plan.mean_w] == 0
+        s.w[plan.mean_w[level]] = s.a[plan.mean_a[level]]
         s.h_last = 0.0
         s.last = self._nothing()
 
@@ -198,6 +199,7 @@ class PythonInstance:
         y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
         u_nodes = self._step.Y[plan.pair_src].reshape(plan.k, plan.nq)
         pairs = h * plan.weights @ (y_nodes * u_nodes)
+        np.add.at(pairs, plan.work_pair, self._step.R[plan.work_row])
         s.last["stored"] += stored
         s.last["dissipated"] += h * lost
         s.last["pairs"] += pairs
@@ -207,7 +209,7 @@ class PythonInstance:
         total = s.x[:-1] + change
         s.carry = change - (total - s.x[:-1])
         s.x[:-1] = total
-        a = np.bincount(plan.mean_a, plan.mean_c * outcome.w[plan.mean_w], plan.na)
+        a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * outcome.w[plan.mean_w], plan.na)
         return plan.weights @ y_nodes, a
 
     def run(

@@ -167,6 +167,7 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
         "nreg": len(plan.regularised),
         "nupdate": len(plan.update_x),
         "nmean": len(plan.mean_a),
+        "nwork": len(plan.work_pair),
         "lucap": capacity(plan),
         "nodes": gauss_nodes(plan.weights),
         "groups": [(g, _group_values(g, plan, index)) for g in groups],

@@ -42,6 +42,7 @@ typedef struct ph_plan {
     int nderivative;                  /* entries of the other derivative blocks */
     int nreg;                         /* regularised diagonal entries */
     int nupdate, nmean;               /* entries of the update and of the algebraic report */
+    int nwork;                        /* rows with the work of impulses */
     int lucap;                        /* room for the entries of L + U */
     const ph_group *groups;           /* ngroup */
     const int *const_row;             /* nconst */
@@ -72,9 +73,12 @@ typedef struct ph_plan {
     const int *update_x;           /* nupdate: x[update_x] += update_c w[update_w] */
     const int *update_w;           /* nupdate */
     const double *update_c;        /* nupdate */
-    const int *mean_a;             /* nmean: a[mean_a] = sum mean_c w[mean_w] */
+    const int *mean_a;             /* nmean: a[mean_a] = sum mean_c h^mean_pow w[mean_w] */
     const int *mean_w;             /* nmean */
     const double *mean_c;          /* nmean */
+    const signed char *mean_pow;   /* nmean: 0 or -1 */
+    const int *work_pair;          /* nwork: pairs[work_pair] += R[work_row] */
+    const int *work_row;           /* nwork */
     const int *guess_ptr;          /* nw+1: start values from the last step */
     const int *guess_idx;          /* guess_ptr[nw] */
     const double *guess_val;       /* guess_ptr[nw] */

@@ -35,8 +35,15 @@ static void accept(ph_instance *in, double h, double weight) {
         in->row[PH_ROW_PAIRS][j] += energy;
         in->row[PH_ROW_SUPPLIED][p->pair_owner[j]] += energy;
     }
-    for (int l = 0; l < p->nmean; l++)
-        a[p->mean_a[l]] += weight * p->mean_c[l] * s->y[p->mean_w[l]];
+    for (int l = 0; l < p->nwork; l++) {
+        double energy = s->r[p->work_row[l]];
+        in->row[PH_ROW_PAIRS][p->work_pair[l]] += energy;
+        in->row[PH_ROW_SUPPLIED][p->pair_owner[p->work_pair[l]]] += energy;
+    }
+    for (int l = 0; l < p->nmean; l++) {
+        double part = weight * p->mean_c[l] * s->y[p->mean_w[l]];
+        a[p->mean_a[l]] += p->mean_pow[l] < 0 ? part / h : part;
+    }
     for (int l = 0; l < p->nupdate; l++)
         add(&x[p->update_x[l]], &in->rest[p->update_x[l]], p->update_c[l] * s->y[p->update_w[l]]);
     memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
