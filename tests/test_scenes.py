@@ -25,8 +25,8 @@ from reference_tools import read  # noqa: E402
 RATED = 18881.48  # A, peak, of kundur555_1q
 
 
-def monolithic(scene: Scene, h: float, stop: float, k: int = 1) -> Result:
-    model = build_model(scene.declaration(), Collocated(k))
+def monolithic(scene: Scene, h: float, stop: float, k: int = 1, impulses: bool = True) -> Result:
+    model = build_model(scene.declaration(), Collocated(k, impulses=impulses))
     return run(Monolithic(model, NativeInstance(model)), stop=stop, step=h, events=scene.events)
 
 
@@ -131,12 +131,6 @@ def test_smib_in_other_coordinates(coordinates) -> None:
     assert slope(errors)[0] == pytest.approx(2.0, abs=0.05)
 
 
-def test_smib_kirchhoff_residual_falls_with_h_squared() -> None:
-    """The bare node is met by the step means; at the step ends it is met to second order, and that is reported."""
-    worst = [max(monolithic(smib(), h, 0.1).worst.values()) for h in (2e-4, 1e-4)]
-    assert slope(worst)[0] == pytest.approx(2.0, abs=0.1)
-
-
 @pytest.mark.parametrize("how", [monolithic, coupled])
 def test_two_machine_through_fault_and_clearing(how) -> None:
     """Order 2 in currents and angles through both events (moved to 0.02 s and 0.06 s)."""
@@ -158,8 +152,9 @@ def test_two_machine_through_fault_and_clearing(how) -> None:
 
 
 def test_two_machine_coupled_equals_composed() -> None:
+    """Members exchange step means; the composed model without impulses at its bare nodes does the same."""
     scene = two_machine(t_fault=0.005, t_clear=0.01, stop=0.02)
-    a, b = monolithic(scene, 1e-4, 0.02), coupled(scene, 1e-4, 0.02)
+    a, b = monolithic(scene, 1e-4, 0.02, impulses=False), coupled(scene, 1e-4, 0.02)
     for name in ("m1.I[1]", "m2.I[4]", "m1.theta", "line.i[2]", "load.v[1]"):
         assert np.max(np.abs(a.column(name) - b.column(name))) <= 1e-9 * np.max(np.abs(a.column(name)))
 

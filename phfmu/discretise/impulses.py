@@ -28,7 +28,7 @@ from phfmu.discretise.layout import Layout
 from phfmu.discretise.quadrature import Nodes
 from phfmu.discretise.rows import costate_symbols, row_expressions
 from phfmu.discretise.spec import Address, Spec
-from phfmu.discretise.terms import Locator, Term, Terms, make_term
+from phfmu.discretise.terms import Locator, Term, Terms, components, make_term
 
 #: Points of the rule for the square root: error (e/4)^(2 POINTS) for a relative change e of S over a step.
 POINTS = 3
@@ -79,33 +79,27 @@ class _Finder:
         self.L = {r: -ca.jacobian(self.expr[r], self.z) for r in rows}
         self.owner = _state_owners(terms)
         names = [n for v in model.algebraics for n in v.names()]
-        gradient = ca.gradient(model.hamiltonian, self.x)
+        self.hessian, gradient = ca.hessian(model.hamiltonian, self.x)
         linear = {r for r in rows if self._linear(r, gradient)}
         for cluster in self._clusters(rows):
-            if not cluster <= linear:
+            if not linear.issuperset(cluster):
                 reason = self._refusal(cluster, names)
-                self.nodes += [BareNode(r, names[r], reason) for r in sorted(cluster)]
+                self.nodes += [BareNode(r, names[r], reason) for r in cluster]
 
     def _states(self, r: int) -> set[int]:
         return set(self.L[r].sparsity().get_triplet()[1])
 
-    def _clusters(self, rows: list[int]) -> list[set[int]]:
-        """Rows that share states."""
-        left, found = list(rows), []
-        while left:
-            cluster, states = set(), self._states(left[0])
-            while more := [r for r in left if self._states(r) & states]:
-                cluster.update(more)
-                left = [r for r in left if r not in cluster]
-                states = states.union(*(self._states(r) for r in more))
-            found.append(cluster or {left.pop(0)})
-        return found
+    def _clusters(self, rows: list[int]) -> list[list[int]]:
+        """Rows that S = L^T H'' L couples: they share branches or mutual inductances."""
+        L = ca.vertcat(*(self.L[r] for r in rows))
+        pattern = ca.mtimes([L, self.hessian, L.T]) + ca.SX.eye(len(rows))
+        return [[rows[i] for i in part] for part in components(pattern)]
 
     def _linear(self, r: int, gradient: ca.SX) -> bool:
         c = ca.mtimes(self.L[r], gradient)
         return not ca.depends_on(ca.simplify(ca.jacobian(c, self.x)), self.x)
 
-    def _refusal(self, cluster: set[int], names: list[str]) -> str:
+    def _refusal(self, cluster: list[int], names: list[str]) -> str:
         """Why impulses do not fit these rows, or nothing."""
         terms, states = self.terms, sorted(set().union(*(self._states(r) for r in cluster)))
         state_names = [n for v in terms.model.states for n in v.names()]
@@ -116,12 +110,12 @@ class _Finder:
             if i not in self.owner:
                 return f"{state_names[i]} stores no energy"
         psi = ca.vertcat(*(self.x[i] for i in states))
-        for r in sorted(cluster):
+        for r in cluster:
             if ca.depends_on(self.expr[r], terms_algebraics(terms)) or ca.depends_on(self.L[r], self.z):
                 return f"the row of {names[r]} contains other algebraic variables"
             if _depends(self.L[r], psi):
                 return f"the coefficients of {names[r]} depend on the states they act on"
-        L = ca.vertcat(*(self.L[r][0, states] for r in sorted(cluster)))
+        L = ca.vertcat(*(self.L[r][0, states] for r in cluster))
         hessian = ca.hessian(terms.model.hamiltonian, psi)[0]
         if _depends(ca.mtimes([L, hessian, L.T]), psi):
             return "the stored energy is not quadratic in the states of its branches (saturation)"
@@ -139,7 +133,7 @@ class _Finder:
             states = sorted(set().union(*(self._states(r) for r in cluster)))
             for owner in dict.fromkeys(self.owner[i] for i in states):
                 own = [i for i in states if self.owner[i] == owner]
-                touched = [r for r in sorted(cluster) if self._states(r) & set(own)]
+                touched = [r for r in cluster if self._states(r) & set(own)]
                 psi = ca.vertcat(*(self.x[i] for i in own))
                 energy = ca.SX(0)
                 for e in model.energies:
@@ -226,7 +220,7 @@ def specs(term: Term, nd: Nodes) -> list[Spec]:
     booked = [(("work", j, 0), 0, work[j - n_psi]) for j in places]
     return [
         Spec(1, args.x, args.p, args.y, out),
-        Spec(1, args.x, args.p, args.y, booked, stored=ca.sum1(work)),
+        Spec(1, args.x, args.p, args.y, booked, stored=ca.sum1(work), report=True),
     ]
 
 

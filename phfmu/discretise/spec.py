@@ -27,7 +27,8 @@ class Spec:
     """A kernel before it is compiled: symbols, addresses and results.
 
     `x`: local old states (then time); `p`: parameters; `y`: symbol per argument address; `out`: (address, power of h,
-    expression) per result; `stored`, `lost`: ledger expressions or None.
+    expression) per result; `stored`, `lost`: ledger expressions or None; `report`: nothing is solved for the results,
+    so they need no derivatives.
     """
 
     stage: int
@@ -37,6 +38,7 @@ class Spec:
     out: list[tuple[Address, int, ca.SX]]
     stored: ca.SX | None = None
     lost: ca.SX | None = None
+    report: bool = False
 
 
 _cache: dict[str, Kernel] = {}
@@ -47,13 +49,14 @@ def build(spec: Spec) -> Kernel:
     y = ca.vertcat(*(s for _, s in spec.y)) if spec.y else ca.SX(0, 1)
     out = ca.vertcat(*(e for _, _, e in spec.out)) if spec.out else ca.SX(0, 1)
     out = ca.densify(out)
-    jac = ca.jacobian(out, y)
+    jac = ca.SX(out.numel(), y.numel()) if spec.report else ca.jacobian(out, y)
     row, col = jac.sparsity().get_triplet()
     nonzeros = ca.SX(jac.nz[:]) if row else ca.SX(0, 1)
+    out, nonzeros = ca.cse([out, nonzeros])  # derivatives repeat the trigonometry of their function
     args = [spec.x, y, spec.p]
     text = ca.Function("k", args, [out, nonzeros]).serialize()
     has_ledger = spec.stored is not None or spec.lost is not None
-    ledger_out = [ca.SX(0) if e is None else ca.densify(e) for e in (spec.stored, spec.lost)]
+    ledger_out = ca.cse([ca.SX(0) if e is None else ca.densify(e) for e in (spec.stored, spec.lost)])
     if has_ledger:
         text += ca.Function("l", args, ledger_out).serialize()
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]

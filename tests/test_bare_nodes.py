@@ -1,0 +1,271 @@
+"""Bare nodes: impulse pairs give Kirchhoff at the step ends, order 2k and an exact balance; where they apply and where not."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from phfmu import (
+    ELECTRICAL,
+    PHDAE,
+    Collocated,
+    NativeInstance,
+    Network,
+    Port,
+    PythonInstance,
+    build_model,
+    energy,
+    state,
+)
+from phfmu.components.electrical.machine_data import machine_set
+from phfmu.components.electrical.machine_init import steady_state
+from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.electrical.synchronous_machine import synchronous_machine
+from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.two_machine import two_machine
+from phfmu.discretise.extract import extract
+from phfmu.discretise.impulses import bare_nodes
+from phfmu.network.run import run
+from phfmu.network.stepper import Monolithic
+
+sys.path.insert(0, str(Path(__file__).parent / "reference"))
+from machine_reference import ALPHA, MachineReference  # noqa: E402
+from reference_tools import load, read  # noqa: E402
+
+RATED = 18881.48  # A, peak, of kundur555_1q
+STOP = 0.02
+
+
+@cache
+def lumped() -> tuple[object, object]:
+    """smib with the torque step at t = 0 and the line folded into the machine (no node): t -> I, and bus data."""
+    scene, machines = load("scenes")["smib"], load("machines")
+    machine = MachineReference(machines[scene["machine"]], scene["d"], scene["Rx"], scene["Lx"])
+    bus, inputs, initial = scene["infinite_bus"], scene["inputs"], scene["initial"]
+    w = bus["w"]
+
+    def rhs(t: float, y: np.ndarray) -> np.ndarray:
+        v = bus["amp"] * np.cos(w * t + bus["phase"] - ALPHA)
+        d = machine.rhs(y[:6], machine.J * w + y[6], w * t + y[7], v, inputs["Vf"], inputs["tau1"])
+        return np.concatenate([d[0], [d[1], y[6] / machine.J]])
+
+    psi = machine.fluxes(initial["I"], initial["theta"])
+    y0 = np.concatenate([psi, [initial["p"] - machine.J * w, initial["theta"]]])
+    scale = np.concatenate([np.full(3, 50.0), np.abs(psi[3:]), [machine.J], [1.0]])
+    found = solve_ivp(rhs, (0.0, STOP), y0, "DOP853", rtol=3e-14, atol=1e-14 * scale, max_step=1e-4, dense_output=True)
+
+    def currents(t: float) -> np.ndarray:
+        y = found.sol(t)
+        rest = machine.rhs(y[:6], machine.J * w + y[6], w * t + y[7], np.zeros(3), 0.0, 0.0)
+        return rest[3][:3]
+
+    return currents, scene
+
+
+def mean_voltage(h: float) -> np.ndarray:
+    """Mean over the last step of v = v_bus - Rx I - Lx I'."""
+    currents, scene = lumped()
+    bus = scene["infinite_bus"]  # type: ignore[index]
+    t, b = np.polynomial.legendre.leggauss(8)
+    times = STOP - h + h * (t + 1) / 2
+    grid = sum(
+        bi / 2 * bus["amp"] * np.cos(bus["w"] * ti + bus["phase"] - ALPHA) for ti, bi in zip(times, b, strict=True)
+    )
+    mean = sum(bi / 2 * currents(ti) for ti, bi in zip(times, b, strict=True))  # type: ignore[operator]
+    slope = (currents(STOP) - currents(STOP - h)) / h  # type: ignore[operator]
+    return grid - scene["Rx"] * mean - scene["Lx"] * slope  # type: ignore[index]
+
+
+def place(names: list[str], which: str) -> list[int]:
+    return [names.index(f"{which}[{j}]") for j in (1, 2, 3)]
+
+
+def stepped(
+    h: float, scheme: Collocated, *, engine=NativeInstance, declaration: PHDAE | None = None, n: int | None = None
+):
+    """smib with the torque step at t = 0: (model, instance, record)."""
+    declaration = smib().declaration() if declaration is None else declaration
+    model = build_model(declaration, scheme)
+    instance = engine(model)
+    free = [name for p in declaration.ports if p.external for name in p.input_names()]
+    u = model.u0.copy()
+    u[free.index("gen.shaft.torque")] *= 1.1
+    instance.set_input(u)
+    wanted = ("x", "a", "signals", "stored", "dissipated", "supplied", "pairs")
+    return model, instance, instance.run(0.0, h, n or round(STOP / h), record=wanted)
+
+
+def errors(h: float, scheme: Collocated, scene=None) -> tuple[float, float, float]:
+    """Relative error of the stator currents, of the mean voltage [V] at the node, and max |sum of currents| [A]."""
+    declaration = (scene or smib()).declaration()
+    model, instance, r = stepped(h, scheme, declaration=declaration)
+    observed = instance.signal("observables")
+    current = observed[place(list(model.observable_names), "gen.I")]
+    names = [n for v in declaration.algebraics for n in v.names()]
+    voltage = r["a"][-1][place(names, "bus1.v")]
+    kirchhoff = np.max(np.abs(r["signals"][:, instance.layout["observables"]][:, -len(model.checks) :]))
+    reference = lumped()[0](STOP)  # type: ignore[operator]
+    return np.max(np.abs(current - reference)) / RATED, np.max(np.abs(voltage - mean_voltage(h))), kirchhoff
+
+
+@pytest.mark.parametrize(("k", "steps"), [(1, (1e-3, 5e-4, 2.5e-4)), (2, (1e-3, 5e-4, 2.5e-4)), (3, (2e-3, 1e-3))])
+def test_order_of_currents_and_mean_node_voltage(k: int, steps: tuple[float, ...]) -> None:
+    """Against the same circuit without a node: order 2, 4, 6; Kirchhoff at the step ends to rounding."""
+    found = np.array([errors(h, Collocated(k)) for h in steps])
+    slopes = np.log2(found[:-1, :2] / found[1:, :2])
+    np.testing.assert_allclose(slopes, 2 * k, atol=0.15 if k < 3 else 0.25)
+    assert found[:, 2].max() <= 1e-10 * RATED
+
+
+def test_plain_collocation_loses_order_at_the_node() -> None:
+    """What the impulses are there for: without them order 2 at k = 2, and 560 A instead of 0 at the step ends."""
+    found = np.array([errors(h, Collocated(2, impulses=False)) for h in (1e-3, 5e-4)])
+    assert np.log2(found[0, 0] / found[1, 0]) == pytest.approx(2.0, abs=0.2)
+    assert found[0, 2] > 100.0
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_balance_of_every_component_and_of_the_node(k: int) -> None:
+    model, instance, r = stepped(1e-3, Collocated(k))
+    H = instance.signal("H").sum()
+    assert np.max(np.abs(r["stored"] + r["dissipated"] - r["supplied"])) <= 1e-15 * H
+    names = [n for p in model.declaration.ports if p.bound is not None for n in [p.name] * p.n]
+    at_node = [i for i, n in enumerate(names, model.step.nu) if n in ("gen.terminal", "line.a")]
+    assert np.max(np.abs(r["pairs"][:, at_node].sum(axis=1))) <= 1e-14 * H
+    change = H - sum(NativeInstance(model).signal("H"))
+    assert change == pytest.approx(r["stored"].sum(), abs=1e-13 * H)
+
+
+def test_python_and_native_agree() -> None:
+    (_, _, a), (_, _, b) = (stepped(1e-3, Collocated(2), engine=e, n=20) for e in (PythonInstance, NativeInstance))
+    for block in ("x", "a", "pairs"):
+        scale = np.max(np.abs(a[block]), axis=0) + 1e-300
+        assert np.max(np.abs(a[block] - b[block]) / np.maximum(scale, 1e-6 * scale.max())) <= 1e-10
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_there_and_back(k: int) -> None:
+    """The pair is time-symmetric: T of the reversed step is the inverse."""
+    model, instance, _ = stepped(1e-3, Collocated(k), n=10)
+    for i in range(10):
+        instance.do_step((10 - i) * 1e-3, -1e-3)
+    scale = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
+    assert np.max(np.abs(instance.x - model.x0) / scale) <= 1e-11
+
+
+def test_other_references_for_the_node_voltages() -> None:
+    """v -> S_c v (line-to-line voltages, bad scaling) changes no state: the pair is covariant."""
+    s_c = np.array([[1.0, -1.0, 0.2], [0.0, 30.0, -1.0], [0.4, 0.0, 0.05]])
+    data = machine_set("kundur555_1q", d=50.0)
+    start = steady_state(data)
+
+    def network(matrix: np.ndarray) -> PHDAE:
+        def turned(model: PHDAE, port: str) -> PHDAE:
+            new = [replace(p, on={v: _times(b, v.n, matrix) for v, b in p.on.items()}) if p.name == port else p
+                   for p in model.ports]  # fmt: skip
+            return replace(model, ports=tuple(new))
+
+        net = Network("turned")
+        net.add("gen", turned(synchronous_machine(data, start=start), "terminal"))
+        net.add("line", turned(rl_line(1e-3, 1e-4, i=[-x for x in start.I[:3]], v=2e4), "a"))
+        net.junction("bus1", ["gen.terminal", "line.a"])
+        return net.compose()
+
+    runs = []
+    for matrix in (np.eye(3), s_c):
+        model = build_model(network(matrix), Collocated(2))
+        instance = NativeInstance(model)
+        runs.append(instance.run(0.0, 5e-4, 40, record=("x",))["x"])
+    scale = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
+    assert np.max(np.abs(runs[0] - runs[1]) / scale) <= 1e-12
+
+
+def _times(b: object, n: int, matrix: np.ndarray) -> object:
+    import casadi as ca
+
+    return ca.mtimes(ca.SX(b) if ca.SX(b).numel() > 1 else ca.SX(b) * ca.SX.eye(n), ca.DM(matrix))  # type: ignore[arg-type]
+
+
+def test_abc_flux_machine() -> None:
+    """H depends on the angle: corrected gradient there, the node stays exact."""
+    found = np.array([errors(h, Collocated(2), smib(coordinates="abc-flux")) for h in (5e-4, 2.5e-4)])
+    assert np.log2(found[0, 0] / found[1, 0]) == pytest.approx(4.0, abs=0.15)
+    assert found[:, 2].max() <= 1e-10 * RATED
+
+
+def test_two_machines_keep_kirchhoff_through_fault_and_clearing() -> None:
+    scene = two_machine(t_fault=0.02, t_clear=0.06, stop=0.1)
+    model = build_model(scene.declaration(), Collocated(2))
+    r = run(Monolithic(model, NativeInstance(model)), stop=0.1, step=1e-4, events=scene.events)
+    assert r.worst and max(r.worst.values()) <= 1e-10 * RATED
+    ref = read("two_machine_early")
+    rows = [int(np.argmin(np.abs(r.time - t))) for t in ref["time"] if t <= 0.1]
+    error = np.max(np.abs(r.column("m1.I[1]")[rows] - ref["I1[1]"][: len(rows)])) / np.max(np.abs(ref["I1[1]"]))
+    assert error <= 1e-6
+
+
+def two_bare_nodes() -> PHDAE:
+    """Machine - line - node - line - second machine: two coupled bare nodes."""
+    data = machine_set("krause_hydro325", d=50.0)
+    start = steady_state(data)
+    net = Network("row")
+    size = {"i": [-x for x in start.I[:3]], "v": 2e4}
+    net.add("gen", synchronous_machine(data, start=start))
+    net.add("line1", rl_line(1e-2, 1e-3, **size))
+    net.add("line2", rl_line(2e-2, 2e-3, **size))
+    net.junction("bus1", ["gen.terminal", "line1.a"])
+    net.junction("bus2", ["line1.b", "line2.a"])
+    return net.compose()
+
+
+def test_two_bare_nodes_in_a_row() -> None:
+    """bus2 joins two lines (linear by itself) but shares a line with bus1: both get impulses."""
+    declaration = two_bare_nodes()
+    assert [(n.name, n.reason) for n in bare_nodes(extract(declaration))] == [
+        (f"bus{b}.v[{j}]", "") for b in (1, 2) for j in (1, 2, 3)
+    ]
+    ends = []
+    for h in (1e-3, 5e-4, 2.5e-4, 1.25e-4):
+        model = build_model(declaration, Collocated(2))
+        instance = NativeInstance(model)
+        ends.append(instance.run(0.0, h, round(0.016 / h), record=("x",))["x"][-1])
+        assert np.max(np.abs(instance.signal("observables")[-6:])) <= 1e-10 * RATED
+    scale = np.array([v.nominal[j] for v in declaration.states for j in range(v.n)])
+    gaps = [np.max(np.abs(a - b) / scale) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    assert np.log2(gaps[1] / gaps[2]) == pytest.approx(4.0, abs=0.15)
+
+
+def saturable(name: str) -> PHDAE:
+    """An inductor with H = flux^2/2 + flux^4/4."""
+    flux = state("flux", unit="Wb", start=0.0)
+    h = energy(flux**2 / 2 + flux**4 / 4)
+    return PHDAE(name, states=(flux,), energies=(h,), ports=(Port("p", ELECTRICAL, "effort", {flux: 1}),))
+
+
+def joined(*models: PHDAE) -> PHDAE:
+    net = Network("joined")
+    for i, m in enumerate(models):
+        net.add(f"m{i}", m)
+    net.junction("bus", [f"m{i}.{m.ports[0].name}" for i, m in enumerate(models)])
+    return net.compose()
+
+
+def test_which_nodes_are_bare() -> None:
+    linear = joined(rl_line(1.0, 1.0), rl_line(1.0, 2.0))
+    assert bare_nodes(extract(linear)) == []  # stays at rounding by itself
+    assert build_model(linear, Collocated(2)).step.nw == 2 * 6 + 2 * 3
+    (node,) = bare_nodes(extract(joined(saturable("a"), saturable("b"))))
+    assert "saturation" in node.reason
+    currents = bare_nodes(extract(smib(coordinates="current").declaration()))
+    assert len(currents) == 3 and all("E other than identity" in n.reason for n in currents)
+
+
+def test_refused_nodes_are_stepped_plainly() -> None:
+    declaration = joined(saturable("a"), saturable("b"))
+    assert build_model(declaration, Collocated(1)).step.nw == 3
