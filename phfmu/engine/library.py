@@ -35,7 +35,7 @@ class Report(ctypes.Structure):
 
     _fields_ = [
         *((n, ctypes.c_int) for n in ("status", "row", "column", "iterations", "instant")),
-        *((n, ctypes.c_double) for n in ("residual", "update", "time", "h")),
+        *((n, ctypes.c_double) for n in ("residual", "floor", "update", "time", "h")),
     ]
 
 

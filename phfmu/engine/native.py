@@ -202,6 +202,6 @@ class NativeInstance:
         equation = names[index] if 0 <= index < len(names) else (f"row {index}" if index >= 0 else "")
         tried = "two starts, with and without line search" + ("" if r.instant else ", 64 substeps")
         raise StepFailure(
-            status, name, r.time, r.h, equation=equation, residual=r.residual, update=r.update,
-            iterations=r.iterations, tried=tried,
+            status, name, r.time, r.h, equation=equation, residual=r.residual, floor=r.floor,
+            update=r.update, iterations=r.iterations, tried=tried,
         )  # fmt: skip

@@ -13,7 +13,9 @@ from phfmu.engine.status import Status
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9  # scaled update after which one polish reaches round-off
-FLOOR = 1e-6  # an update below this that no longer shrinks is the rounding floor
+ROUNDING = 1e-15  # what the polish may leave, judged by the last two updates
+STAGNATION = 1e-6  # an update below this that no longer shrinks is rounding
+FLOOR = 64.0  # units of rounding in a row that cannot be told from zero
 ITERATIONS = 30
 DELTA = 1e-10  # on multiplier diagonals of the factor only: minimum-norm multipliers for redundant rows
 SMALLEST = 1.0 / 64.0  # line search
@@ -21,7 +23,7 @@ SMALLEST = 1.0 / 64.0  # line search
 
 @dataclass
 class Outcome:
-    """Result of one attempt: status, unknowns, iterations, worst scaled residual and its row, last update norm."""
+    """Result of one attempt: status, unknowns, iterations, worst scaled residual, its row and rounding floor, last update norm."""
 
     status: Status
     w: Array
@@ -29,6 +31,7 @@ class Outcome:
     residual: float = 0.0
     row: int = -1
     update: float = 0.0
+    floor: float = 0.0
 
 
 class Newton:
@@ -79,44 +82,66 @@ class Newton:
         for i in range(ITERATIONS):
             out.iterations = i + 1
             if not np.isfinite(r).all():
-                return self._failed(out, Status.NOT_FINITE, r)
+                return self._failed(out, Status.NOT_FINITE, r, fixed)
             if not self.factor(h):
-                return self._failed(out, Status.SINGULAR, r)
+                return self._failed(out, Status.SINGULAR, r, fixed)
             dw = self.solve(r)
             if not np.isfinite(dw).all():
-                return self._failed(out, Status.NOT_FINITE, r)
-            found = self._searched(w, dw, r, fixed) if damped else (w + dw, None, dw)
-            if found is None:
-                return self._failed(out, Status.NO_CONVERGENCE, r)
-            w, r, dw = found
+                return self._failed(out, Status.NOT_FINITE, r, fixed)
+            before, damping = r, self._damping(w, dw, r, fixed) if damped else 1.0
+            if not damping:
+                return self._failed(out, Status.NO_CONVERGENCE, r, fixed)
+            w = w + damping * dw
+            r = self.residual(w, fixed)
             out.w, out.update = w, float(np.max(np.abs(dw) / (plan.nominal + np.abs(w)), initial=0.0))
-            if r is None:
-                r = self.residual(w, fixed)
-            if out.update <= TOLERANCE or (out.update <= FLOOR and out.update > 0.5 * last):
+            if damping == 1.0 and self._solved(out, last, before, fixed):
                 if not np.isfinite(r).all():
-                    return self._failed(out, Status.NOT_FINITE, r)
+                    return self._failed(out, Status.NOT_FINITE, r, fixed)
                 out.w = w + self.solve(r)
                 out.status = Status.OK
                 return out
             last = out.update
-        return self._failed(out, Status.NO_CONVERGENCE, r)
+        return self._failed(out, Status.NO_CONVERGENCE, r, fixed)
 
-    def _searched(self, w: Array, dw: Array, r: Array, fixed: tuple) -> tuple[Array, Array | None, Array] | None:
-        """The longest of the steps 1, 1/2, .. 1/64 that reduces the scaled residual; None if none does."""
+    def _solved(self, out: Outcome, last: float, r: Array, fixed: tuple) -> bool:
+        """Whether one polish reaches rounding.
+
+        Two updates tell what is left after it.  An update that does not shrink is rounding; one that shrinks slowly
+        is so only where the residual r before it says so too.
+        """
+        ratio = out.update / last
+        if out.update <= TOLERANCE and ratio**2 * out.update <= ROUNDING:
+            return True
+        if out.update > STAGNATION or ratio <= 0.5:
+            return False
+        return ratio >= 1.0 or bool((np.abs(r) <= FLOOR * self._rounding(out.w, fixed)).all())
+
+    def _rounding(self, w: Array, fixed: tuple) -> Array:
+        """What rounding leaves in each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is."""
+        plan, x, h = self.plan, fixed[0], fixed[3]
+        size = np.zeros(plan.nw)
+        np.maximum.at(size, plan.update_w, np.abs(x[plan.update_x]))
+        column = np.repeat(np.arange(plan.nw), np.diff(plan.colptr))
+        a = np.abs(self.evaluator.products(plan.matrix, h))
+        return np.finfo(float).eps * np.bincount(plan.matrix.row, a * (size + np.abs(w))[column], plan.nw)
+
+    def _damping(self, w: Array, dw: Array, r: Array, fixed: tuple) -> float:
+        """The longest of the steps 1, 1/2, .. 1/64 that reduces the scaled residual, at rounding the full one; 0 if none does."""
         base = np.linalg.norm(self._scale * r)
         step = 1.0
         while step >= SMALLEST:
             trial = w + step * dw
-            r_trial = self.residual(trial, fixed).copy()
-            size = np.linalg.norm(self._scale * r_trial)
-            if size < base:
-                return trial, r_trial, step * dw
+            small = np.max(np.abs(dw) / (self.plan.nominal + np.abs(trial)), initial=0.0) <= STAGNATION
+            if small or np.linalg.norm(self._scale * self.residual(trial, fixed)) < base:
+                return step
             step /= 2
-        return None
+        return 0.0
 
-    def _failed(self, out: Outcome, status: Status, r: Array) -> Outcome:
+    def _failed(self, out: Outcome, status: Status, r: Array, fixed: tuple) -> Outcome:
         scaled = np.abs(self._scale * r)
         out.status = status
         out.row = int(np.argmax(np.where(np.isfinite(scaled), scaled, np.inf))) if scaled.size else -1
-        out.residual = float(scaled[out.row]) if scaled.size else 0.0
+        if scaled.size:
+            out.residual = float(scaled[out.row])
+            out.floor = float(self._scale[out.row] * self._rounding(out.w, fixed)[out.row])
         return out

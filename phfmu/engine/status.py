@@ -36,8 +36,9 @@ class StepFailure(RuntimeError):
     """A step that was refused; the instance is at its last accepted step.
 
     `component`: name of the model; `time`, `h`: start and length (s) of the refused step or substep, h = 0 if
-    the values at one instant failed; `equation`: name of the row with the largest scaled residual `residual`;
-    `update`: last scaled change of the unknowns (1 = nominal); `tried`: what was attempted.
+    the values at one instant failed; `equation`: name of the row with the largest scaled residual `residual`, of
+    which rounding alone leaves `floor`; `update`: last scaled change of the unknowns (1 = nominal); `tried`: what
+    was attempted.
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class StepFailure(RuntimeError):
         *,
         equation: str = "",
         residual: float = float("nan"),
+        floor: float = 0.0,
         update: float = float("nan"),
         iterations: int = 0,
         tried: str = "",
@@ -59,6 +61,7 @@ class StepFailure(RuntimeError):
         self.h = h
         self.equation = equation
         self.residual = residual
+        self.floor = floor
         self.update = update
         self.iterations = iterations
         self.tried = tried
@@ -73,6 +76,8 @@ class StepFailure(RuntimeError):
             text += f"; worst: {self.equation}"
         if self.residual == self.residual:
             text += f", scaled residual {self.residual:.3g}"
+        if self.floor:
+            text += f" (rounding floor {self.floor:.2g})"
         if self.update == self.update:
             text += f", last update {self.update:.3g}"
         if self.iterations:

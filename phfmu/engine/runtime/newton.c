@@ -2,6 +2,7 @@
  *
  * The row-scaled matrix is factored, delta on the multiplier diagonals in the factor only; the residual
  * is exact, so redundant constraints get their minimum-norm multipliers. */
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -10,7 +11,8 @@
 #define MAX_ITERATIONS 30
 #define TOLERANCE 1e-9 /* on max |dw_i| / (nominal_i + |w_i|) */
 #define ROUNDING 1e-15
-#define STAGNATION 1e-6 /* below it, an update that no longer halves is rounding */
+#define STAGNATION 1e-6 /* below it, an update that no longer shrinks is rounding */
+#define FLOOR 64.0      /* units of rounding in a row that cannot be told from zero */
 /* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
  * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
 #define CHORD 1e-1
@@ -119,13 +121,41 @@ static int polish(ph_system *s) {
     return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
 }
 
-/* Update small enough that one polish reaches rounding. A kept factor contracts linearly, by the ratio of
- * two updates: what it leaves after the polish must be rounding too, and a slow one is not yet the floor. */
+/* size (nw): what rounding leaves in each row, eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose
+ * increment w_j is. A residual of that size belongs to equations changed by eps alone. Overwrites dw. */
+static void rounding(const ph_system *s, double *size) {
+    const ph_plan *p = s->plan;
+    double *column = s->dw;
+    for (int j = 0; j < p->nw; j++) {
+        size[j] = 0.0;
+        column[j] = 0.0;
+    }
+    for (int l = 0; l < p->nupdate; l++)
+        column[p->update_w[l]] = fmax(column[p->update_w[l]], fabs(s->x[p->update_x[l]]));
+    for (int j = 0; j < p->nw; j++)
+        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
+            size[p->matrix_row[e]] += DBL_EPSILON * fabs(s->a[e]) * (column[j] + fabs(s->y[j]));
+}
+
+/* All rows at the w before the update are rounding. */
+static int at_floor(const ph_system *s) {
+    rounding(s, s->base);
+    for (int i = 0; i < s->plan->nw; i++)
+        if (fabs(s->r[i]) > FLOOR * s->base[i])
+            return 0;
+    return 1;
+}
+
+/* Update small enough that one polish reaches rounding. Two updates tell what is left after it, whether they
+ * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares. An update that does
+ * not shrink is rounding; one that shrinks slowly is so only where the residual says it too. */
 static int solved(const ph_system *s, int kept, double previous) {
     double ratio = s->update / previous;
-    if (kept)
-        return s->update <= TOLERANCE && ratio * ratio * s->update <= ROUNDING;
-    return s->update <= TOLERANCE || (s->update <= STAGNATION && ratio > 0.5);
+    if (s->update <= TOLERANCE && ratio * ratio * s->update <= ROUNDING)
+        return 1;
+    if (kept || s->update > STAGNATION)
+        return 0;
+    return ratio >= 1.0 || (ratio > 0.5 && at_floor(s));
 }
 
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
@@ -152,9 +182,15 @@ int ph_newton(ph_system *s, int damped) {
         }
         if (damping == 1.0 && solved(s, kept, previous))
             return polish(s);
+        chord = 0;
+        if (kept && s->update > previous) { /* the old matrix led astray: take it back, use a new one */
+            move(s, s->y, -1.0);
+            continue;
+        }
         chord = !damped && s->update <= CHORD && s->update <= CONTRACTION * previous;
         previous = s->update;
     }
+    s->iterations = MAX_ITERATIONS;
     return PH_NO_CONVERGENCE;
 }
 
@@ -225,11 +261,13 @@ void ph_explain(const ph_system *s, int status, ph_report *report) {
         report->column = s->empty < 0 ? s->lu.failed : -1;
         return;
     }
+    rounding(s, s->base);
     for (int i = 0; i < s->plan->nw; i++) {
         double size = fabs(s->scale[i] * s->r[i]);
         if (size <= report->residual)
             continue;
         report->residual = size;
+        report->floor = s->scale[i] * s->base[i];
         report->row = i;
         if (!isfinite(size))
             return;

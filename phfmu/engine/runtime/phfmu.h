@@ -82,6 +82,7 @@ typedef struct ph_report {
     int iterations;  /* of the last attempt */
     int instant;     /* 1: in the system of the end values, 0: in a step */
     double residual; /* its scaled value */
+    double floor;    /* what rounding alone leaves of it */
     double update;   /* last scaled update norm */
     double time;     /* start of the refused substep */
     double h;        /* its length */

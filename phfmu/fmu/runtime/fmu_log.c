@@ -60,8 +60,9 @@ int fmu_solver(const fmu *f, const char *what, int status) {
         return fmu_refuse(f, "%s: %s", what, ph_status_text(status)); /* these come without a report */
     return fmu_refuse(
         f,
-        "%s: %s. Worst: %s, scaled residual %.3g, last update %.3g after %d iterations, in [%.9g s, "
+        "%s: %s. Worst: %s, scaled residual %.3g (rounding floor %.2g), last update %.3g after %d "
+        "iterations, in [%.9g s, "
         "%.9g s]. The component is back at t = %.9g s; try a smaller step, or look at its inputs",
         what, ph_status_text(status), place >= 0 && place < plan->nw ? names[place] : "none", r->residual,
-        r->update, r->iterations, r->time, r->time + r->h, fmu_time(f));
+        r->floor, r->update, r->iterations, r->time, r->time + r->h, fmu_time(f));
 }

@@ -1,0 +1,51 @@
+"""When Newton's method stops: at rounding, not at slow progress, and with the floor named when it fails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phfmu import NativeInstance, PythonInstance, Status, StepFailure, build_model
+from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.discretise.schemes import named_scheme
+
+ENGINES = (PythonInstance, NativeInstance)
+
+
+def four(scheme="semi-explicit", gradient="per-term", **starts):
+    d = four_particle().with_starts({k.replace("_", "[") + "]" if "_" in k else k: v for k, v in starts.items()})
+    return build_model(d, named_scheme(d, scheme, 2, gradient))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_slow_progress_is_not_taken_for_rounding(engine):
+    """117 rad a step: the constraint is nearly singular and Newton shrinks by half; every step must still balance."""
+    instance = engine(four(v_12=1.18e4))
+    for k in range(12):
+        instance.do_step(0.01 * k, 0.01)
+        row = instance.ledger()
+        H = instance.signals()["H"][0]
+        assert abs(row["stored"][0] + row["dissipated"][0] - row["supplied"][0]) <= 1e-13 * H
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_old_matrix_that_leads_astray_is_given_up(engine):
+    """The first step of a particle of 1e-12 kg between stiff springs needs no halving."""
+    instance = engine(four(m_4=1e-12, eta0=0.0))
+    instance.do_step(0.0, 0.01)
+    assert instance.counts["substeps"] == 0 and instance.counts["line_searches"] == 0
+
+
+def test_both_engines_name_the_same_floor():
+    """A joint gradient at 1e5 times the speed has no solution Newton finds; the error says how far rounding goes."""
+    found = []
+    for engine in ENGINES:
+        with pytest.raises(StepFailure, match="rounding floor") as failure:
+            engine(four(gradient="joint-gonzalez", v_12=1.17e5)).do_step(0.0, 0.01)
+        found.append(failure.value)
+    one, two = found
+    assert one.status is two.status is Status.NO_CONVERGENCE and one.equation == two.equation
+    assert one.iterations == two.iterations
+    assert one.floor == pytest.approx(two.floor, rel=1e-6) and 0 < one.floor < 1e-13
+    assert one.update == pytest.approx(two.update, rel=1e-2)
+    assert np.isfinite(one.residual) and one.residual > 1e3 * one.floor
