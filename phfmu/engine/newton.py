@@ -23,7 +23,7 @@ SMALLEST = 1.0 / 64.0  # line search
 
 @dataclass
 class Outcome:
-    """Result of one attempt: status, unknowns, iterations, worst scaled residual, its row and rounding floor, last update norm."""
+    """Result of one attempt: status, unknowns, iterations, worst scaled residual, its row and floor, last update norm."""
 
     status: Status
     w: Array
@@ -106,33 +106,36 @@ class Newton:
     def _solved(self, out: Outcome, last: float, r: Array, fixed: tuple) -> bool:
         """Whether one polish reaches rounding.
 
-        Two updates tell what is left after it.  An update that does not shrink is rounding; one that shrinks slowly
-        is so only where the residual r before it says so too.
+        Two updates tell what is left after it.  One that hardly shrinks is at the floor if the residual r before it is
+        rounding, or if it is tiny and only noise is left.
         """
         ratio = out.update / last
         if out.update <= TOLERANCE and ratio**2 * out.update <= ROUNDING:
             return True
         if out.update > STAGNATION or ratio <= 0.5:
             return False
-        return ratio >= 1.0 or bool((np.abs(r) <= FLOOR * self._rounding(out.w, fixed)).all())
+        return (ratio >= 1.0 and out.update <= TOLERANCE) or self._at_floor(out.w, r, fixed)
+
+    def _at_floor(self, w: Array, r: Array, fixed: tuple) -> bool:
+        """All rows are rounding."""
+        return bool((np.abs(r) <= FLOOR * self._rounding(w, fixed)).all())
 
     def _rounding(self, w: Array, fixed: tuple) -> Array:
         """What rounding leaves in each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is."""
         plan, x, h = self.plan, fixed[0], fixed[3]
-        size = np.zeros(plan.nw)
-        np.maximum.at(size, plan.update_w, np.abs(x[plan.update_x]))
+        size = np.bincount(plan.update_w, np.abs(x[plan.update_x]), plan.nw)
         column = np.repeat(np.arange(plan.nw), np.diff(plan.colptr))
         a = np.abs(self.evaluator.products(plan.matrix, h))
         return np.finfo(float).eps * np.bincount(plan.matrix.row, a * (size + np.abs(w))[column], plan.nw)
 
     def _damping(self, w: Array, dw: Array, r: Array, fixed: tuple) -> float:
         """The longest of the steps 1, 1/2, .. 1/64 that reduces the scaled residual, at rounding the full one; 0 if none does."""
+        if self._at_floor(w, r, fixed):
+            return 1.0
         base = np.linalg.norm(self._scale * r)
         step = 1.0
         while step >= SMALLEST:
-            trial = w + step * dw
-            small = np.max(np.abs(dw) / (self.plan.nominal + np.abs(trial)), initial=0.0) <= STAGNATION
-            if small or np.linalg.norm(self._scale * self.residual(trial, fixed)) < base:
+            if np.linalg.norm(self._scale * self.residual(w + step * dw, fixed)) < base:
                 return step
             step /= 2
         return 0.0

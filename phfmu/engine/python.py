@@ -153,7 +153,8 @@ class PythonInstance:
             name = self.model.row_names[outcome.row] if outcome.row >= 0 else ""
             raise StepFailure(
                 outcome.status, self.model.name, t + h * start, h * part, equation=name, residual=outcome.residual,
-                floor=outcome.floor, update=outcome.update, iterations=outcome.iterations, tried=f"two starts, line search and {2**DEPTH} substeps",
+                floor=outcome.floor, update=outcome.update, iterations=outcome.iterations,
+                tried=f"two starts, line search and {2**DEPTH} substeps",
             )  # fmt: skip
         s.counts["substeps"] += 1
         first = self._advance(t, h, start, part / 2, depth + 1)

@@ -80,17 +80,43 @@ static double move(ph_system *s, const double *base, double damping) {
     return isfinite(sum) ? most : sum;
 }
 
-/* Halves the update until the scaled residual falls; near the rounding floor the full one is taken. */
+/* size (nw): what rounding leaves in each row, eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose
+ * increment w_j is. A residual of that size belongs to equations changed by eps alone. */
+static void rounding(const ph_system *s, double *size) {
+    const ph_plan *p = s->plan;
+    for (int i = 0; i < p->nw; i++)
+        size[i] = 0.0;
+    for (int l = 0; l < p->nupdate; l++) {
+        int j = p->update_w[l];
+        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
+            size[p->matrix_row[e]] += DBL_EPSILON * fabs(s->a[e] * s->x[p->update_x[l]]);
+    }
+    for (int j = 0; j < p->nw; j++)
+        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
+            size[p->matrix_row[e]] += DBL_EPSILON * fabs(s->a[e] * s->y[j]);
+}
+
+/* All rows are rounding. */
+static int at_floor(const ph_system *s, double *size) {
+    rounding(s, size);
+    for (int i = 0; i < s->plan->nw; i++)
+        if (fabs(s->r[i]) > FLOOR * size[i])
+            return 0;
+    return 1;
+}
+
+/* Halves the update until the scaled residual falls; where that is rounding the full one is taken. */
 static int damp(ph_system *s, double norm, double *damping) {
+    const int floor = at_floor(s, s->base);
     memcpy(s->base, s->y, sizeof(double) * (size_t)s->plan->nw);
     for (*damping = 1.0; *damping >= MIN_DAMPING; *damping *= 0.5) {
-        double next;
         s->update = move(s, s->base, *damping);
         if (!isfinite(s->update))
             return PH_NOT_FINITE;
+        if (floor)
+            return PH_OK;
         ph_eval(s, 0, 0);
-        next = scale_residual(s);
-        if (next < norm || s->update <= STAGNATION)
+        if (scale_residual(s) < norm)
             return PH_OK;
     }
     return PH_NO_CONVERGENCE;
@@ -121,41 +147,16 @@ static int polish(ph_system *s) {
     return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
 }
 
-/* size (nw): what rounding leaves in each row, eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose
- * increment w_j is. A residual of that size belongs to equations changed by eps alone. Overwrites dw. */
-static void rounding(const ph_system *s, double *size) {
-    const ph_plan *p = s->plan;
-    double *column = s->dw;
-    for (int j = 0; j < p->nw; j++) {
-        size[j] = 0.0;
-        column[j] = 0.0;
-    }
-    for (int l = 0; l < p->nupdate; l++)
-        column[p->update_w[l]] = fmax(column[p->update_w[l]], fabs(s->x[p->update_x[l]]));
-    for (int j = 0; j < p->nw; j++)
-        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
-            size[p->matrix_row[e]] += DBL_EPSILON * fabs(s->a[e]) * (column[j] + fabs(s->y[j]));
-}
-
-/* All rows at the w before the update are rounding. */
-static int at_floor(const ph_system *s) {
-    rounding(s, s->base);
-    for (int i = 0; i < s->plan->nw; i++)
-        if (fabs(s->r[i]) > FLOOR * s->base[i])
-            return 0;
-    return 1;
-}
-
 /* Update small enough that one polish reaches rounding. Two updates tell what is left after it, whether they
- * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares. An update that does
- * not shrink is rounding; one that shrinks slowly is so only where the residual says it too. */
+ * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares. One that hardly
+ * shrinks is at the floor if the residual before it is rounding, or if it is tiny and only noise is left. */
 static int solved(const ph_system *s, int kept, double previous) {
     double ratio = s->update / previous;
     if (s->update <= TOLERANCE && ratio * ratio * s->update <= ROUNDING)
         return 1;
-    if (kept || s->update > STAGNATION)
+    if (kept || s->update > STAGNATION || ratio <= 0.5)
         return 0;
-    return ratio >= 1.0 || (ratio > 0.5 && at_floor(s));
+    return (ratio >= 1.0 && s->update <= TOLERANCE) || at_floor(s, s->base);
 }
 
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
