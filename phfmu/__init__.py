@@ -18,6 +18,7 @@ _WHERE = {
     ),
     "phfmu.declare.transformation": ("SystemTransformation", "keeping_E"),
     "phfmu.declare.descriptor": ("reduce_descriptor",),
+    "phfmu.discretise.discrete_pair": ("DiscretePair", "discrete_pair", "inverse_jacobian", "with_closed_pair"),
     "phfmu.declare.check": ("check", "Problem"),
     "phfmu.discretise.collocated": ("Collocated",),
     "phfmu.discretise.discrete": ("discrete_gradient", "discrete_jacobian"),
@@ -122,6 +123,10 @@ if TYPE_CHECKING:
     from phfmu.discretise.collocated import Collocated as Collocated
     from phfmu.discretise.discrete import discrete_gradient as discrete_gradient
     from phfmu.discretise.discrete import discrete_jacobian as discrete_jacobian
+    from phfmu.discretise.discrete_pair import DiscretePair as DiscretePair
+    from phfmu.discretise.discrete_pair import discrete_pair as discrete_pair
+    from phfmu.discretise.discrete_pair import inverse_jacobian as inverse_jacobian
+    from phfmu.discretise.discrete_pair import with_closed_pair as with_closed_pair
     from phfmu.discretise.model import Model as Model
     from phfmu.discretise.model import build_model as build_model
     from phfmu.discretise.model import default_scheme as default_scheme

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from phfmu.declare.check_entries import Entries, Entry, key
 from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample
+from phfmu.declare.check_sample import Sample, singular_row
 
 RELATIVE = 1e-9  # of the numbers compared
 FLOOR = 1e-12  # of the largest entry of a block: rounding of entries that cancel to zero
-SINGULAR = 1e-13  # smallest over largest singular value of a matrix with balanced rows and columns
 
 
 def finite(entries: Entries, sample: Sample) -> list[Problem]:
@@ -147,7 +146,7 @@ def masses(entries: Entries, sample: Sample) -> list[Problem]:
     found = []
     for (label, expr, names), value in zip(chosen, sample.values([c[1] for c in chosen]), strict=True):
         for i, E in enumerate(value):
-            row = _singular(E) if np.isfinite(E).all() else -1
+            row = singular_row(E) if np.isfinite(E).all() else -1
             if row >= 0:
                 text = f"E[{names[row]}, {names[row]}] = {E[row, row]:g}, singular {sample.where(i, expr)}"
                 found.append(
@@ -169,21 +168,6 @@ def _remedy(entries: Entries, E: ca.SX, name: str) -> str:
     if E.sparsity().is_diag():
         return f"give a nonzero mass, or make '{name}' an algebraic variable"
     return "give a regular E, or give z of its variables and use reduce_descriptor(model)"
-
-
-def _singular(E: NDArray) -> int:
-    """The row that is undetermined if E is singular, else -1."""
-    for axis in (1, 0):
-        zero = np.flatnonzero(np.abs(E).max(axis=axis) == 0)
-        if zero.size:
-            return int(zero[0])
-    if np.count_nonzero(E - np.diag(np.diag(E))) == 0:
-        return -1
-    for _ in range(3):
-        E = E / np.sqrt(np.abs(E).max(axis=1, keepdims=True))
-        E = E / np.sqrt(np.abs(E).max(axis=0, keepdims=True))
-    _, s, right = np.linalg.svd(E)
-    return int(np.argmax(np.abs(right[-1]))) if s[-1] <= SINGULAR * s[0] else -1
 
 
 def costates(entries: Entries, sample: Sample) -> list[Problem]:

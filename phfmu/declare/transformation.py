@@ -233,6 +233,8 @@ def solved_starts(T: SystemTransformation, old: Array, p: Array, parameters: ca.
         else:
             break
         x, (r, D, U) = x + scale * step, new
+    if np.isfinite(r).all():
+        _require_regular({"Dphi": D, "U": U}, x, names, model)
     if not np.isfinite(r).all() or np.max(np.abs(r) / size) > 1e-9:
         worst = int(np.argmax(np.nan_to_num(np.abs(r) / size, nan=np.inf)))
         old_names = [n for v in T.old for n in v.names()]
@@ -240,15 +242,17 @@ def solved_starts(T: SystemTransformation, old: Array, p: Array, parameters: ca.
             f"{model}: no start of {', '.join(names)} found with phi(x~) = x: '{old_names[worst]}' is missed by "
             f"{r[worst]:.6g}; give the new variables starts near the solution"
         )
-    for what, matrix in (("Dphi", D), ("U", U)):
+    return x
+
+
+def _require_regular(matrices: Mapping[str, Array], x: Array, names: list[str], model: str) -> None:
+    for what, matrix in matrices.items():
         column = singular_column(matrix)
         if column >= 0:
             raise DeclarationError(
-                f"{model}: {what} is singular at the start, {names[column]} = {x[column]:.6g} (singular values "
-                f"{_values(matrix)}); the transformation is invertible near regular points only: start elsewhere or use "
-                "other coordinates"
+                f"{model}: {what} is singular at {names[column]} = {x[column]:.6g} (singular values {_values(matrix)}); a "
+                "transformation is invertible near regular points only: start elsewhere or use other coordinates"
             )
-    return x
 
 
 def singular_column(matrix: Array) -> int:

@@ -24,7 +24,8 @@ def transformed(model: PHDAE, T: SystemTransformation) -> PHDAE:
     """`model` in the new variables of `T`; see `SystemTransformation`."""
     model = velocity_form(model, T)
     change = Change(model, T)
-    z, E = costates(change), descriptor(change)
+    E = descriptor(change)
+    z = costates(change)
     energies = tuple(_energy(change, e) for e in model.energies)
     return replace(
         model,
