@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 _WHERE = {
     "phfmu.declare.variable": ("Variable", "state", "algebraic", "parameter", "time"),
-    "phfmu.declare.port": ("Domain", "Port", "ELECTRICAL", "TRANSLATIONAL", "ROTATIONAL", "HYDRAULIC"),
+    "phfmu.declare.port": ("Domain", "Port", "drive", "ELECTRICAL", "TRANSLATIONAL", "ROTATIONAL", "HYDRAULIC"),
     "phfmu.declare.energy": ("Energy", "ClosedPair", "energy", "strain_energy"),
     "phfmu.declare.phdae": (
         "PHDAE", "Block", "Holonomic", "Observable", "block", "skew", "damping", "observable",
@@ -37,7 +37,8 @@ _WHERE = {
     "phfmu.network.members": ("EngineMember",),
     "phfmu.network.fmu_member": ("FMUMember",),
     "phfmu.fmu.manifest": ("PortMap",),
-    "phfmu.discretise.start": ("project_start",),
+    "phfmu.discretise.rank": ("ConstraintRank", "constraint_rank"),
+    "phfmu.discretise.start": ("Projection", "project_start"),
 }  # fmt: skip
 _OWNER = {name: module for module, names in _WHERE.items() for name in names}
 
@@ -99,6 +100,9 @@ if TYPE_CHECKING:
     from phfmu.declare.port import (
         Port as Port,
     )
+    from phfmu.declare.port import (
+        drive as drive,
+    )
     from phfmu.declare.transformation import (
         SystemTransformation as SystemTransformation,
     )
@@ -130,6 +134,9 @@ if TYPE_CHECKING:
     from phfmu.discretise.model import Model as Model
     from phfmu.discretise.model import build_model as build_model
     from phfmu.discretise.model import default_scheme as default_scheme
+    from phfmu.discretise.rank import ConstraintRank as ConstraintRank
+    from phfmu.discretise.rank import constraint_rank as constraint_rank
+    from phfmu.discretise.start import Projection as Projection
     from phfmu.discretise.start import project_start as project_start
     from phfmu.discretise.terms import DeclarationError as DeclarationError
     from phfmu.engine.native import NativeInstance as NativeInstance

@@ -65,8 +65,10 @@ def example(rule: str, name: str, k: int) -> Example:
         w, dh = gradients.strain(*STRAIN[name], S, X, d, nd)
     elif rule == "general":
         w, dh = gradients.general(h, X, d, nd, np.array([1.0, 1.0, 0.5, 1.0, 2.0, 1.0]))
+    elif rule == "quadratic":
+        w, dh = gradients.quadratic(h, ca.gradient(h, X), X, d, nd)
     else:
-        w, dh = {"quadratic": gradients.quadratic, "joint": gradients.joint_gonzalez}[rule](h, X, d, nd)
+        w, dh = gradients.joint_gonzalez(h, X, d, nd)
     both = ca.vertcat(ca.vec(w), dh)
     return Example(
         ca.Function("w", [X, d, P], [w, dh]),

@@ -169,8 +169,8 @@ class Multibody:
             energies=tuple(self._energies(q, v, m, at)),
             E={v: ca.vertcat(*(m[i] for i in range(len(self._mass)) for _ in range(self.dim)))},
             structure=(skew(q, v, 1.0),),
-            dissipation=tuple(self._dissipation(v, at, n)),
-            ports=tuple(self._port(name, p, v, n) for name, p in self._ports),
+            dissipation=tuple(self._dissipation(v, at)),
+            ports=tuple(self._port(name, p, v) for name, p in self._ports),
             constraints=() if lam is None else (Holonomic(lam, ca.vertcat(*g)),),
             description=self.description,
         )
@@ -192,22 +192,16 @@ class Multibody:
         for s in self._springs:
             yield strain_energy(ca.sumsqr(at(s.b) - at(s.a)), s.potential)
 
-    def _dissipation(self, v: Variable, at: Callable[[Point], ca.SX], n: int) -> list[Block]:
-        blocks = []
+    def _dissipation(self, v: Variable, at: Callable[[Point], ca.SX]) -> list[Block]:
+        blocks, one = [], ca.SX.eye(self.dim)
         for d in self._dampers:
             value = d.value(ca.sumsqr(at(d.b) - at(d.a)))
             ends = [p for p in (d.a, d.b) if isinstance(p, Particle)]
-            matrix = ca.SX(n, n)
-            for a in ends:
-                for b in ends:
-                    sign = 1.0 if a == b else -1.0
-                    for i, j in zip(self._rows(a), self._rows(b), strict=True):
-                        matrix[i, j] = sign * value
-            blocks.append(block([v], matrix))
+            signs = ca.DM([[1.0, -1.0], [-1.0, 1.0]])[: len(ends), : len(ends)]
+            parts = [v.part(p.number * self.dim, self.dim) for p in ends]
+            blocks.append(block(parts, value * ca.kron(signs, one)))
         return blocks
 
-    def _port(self, name: str, p: Particle, v: Variable, n: int) -> Port:
-        b = ca.SX(n, self.dim)
-        for j, i in enumerate(self._rows(p)):
-            b[i, j] = 1.0
-        return Port(name, TRANSLATIONAL, "effort", {v: b}, self.dim, description=f"force on particle {p.number + 1}")
+    def _port(self, name: str, p: Particle, v: Variable) -> Port:
+        on = {v.part(p.number * self.dim, self.dim): ca.SX.eye(self.dim)}
+        return Port(name, TRANSLATIONAL, "effort", on, self.dim, description=f"force on particle {p.number + 1}")

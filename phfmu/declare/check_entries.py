@@ -16,7 +16,7 @@ from phfmu.declare.variable import Variable, _sx, time
 
 #: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
 #: (z2: the given effort of an algebraic variable)
-ALLOWED = dict.fromkeys(("H", "E", "z", "g", "C"), "xp") | {"source": "pt", "bound": "a"}
+ALLOWED = dict.fromkeys(("H", "E", "z", "C"), "xp") | {"g": "xpt", "source": "pt", "bound": "a"}
 ALLOWED |= dict.fromkeys(("J", "R", "B", "z2", "observable"), "xzaupt")
 _WORDS = {
     "x": "states",

@@ -48,10 +48,11 @@ def _idle_ports(entries: Entries) -> list[Problem]:
     sound = entries.of("B")
     acting = {id(e.origin) for e in sound if ca.sparsify(e.expr).nnz()}
     judged = Counter(id(e.origin) for e in sound)
+    drives = {c.drive.u[0].element_hash() for c in entries.model.constraints if c.drive is not None}
     return [
         Problem("unused", f"port '{p.name}'", "B is zero: the port acts on no equation", "give `on` its variables")
         for p in entries.model.ports
-        if id(p) not in acting and judged[id(p)] == len(p.on)
+        if id(p) not in acting and judged[id(p)] == len(p.on) and p.u[0].element_hash() not in drives
     ]
 
 

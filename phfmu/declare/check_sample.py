@@ -24,7 +24,7 @@ FRACTIONS = (0.0, 0.01, 0.1, 0.5, 0.5, 0.9)
 class Sample:
     """Points (x, z, a, u, p, t); z = E^-T grad H where that is finite, random elsewhere.
 
-    `size` (n1): max(nominal, |start|);  `place`: first row of each state by `key`.
+    `size` (n1): max(nominal, |start|);  `place`: row of each scalar state by its symbol.
     `known_z` (points x n1): where z was computed.  Points stay within `size` of the start, so that quantities
     whose start is not below their nominal value keep their sign.
     """
@@ -35,7 +35,7 @@ class Sample:
         rng = np.random.default_rng(1)
         self.n = len(FRACTIONS)
         x, size = _around(model.states, rng)
-        self.size, self.place = size, _places(model.states)
+        self.size, self.place = size, places(model.states)
         a, _ = _around(model.algebraics, rng)
         u = _inputs(model.ports, rng)
         p = np.array([v if np.isfinite(v) else 1.0 for q in model.parameters for v in q.start], float)
@@ -152,12 +152,10 @@ def _fitted(values: Sequence[float], n: int) -> list[float]:
     return [*values, *[0.0] * n][:n]
 
 
-def _places(variables: tuple[Variable, ...]) -> dict[int, int]:
-    out, at = {}, 0
-    for v in variables:
-        out[key(v)] = at
-        at += v.n
-    return out
+def places(variables: tuple[Variable, ...]) -> dict[int, int]:
+    """Place of every scalar symbol among the stacked variables."""
+    symbols = (s for v in variables for s in ca.vertsplit(v.sx))
+    return {s.element_hash(): i for i, s in enumerate(symbols)}
 
 
 def singular_row(E: Array) -> int:

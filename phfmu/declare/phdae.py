@@ -14,8 +14,8 @@ from typing import Any
 import casadi as ca
 
 from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
-from phfmu.declare.port import Port
-from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.port import Port, drive
+from phfmu.declare.variable import Variable, _sx, time
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +50,16 @@ def damping(variable: Variable, value: Any, *, owner: str = "") -> Block:
 
 @dataclass(frozen=True, eq=False)
 class Holonomic:
-    """Constraints g(q) = 0 with multiplier lambda: 0 = Dg z_v, and -Dg^T lambda on the rows of v (q' = z_v)."""
+    """Constraints g(q, t) = 0 with multiplier lambda: 0 = Dg z_v + g_t, and -Dg^T lambda on the rows of v (q' = z_v).
+
+    drive: port at which the work lambda^T g_t of constraints that depend on `time` is booked (one may serve several);
+           None = `<multiplier>_drive` if it is needed
+    """
 
     multiplier: Variable
     g: ca.SX
     owner: str = ""
+    drive: Port | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +111,11 @@ class PHDAE:
     def __post_init__(self) -> None:
         known = {s.element_hash() for v in self.states for s in ca.vertsplit(v.sx)}
         object.__setattr__(self, "energies", tuple(resolve_kind(e, known) for e in self.energies))
+        constraints = tuple(_driven(c) for c in self.constraints)
+        there = {p.u[0].element_hash() for p in self.ports}
+        drives = {c.drive.u[0].element_hash(): c.drive for c in constraints if c.drive is not None}
+        object.__setattr__(self, "constraints", constraints)
+        object.__setattr__(self, "ports", (*self.ports, *(p for s, p in drives.items() if s not in there)))
 
     @property
     def x(self) -> ca.SX:
@@ -167,8 +177,8 @@ class PHDAE:
         for f in ("states", "algebraics", "parameters"):
             fields[f] = tuple(swap.setdefault(id(v), variable(v)) for v in getattr(self, f))
 
-        def image(v: Variable) -> Variable:
-            return swap.setdefault(id(v), v)
+        def image(v: Variable) -> Variable:  # parts of variables stand in blocks and ports only
+            return swap[id(v)] if id(v) in swap else swap.setdefault(id(v), variable(v))
 
         return replace(
             self,
@@ -200,6 +210,13 @@ class PHDAE:
 def stacked(key: Variable | tuple[Variable, ...]) -> tuple[Variable, ...]:
     """The variables a block of E stands on."""
     return (key,) if isinstance(key, Variable) else tuple(key)
+
+
+def _driven(c: Holonomic) -> Holonomic:
+    """`c` with a drive if it moves."""
+    if c.drive is not None or not ca.depends_on(ca.SX(c.g), time):
+        return c
+    return replace(c, drive=drive(f"{c.multiplier.name}_drive", owner=c.owner))
 
 
 def _starts(port: Port) -> tuple[float, ...]:

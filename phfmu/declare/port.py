@@ -33,6 +33,8 @@ ELECTRICAL = Domain("electrical", "v", "V", "i", "A", "effort")
 TRANSLATIONAL = Domain("translational", "force", "N", "velocity", "m/s", "flow")
 ROTATIONAL = Domain("rotational", "torque", "N.m", "speed", "rad/s", "flow")
 HYDRAULIC = Domain("hydraulic", "pressure", "Pa", "flow", "m3/s", "effort")
+#: A moving constraint: time passes at the rate 1 and takes the power of the constraint forces.
+DRIVE = Domain("drive", "power", "W", "clock", "1", "flow")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,3 +96,8 @@ class Port:
     @property
     def output_unit(self) -> str:
         return self.domain.flow_unit if self.given == "effort" else self.domain.effort_unit
+
+
+def drive(name: str, *, description: str = "work of a moving constraint", owner: str = "") -> Port:
+    """The port at which the work of constraints g(q, t) = 0 is booked: the rate of time is 1, the effort is the power."""
+    return Port(name, DRIVE, "flow", {}, source=1.0, description=description, owner=owner)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -77,7 +77,8 @@ class Variable(_Arithmetic):
     """A named symbol (n x 1) with unit, start and nominal values.
 
     `z` is the symbol of its effort (costate) z; for algebraic variables z is the variable itself.
-    Identity is object identity: two calls give two different variables.
+    Identity is object identity: two calls give two different variables.  A view made by `part` shares the symbols;
+    `offset` is where it begins.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Variable(_Arithmetic):
     description: str
     sx: ca.SX = field(repr=False)
     z: ca.SX = field(repr=False)
+    offset: int = 0
 
     @property
     def n(self) -> int:
@@ -97,7 +99,20 @@ class Variable(_Arithmetic):
 
     def names(self) -> list[str]:
         """Scalar names, `[1]`-based for vectors."""
-        return [self.name] if self.size is None else [f"{self.name}[{i + 1}]" for i in range(self.size)]
+        return [self.name] if self.size is None else [f"{self.name}[{self.offset + i + 1}]" for i in range(self.size)]
+
+    def part(self, first: int, n: int) -> Variable:
+        """Entries first .. first + n - 1 (from 0) as a view, for blocks and ports that act on few entries.
+
+        ValueError if the variable has no such entries.
+        """
+        if first < 0 or n < 1 or first + n > self.n:
+            raise ValueError(f"{self.name} has {self.n} entries, not {first + 1} .. {first + n}")
+        rows = slice(first, first + n)
+        return replace(
+            self, size=n, start=self.start[rows], nominal=self.nominal[rows], sx=self.sx[rows], z=self.z[rows],
+            offset=self.offset + first,
+        )  # fmt: skip
 
 
 def make_variable(

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise import constraints, gradients, impulses
+from phfmu.discretise import constraints, gradients, impulses, inertia
 from phfmu.discretise.arguments import EMPTY, Arguments
 from phfmu.discretise.discrete import Summand, node_gradients
 from phfmu.discretise.layout import Layout
@@ -88,7 +88,13 @@ class Collocated:
                 "use --order 2 or 6"
             )
         if self.two_level:
-            terms = constraints.prepare(terms)
+            terms = inertia.prepare(terms)
+        if terms.light and self.gradient not in ("per-term", "mean-value"):
+            names = [n for v in terms.model.states for n in v.names()]
+            raise DeclarationError(
+                f"{terms.model.name}: {', '.join(names[i] for i in terms.light[:6])} without mass have no {self.gradient} "
+                "gradient; use --gradient per-term"
+            )
         return impulses.prepare(terms) if self.impulses else terms
 
     def specs(self, term: Term) -> list[Spec]:
@@ -106,16 +112,20 @@ class Collocated:
         tag = term.key[1]
         strain = (data["C"], data["phi"], term.local["z"]) if tag[0] == "strain" else None
         metric = np.array(tag[1]) if tag[0] == "general" else None
+        if tag[0] == "quadratic" and not self.gradient.startswith("itoh-abe"):
+            w, dh = gradients.quadratic(data["H"], data["z"], x, d, self.nodes)
+            return [self._costates(args, w, dh)]
         w, dh = node_gradients(self.gradient, Summand(tag[0], data["H"], x, strain, metric), d, self.nodes)
-        return [self._costates(term, args, w, dh)]
+        return [self._costates(args, w * ca.repmat(data["scale"], 1, self.k), dh)]
 
     def _joint(self, term: Term) -> list[Spec]:
         args, x = Arguments(term, self.k), term.local["x"]
         d = args.matrix("D", x.numel())
-        return [self._costates(term, args, *gradients.joint_gonzalez(term.data["H"], x, d, nodes(self.k)))]
+        w, dh = gradients.joint_gonzalez(term.data["H"], x, d, nodes(self.k))
+        return [self._costates(args, w * term.data["scale"], dh)]
 
-    def _costates(self, term: Term, args: Arguments, w: ca.SX, dh: ca.SX) -> Spec:
-        out = [(("W", j, i), 0, w[j, i] * term.data["scale"][j]) for i in range(self.k) for j in range(w.shape[0])]
+    def _costates(self, args: Arguments, w: ca.SX, dh: ca.SX) -> Spec:
+        out = [(("W", j, i), 0, w[j, i]) for i in range(self.k) for j in range(w.shape[0])]
         return Spec(0, args.x, args.p, args.y, out, stored=dh)
 
     def _closed(self, term: Term) -> list[Spec]:
@@ -129,8 +139,16 @@ class Collocated:
 
     def _mass(self, term: Term) -> list[Spec]:
         args = Arguments(term, self.k)
-        d = args.matrix("D", 1)
-        return [Spec(1, EMPTY, args.p, args.y, [(("row", 0, i), 0, term.data["m"] * d[i]) for i in range(self.k)])]
+        d, m = args.matrix("D", 1), term.data["m"]
+        out = [(("row", 0, i), 0, m * d[i]) for i in range(self.k)]
+        if "light" not in term.data:
+            return [Spec(1, EMPTY, args.p, args.y, out)]
+        # equal increments, and the shift of the velocity in the mean: sum b_i m (z_i - v_i) = sum b_i S_i^T mu
+        nd, v, z = nodes(self.k), term.local["x"], args.matrix("Z", 1)
+        shift = sum((nd.b[i] * (z[i] - v - ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(self.k)), ca.SX(0))
+        out += [(("costate", 0, i), 0, d[i + 1] - d[i]) for i in range(self.k - 1)]
+        out.append((("costate", 0, self.k - 1), 0, m * shift))
+        return [Spec(1, v, args.p, args.y, out)]
 
     def _massblock(self, term: Term) -> list[Spec]:
         args, n = Arguments(term, self.k), len(term.rows)

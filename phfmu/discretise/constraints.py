@@ -1,157 +1,163 @@
-"""Holonomic constraints g(q) = 0: discrete Jacobians, and the two-level form that also keeps Dg v = 0.
+"""Holonomic constraints g(q, t) = 0: discrete Jacobians, and the two-level form that also keeps Dg v + g_t = 0.
 
-Collocated:  G_i z_v,i = 0 with a discrete Jacobian G_i, so g is exact; Dg v is not.
+Collocated:  G_i z_v,i + r_i = 0 with a discrete Jacobian G_i and rate r_i, so g is exact; Dg v is not.
 Two-level (GGL form, odd k): with a second multiplier mu and a shift n of the velocity,
 
-    M n_i = G_i^T mu,   z_v,i = v_i + n_i,   M v_i' = f_i - G_i^T lambda_i - K_i^T mu,   K_i = v_i^T D2g,
-    G_i z_v,i = 0,      Dg(q') v' = 0,
+    M n_i = S_i^T mu,   z_v,i = v_i + n_i,   M v_i' = f_i - G_i^T lambda_i - K_i^T mu,
+    G_i z_v,i + r_i = 0,   Dg(q', t') v' + g_t(q', t') = 0,
 
-both constraints and the power balance are exact (extends O. Gonzalez, Comput. Methods Appl. Mech. Engrg. 174, 1999, to
-ports and dissipation; docs/concepts/schemes.md gives the proof).
+where (K, S) is a discrete gradient of w(q, v) = Dg v + g_t: both levels and the power balance are exact (extends
+O. Gonzalez, Comput. Methods Appl. Mech. Engrg. 174, 1999, to ports and dissipation; docs/concepts/constraints.md).
+A moving constraint does work; it is the output of its `drive` port.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise.arguments import EMPTY, Arguments
-from phfmu.discretise.gradients import JOINT_GUARD, at, degree, general, guarded
-from phfmu.discretise.quadrature import gauss, nodes
-from phfmu.discretise.spec import Address, Spec
-from phfmu.discretise.terms import DeclarationError, Term, Terms
+from phfmu.discretise.arguments import Arguments
+from phfmu.discretise.gradients import JOINT_GUARD, degree, general, guarded, projected
+from phfmu.discretise.quadrature import Nodes, gauss, nodes
+from phfmu.discretise.spec import Address, Spec, substituted
+from phfmu.discretise.terms import Term
+
+Rows = list[tuple[Address, int, ca.SX]]
 
 
-def _node_rows(g: ca.SX, q: ca.SX, d: ca.SX, k: int) -> list[ca.SX]:
-    """Discrete Jacobian rows G_i with sum_i b_i G_i D_i = g(q') - g(q); Dg(X_i) for quadratic g.
+@dataclass(frozen=True)
+class _Path:
+    """The step of one constraint: q and t at its start, increments d (n x k) of q, step size h (None if g is at rest)."""
 
-    Polynomial g: the mean value by exact quadrature.  Else G_i = Dg(X_i) + beta D_i^T with
-    beta = [g(q') - g(q) - sum_j b_j Dg(X_j) D_j] / sum_j b_j |D_j|^2.
+    q: ca.SX
+    d: ca.SX
+    t: ca.SX | None
+    h: ca.SX | None
+    nd: Nodes
+
+    def at(self, exprs: list[ca.SX], tau: float, also: list[tuple[ca.SX, ca.SX]] | None = None) -> list[ca.SX]:
+        """Expressions of q and t at the fraction tau of the step; `also`: more symbols and their values there."""
+        pairs = [(self.q, self.q + ca.mtimes(self.d, ca.DM(self.nd.integral(tau))))]
+        if self.t is not None:
+            pairs.append((self.t, self.t + tau * self.h))
+        return substituted(exprs, [*pairs, *(also or [])])
+
+    def at_end(self, exprs: list[ca.SX]) -> list[ca.SX]:
+        """Expressions of q and t at the end of the step."""
+        return self.at(exprs, 1.0)
+
+    def moving(self, g: ca.SX) -> ca.SX:
+        """The partial derivative of g by time."""
+        return ca.SX(0) if self.t is None else ca.gradient(g, self.t)
+
+
+def _path(term: Term, args: Arguments, d: ca.SX, k: int) -> _Path:
+    t = term.local.get("t")
+    return _Path(term.local["x"], d, t, None if t is None else args.symbol("h", 0, 0), nodes(k))
+
+
+def quadratic(term: Term) -> bool:
+    """True if the constraint has degree 2 at most in q (bars, directors, joints)."""
+    p = degree(term.data["g"], term.local["x"])
+    return p is not None and p <= 2
+
+
+def _node_rows(g: ca.SX, path: _Path, simple: bool) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Rows G_i and rates r_i with sum_i b_i (G_i D_i + h r_i) = g(q', t') - g(q, t).
+
+    At rest:  Dg(X_i) for quadratic g, the mean value by exact quadrature for polynomials, else Dg(X_i) + beta D_i^T with
+              beta = [g' - g - sum_j b_j Dg(X_j) D_j] / sum_j b_j |D_j|^2.
+    Moving:   G_i = Dg(X_i, t_i), r_i = g_t(X_i, t_i) + [g' - g - sum_j b_j (Dg D_j + h g_t)] / h.
     """
-    nd = nodes(k)
-    if degree(g, q) is not None:
-        return ca.horzsplit(general(g, q, d, nd, np.ones(q.numel()))[0])
-    grad = ca.gradient(g, q)
-    rows = [at(grad, q, q + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(k)]
-    end = at(g, q, q + ca.mtimes(d, ca.DM(nd.b)))
-    num = end - g - sum((nd.b[i] * ca.dot(rows[i], d[:, i]) for i in range(k)), ca.SX(0))
-    den = sum((nd.b[i] * ca.dot(d[:, i], d[:, i]) for i in range(k)), ca.SX(0))
-    beta = guarded(num, den, JOINT_GUARD)
-    return [rows[i] + beta * d[:, i] for i in range(k)]
+    nd, d = path.nd, path.d
+    grad, rate = ca.gradient(g, path.q), path.moving(g)
+    pairs = [path.at([grad, rate], float(c)) for c in nd.c]
+    rows, rates = [p[0] for p in pairs], [p[1] for p in pairs]
+    if simple and path.t is None:
+        return rows, rates
+    if path.t is None and degree(g, path.q) is not None:
+        return ca.horzsplit(general(g, path.q, d, nd, np.ones(path.q.numel()))[0]), rates
+    defect = path.at_end([g])[0] - g - sum((nd.b[i] * ca.dot(rows[i], d[:, i]) for i in range(nd.k)), ca.SX(0))
+    if path.h is not None:
+        defect -= path.h * sum((nd.b[i] * rates[i] for i in range(nd.k)), ca.SX(0))
+        return rows, [r + defect / path.h for r in rates]
+    size = sum((nd.b[i] * ca.dot(d[:, i], d[:, i]) for i in range(nd.k)), ca.SX(0))
+    beta = guarded(defect, size, JOINT_GUARD)
+    return [rows[i] + beta * d[:, i] for i in range(nd.k)], rates
+
+
+def _turning(g: ca.SX, path: _Path, v: ca.SX, dv: ca.SX, simple: bool) -> tuple[list[ca.SX], list[ca.SX]]:
+    """K_i and S_i, node gradients of w = Dg v + g_t by q and by v.
+
+    At rest sum_i b_i (K_i D_i + S_i V_i) = w(q', v') - w(q, v); what is missing in a moving constraint is its work.
+    """
+    nd, n = path.nd, path.q.numel()
+    w = ca.dot(ca.gradient(g, path.q), v) + path.moving(g)
+
+    def along(tau: float) -> ca.SX:
+        there = [(v, v + ca.mtimes(dv, ca.DM(nd.integral(tau))))]
+        return ca.vertcat(*path.at([ca.gradient(w, path.q), ca.gradient(g, path.q)], tau, there))
+
+    if simple:
+        both = ca.horzcat(*(along(float(c)) for c in nd.c))
+    elif path.t is None:
+        metric = np.repeat([1.0, 0.0], n)
+        both = general(w, ca.vertcat(path.q, v), ca.vertcat(path.d, dv), nd, metric)[0]
+    else:
+        m = nd.k + 2
+        both = projected([along(float(tau)) for tau in gauss(m)[0]], m, nd)
+    return [both[:n, i] for i in range(nd.k)], [both[n:, i] for i in range(nd.k)]
 
 
 def collocated(term: Term, k: int) -> list[Spec]:
-    """Rows of the plain scheme: -G_i^T lambda_i on v, 0 = G_i z_v,i."""
-    args, q = Arguments(term, k), term.local["x"]
-    d = args.matrix("D", q.numel())
-    z, lam = args.matrix("v", q.numel()), args.matrix("l", 1)
-    rows = _node_rows(term.data["g"], q, d, k)
-    out: list[tuple[Address, int, ca.SX]] = []
+    """Rows of the plain scheme: -G_i^T lambda_i on v, 0 = G_i z_v,i + r_i."""
+    args, n = Arguments(term, k), term.local["x"].numel()
+    d, z, lam = args.matrix("D", n), args.matrix("v", n), args.matrix("l", 1)
+    path = _path(term, args, d, k)
+    rows, rates = _node_rows(term.data["g"], path, quadratic(term))
+    out: Rows = []
     for i in range(k):
-        out += [(("velocity", j, i), 1, rows[i][j] * lam[i]) for j in range(q.numel())]
-        out.append((("row", 0, i), 0, -ca.dot(rows[i], z[:, i])))
+        out += [(("velocity", j, i), 1, rows[i][j] * lam[i]) for j in range(n)]
+        out.append((("row", 0, i), 0, -ca.dot(rows[i], z[:, i]) - rates[i]))
+        if path.t is not None:
+            out.append((("row", 1, i), 0, -lam[i] * ca.dot(rows[i], z[:, i])))
     return [Spec(1, args.x, args.p, args.y, out)]
 
 
 def two_level(term: Term, k: int) -> list[Spec]:
-    """Rows of the two-level form."""
-    args, q, g, nd = Arguments(term, k), term.local["x"], term.data["g"], nodes(k)
-    n = q.numel()
+    """Rows of the two-level form; `light` velocities have the row sum_i b_i [m n_i - S_i^T mu] = 0 instead of n_i."""
+    args, g, n = Arguments(term, k), term.data["g"], term.local["x"].numel()
     v = ca.SX.sym("v", n)
     d, dv = args.matrix("D", n), args.matrix("V", n)
     z, lam, mu = args.matrix("v", n), args.matrix("l", 1), args.symbol("m", 0, 0)
-    grad = ca.gradient(g, q)
-    rows = _node_rows(g, q, d, k)
-    q_end, v_end = q + ca.mtimes(d, ca.DM(nd.b)), v + ca.mtimes(dv, ca.DM(nd.b))
-    v_node = [v + ca.mtimes(dv, ca.DM(nd.a[i])) for i in range(k)]
-    p = degree(g, q)
-    if p is not None and p <= 2:
-        turn = [ca.jtimes(grad, q, v_node[i]) for i in range(k)]
-        shift = rows
-    elif k > 1:
-        raise DeclarationError(
-            f"the two-level scheme of order {2 * k} needs quadratic constraints (bars, directors); use --order 2, or write "
-            "the constraint with more variables so that it is quadratic"
-        )
-    else:
-        turn, shift = [_turn(grad, q, d, v_node[0])], [(grad + at(grad, q, q_end)) / 2]
-    out: list[tuple[Address, int, ca.SX]] = []
+    path, simple = _path(term, args, d, k), quadratic(term)
+    rows, rates = _node_rows(g, path, simple)
+    turn, shift = _turning(g, path, v, dv, simple)
+    light, b = term.data["light"], path.nd.b
+    out: Rows = []
     for i in range(k):
         out += [(("velocity", j, i), 1, rows[i][j] * lam[i] + turn[i][j] * mu) for j in range(n)]
-        out.append((("row", 0, i), 0, -ca.dot(rows[i], z[:, i])))
-    out.append((("m", 0, 0), 0, -ca.dot(at(grad, q, q_end), v_end)))
+        out.append((("row", 0, i), 0, -ca.dot(rows[i], z[:, i]) - rates[i]))
+        if path.h is not None:
+            turned = ca.dot(turn[i], d[:, i]) + ca.dot(shift[i], dv[:, i])
+            out.append((("row", 1, i), 0, -lam[i] * ca.dot(rows[i], z[:, i]) - mu / path.h * turned))
+    grad, rate = path.at_end([ca.gradient(g, path.q), path.moving(g)])
+    out.append((("m", 0, 0), 0, -ca.dot(grad, v + ca.mtimes(dv, ca.DM(b))) - rate))
+    for j in np.flatnonzero(light):
+        out.append((("light", int(j), k - 1), 0, -sum((b[i] * shift[i][int(j)] for i in range(k)), ca.SX(0)) * mu))
+    time = term.local.get("t", ca.SX(0, 1))
+    kernels = [Spec(1, ca.vertcat(path.q, v, time), args.p, args.y, out)]
     mass = term.data["mass"]
-    add = [(("shift", j, i), 0, shift[i][j] * mu / mass[j]) for i in range(k) for j in range(n)]
-    seen = [(a, s) for a, s in args.y if a[0] in ("D", "m")]
-    return [
-        Spec(0, args.x, args.p, seen, add),
-        Spec(1, ca.vertcat(args.x, v), args.p, args.y, out),
-    ]
+    add: Rows = [(("shift", j, i), 0, shift[i][j] * mu / mass[j])
+                 for i in range(k) for j in range(n) if not light[j]]  # fmt: skip
+    if add:
+        kernels.insert(0, Spec(0, ca.vertcat(path.q, v, time), args.p, _needed(args, add), add))
+    return kernels
 
 
-def _turn(grad: ca.SX, q: ca.SX, d: ca.SX, v: ca.SX) -> ca.SX:
-    """K with K D = (Dg(q') - Dg(q)) v for non-quadratic g (k = 1): quadrature of D2g plus a rank-one correction."""
-    t, w = gauss(4)
-    base = ca.SX(q.numel(), 1)
-    for tq, wq in zip(t, w, strict=True):
-        base += float(wq) * at(ca.jtimes(grad, q, v), q, q + float(tq) * d)
-    num = ca.dot(at(grad, q, q + d) - grad, v) - ca.dot(base, d)
-    return base + guarded(num, ca.dot(d, d), JOINT_GUARD) * d
-
-
-def prepare(terms: Terms) -> Terms:
-    """Give every constraint the masses of its velocities; DeclarationError where the form M v' = ..., z_v = v is absent."""
-    constraint = [t for t in terms.terms if t.kind == "constraint"]
-    shifted = sorted({terms.velocity_of[q] for t in constraint for q in t.index["x"]})
-    _require_velocities(terms, shifted)
-    mass = {t.rows[0][1]: t for t in terms.terms if t.kind == "mass"}
-    new = [_with_masses(t, [mass.get(terms.velocity_of[q]) for q in t.index["x"]]) if t.kind == "constraint" else t
-           for t in terms.terms]  # fmt: skip
-    return replace(terms, terms=new)
-
-
-def _with_masses(term: Term, masses: list[Term | None]) -> Term:
-    """The constraint with the mass expressions as data, its parameters extended by theirs (None = unit mass)."""
-    symbols, index, data = [term.local.get("p", EMPTY)], list(term.index.get("p", ())), []
-    for m in masses:
-        local = EMPTY if m is None else m.local.get("p", EMPTY)
-        fresh = ca.SX.sym("p", local.numel())
-        value = ca.SX(1) if m is None else m.data["m"]
-        data.append(ca.substitute([value], [local], [fresh])[0] if local.numel() else value)
-        symbols.append(fresh)
-        index += [] if m is None else list(m.index.get("p", ()))
-    key = ("masses", term.key, tuple(None if m is None else m.key for m in masses))
-    p = ca.vertcat(*symbols)
-    local = term.local | ({"p": p} if p.numel() else {})
-    return replace(term, key=key, local=local, index=term.index | {"p": tuple(index)}, data=term.data | {"mass": data})
-
-
-def _require_velocities(terms: Terms, shifted: list[int]) -> None:
-    model = terms.model
-    parameters = ca.vertcat(*(p.sx for p in model.parameters))
-    gradient = ca.Function("g", [model.x, parameters], [ca.gradient(model.hamiltonian, model.x)])
-    rng = np.random.default_rng(1)
-    x = rng.standard_normal(terms.n1)
-    p = np.array([s for v in model.parameters for s in v.start])
-    g = np.array(gradient(x, p)).ravel()
-    mass = {t.rows[0][1]: _value(t, p) for t in terms.terms if t.kind == "mass"}
-    names = [n for v in model.states for n in v.names()]
-    for v in shifted:
-        if not mass.get(v, 1.0) > 0:
-            raise DeclarationError(
-                f"{model.name}: the two-level scheme divides by the mass of '{names[v]}', which is {mass[v]:g}; give it a "
-                "positive mass"
-            )
-        if abs(g[v] / mass.get(v, 1.0) - x[v]) > 1e-9 * (1 + abs(x[v])) or v in terms.solved_costates:
-            raise DeclarationError(
-                f"{model.name}: the two-level scheme needs velocities as states (M v' = ..., z = v) with a diagonal M; "
-                f"'{names[v]}' is not one. Use --scheme semi-explicit"
-            )
-
-
-def _value(term: Term, p: np.ndarray) -> float:
-    symbols = term.local.get("p", EMPTY)
-    f = ca.Function("m", [symbols], [term.data["m"]])
-    return float(f(p[list(term.index.get("p", ()))]))
+def _needed(args: Arguments, out: Rows) -> list[tuple[Address, ca.SX]]:
+    """The arguments that results of stage 0 depend on: those of stage 1 (costates) do not exist yet."""
+    results = ca.vertcat(*(expr for _, _, expr in out))
+    return [(address, s) for address, s in args.y if ca.depends_on(results, s)]

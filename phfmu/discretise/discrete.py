@@ -45,7 +45,7 @@ def node_gradients(method: str, term: Summand, d: ca.SX, nd: Nodes) -> Gradient:
     if method.startswith("itoh-abe"):
         return coordinate.itoh_abe(h, x, d, symmetric=method.endswith("symmetric"))
     if term.kind == "quadratic":
-        return gradients.quadratic(h, x, d, nd)
+        return gradients.quadratic(h, ca.gradient(h, x), x, d, nd)
     if method == "nodal":
         return gradients.nodal(h, x, d, nd)
     if method == "per-term" and term.strain is not None:

@@ -6,11 +6,20 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from phfmu.declare.energy import Energy
 from phfmu.declare.phdae import PHDAE, Block, stacked
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Variable, _sx
-from phfmu.discretise.terms import DeclarationError, Locator, Pair, Terms, components, make_term
+from phfmu.declare.variable import Variable, _sx, time
+from phfmu.discretise.extract_energy import energies
+from phfmu.discretise.terms import (
+    DeclarationError,
+    Locator,
+    Pair,
+    Terms,
+    WithIncrement,
+    components,
+    make_term,
+    member,
+)
 
 
 def extract(model: PHDAE, *, joint: bool = False) -> Terms:
@@ -18,7 +27,7 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
     members = list(model.members)
     free = [p for p in model.ports if p.external]
     rest = [p for p in model.ports if not p.external]
-    pairs = [Pair(p, j, _member(members, p.owner)) for p in (*free, *rest) for j in range(p.n)]
+    pairs = [Pair(p, j, member(members, p.owner)) for p in (*free, *rest) for j in range(p.n)]
     out = Terms(
         model,
         n1=sum(v.n for v in model.states),
@@ -37,17 +46,9 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
     _blocks(model, out, locator)
     _ports(out, locator)
     _velocities(out)
-    for c in model.constraints:
-        if c.g.shape != (c.multiplier.n, 1):
-            raise DeclarationError(f"constraint '{c.multiplier.name}': g is {c.g.shape[0]} x {c.g.shape[1]}, its multiplier "
-                                   f"has {c.multiplier.n} entries")  # fmt: skip
-        for j, (_, multiplier) in enumerate(locator.of(c.multiplier)):
-            out.terms.append(
-                make_term("constraint", {"g": c.g[j]}, locator, f"constraint '{c.multiplier.name}'",
-                          rows=[("a", multiplier)], owner=_member(members, c.owner))
-            )  # fmt: skip
+    _constraints(model, out, locator)
     _require_velocities(out)
-    _energies(model, out, locator, mass, joint)
+    energies(model, out, locator, mass, joint)
     row = 0
     for o in model.observables:
         n = o.expr.numel()
@@ -56,10 +57,6 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
         out.terms.append(make_term("observable", {"f": ca.vec(o.expr)}, locator, f"observable '{o.name}'", rows=rows))
         row += n
     return out
-
-
-def _member(members: Sequence[str], owner: str) -> int:
-    return members.index(owner) if owner in members else 0
 
 
 def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
@@ -82,9 +79,9 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
             raise DeclarationError(f"{label} is {matrix.shape[0]} x {matrix.shape[1]}, expected {n} x {n}")
         kinds = {locator.find(s, label)[0] for s in ca.symvar(matrix)}
         if matrix.sparsity().is_diag() and kinds <= {"p"}:
-            for j, i in enumerate(where):
-                diagonal[i] = matrix[j, j]
-                out.terms.append(make_term("mass", {"m": matrix[j, j]}, locator, label, rows=[("x", i)], extra=[x[j]]))
+            for i, m, s in zip(where, map(ca.SX, matrix.nonzeros()), ca.vertsplit(x), strict=True):
+                diagonal[i] = m
+                out.terms.append(make_term("mass", {"m": m}, locator, label, rows=[("x", i)], extra=[s]))
         else:
             solved += where
             exprs = {"E": matrix, "z": z}
@@ -108,17 +105,10 @@ def _closed(model: PHDAE, out: Terms, locator: Locator) -> None:
         probe = Locator(model, out.pairs)
         for j in range(d.numel()):
             probe.where[d[j].element_hash()] = ("d", where[j])
-        term = make_term("closed", exprs | {"ebar": ebar, "zbar": zbar}, _WithIncrement(probe), "closed-form pair",
-                         rows=[("x", i) for i in where], owner=_member(out.members, pair.owner),
+        term = make_term("closed", exprs | {"ebar": ebar, "zbar": zbar}, WithIncrement(probe), "closed-form pair",
+                         rows=[("x", i) for i in where], owner=member(out.members, pair.owner),
                          extra=[*ca.vertsplit(x), *ca.vertsplit(d)])  # fmt: skip
         out.terms.append(term)
-
-
-class _WithIncrement(Locator):
-    """A locator that files the increment symbols under the (otherwise unused) kind z."""
-
-    def __init__(self, base: Locator):
-        self.where = {k: (("z", v[1]) if v[0] == "d" else v) for k, v in base.where.items()}
 
 
 def _rows(
@@ -151,7 +141,7 @@ def _blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
                 raise DeclarationError(
                     f"{label} is {b.matrix.shape[0]} x {b.matrix.shape[1]}, expected {len(rows)} square"
                 )
-            owner = _member(out.members, b.owner)
+            owner = member(out.members, b.owner)
             if what == "R":
                 _dissipation(out, locator, b, rows, z, owner, label)
             else:
@@ -176,19 +166,21 @@ def _interconnection(
     owner: int,
     label: str,
 ) -> None:
-    varying = ca.SX(b.matrix)
+    varying: list[tuple[int, int, ca.SX]] = []
     i_row, i_col = b.matrix.sparsity().get_triplet()
-    for r, c in zip(i_row, i_col, strict=True):
-        value = _constant(b.matrix[r, c])
-        source = sources[c]
-        if value is not None and source is not None:
-            varying[r, c] = 0
-            if value:
-                out.constants.append((*rows[r], *source, value))
-    varying = ca.sparsify(varying)
-    for part in components(varying):
+    for r, c, entry in zip(i_row, i_col, map(ca.SX, b.matrix.nonzeros()), strict=True):
+        value, source = _constant(entry), sources[c]
+        if value is None or (source is None and value):
+            varying.append((r, c, entry))
+        elif value and source is not None:
+            out.constants.append((*rows[r], *source, value))
+    if not varying:
+        return
+    i_row, i_col, entries = (list(column) for column in zip(*varying, strict=True))
+    matrix = ca.SX.triplet(i_row, i_col, ca.vertcat(*entries), *b.matrix.shape)
+    for part in components(matrix):
         zp = ca.vertcat(*(z[i] for i in part))
-        f = ca.mtimes(varying[part, part], zp)
+        f = ca.mtimes(matrix[part, part], zp)
         out.terms.append(make_term("flow", {"f": f}, locator, label, rows=[rows[i] for i in part], owner=owner))
 
 
@@ -246,6 +238,21 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
         out.terms.append(make_term("flow", {"f": f}, locator, f"port '{port.name}'", rows=list(varying_f)))
 
 
+def _constraints(model: PHDAE, out: Terms, locator: Locator) -> None:
+    for c in model.constraints:
+        name = c.multiplier.name
+        drive = [] if c.drive is None else [("y", locator.find(c.drive.u[0], f"drive of '{name}'")[1])]
+        if c.g.shape != (c.multiplier.n, 1):
+            raise DeclarationError(f"constraint '{c.multiplier.name}': g is {c.g.shape[0]} x {c.g.shape[1]}, its multiplier "
+                                   f"has {c.multiplier.n} entries")  # fmt: skip
+        for j, row in enumerate(locator.of(c.multiplier)):
+            rows = [row, *(drive if ca.depends_on(c.g[j], time) else [])]
+            out.terms.append(
+                make_term("constraint", {"g": c.g[j]}, locator, f"constraint '{name}'", rows=rows,
+                          owner=member(out.members, c.owner))
+            )  # fmt: skip
+
+
 def _velocities(out: Terms) -> None:
     """q -> v for rows q' = z_v (one constant unit entry): where the multiplier of g(q) acts."""
     other = {i for t in out.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
@@ -266,59 +273,3 @@ def _require_velocities(out: Terms) -> None:
                 f"{out.model.name}: a constraint depends on {', '.join(bad)}, whose row is not q' = z_v; constraints act on "
                 "positions with skew(q, v, 1.0) and no other term in their rows"
             )
-
-
-def _energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
-    if joint:
-        for owner in dict.fromkeys(e.owner for e in model.energies):
-            group = [e for e in model.energies if e.owner == owner]
-            _joint(model, out, locator, mass, group)
-        return
-    for e in model.energies:
-        states = _states_of(e.expr, locator)
-        scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
-        exprs = {"H": e.expr, "scale": scale}
-        tag: tuple = (e.kind,)
-        if e.kind == "strain":
-            c = ca.SX.sym("c")
-            assert e.invariant is not None and e.phi is not None
-            # phi(c) keeps its own symbol: c is filed as a costate, a kind energies never use otherwise
-            probe = _WithIncrement(locator)
-            probe.where[c.element_hash()] = ("z", -1)
-            exprs |= {"C": e.invariant, "phi": e.phi(c)}
-            term = make_term("energy", exprs, probe, "energy", rows=[("x", i) for _, i in states],
-                             owner=_member(out.members, e.owner), extra=[*(s for s, _ in states), c], tag=tag)  # fmt: skip
-            out.terms.append(term)
-            continue
-        if e.kind == "general":
-            chosen = {i for v in e.correct for _, i in locator.of(v)} or {i for _, i in states}
-            nominal = _nominals(model)
-            tag = (e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
-        out.terms.append(make_term("energy", exprs, locator, "energy", rows=[("x", i) for _, i in states],
-                                   owner=_member(out.members, e.owner), extra=[s for s, _ in states], tag=tag))  # fmt: skip
-
-
-def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], group: list[Energy]) -> None:
-    total = ca.SX(0)
-    for e in group:
-        total += e.expr
-    states = _states_of(total, locator)
-    scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
-    out.terms.append(make_term("joint", {"H": total, "scale": scale}, locator, "energy",
-                               rows=[("x", i) for _, i in states], owner=_member(out.members, group[0].owner),
-                               extra=[s for s, _ in states]))  # fmt: skip
-
-
-def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
-    found = []
-    for s in ca.symvar(expr):
-        kind, i = locator.find(s, "energy")
-        if kind == "x":
-            found.append((s, i))
-        elif kind != "p":
-            raise DeclarationError(f"the energy depends on '{s}'; H may depend on states and parameters only")
-    return found
-
-
-def _nominals(model: PHDAE) -> list[float]:
-    return [v.nominal[j] for v in model.states for j in range(v.n)]

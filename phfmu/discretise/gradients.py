@@ -51,12 +51,11 @@ def _point(x: ca.SX, d: ca.SX, nd: Nodes, t: float) -> ca.SX:
     return x + ca.mtimes(d, ca.DM(nd.integral(t)))
 
 
-def quadratic(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
-    """H with constant Hessian: W_i = grad H(X_i); dH = grad H((x + x')/2)^T (x' - x)."""
-    grad = ca.gradient(h, x)
-    w = [at(grad, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
+def quadratic(h: ca.SX, z: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
+    """H with constant Hessian: Z_i = z(X_i) with z = E^-T grad H given; dH = grad H((x + x')/2)^T (x' - x)."""
+    w = [at(z, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
     step = ca.mtimes(d, ca.DM(nd.b))
-    return ca.horzcat(*w), ca.dot(at(grad, x, x + step / 2), step)
+    return ca.horzcat(*w), ca.dot(at(ca.gradient(h, x), x, x + step / 2), step)
 
 
 def nodal(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
@@ -75,7 +74,7 @@ def general(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> Grad
     grad = ca.gradient(h, x)
     p = degree(h, x)
     m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
-    w = _projected([at(grad, x, _point(x, d, nd, t)) for t in gauss(m)[0]], m, nd)
+    w = projected([at(grad, x, _point(x, d, nd, t)) for t in gauss(m)[0]], m, nd)
     if p is not None:
         # the path integral of the same quadrature: H(x') - H(x) without the cancellation
         return w, sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
@@ -83,7 +82,7 @@ def general(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> Grad
     return _corrected(w, dh, d, nd, metric), dh
 
 
-def _projected(values: list[ca.SX], m: int, nd: Nodes) -> ca.SX:
+def projected(values: list[ca.SX], m: int, nd: Nodes) -> ca.SX:
     """Project the integrand given at m Gauss points on the Lagrange basis of the nodes."""
     t, w = gauss(m)
     columns = []
@@ -123,7 +122,7 @@ def strain(c: ca.SX, phi: ca.SX, s: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gra
 
     p = degree(phi, s)
     m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
-    stress = _projected([at(dphi, s, chat(t)) for t in gauss(m)[0]], m, nd)
+    stress = projected([at(dphi, s, chat(t)) for t in gauss(m)[0]], m, nd)
     dc = ca.mtimes(cd, ca.DM(nd.b))
     if p is not None:
         dh = sum((nd.b[i] * cd[i] * stress[i] for i in range(nd.k)), ca.SX(0))

@@ -84,7 +84,7 @@ class _Instant:
 
     def _energy(self, term: Term) -> list[Spec]:
         args, x = Arguments(term, 1), term.local["x"]
-        w = ca.gradient(term.data["H"], x) * term.data["scale"]
+        w = term.data["z"] if "z" in term.data else ca.gradient(term.data["H"], x) * term.data["scale"]
         return [self._costates(args, x, w, term.data["H"])]
 
     _joint = _energy
@@ -168,10 +168,15 @@ class _Instant:
         args, q, g = Arguments(term, 1), term.local["x"], term.data["g"]
         n = q.numel()
         z, dz, lam, r = args.matrix("v", n), args.matrix("Q", n), args.matrix("l", 1), args.matrix("r", n)
-        grad = ca.gradient(g, q)
-        rate = ca.dot(grad, dz) + ca.dot(ca.jtimes(grad, q, r), z)
+        grad, t = ca.gradient(g, q), term.local.get("t")
+        moving = ca.SX(0) if t is None else ca.gradient(g, t)
+        speed = ca.dot(grad, z) + moving
+        rate = ca.dot(grad, dz) + ca.dot(ca.gradient(speed, q), r)
+        rate += 0 if t is None else ca.gradient(speed, t)
         out: list[tuple[Address, int, ca.SX]] = [(("velocity", j, 0), 0, grad[j] * lam) for j in range(n)]
-        out += [(("row", 0, 0), 0, -rate), (("check", 0, 0), 0, ca.dot(grad, z)), (("check", 0, 1), 0, g)]
+        out += [(("row", 0, 0), 0, -rate), (("check", 0, 0), 0, speed), (("check", 0, 1), 0, g)]
+        if t is not None:
+            out.append((("row", 1, 0), 0, lam * moving))
         return [Spec(1, args.x, args.p, args.y, out)]
 
 

@@ -99,6 +99,8 @@ class Layout:
             return self.value("D", self._velocity(term, j), node)
         if kind == "Q":
             return self.value("Q", self._velocity(term, j), node)
+        if kind == "Z":  # costate of the term's own state
+            return self.value("z", term.index["x"][j], node)
         if kind == "l":
             return self.value("a", term.rows[0][1], node)
         if kind == "m":
@@ -123,7 +125,7 @@ class Layout:
     def old(self, term: Term, spec_nx: int) -> list[int]:
         """x indices of a kernel's old values: its states, for constraints of schemes that ask also velocities, time."""
         base = list(term.index.get("x", ()))
-        if term.kind == "constraint" and spec_nx == 2 * len(base):
+        if term.kind == "constraint" and spec_nx - ("t" in term.index) == 2 * len(base):
             base += [self._velocity(term, j) for j in range(len(base))]
         if "t" in term.index:
             base.append(self.terms.n1)
@@ -142,6 +144,8 @@ class Layout:
             return self.slot(self._velocity(term, j), node)
         if kind == "velocity":
             return self.w_of[("D", self._velocity(term, j), node)]
+        if kind == "light":
+            return self.w_of[("Z", self._velocity(term, j), node)]
         if kind == "m":
             return self.w_of[("m", term.rows[0][1], 0)]
         if kind == "original":

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 import casadi as ca
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.variable import time
+from phfmu.discretise.extract_energy import divided
 from phfmu.discretise.hidden import Hidden, hidden_rows
 from phfmu.discretise.instant import Check
 from phfmu.discretise.terms import Term, Terms
@@ -22,7 +24,7 @@ def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX) -> dict[int, ca
 
     Free inputs are left out, and so are the rows of holonomic constraints.
     """
-    model, bound = terms.model, terms.bound
+    model, bound, x = terms.model, terms.bound, terms.model.x
     found = {r: ca.SX(0) for r in rows}
     p = ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
@@ -32,7 +34,7 @@ def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX) -> dict[int, ca
             found[row] += value * (z[i] if source == "z" else 0 if variable is None else a[variable])
     for t in terms.terms:
         if t.kind == "flow" and any(k == "a" and i in found for k, i in t.rows):
-            f = ca.substitute([t.data["f"]], *_globals(t, model.x, z, p, a, bound))[0]
+            f = ca.substitute([t.data["f"]], *_globals(t, x, z, p, a, bound))[0]
             for j, (k, i) in enumerate(t.rows):
                 if k == "a" and i in found:
                     found[i] += f[j]
@@ -40,11 +42,11 @@ def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX) -> dict[int, ca
 
 
 def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
-    """The undifferentiated hidden rows as expressions of the model's own symbols (inputs and time left out).
+    """The undifferentiated hidden rows as expressions of the model's own symbols (inputs left out).
 
     Algebraic variables that over-determined rows give (the common velocity of a rigid joint) are eliminated.
     """
-    model, hidden = terms.model, hidden_rows(terms)
+    model, hidden, x = terms.model, hidden_rows(terms), terms.model.x
     z, p = _costates(terms), ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
     position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}
@@ -52,10 +54,11 @@ def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
     out = [ca.SX(0) for _ in checks]
     for t in terms.terms:
         if t.kind == "constraint":
-            exprs = [t.data["g"], ca.gradient(t.data["g"], t.local["x"])]
-            value, grad = ca.substitute(exprs, *_globals(t, model.x, z, p, a, terms.bound))
+            g = t.data["g"]
+            exprs = [g, ca.gradient(g, t.local["x"]), ca.gradient(g, t.local["t"]) if "t" in t.local else ca.SX(0)]
+            value, grad, moving = ca.substitute(exprs, *_globals(t, x, z, p, a, terms.bound))
             v = ca.vertcat(*(z[terms.velocity_of[i]] for i in t.index["x"]))
-            rows[t.rows[0][1]] += ca.dot(grad, v)
+            rows[t.rows[0][1]] += ca.dot(grad, v) + moving
             out[position[t.rows[0][1]]] += value
     velocity = _eliminated(rows, hidden, a)
     for n, c in enumerate(checks):
@@ -89,7 +92,7 @@ def _costates(terms: Terms) -> ca.SX:
             m = t.data["m"]
             if local.numel():
                 (m,) = ca.substitute([m], [local], [p[list(t.index["p"])]])
-            z[t.rows[0][1]] /= m
+            z[t.rows[0][1]] = divided(z[t.rows[0][1]], m)
         elif t.kind == "closed":
             value = ca.substitute([t.data["z"]], *_globals(t, model.x, z, p, ca.SX(0, 1), {}))[0]
             for j, (_, i) in enumerate(t.rows):
@@ -104,6 +107,9 @@ def _globals(t: Term, x: ca.SX, z: ca.SX, p: ca.SX, a: ca.SX, bound: dict[int, i
         if kind in t.local and not (t.kind == "closed" and kind == "z"):
             old.append(t.local[kind])
             new.append(source[list(t.index[kind])])
+    if "t" in t.local:
+        old.append(t.local["t"])
+        new.append(time)
     if "u" in t.local:
         old.append(t.local["u"])
         new.append(ca.vertcat(*(a[bound[i]] if i in bound else ca.SX(0) for i in t.index["u"])))

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.variable import time
 from phfmu.discretise.instant import Check
 from phfmu.discretise.rows import check_rows
 from phfmu.discretise.terms import Terms
@@ -21,7 +22,6 @@ def check_scales(terms: Terms, checks: list[Check], x0: Array, p0: Array) -> Arr
     nominal = np.array([v.nominal[j] for v in model.states for j in range(v.n)])
     size = np.maximum(nominal, np.abs(x0))
     parameters = ca.vertcat(*(p.sx for p in model.parameters))
-    t = ca.SX.sym("t")
     rows = check_rows(terms, checks)
-    jac = ca.Function("j", [model.x, parameters, t], [ca.jacobian(ca.vertcat(*rows), model.x)])
+    jac = ca.Function("j", [model.x, parameters, time], [ca.jacobian(ca.vertcat(*rows), model.x)])
     return np.abs(np.array(jac(x0, p0, 0.0))) @ size + 1e-300

@@ -61,7 +61,7 @@ def node_unknowns(terms: Terms, k: int) -> list[Unknown]:
     out: list[Unknown] = []
     for node in range(k):
         out += [("D", i, node) for i in range(terms.n1)]
-        out += [("Z", i, node) for i in terms.solved_costates]
+        out += [("Z", i, node) for i in (*terms.solved_costates, *terms.light)]
         out += [("a", i, node) for i in range(terms.na)]
     return out
 

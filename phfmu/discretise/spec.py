@@ -3,6 +3,7 @@
 An address is (kind, j, i): the j-th local index of a term at node i.  Kinds of arguments:
     D increment of a state, z costate, a algebraic variable, u port input, h step size, m velocity multiplier,
     v, V costate and increment of the velocity that belongs to a position, l multiplier of a constraint,
+    Z costate of the term's own state,
     r state derivative, Q, dz derivative of a costate.
 Kinds of results:
     W costate slot, S source slot, Q costate-derivative slot, row (the j-th row of the term), and named extra rows.

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.variable import time
 from phfmu.discretise.extract import extract
 from phfmu.discretise.model import CONSISTENCY, Model
 from phfmu.discretise.rows import check_rows
@@ -60,14 +61,14 @@ def project_start(model: Model, x: Array | None = None, *, keep: Iterable[str] =
     free = np.array([n not in set(keep) for n in names])
     f = _functions(model)
     level = np.array([c.level for c in model.checks])
-    positions = np.abs(np.array(f(start, model.p0)[1])[level == "position"]).sum(axis=0) > 0
+    positions = np.abs(np.array(f(start, model.p0, model.t0)[1])[level == "position"]).sum(axis=0) > 0
     nominal = np.array([v.nominal[j] for v in d.states for j in range(v.n)])
     now = _newton(f, model, start, level == "position", free & positions, np.diag(1 / nominal**2))
-    hessian = np.array(f(now, model.p0)[3])
+    hessian = np.array(f(now, model.p0, model.t0)[3])
     without = np.where(np.diag(hessian) == 0.0, 1 / nominal**2, 0.0)  # states that store no energy
     now = _newton(f, model, now, level == "velocity", free & ~positions, hessian + np.diag(without))
     labels = [f"{c.name} ({c.level})" for c in model.checks]
-    first, last = (np.array(f(v, model.p0)[0]).ravel() for v in (start, now))
+    first, last = (np.array(f(v, model.p0, model.t0)[0]).ravel() for v in (start, now))
     bad = [n for n, v, s in zip(labels, last, model.check_scale, strict=True) if not abs(v) <= CONSISTENCY * s]
     if bad:
         raise DeclarationError(
@@ -77,7 +78,7 @@ def project_start(model: Model, x: Array | None = None, *, keep: Iterable[str] =
     moved = [
         (n, float(a), float(b)) for n, a, b in zip(names, start, now, strict=True) if abs(a - b) > 1e-15 * (1 + abs(a))
     ]
-    energy = float(f(now, model.p0)[2]) - float(f(start, model.p0)[2])
+    energy = float(f(now, model.p0, model.t0)[2]) - float(f(start, model.p0, model.t0)[2])
     return Projection(
         now, tuple(moved), dict(zip(labels, map(float, first), strict=True)),
         dict(zip(labels, map(float, last), strict=True)), energy,
@@ -90,7 +91,7 @@ def _functions(model: Model) -> ca.Function:
     rows = ca.vertcat(*check_rows(extract(d), list(model.checks))) if model.checks else ca.SX(0, 1)
     parameters = ca.vertcat(*(p.sx for p in d.parameters))
     hessian = ca.hessian(d.hamiltonian, d.x)[0]
-    return ca.Function("c", [d.x, parameters], [rows, ca.densify(ca.jacobian(rows, d.x)), d.hamiltonian, hessian])
+    return ca.Function("c", [d.x, parameters, time], [rows, ca.densify(ca.jacobian(rows, d.x)), d.hamiltonian, hessian])
 
 
 def _newton(f: ca.Function, model: Model, x: Array, rows: Array, free: Array, metric: Array) -> Array:
@@ -99,7 +100,7 @@ def _newton(f: ca.Function, model: Model, x: Array, rows: Array, free: Array, me
         return x
     inverse = np.linalg.pinv(metric[np.ix_(free, free)])
     for _ in range(ITERATIONS):
-        c, jac = (np.array(v) for v in f(x, model.p0)[:2])
+        c, jac = (np.array(v) for v in f(x, model.p0, model.t0)[:2])
         c, jac = c.ravel()[rows], jac[np.ix_(rows, free)]
         if np.all(np.abs(c) <= 1e-6 * CONSISTENCY * model.check_scale[rows]):
             break

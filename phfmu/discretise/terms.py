@@ -67,6 +67,8 @@ class Terms:
     constants: list[tuple[str, int, str, int, float]] = field(default_factory=list)
     solved_costates: tuple[int, ...] = ()
     velocity_of: dict[int, int] = field(default_factory=dict)
+    #: velocities without mass, whose costates are unknowns of the two-level scheme
+    light: tuple[int, ...] = ()
     closed_states: set[int] = field(default_factory=set)
     observable_names: list[str] = field(default_factory=list)
     #: rows of bare nodes that get impulses, and the states these shift
@@ -82,10 +84,10 @@ class Locator:
         for kind, variables in (("x", model.states), ("a", model.algebraics), ("p", model.parameters)):
             i = 0
             for v in variables:
-                for j in range(v.n):
-                    self.where[v.sx[j].element_hash()] = (kind, i)
+                for s, z in zip(ca.vertsplit(v.sx), ca.vertsplit(v.z), strict=True):
+                    self.where[s.element_hash()] = (kind, i)
                     if kind == "x":
-                        self.where[v.z[j].element_hash()] = ("z", i)
+                        self.where[z.element_hash()] = ("z", i)
                     i += 1
         for i, pair in enumerate(pairs):
             self.where[pair.port.u[pair.j].element_hash()] = ("u", i)
@@ -101,7 +103,7 @@ class Locator:
             ) from None
 
     def of(self, variable: Variable) -> list[tuple[str, int]]:
-        return [self.find(variable.sx[j], variable.name) for j in range(variable.n)]
+        return [self.find(s, variable.name) for s in ca.vertsplit(variable.sx)]
 
 
 KINDS = ("x", "z", "a", "u", "p", "t")
@@ -170,3 +172,15 @@ def components(pattern: ca.SX) -> list[list[int]]:
     for i in sorted(used):
         sets.setdefault(root(i), []).append(i)
     return list(sets.values())
+
+
+class WithIncrement(Locator):
+    """A locator that files the increment symbols under the (otherwise unused) kind z."""
+
+    def __init__(self, base: Locator):
+        self.where = {k: (("z", v[1]) if v[0] == "d" else v) for k, v in base.where.items()}
+
+
+def member(members: Sequence[str], owner: str) -> int:
+    """Place of the member `owner`, 0 for none."""
+    return members.index(owner) if owner in members else 0
