@@ -20,6 +20,7 @@ from phfmu import (
     Port,
     PythonInstance,
     build_model,
+    damping,
     energy,
     state,
 )
@@ -29,8 +30,9 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.synchronous_machine import synchronous_machine
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
+from phfmu.discretise.bare import bare_nodes
 from phfmu.discretise.extract import extract
-from phfmu.discretise.impulses import bare_nodes
+from phfmu.discretise.start import project_start
 from phfmu.network.run import run
 from phfmu.network.stepper import Monolithic
 
@@ -227,8 +229,8 @@ def two_bare_nodes() -> PHDAE:
 def test_two_bare_nodes_in_a_row() -> None:
     """bus2 joins two lines (linear by itself) but shares a line with bus1: both get impulses."""
     declaration = two_bare_nodes()
-    assert [(n.name, n.reason) for n in bare_nodes(extract(declaration))] == [
-        (f"bus{b}.v[{j}]", "") for b in (1, 2) for j in (1, 2, 3)
+    assert [(n.name, n.remedy) for n in bare_nodes(extract(declaration))] == [
+        (f"bus{b}.v[{j}]", "pair") for b in (1, 2) for j in (1, 2, 3)
     ]
     ends = []
     for h in (1e-3, 5e-4, 2.5e-4, 1.25e-4):
@@ -241,11 +243,12 @@ def test_two_bare_nodes_in_a_row() -> None:
     assert np.log2(gaps[1] / gaps[2]) == pytest.approx(4.0, abs=0.15)
 
 
-def saturable(name: str) -> PHDAE:
-    """An inductor with H = flux^2/2 + flux^4/4."""
-    flux = state("flux", unit="Wb", start=0.0)
-    h = energy(flux**2 / 2 + flux**4 / 4)
-    return PHDAE(name, states=(flux,), energies=(h,), ports=(Port("p", ELECTRICAL, "effort", {flux: 1}),))
+def saturable(name: str, scale: float, start: float) -> PHDAE:
+    """An inductor with H = (flux^2/2 + flux^4/4)/scale."""
+    flux = state("flux", unit="Wb", start=start)
+    h = energy((flux**2 / 2 + flux**4 / 4) / scale)
+    return PHDAE(name, states=(flux,), energies=(h,), dissipation=(damping(flux, 0.3),),
+                 ports=(Port("p", ELECTRICAL, "effort", {flux: 1}), Port("drive", ELECTRICAL, "effort", {flux: 1})))  # fmt: skip
 
 
 def joined(*models: PHDAE) -> PHDAE:
@@ -256,16 +259,41 @@ def joined(*models: PHDAE) -> PHDAE:
     return net.compose()
 
 
+def saturable_pair() -> PHDAE:
+    """Currents +- (1 + 1^3) at the start."""
+    return joined(saturable("a", 1.0, 1.0), saturable("b", 1.0, -1.0))
+
+
 def test_which_nodes_are_bare() -> None:
     linear = joined(rl_line(1.0, 1.0), rl_line(1.0, 2.0))
     assert bare_nodes(extract(linear)) == []  # stays at rounding by itself
     assert build_model(linear, Collocated(2)).step.nw == 2 * 6 + 2 * 3
-    (node,) = bare_nodes(extract(joined(saturable("a"), saturable("b"))))
-    assert "saturation" in node.reason
+    (node,) = bare_nodes(extract(saturable_pair()))
+    assert node.remedy == "projection" and "saturation" in node.reason
     currents = bare_nodes(extract(smib(coordinates="current").declaration()))
-    assert len(currents) == 3 and all("E other than identity" in n.reason for n in currents)
+    assert len(currents) == 3 and all(n.remedy == "none" and "E other than identity" in n.reason for n in currents)
 
 
-def test_refused_nodes_are_stepped_plainly() -> None:
-    declaration = joined(saturable("a"), saturable("b"))
-    assert build_model(declaration, Collocated(1)).step.nw == 3
+@pytest.mark.parametrize("k", [1, 2])
+def test_saturation_projects_and_books_the_loss(k: int) -> None:
+    """Kirchhoff exact at the step ends, the stored energy of a step exact, and the node loses, never gains."""
+    declaration = joined(saturable("a", 1.0, 1.0), saturable("b", 0.5, -0.5897545123))
+    start = project_start(build_model(declaration))
+    ends, losses = [], []
+    for h in (0.1, 0.05, 0.025, 0.0125):
+        model = build_model(declaration, Collocated(k))
+        instance = PythonInstance(model)
+        instance.set_x(0.0, start.x)
+        instance.initialise()
+        H0 = instance.signal("H").sum()
+        wanted = ("x", "stored", "dissipated", "supplied", "pairs", "signals")
+        r = instance.run(0.0, h, round(1.0 / h), record=wanted, inputs=np.tile([5.0, 0.0], (round(1.0 / h), 1)))
+        assert abs(instance.signal("observables")[-1]) <= 1e-12
+        assert abs(instance.signal("H").sum() - H0 - r["stored"].sum()) <= 1e-13
+        assert np.max(np.abs(r["stored"] + r["dissipated"] - r["supplied"])) <= 1e-14
+        at_node = [i for i, p in enumerate(extract(declaration).pairs) if p.port.bound is not None]
+        losses.append(-r["pairs"][:, at_node].sum())
+        ends.append(r["x"][-1])
+    assert min(losses) >= -1e-15 and losses[0] > (1e-7 if k == 1 else 1e-12)
+    gaps = [np.max(np.abs(a - b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    assert np.log2(gaps[1] / gaps[2]) == pytest.approx(2 * k, abs=0.15)

@@ -17,150 +17,39 @@ a sum over members.  docs/concepts/bare-nodes.md has the proofs.  Needs (dL/dx) 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from phfmu.discretise.arguments import Arguments
-from phfmu.discretise.hidden import hidden_rows
+from phfmu.discretise.bare import Finder
 from phfmu.discretise.layout import Layout
-from phfmu.discretise.quadrature import Nodes
-from phfmu.discretise.rows import costate_symbols, row_expressions
+from phfmu.discretise.quadrature import Nodes, gauss
 from phfmu.discretise.spec import Address, Spec
-from phfmu.discretise.terms import Locator, Term, Terms, components, make_term
+from phfmu.discretise.terms import Impulses, Term, Terms
 
 #: Points of the rule for the square root: error (e/4)^(2 POINTS) for a relative change e of S over a step.
 POINTS = 3
-
-
-@dataclass(frozen=True)
-class BareNode:
-    """A bare algebraic row and what is done about it; `reason` is empty where impulses apply, else says why not."""
-
-    row: int
-    name: str
-    reason: str = ""
-
-
-def bare_nodes(terms: Terms) -> list[BareNode]:
-    """Rows of nodes that join inductive branches only and whose currents depend on the state nonlinearly.
-
-    A row that is linear in the state (constant L, quadratic H) stays at its start value and needs nothing.
-    """
-    return _Finder(terms).nodes
+#: Gauss points of the work of a projecting impulse.
+WORK_POINTS = 5
 
 
 def prepare(terms: Terms) -> Terms:
     """Terms with the impulses of their bare nodes; the same object where there are none."""
-    finder = _Finder(terms)
-    rows = [n.row for n in finder.nodes if not n.reason]
-    if not rows:
+    finder = Finder(terms)
+    pairs, ends = finder.impulse_terms("pair"), finder.impulse_terms("projection")
+    if not pairs and not ends:
         return terms
-    new = finder.impulse_terms(rows)
-    shifted = {i for t in new for kind, i in t.rows if kind == "x"}
-    return replace(terms, terms=[_marked(t, shifted) for t in terms.terms] + new, shifted=tuple(sorted(shifted)),
-                   impulse_rows=tuple(rows))  # fmt: skip
+    shifted, ended = _states(pairs), _states(pairs + ends)
+    rows = {remedy: tuple(n.row for n in finder.nodes if n.remedy == remedy) for remedy in ("pair", "projection")}
+    marked = [_marked(t, set(shifted)) for t in terms.terms]
+    impulses = Impulses(rows["pair"], rows["projection"], shifted, ended)
+    return replace(terms, terms=marked + pairs + ends, impulses=impulses)
 
 
-class _Finder:
-    """Symbolic form of the bare rows of a model."""
-
-    def __init__(self, terms: Terms):
-        self.terms, self.nodes = terms, []
-        hidden = hidden_rows(terms)
-        holonomic = {t.rows[0][1] for t in terms.terms if t.kind == "constraint"}
-        rows = [r for r in hidden.checks if r not in holonomic]
-        if not rows:
-            return
-        model = terms.model
-        self.x, self.z = model.x, costate_symbols(model)
-        self.expr = row_expressions(terms, rows, self.z)
-        self.L = {r: -ca.jacobian(self.expr[r], self.z) for r in rows}
-        self.owner = _state_owners(terms)
-        names = [n for v in model.algebraics for n in v.names()]
-        self.hessian, gradient = ca.hessian(model.hamiltonian, self.x)
-        linear = {r for r in rows if self._linear(r, gradient)}
-        for cluster in self._clusters(rows):
-            if not linear.issuperset(cluster):
-                reason = self._refusal(cluster, names)
-                self.nodes += [BareNode(r, names[r], reason) for r in cluster]
-
-    def _states(self, r: int) -> set[int]:
-        return set(self.L[r].sparsity().get_triplet()[1])
-
-    def _clusters(self, rows: list[int]) -> list[list[int]]:
-        """Rows that S = L^T H'' L couples: they share branches or mutual inductances."""
-        L = ca.vertcat(*(self.L[r] for r in rows))
-        pattern = ca.mtimes([L, self.hessian, L.T]) + ca.SX.eye(len(rows))
-        return [[rows[i] for i in part] for part in components(pattern)]
-
-    def _linear(self, r: int, gradient: ca.SX) -> bool:
-        c = ca.mtimes(self.L[r], gradient)
-        return not ca.depends_on(ca.simplify(ca.jacobian(c, self.x)), self.x)
-
-    def _refusal(self, cluster: list[int], names: list[str]) -> str:
-        """Why impulses do not fit these rows, or nothing."""
-        terms, states = self.terms, sorted(set().union(*(self._states(r) for r in cluster)))
-        state_names = [n for v in terms.model.states for n in v.names()]
-        special = {i: t.kind for t in terms.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
-        for i in states:
-            if i in special:
-                return f"the row of {state_names[i]} has E other than identity"
-            if i not in self.owner:
-                return f"{state_names[i]} stores no energy"
-        psi = ca.vertcat(*(self.x[i] for i in states))
-        for r in cluster:
-            if ca.depends_on(self.expr[r], terms_algebraics(terms)) or ca.depends_on(self.L[r], self.z):
-                return f"the row of {names[r]} contains other algebraic variables"
-            if _depends(self.L[r], psi):
-                return f"the coefficients of {names[r]} depend on the states they act on"
-        L = ca.vertcat(*(self.L[r][0, states] for r in cluster))
-        hessian = ca.hessian(terms.model.hamiltonian, psi)[0]
-        if _depends(ca.mtimes([L, hessian, L.T]), psi):
-            return "the stored energy is not quadratic in the states of its branches (saturation)"
-        S = ca.Function("S", [self.x, *(p.sx for p in terms.model.parameters)], [ca.mtimes([L, hessian, L.T])])
-        start = [np.array([s for v in terms.model.states for s in v.start]), *(p.start for p in terms.model.parameters)]
-        values = np.linalg.eigvalsh(np.array(S(*start)))
-        return "" if values[0] > 1e-12 * values[-1] else "its inductance matrix is singular (isolated neutral)"
-
-    def impulse_terms(self, rows: list[int]) -> list[Term]:
-        """One term per member and cluster: L, c = its part of the rows, S, in the member's own states."""
-        terms, model = self.terms, self.terms.model
-        locator = Locator(model, terms.pairs)
-        out = []
-        for cluster in self._clusters(rows):
-            states = sorted(set().union(*(self._states(r) for r in cluster)))
-            for owner in dict.fromkeys(self.owner[i] for i in states):
-                own = [i for i in states if self.owner[i] == owner]
-                touched = [r for r in cluster if self._states(r) & set(own)]
-                psi = ca.vertcat(*(self.x[i] for i in own))
-                energy = ca.SX(0)
-                for e in model.energies:
-                    energy += e.expr if terms.members[owner] == e.owner or len(terms.members) == 1 else 0
-                L = ca.vertcat(*(self.L[r][0, own] for r in touched)).T
-                hessian, gradient = ca.hessian(energy, psi)
-                exprs = {"L": ca.densify(L), "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
-                out.append(
-                    make_term("impulse", {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
-                              rows=[("x", i) for i in own] + [("a", r) for r in touched], owner=owner,
-                              extra=ca.vertsplit(psi))
-                )  # fmt: skip
-        return out
-
-
-def terms_algebraics(terms: Terms) -> ca.SX:
-    return ca.vertcat(*(v.sx for v in terms.model.algebraics))
-
-
-def _depends(expr: ca.SX, on: ca.SX) -> bool:
-    """Structural dependence after cancelling what differentiates to zero."""
-    return ca.simplify(ca.jacobian(ca.densify(expr), on)).nnz() > 0 and ca.depends_on(expr, on)
-
-
-def _state_owners(terms: Terms) -> dict[int, int]:
-    """State -> the member whose energy contains it."""
-    return {i: t.owner for t in terms.terms if t.kind in ("energy", "joint", "closed") for _, i in t.rows}
+def _states(terms: list[Term]) -> tuple[int, ...]:
+    return tuple(sorted({i for t in terms for kind, i in t.rows if kind == "x"}))
 
 
 def _marked(t: Term, shifted: set[int]) -> Term:
@@ -189,6 +78,10 @@ def shifted(spec: Spec, term: Term) -> Spec:
 
 def specs(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the impulses and shifts, and their work."""
+    return _pair(term, nd) if "pair" in term.key else _projection(term, nd)
+
+
+def _pair(term: Term, nd: Nodes) -> list[Spec]:
     args = Arguments(term, nd.k)
     x, n = term.local["x"], term.local["x"].numel()
     n_psi = sum(kind == "x" for kind, _ in term.rows)
@@ -224,6 +117,33 @@ def specs(term: Term, nd: Nodes) -> list[Spec]:
     ]
 
 
+def _projection(term: Term, nd: Nodes) -> list[Spec]:
+    """One impulse at the end: x1 = x1* + L m, c(x1) = 0; its work is the path integral of -c along L m, a loss."""
+    args = Arguments(term, nd.k)
+    x, n = term.local["x"], term.local["x"].numel()
+    n_psi = sum(kind == "x" for kind, _ in term.rows)
+    places = range(n_psi, len(term.rows))
+    d = args.matrix("D", n)
+    s = ca.vertcat(*(args.symbol("s1", j, 0) for j in range(n_psi)))
+    m = ca.vertcat(*(args.symbol("i1", j, 0) for j in places))
+    x_end = x + ca.mtimes(d, ca.DM(nd.b))
+
+    def at(name: str, part: float) -> ca.SX:
+        return ca.substitute(term.data[name], x, x_end + part * ca.vertcat(s, ca.SX(n - n_psi, 1)))
+
+    shift = ca.mtimes(at("L", 0.0), m)
+    c = at("c", 1.0)
+    out: list[tuple[Address, int, ca.SX]] = [(("s1", j, 0), 0, s[j] - shift[j]) for j in range(n_psi)]
+    out += [(("i1", j, 0), 0, c[j - n_psi]) for j in places]
+    t, w = gauss(WORK_POINTS)
+    work = -m * _sum([float(wq) * at("c", float(tq)) for tq, wq in zip(t, w, strict=True)])
+    booked = [(("work", j, 0), 0, work[j - n_psi]) for j in places]
+    return [
+        Spec(1, args.x, args.p, args.y, out),
+        Spec(1, args.x, args.p, args.y, booked, stored=ca.sum1(work), report=True),
+    ]
+
+
 def _sum(values: list[ca.SX]) -> ca.SX:
     total = values[0]
     for v in values[1:]:
@@ -233,21 +153,28 @@ def _sum(values: list[ca.SX]) -> ca.SX:
 
 def unknowns(terms: Terms) -> list[tuple[str, int, int]]:
     """Impulses and roots per bare row, shifts per shifted state."""
-    out = [("i0", r, 0) for r in terms.impulse_rows]
-    out += [("i1", r, i) for r in terms.impulse_rows for i in range(POINTS)]
-    return out + [(kind, i, 0) for kind in ("s0", "s1") for i in terms.shifted]
+    found = terms.impulses
+    if found is None:
+        return []
+    out = [("i0", r, 0) for r in found.pairs]
+    out += [("i1", r, i) for r in found.pairs for i in range(POINTS)] + [("i1", r, 0) for r in found.projected]
+    return out + [("s0", i, 0) for i in found.start_states] + [("s1", i, 0) for i in found.end_states]
 
 
 def update(layout: Layout) -> list[tuple[int, int, float]]:
-    """x' gets both shifts."""
-    return [(i, layout.w_of[(kind, i, 0)], 1.0) for i in layout.terms.shifted for kind in ("s0", "s1")]
+    """x' gets the shifts."""
+    return [(i, w, 1.0) for (kind, i, _), w in layout.w_of.items() if kind in ("s0", "s1")]
 
 
 def mean(layout: Layout) -> list[tuple[int, int, float, int]]:
     """Node voltages: interval means include the impulses, (m + m')/h."""
-    sign = (-1.0) ** layout.k / POINTS
-    out = [(r, layout.w_of[("i0", r, 0)], 1.0, -1) for r in layout.terms.impulse_rows]
-    return out + [(r, layout.w_of[("i1", r, i)], sign, -1) for r in layout.terms.impulse_rows for i in range(POINTS)]
+    found = layout.terms.impulses
+    if found is None:
+        return []
+    end = (-1.0) ** layout.k / POINTS
+    factor = {("i0", r): 1.0 for r in found.pairs} | {("i1", r): end for r in found.pairs}
+    factor |= {("i1", r): 1.0 for r in found.projected}
+    return [(i, w, factor[(kind, i)], -1) for (kind, i, _), w in layout.w_of.items() if (kind, i) in factor]
 
 
 def work(layout: Layout) -> list[tuple[int, int]]:

@@ -196,8 +196,7 @@ class Layout:
     def nominals(self) -> np.ndarray:
         x = [v.nominal[j] for v in self.terms.model.states for j in range(v.n)]
         a = [v.nominal[j] for v in self.terms.model.algebraics for j in range(v.n)]
-        impulse = max(
-            (x[i] for i in self.terms.shifted), default=1.0
-        )  # an impulse has the unit of the states it shifts
+        found = self.terms.impulses
+        impulse = max(x[i] for i in found.end_states) if found else 1.0  # it has the unit of the states it shifts
         size = {"a": a, "m": a, "b": a, "i0": [impulse] * len(a), "i1": [impulse] * len(a)}
         return np.array([size.get(kind, x)[i] for kind, i, _ in self.unknowns], float).reshape(-1)

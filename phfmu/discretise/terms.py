@@ -50,6 +50,16 @@ class Term:
     owner: int = 0
 
 
+@dataclass(frozen=True)
+class Impulses:
+    """Rows of bare nodes with an impulse pair and with a projecting end impulse; the states shifted at start and end."""
+
+    pairs: tuple[int, ...]
+    projected: tuple[int, ...]
+    start_states: tuple[int, ...]
+    end_states: tuple[int, ...]
+
+
 @dataclass
 class Terms:
     """All terms of a declaration, the constant triplets (row kind, row, source kind, source, value), and sizes."""
@@ -71,9 +81,7 @@ class Terms:
     light: tuple[int, ...] = ()
     closed_states: set[int] = field(default_factory=set)
     observable_names: list[str] = field(default_factory=list)
-    #: rows of bare nodes that get impulses, and the states these shift
-    impulse_rows: tuple[int, ...] = ()
-    shifted: tuple[int, ...] = ()
+    impulses: Impulses | None = None
 
 
 class Locator:
