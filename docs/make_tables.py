@@ -50,9 +50,9 @@ def reference(name: str) -> dict[str, Array]:
     return {n: rows[:, i] for i, n in enumerate(lines[0].split(","))}
 
 
-def monolithic(scene: Scene, h: float, stop: float, k: int) -> Result:
+def monolithic(scene: Scene, h: float, stop: float, k: int, impulses: bool = True) -> Result:
     """The composed scene, k Gauss nodes."""
-    model = build_model(scene.declaration(), Collocated(k))
+    model = build_model(scene.declaration(), Collocated(k, impulses=impulses))
     return run(Monolithic(model, NativeInstance(model)), stop=stop, step=h, events=scene.events)
 
 
@@ -215,17 +215,24 @@ def angle_error(r: Result, ref: dict[str, Array], machines: dict[str, str], unti
 def machine_table(
     scene: Callable[[], Scene], name: str, machines: dict[str, str], stop: float, steps: Sequence[float]
 ) -> str:
-    """Orders 2 and 4 over h: currents, angles, Kirchhoff residual, ledger."""
+    """Orders over h, with impulse pairs at bare nodes and without: currents, angles, Kirchhoff residual, ledger."""
     ref, rows = reference(name), []
-    for k in (1, 2):
-        found = [monolithic(scene(), h, stop, k) for h in steps]
+    for k, impulses in ((1, True), (2, True), (3, True), (1, False), (2, False)):
+        found = [monolithic(scene(), h, stop, k, impulses) for h in steps]
         current = [stator_error(r, ref, machines) for r in found]
         angle = [angle_error(r, ref, machines) for r in found]
         kcl = [kirchhoff(r) for r in found]
         order = [slopes(e, steps) for e in (current, angle, kcl)]
         for j, h in enumerate(steps):
             cells = [c for e, o in zip((current, angle, kcl), order, strict=True) for c in (e[j], o[j])]
-            rows.append([f"order {2 * k}" if j == 0 else "", f"{1e3 * h:g}", *cells, worst(found[j])])
+            rows.append(
+                [
+                    f"order {2 * k}{'' if impulses else ', no impulses'}" if j == 0 else "",
+                    f"{1e3 * h:g}",
+                    *cells,
+                    worst(found[j]),
+                ]
+            )
     head = ["scheme", "h in ms", "stator current / max", "slope", "rotor angle in rad", "slope"]
     return table([*head, "KCL residual in A", "slope", "worst ledger"], rows)
 

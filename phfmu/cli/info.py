@@ -30,8 +30,12 @@ def call(args: argparse.Namespace) -> int:
         print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
     if d.members != ("",):
         print(f"members: {', '.join(d.members)}")
+    if d.junctions:
+        from phfmu.network.nodes import node_kinds
+
+        kinds = node_kinds(d)
     for name, ends in d.junctions:
-        print(f"junction {name}: {', '.join(ends)}")
+        print(f"junction {name}: {', '.join(ends)}; {kinds[name]}")
     for title, variables in (("states", d.states), ("algebraic variables", d.algebraics), ("parameters", d.parameters)):
         if variables:
             print(f"{title}:")

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.discretise.hidden import hidden_rows
-from phfmu.discretise.rows import costate_symbols, row_expressions
+from phfmu.discretise.rows import costate_symbols, costates, row_expressions
 from phfmu.discretise.terms import Locator, Term, Terms, components, make_term
 
 Remedy = Literal["pair", "projection", "none"]
@@ -56,8 +56,9 @@ class Finder:
         self.L = {r: -ca.jacobian(self.expr[r], self.z) for r in rows}
         self.owner = _state_owners(terms)
         names = [n for v in model.algebraics for n in v.names()]
-        self.hessian, gradient = ca.hessian(model.hamiltonian, self.x)
-        linear = {r for r in rows if self._linear(r, gradient)}
+        self.hessian = ca.hessian(model.hamiltonian, self.x)[0]
+        z = costates(terms)
+        linear = {r for r in rows if self._linear(r, z)}
         for cluster in self._clusters(rows):
             if not linear.issuperset(cluster):
                 remedy, reason = self._remedy(cluster, names)
@@ -72,8 +73,8 @@ class Finder:
         pattern = ca.mtimes([L, self.hessian, L.T]) + ca.SX.eye(len(rows))
         return [[rows[i] for i in part] for part in components(pattern)]
 
-    def _linear(self, r: int, gradient: ca.SX) -> bool:
-        c = ca.mtimes(self.L[r], gradient)
+    def _linear(self, r: int, z: ca.SX) -> bool:
+        c = ca.mtimes(self.L[r], z)
         return not ca.depends_on(ca.simplify(ca.jacobian(c, self.x)), self.x)
 
     def _remedy(self, cluster: list[int], names: list[str]) -> tuple[Remedy, str]:

@@ -47,7 +47,7 @@ def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
     Algebraic variables that over-determined rows give (the common velocity of a rigid joint) are eliminated.
     """
     model, hidden, x = terms.model, hidden_rows(terms), terms.model.x
-    z, p = _costates(terms), ca.vertcat(*(v.sx for v in model.parameters))
+    z, p = costates(terms), ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
     position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}
     rows = row_expressions(terms, hidden.rows, z)
@@ -81,7 +81,7 @@ def _eliminated(rows: dict[int, ca.SX], hidden: Hidden, a: ca.SX) -> dict[int, c
     return dict(zip(checks, new, strict=True))
 
 
-def _costates(terms: Terms) -> ca.SX:
+def costates(terms: Terms) -> ca.SX:
     """z = E^-T grad H for diagonal E and closed-form pairs."""
     model = terms.model
     z = ca.densify(ca.gradient(model.hamiltonian, model.x)) if terms.n1 else ca.SX(0, 1)
