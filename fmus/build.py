@@ -34,9 +34,14 @@ def model_of(recipe: dict):
     return declaration, build_model(declaration, scheme)
 
 
+def unit_of(recipe: dict) -> Unit:
+    """What a recipe exports, without a stop time."""
+    return Unit(*model_of(recipe), recipe["step"], None, recipe.get("node_inputs", False))
+
+
 def interface(recipe: dict) -> str:
     """The golden description of a recipe."""
-    text = model_description(Unit(*model_of(recipe), recipe["step"], None), "TOKEN").decode()
+    text = model_description(unit_of(recipe), "TOKEN").decode()
     text = re.sub(r'generationTool="[^"]*"', 'generationTool="phfmu"', text)
     # nine digits of start values: the rest depends on the mathematical library of the machine
     return re.sub(r'start="([^"]*)"', lambda m: f'start="{_rounded(m[1])}"', text)
@@ -54,7 +59,8 @@ def main() -> int:
     for name, recipe in recipes().items():
         (HERE / f"{name}.xml").write_text(interface(recipe))
         if not args.interfaces:
-            for path in export(*model_of(recipe), HERE, step=recipe["step"]):
+            nodes = recipe.get("node_inputs", False)
+            for path in export(*model_of(recipe), HERE, step=recipe["step"], node_inputs=nodes):
                 print(path)
     return 0
 

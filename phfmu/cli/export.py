@@ -16,6 +16,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--fmi", action="append", choices=("2", "3"), help="FMI version; both if not given")
     parser.add_argument("--step", type=float, help="internal step in s (default: the scene's)")
     options.add_scheme(parser)
+    parser.add_argument("--node-inputs", action="store_true",
+                        help="optional port inputs at the nodes of a step, e.g. terminal.v_node[1,2] (order 4 or 6)")  # fmt: skip
     parser.add_argument("--platform", action="append", metavar="NAME", help="e.g. x86_64-linux; may be repeated")
     parser.add_argument("--all-platforms", action="store_true", help="linux, windows and darwin, x86_64 and aarch64")
     options.add_settings(parser)
@@ -40,7 +42,8 @@ def call(args: argparse.Namespace) -> int:
     versions = tuple(f"{v}.0" for v in (args.fmi or ("2", "3")))
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
     model = build_model(declaration, scheme_of(args, declaration))
-    paths = export(declaration, model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms)
+    paths = export(declaration, model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
+                   node_inputs=args.node_inputs)  # fmt: skip
     for path in paths:
         print(path)
     return 0

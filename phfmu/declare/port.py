@@ -89,6 +89,20 @@ class Port:
         """Names of the scalar outputs y, e.g. `terminal.i[1]` or with suffix `_step`."""
         return self._names((self.domain.flow if self.given == "effort" else self.domain.effort) + suffix)
 
+    def _node_names(self, member: str, k: int) -> list[list[str]]:
+        base, places = f"{self.name}.{member}_node", range(1, k + 1)
+        if self.size is None:
+            return [[f"{base}[{i}]" for i in places]]
+        return [[f"{base}[{j + 1},{i}]" for i in places] for j in range(self.size)]
+
+    def node_input_names(self, k: int) -> list[list[str]]:
+        """Per pair the names of its input at the k nodes of a step, e.g. `terminal.v_node[1,2]`, `shaft.torque_node[2]`."""
+        return self._node_names(self.domain.effort if self.given == "effort" else self.domain.flow, k)
+
+    def node_output_names(self, k: int) -> list[list[str]]:
+        """Per pair the names of its output at the k nodes of a step, e.g. `terminal.i_node[1,2]`."""
+        return self._node_names(self.domain.flow if self.given == "effort" else self.domain.effort, k)
+
     @property
     def input_unit(self) -> str:
         return self.domain.effort_unit if self.given == "effort" else self.domain.flow_unit

@@ -79,6 +79,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_set_algebraic": (integer, [pointer, pointer]),
         "ph_parameters": (pointer, [pointer]),
         "ph_input": (pointer, [pointer]),
+        "ph_node_outputs": (pointer, [pointer]),
         "ph_step": (integer, [pointer, real, real]),
         "ph_step_parts": (integer, [pointer, real, real, integer]),
         "ph_run": (integer, [pointer, real, real, integer, ctypes.POINTER(Record), ctypes.POINTER(integer)]),

@@ -144,6 +144,12 @@ class NativeInstance:
         """Step-conjugate means of the external pairs (nu)."""
         return self._means.copy()
 
+    def node_output(self) -> Floats:
+        """Outputs at the k quadrature nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
+        plan = self.model.step
+        values = view(self._lib.ph_node_outputs(self._in), plan.k * plan.nq).reshape(plan.k, plan.nq)
+        return values[:, : plan.nu].copy()
+
     def ledger(self) -> dict[str, Floats]:
         """Of the last communication step: stored, dissipated, supplied per component, pairs [J]."""
         names, plan = enums()["ph_row"], self.model.step

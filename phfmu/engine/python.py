@@ -47,7 +47,7 @@ class PythonInstance:
         s.end = None
         end = self._end_values()
         s.a = end["a"].copy()
-        s.y_step = end["y"].copy()
+        s.y_step, s.y_node = end["y"].copy(), np.tile(end["y"], (plan.k, 1))
         s.w = np.zeros(plan.nw)
         level = plan.increments[plan.mean_w] == 0
         s.w[plan.mean_w[level]] = s.a[plan.mean_a[level]]
@@ -108,18 +108,19 @@ class PythonInstance:
         s, plan = self._s, self.model.step
         s.x_old, s.u_old, s.solved = np.append(s.x[:-1], t), s.u.copy(), 0
         s.last = self._nothing()
-        y, a = np.zeros(plan.nq), np.zeros(plan.na)
+        y, a, nodes_y = np.zeros(plan.nq), np.zeros(plan.na), np.zeros((plan.k, plan.nq))
         try:
             for i in range(parts):
-                for y_part, a_part, weight in self._advance(t, h, i / parts, 1.0 / parts, 0):
-                    y += weight * y_part
+                for y_part, a_part, start, weight in self._advance(t, h, i / parts, 1.0 / parts, 0):
+                    y += weight * (plan.weights @ y_part)
                     a += weight * a_part
+                    nodes_y += self._projected(y_part, start, weight)
         except StepFailure:
             counts = self._s.counts
             self._s = before
             self._s.counts = counts
             raise
-        s.y_step, s.a, s.t, s.theta = y, a, t + h, 1.0
+        s.y_step, s.y_node, s.a, s.t, s.theta = y, nodes_y, a, t + h, 1.0
         s.x[-1] = t + h
         s.energy += s.last["pairs"]
         s.stored += s.last["stored"]
@@ -138,17 +139,19 @@ class PythonInstance:
             self._s = before
             raise
         s.x_old, s.u_old, s.solved, s.last = s.x.copy(), s.u.copy(), 0, self._nothing()
-        s.a, s.y_step = end["a"].copy(), end["y"].copy()
+        s.a, s.y_step, s.y_node = end["a"].copy(), end["y"].copy(), np.tile(end["y"], (self.model.step.k, 1))
         s.counts["steps"] += 1
 
-    def _advance(self, t: float, h: float, start: float, part: float, depth: int) -> list[tuple[Array, Array, float]]:
-        """The part [start, start + part] of the step [t, t + h]: (mean outputs, mean algebraics, part) per solve."""
+    def _advance(
+        self, t: float, h: float, start: float, part: float, depth: int
+    ) -> list[tuple[Array, Array, float, float]]:
+        """The part [start, start + part] of the step [t, t + h]: (node outputs, mean algebraics, start, part) per solve."""
         s = self._s
         s.x[-1] = t + h * start
         u = self._inputs(start + part * self.model.nodes)
         outcome = self._attempts(h * part, u)
         if outcome.status is Status.OK:
-            return [(*self._accept(outcome, h * part, u), part)]
+            return [(*self._accept(outcome, h * part, u), start, part)]
         if depth == DEPTH:
             name = self.model.row_names[outcome.row] if outcome.row >= 0 else ""
             raise StepFailure(
@@ -191,7 +194,7 @@ class PythonInstance:
         return outcome
 
     def _accept(self, outcome: Outcome, h: float, u: Array) -> tuple[Array, Array]:
-        """Book the ledger at the converged unknowns and move the state; mean outputs and algebraic variables."""
+        """Book the ledger at the converged unknowns and move the state; node outputs and mean algebraic variables."""
         s, plan = self._s, self.model.step
         fixed = (s.x, np.append(u, h), s.p, h)
         s.solved += 1
@@ -211,7 +214,18 @@ class PythonInstance:
         s.carry = change - (total - s.x[:-1])
         s.x[:-1] = total
         a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * outcome.w[plan.mean_w], plan.na)
-        return plan.weights @ y_nodes, a
+        return y_nodes.copy(), a
+
+    def _projected(self, y: Array, start: float, part: float) -> Array:
+        """Outputs y (k x nq) at the nodes of a part of the step, as outputs at the nodes of the whole step.
+
+        y_i = part sum_m (b_m / b_i) l_i(start + part c_m) y_m is conjugate to inputs u(t) = sum_i l_i(t) u_i.
+        """
+        plan = self.model.step
+        if part == 1.0 or plan.k == 1:
+            return part * y
+        basis = np.array([nodes(plan.k).value(start + part * float(c)) for c in self.model.nodes])
+        return part * (basis * plan.weights[:, None] / plan.weights).T @ y
 
     def run(
         self,
@@ -276,6 +290,10 @@ class PythonInstance:
     def output(self) -> Array:
         """Step-conjugate means of the external pairs (nu)."""
         return self._s.y_step[: self.model.step.nu].copy()
+
+    def node_output(self) -> Array:
+        """Outputs at the k quadrature nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
+        return self._s.y_node[:, : self.model.step.nu].copy()
 
     def ledger(self) -> dict[str, Array]:
         """Of the last communication step: stored, dissipated, supplied per component, pairs per scalar pair [J]."""

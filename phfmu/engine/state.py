@@ -22,6 +22,7 @@ class State:
     x [states | t], carry (owed by compensated summation), w and h_last (last solve), a (algebraic means), u (k x nu
     inputs), p, t;  theta: where in its step a node input is read for end values;  x_old, u_old, solved: state and
     inputs at the start of the last step and how many solves it took;  y_step, energy: pair outputs and energies;
+    y_node: pair outputs at the nodes of the last step (k x nq);
     stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values.
     """
 
@@ -38,6 +39,7 @@ class State:
     u_old: Array
     solved: int
     y_step: Array
+    y_node: Array
     energy: Array
     stored: Array
     dissipated: Array
@@ -64,6 +66,7 @@ class State:
             u_old=u.copy(),
             solved=0,
             y_step=np.zeros(plan.nq),
+            y_node=np.zeros((plan.k, plan.nq)),
             energy=np.zeros(plan.nq),
             stored=np.zeros(plan.ncomp),
             dissipated=np.zeros(plan.ncomp),

@@ -24,12 +24,16 @@ LOG_CATEGORIES = {
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """A model to be exported.  `step`: longest internal and suggested communication step, s; `stop`: s."""
+    """A model to be exported.  `step`: longest internal and suggested communication step, s; `stop`: s.
+
+    `node_inputs`: ports also have inputs and outputs at the nodes of a step.
+    """
 
     declaration: PHDAE
     model: Model
     step: float
     stop: float | None = None
+    node_inputs: bool = False
 
     @property
     def name(self) -> str:
@@ -44,7 +48,7 @@ class Unit:
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
-        return variables(self.declaration, self.model)
+        return variables(self.declaration, self.model, self.node_inputs)
 
     def outputs(self) -> list[int]:
         """Value references of the outputs."""

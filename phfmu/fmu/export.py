@@ -34,18 +34,20 @@ def export(
     step: float,
     stop: float | None = None,
     platforms: Sequence[str] | None = None,
+    node_inputs: bool = False,
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions`.
 
     `step`: longest internal and suggested communication step, s.  `platforms`: keys of PLATFORMS, default
-    this machine.  The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
+    this machine.  `node_inputs`: optional port inputs at the nodes of a step, and the outputs there (order 4, 6).
+    The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
     """
     if not (math.isfinite(step) and step > 0):
         raise FMUError(f"{declaration.name}: step = {step} s must be positive")
     unknown = [v for v in versions if v not in VERSIONS]
     if unknown or not versions:
         raise FMUError(f"FMI versions {list(versions)}; known: {', '.join(VERSIONS)}")
-    unit = Unit(declaration, model, step, stop)
+    unit = Unit(declaration, model, step, stop, node_inputs)
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
     code = sources.complete(unit, equations, token)

@@ -28,7 +28,10 @@ class Scalar:
 
 @dataclass(frozen=True)
 class Interface:
-    """A unit for Co-Simulation.  `ports` and `energy` are those of the manifest, empty in foreign units."""
+    """A unit for Co-Simulation.  `ports` and `energy` are those of the manifest, empty in foreign units.
+
+    `nodes`, `weights`: places on [0, 1] and weights of the nodes at which ports take inputs; empty without such inputs.
+    """
 
     version: str
     name: str
@@ -43,6 +46,8 @@ class Interface:
     description: str = ""
     ports: tuple[PortMap, ...] = ()
     energy: dict[str, str] = field(default_factory=dict)
+    nodes: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
 
     def references(self, names: list[str] | tuple[str, ...], what: str) -> list[int]:
         """Value references; FMUError names those there are not."""
@@ -88,12 +93,15 @@ def read_interface(model_description: bytes, manifest: bytes | None, name: str) 
         raise FMUError(f"{name}: the unit has no Co-Simulation interface")
     experiment = root.find("DefaultExperiment")
     times = {} if experiment is None else {k: float(v) for k, v in experiment.attrib.items() if k in _TIMES}
-    ports, energy = (), {}
+    ports, energy, nodes, weights = (), {}, (), ()
     if manifest is not None:
         about = parse(manifest, f"{name}/manifest")
         ports = tuple(read_ports(about))
         found = about.find("Energy")
         energy = {} if found is None else {str(k): str(v) for k, v in found.attrib.items()}
+        step = about.find("Step")
+        if step is not None:
+            nodes, weights = (tuple(float(v) for v in step.get(k, "").split()) for k in ("nodes", "weights"))
     return Interface(
         version="2.0" if version == "2.0" else "3.0",
         name=root.get("modelName", name),
@@ -108,6 +116,8 @@ def read_interface(model_description: bytes, manifest: bytes | None, name: str) 
         description=root.get("description", ""),
         ports=ports,
         energy=energy,
+        nodes=nodes,
+        weights=weights,
     )
 
 

@@ -38,6 +38,11 @@ DERIVATIVE = (
     "the directional derivative of a step output with respect to a port input is the sensitivity of the "
     "step map of the last communication step, which has to be one internal step"
 )
+NODES = (
+    "inputs at the nodes of the next communication step (places and weights on [0, 1]); setting the input itself "
+    "sets all of them, what is set last counts; (length of the step) * sum of weight * node input * node output is "
+    "the energy supplied to the component in a step, exactly"
+)
 FAILURE = "a refused step leaves the unit at the last communication point; a smaller step may follow"
 
 
@@ -46,7 +51,8 @@ class PortMap:
     """Names of one port's scalars: inputs, outputs at the present time, step means.
 
     power = sign * input * output is positive into the component; `step_outputs`: empty where there are none;
-    `vector`: the scalars are entries of a vector, also if there is only one.
+    `vector`: the scalars are entries of a vector, also if there is only one.  `node_inputs`, `node_outputs`: per pair
+    the names at the nodes of a step; empty where there are none.
     """
 
     name: str
@@ -57,6 +63,8 @@ class PortMap:
     step_outputs: tuple[str, ...] = ()
     sign: float = 1.0
     vector: bool = False
+    node_inputs: tuple[tuple[str, ...], ...] = ()
+    node_outputs: tuple[tuple[str, ...], ...] = ()
 
 
 def manifest(unit: Unit) -> bytes:
@@ -67,6 +75,11 @@ def manifest(unit: Unit) -> bytes:
     step = etree.SubElement(root, "Step", internalStepSize=number(unit.step))
     step.set("directionalDerivative", DERIVATIVE)
     step.set("failure", FAILURE)
+    plan = unit.model.step
+    if unit.node_inputs:
+        step.set("nodes", " ".join(number(c) for c in unit.model.nodes))
+        step.set("weights", " ".join(number(b) for b in plan.weights))
+        step.set("nodeInputs", NODES)
     energy = etree.SubElement(root, "Energy")
     for what, _, _ in (*LEDGER, *STEP_LEDGER):
         energy.set(ENERGY.get(what, what), f"energy.{what}")
@@ -78,8 +91,13 @@ def manifest(unit: Unit) -> bytes:
             element.set(name, getattr(port.domain, attribute))
         element.set("energy", f"{port.name}.energy")
         element.set("vector", "false" if port.size is None else "true")
-        for pair in zip(port.input_names(), port.output_names(), port.output_names("_step"), strict=True):
-            etree.SubElement(element, "Pair", dict(zip(("input", "output", "stepOutput"), pair, strict=True)))
+        names = zip(port.input_names(), port.output_names(), port.output_names("_step"), strict=True)
+        for j, pair in enumerate(names):
+            about: dict[str, str] = dict(zip(("input", "output", "stepOutput"), pair, strict=True))
+            if unit.node_inputs:
+                about["nodeInputs"] = " ".join(port.node_input_names(plan.k)[j])
+                about["nodeOutputs"] = " ".join(port.node_output_names(plan.k)[j])
+            etree.SubElement(element, "Pair", about)
     return text_of(root)
 
 
@@ -89,8 +107,13 @@ def read_ports(root: Element) -> list[PortMap]:
     for port in root.findall("Port"):
         pairs = port.findall("Pair")
         inputs, outputs, means = (tuple(p.get(k, "") for p in pairs) for k in ("input", "output", "stepOutput"))
+        at_nodes = [
+            tuple(tuple(p.get(k, "").split()) for p in pairs if p.get(k)) for k in ("nodeInputs", "nodeOutputs")
+        ]
         about: dict[str, Any] = {attribute: port.get(name, "") for name, attribute in DOMAIN.items()}
         given: Given = "flow" if port.get("given") == "flow" else "effort"
         vector = port.get("vector") == "true"
-        ports.append(PortMap(port.get("name", ""), Domain(**about), given, inputs, outputs, means, vector=vector))
+        ports.append(
+            PortMap(port.get("name", ""), Domain(**about), given, inputs, outputs, means, 1.0, vector, *at_nodes)
+        )
     return ports

@@ -88,7 +88,7 @@ def _page(unit: Unit) -> str:
 <p>{escape(unit.declaration.description)}</p>
 <p>Port-Hamiltonian component of {model.step.nx} states, {model.step.na} algebraic variables and
 {model.step.nu} port inputs, stepped by the scheme '{escape(model.scheme.name)}' of order
-{model.scheme.order} in internal steps of at most {unit.step!r} s. Inputs are held over a communication step.
+{model.scheme.order} in internal steps of at most {unit.step!r} s. Inputs are held over a communication step{_at_nodes(unit)}.
 The product of step length, port input and the output named <code>_step</code> is the energy supplied through
 the port, exactly; <code>energy.residual</code> is the change of stored energy plus dissipated minus supplied
 energy, which is rounding only.</p>
@@ -100,6 +100,13 @@ energy, which is rounding only.</p>
 </body>
 </html>
 """
+
+
+def _at_nodes(unit: Unit) -> str:
+    if not unit.node_inputs:
+        return ""
+    places = ", ".join(f"{c:.6g}" for c in unit.model.nodes)
+    return f", or given at its nodes {places} (fractions of the step; what is set last counts)"
 
 
 def _shown(value: object) -> object:

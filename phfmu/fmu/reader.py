@@ -67,6 +67,8 @@ class FMUInstance:
         self._y_mean = self._y_end if self.estimated else References(refs(means, "output"))
         self._mean_refs = [] if self.estimated else refs(means, "output")
         self._books = References([] if self.estimated else refs([self.interface.energy[s] for s in _STEP], "output"))
+        self._u_nodes = References(refs(_in_order(self.ports, "node_inputs"), "input"))
+        self._y_nodes = References(refs(_in_order(self.ports, "node_outputs"), "output"))
         self._require_pairs()
         self._starts, self._span = (
             dict(starts or {}),
@@ -103,6 +105,7 @@ class FMUInstance:
         self.time, self._h = start, 0.0
         self._supplied = np.zeros(self.nu)
         self._pairs = np.zeros(self.nu)
+        self._held = True
         self._before = self._after = self._slave.get(self._y_end).copy() if self.estimated else np.zeros(0)
 
     def close(self) -> None:
@@ -138,8 +141,35 @@ class FMUInstance:
         if values.shape != (self.nu,) or not np.isfinite(values).all():
             raise ValueError(f"{self.name}: expected {self.nu} finite inputs, got {u}")
         self._u.values[:] = values
+        self._held = True
         if self.nu:
             self._slave.set(self._u)
+
+    @property
+    def nodes(self) -> Array:
+        """Places on [0, 1] of the nodes at which the unit takes inputs; empty if it takes held ones only."""
+        return np.array(self.interface.nodes)
+
+    def set_node_inputs(self, u: ArrayLike) -> None:
+        """Inputs at the k nodes of the next step (k x nu); the next `set_input` holds its values again.
+
+        FMUError if the unit was exported without them.
+        """
+        values, k = np.asarray(u, float), len(self.interface.nodes) if self._u_nodes.n else 0
+        if not k:
+            raise FMUError(
+                f"{self.name}: the unit has no inputs at nodes; export it with --node-inputs and order 4 or 6"
+            )
+        if values.shape != (k, self.nu) or not np.isfinite(values).all():
+            raise ValueError(f"{self.name}: expected {k} x {self.nu} finite inputs, got {u}")
+        self._u_nodes.values[:] = values.ravel()
+        self._held = False
+        if self.nu:
+            self._slave.set(self._u_nodes)
+
+    def node_output(self) -> Array:
+        """Outputs at the k nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
+        return self._slave.get(self._y_nodes).reshape(-1, self.nu).copy()
 
     def do_step(self, t: float, h: float) -> None:
         """One communication step over [t, t + h]; StepFailure holds the words of the unit."""
@@ -191,7 +221,8 @@ class FMUInstance:
 
     def _kept(self, handle: Any) -> SavedState:
         memory = {n: np.copy(getattr(self, n)) for n in ("_before", "_after", "_supplied", "_pairs")}
-        memory |= {"time": self.time, "_h": self._h, "u": self._u.values.copy()}
+        memory |= {"time": self.time, "_h": self._h, "_held": self._held}
+        memory |= {"_u": self._u.values.copy(), "_u_nodes": self._u_nodes.values.copy()}
         state = SavedState(handle, memory)
         self._handles[id(handle)] = handle
         weakref.finalize(state, _forget, self._slave, self._handles, id(handle))
@@ -201,8 +232,8 @@ class FMUInstance:
         """Restores what `get_state` gave."""
         self._slave.restore(state.handle)
         for name, value in state.memory.items():
-            if name == "u":
-                self._u.values[:] = value
+            if name in ("_u", "_u_nodes"):
+                getattr(self, name).values[:] = value
             else:
                 setattr(self, name, value.copy() if isinstance(value, np.ndarray) else value)
 
@@ -257,8 +288,18 @@ class FMUInstance:
                 "pairs": self._pairs.copy(),
             }
         books = self._slave.get(self._books).copy()
-        pairs = self._h * self._u.values * self.output()
+        if self._held:
+            pairs = self._h * self._u.values * self.output()
+        else:
+            u = self._u_nodes.values.reshape(-1, self.nu)
+            pairs = self._h * np.array(self.interface.weights) @ (u * self.node_output())
         return {"stored": books[:1], "dissipated": books[1:2], "supplied": books[2:], "pairs": pairs}
+
+
+def _in_order(ports: Sequence[PortMap], field: str) -> list[str]:
+    """Names at the nodes, node by node, in the order of the pairs."""
+    pairs = [names for p in ports for names in getattr(p, field)]
+    return [name for node in zip(*pairs, strict=True) for name in node]
 
 
 def _forget(slave: Slave, handles: dict[int, Any], key: int) -> None:

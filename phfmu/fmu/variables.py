@@ -60,8 +60,11 @@ class FMUVariable:
         return self.block not in ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL")
 
 
-def variables(declaration: PHDAE, model: Model) -> tuple[FMUVariable, ...]:
-    """All variables; the place is the value reference.  FMUError lists illegal and repeated names."""
+def variables(declaration: PHDAE, model: Model, node_inputs: bool = False) -> tuple[FMUVariable, ...]:
+    """All variables; the place is the value reference.  FMUError lists illegal and repeated names.
+
+    `node_inputs`: port inputs and outputs at the k nodes of a step too; they come last.
+    """
     table = (
         FMUVariable("time", "independent", "PH_X", model.step.nx, unit="s", description="time"),
         *_starts(declaration.parameters, "parameter", "FMU_PARAMETER", list(model.p0)),
@@ -71,6 +74,7 @@ def variables(declaration: PHDAE, model: Model) -> tuple[FMUVariable, ...]:
         *_algebraics(declaration),
         *_observables(declaration, model),
         *_checks(model),
+        *(_nodes(declaration, model) if node_inputs else ()),
     )
     problems = _problems(table)
     if problems:
@@ -167,6 +171,32 @@ def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
                 yield FMUVariable(name, causality, block, first + i, 1, None, port.output_unit, description=about)
         about = f"energy {text}, supplied since the start"
         yield FMUVariable(f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J", description=about)
+
+
+def _nodes(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
+    """Inputs of external ports at the nodes of a step, then the outputs conjugate to them."""
+    plan = model.step
+    if plan.k == 1:
+        raise FMUError(
+            f"{declaration.name}: a step of order 2 has one node, its inputs are the held ones; inputs at the nodes need "
+            "order 4 or 6"
+        )
+    free = [(p, first) for p, first in ordered_ports(declaration) if p.external]
+    for port, first in free:
+        nominal = _entries(port.nominal, port.n)
+        for j, names in enumerate(port.node_input_names(plan.k)):
+            for i, name in enumerate(names):
+                yield FMUVariable(
+                    name, "input", "FMU_NODE_INPUT", i * plan.nu + first + j, 1, float(model.u0[first + j]), port.input_unit,
+                    abs(nominal[j]) or None, f"{port.input_names()[j]} at t + {model.nodes[i]:.9g} h of the next step",
+                )  # fmt: skip
+    for port, first in free:
+        for j, names in enumerate(port.node_output_names(plan.k)):
+            for i, name in enumerate(names):
+                yield FMUVariable(
+                    name, "output", "FMU_NODE_OUTPUT", i * plan.nq + first + j, 1, None, port.output_unit,
+                    description=f"{port.output_names()[j]} at t + {model.nodes[i]:.9g} h of the last step",
+                )  # fmt: skip
 
 
 def _entries(value: Number, n: int) -> list[float]:

@@ -1,4 +1,5 @@
-/* Inputs of a step: held values, or values at its quadrature nodes carried to substeps. */
+/* Inputs of a step: held values, or values at its quadrature nodes carried to substeps; outputs at these
+ * nodes. */
 #include <string.h>
 
 #include "system.h"
@@ -36,15 +37,22 @@ int ph_set_node_inputs(ph_instance *in, const double *u) {
     return PH_OK;
 }
 
-/* u (nu) = interpolation polynomial of the node values at theta in [0, 1]. */
-void ph_inputs_at(ph_instance *in, double theta, double *u) {
+/* in->basis (k) = Lagrange polynomials of the nodes at theta in [0, 1]. */
+void ph_basis(ph_instance *in, double theta) {
     const ph_plan *p = in->model->step;
-    for (int i = 0; i < p->k && !in->head->held; i++) {
+    for (int i = 0; i < p->k; i++) {
         in->basis[i] = 1.0;
         for (int m = 0; m < p->k; m++)
             if (m != i)
                 in->basis[i] *= (theta - p->nodes[m]) / (p->nodes[i] - p->nodes[m]);
     }
+}
+
+/* u (nu) = interpolation polynomial of the node values at theta in [0, 1]. */
+void ph_inputs_at(ph_instance *in, double theta, double *u) {
+    const ph_plan *p = in->model->step;
+    if (!in->head->held)
+        ph_basis(in, theta);
     for (int j = 0; j < p->nu; j++) {
         u[j] = in->u[j];
         if (in->head->held)
@@ -66,4 +74,25 @@ void ph_resample(ph_instance *in, double from, double length, double *u) {
     }
     for (int i = 0; i < p->k; i++)
         ph_inputs_at(in, from + length * p->nodes[i], u + i * p->nu);
+}
+
+/* Adds the outputs y_m at the nodes of the part [from, from + weight] to those of the communication step,
+ * y_i += weight sum_m (b_m / b_i) l_i(from + weight c_m) y_m: with inputs u(t) = sum_i l_i(t) u_i at the
+ * inner nodes, h sum_i b_i u_i y_i is the energy that was booked. */
+void ph_book_nodes(ph_instance *in, double from, double weight) {
+    const ph_plan *p = in->model->step;
+    const double *y = in->step.r + p->nw;
+    if (p->k == 1)
+        return;
+    if (weight == 1.0) {
+        memcpy(in->y_node, y, sizeof(double) * (size_t)(p->nq * p->k));
+        return;
+    }
+    for (int m = 0; m < p->k && p->nodes; m++) {
+        ph_basis(in, from + weight * p->nodes[m]);
+        for (int i = 0; i < p->k; i++)
+            for (int j = 0; j < p->nq; j++)
+                in->y_node[i * p->nq + j] +=
+                    weight * p->weights[m] / p->weights[i] * in->basis[i] * y[m * p->nq + j];
+    }
 }

@@ -46,6 +46,7 @@ static void lay_state(ph_instance *in, block *b) {
     in->p = doubles(b, p->np);
     in->x_old = doubles(b, p->nx + 1);
     in->u_old = doubles(b, p->nu * p->k);
+    in->y_node = doubles(b, p->k > 1 ? p->nq * p->k : 0);
     in->step.last = doubles(b, p->nw);
     in->step.pivot = ints(b, p->nw);
     in->instant.last = doubles(b, in->model->instant->nw);
@@ -238,6 +239,10 @@ const double *ph_parameters(const ph_instance *in) {
 
 const double *ph_input(const ph_instance *in) {
     return in->u;
+}
+
+const double *ph_node_outputs(const ph_instance *in) {
+    return in->model->step->k > 1 ? in->y_node : in->table + in->offset[PH_Y_STEP];
 }
 
 size_t ph_state_size(const ph_instance *in) {

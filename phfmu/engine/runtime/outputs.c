@@ -55,6 +55,8 @@ void ph_take_instant(ph_instance *in) {
     double *table = in->table;
     memcpy(table + in->offset[PH_A], table + in->offset[PH_A_END], sizeof(double) * (size_t)p->na);
     memcpy(table + in->offset[PH_Y_STEP], table + in->offset[PH_Y_END], sizeof(double) * (size_t)p->nq);
+    for (int i = 0; p->k > 1 && p->nq > 0 && i < p->k; i++)
+        memcpy(in->y_node + i * p->nq, table + in->offset[PH_Y_END], sizeof(double) * (size_t)p->nq);
 }
 
 int ph_initialise(ph_instance *in) {

@@ -110,6 +110,9 @@ PH_API int ph_set_x(ph_instance *in, double t, const double *x); /* x: nx */
 PH_API int ph_set_algebraic(ph_instance *in, const double *a);   /* a: na, start values */
 PH_API const double *ph_parameters(const ph_instance *in);       /* np */
 PH_API const double *ph_input(const ph_instance *in);            /* k*nu */
+/* k*nq, node-major: pair outputs that belong to the node inputs of the last communication step of length h,
+ * h sum_i weights[i] u[i] y[i] = energy through the pair, exactly, for any number of internal steps. */
+PH_API const double *ph_node_outputs(const ph_instance *in);
 
 /* One step over [t, t+h]; ph_step_parts takes it as n equal internal steps. h < 0 goes back in time: the
  * schemes are symmetric, so a step and the same step back give the old state to rounding. h = 0 leaves the

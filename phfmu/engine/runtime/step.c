@@ -13,8 +13,9 @@ static void add(double *sum, double *rest, double term) {
     *sum = t;
 }
 
-/* Ledger, means and state after a converged solve; weight = part of the communication step. */
-static void accept(ph_instance *in, double h, double weight) {
+/* Ledger, means and state after a converged solve of the part [from, from + weight] of the communication
+ * step. */
+static void accept(ph_instance *in, double h, double from, double weight) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     double *x = in->table, *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
@@ -44,6 +45,7 @@ static void accept(ph_instance *in, double h, double weight) {
         double part = weight * p->mean_c[l] * s->y[p->mean_w[l]];
         a[p->mean_a[l]] += p->mean_pow[l] < 0 ? part / h : part;
     }
+    ph_book_nodes(in, from, weight);
     for (int l = 0; l < p->nupdate; l++)
         add(&x[p->update_x[l]], &in->rest[p->update_x[l]], p->update_c[l] * s->y[p->update_w[l]]);
     memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
@@ -65,7 +67,7 @@ static int advance(ph_instance *in, double t, double h, double from, double weig
         in->report.h = h * weight;
         return status;
     }
-    accept(in, h * weight, weight);
+    accept(in, h * weight, from, weight);
     in->head->parts++;
     return PH_OK;
 }
@@ -106,6 +108,7 @@ static void begin(ph_instance *in, double h) {
         clear(in->row[i], p->ncomp);
     clear(in->row[PH_ROW_PAIRS], p->nq);
     clear(in->table + in->offset[PH_Y_STEP], p->nq);
+    clear(in->y_node, p->k > 1 ? p->nq * p->k : 0);
     for (int l = 0; l < p->nmean; l++)
         a[p->mean_a[l]] = 0.0;
     in->head->parts = 0;

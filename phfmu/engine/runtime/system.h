@@ -94,10 +94,11 @@ struct ph_instance {
     double *rest;       /* nx: what compensated summation still owes x */
     double *table_rest; /* nq + 3 ncomp: the same for the cumulative energies */
     double *row[PH_NROW];
-    double *u;     /* nu*k */
-    double *p;     /* np */
-    double *x_old; /* nx+1: at the start of the last step */
-    double *u_old; /* nu*k: inputs of the last step */
+    double *u;      /* nu*k */
+    double *p;      /* np */
+    double *x_old;  /* nx+1: at the start of the last step */
+    double *u_old;  /* nu*k: inputs of the last step */
+    double *y_node; /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
 
     /* Work space. */
     ph_system step, instant;
@@ -112,6 +113,8 @@ struct ph_instance {
 int ph_finite(const double *values, int n);
 void ph_resample(ph_instance *in, double from, double length, double *u);
 void ph_inputs_at(ph_instance *in, double theta, double *u);
+void ph_basis(ph_instance *in, double theta);
+void ph_book_nodes(ph_instance *in, double from, double weight);
 void ph_seed(ph_instance *in, const double *a);
 void ph_take_instant(ph_instance *in); /* step means = values at the present time */
 

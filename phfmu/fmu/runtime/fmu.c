@@ -16,7 +16,7 @@ static size_t padded(size_t bytes) {
 static fmu *allocate(const fmu_interface *about, const char *name) {
     const ph_plan *p = about->model->step;
     const size_t model = ph_size(about->model), length = strlen(name) + 1, nu = (size_t)p->nu;
-    const size_t values = (size_t)p->nx + (size_t)p->np + nu + 2 * nu * nu;
+    const size_t values = (size_t)p->nx + (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu;
     char *block;
     fmu *f;
     double *place;
@@ -32,7 +32,7 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     f->x = place;
     f->p = f->x + p->nx;
     f->u = f->p + p->np;
-    f->step_map = f->u + nu;
+    f->step_map = f->u + nu * (size_t)p->k;
     f->end_map = f->step_map + nu * nu;
     f->name = (char *)(f->end_map + nu * nu);
     memcpy(f->name, name, length);

@@ -16,8 +16,17 @@ enum { FMU_OK = 0, FMU_WARNING = 1, FMU_ERROR = 3 };
 /* Modes of an instance; functions name the ones they are allowed in as a mask. */
 enum { FMU_INSTANTIATED = 1, FMU_INITIALIZATION = 2, FMU_STEP = 4, FMU_TERMINATED = 8, FMU_ANY = 15 };
 
-/* Places of values that are not in the signal table; the rows of the ledger in the order of ph_row. */
-enum { FMU_PARAMETER = PH_NBLOCK, FMU_INPUT, FMU_ROW_STORED, FMU_ROW_DISSIPATED, FMU_ROW_SUPPLIED };
+/* Places of values that are not in the signal table; the rows of the ledger in the order of ph_row. An
+ * input is held: it stands for the values at all nodes of a step, of which FMU_NODE_INPUT is one. */
+enum {
+    FMU_PARAMETER = PH_NBLOCK,
+    FMU_INPUT,
+    FMU_ROW_STORED,
+    FMU_ROW_DISSIPATED,
+    FMU_ROW_SUPPLIED,
+    FMU_NODE_INPUT,
+    FMU_NODE_OUTPUT
+};
 
 /* The value is the sum of `count` entries of a block from `first` on; the value reference is the
  * place of the variable in its table. */
@@ -72,7 +81,7 @@ struct fmu {
     void *environment;
     char *name;                 /* owned */
     int offset[PH_NBLOCK + 1];  /* of the signal table */
-    double *x, *u, *p;          /* nx, nu, np: values being set */
+    double *x, *u, *p;          /* nx, nu*k, np: values being set */
     double *step_map, *end_map; /* nu*nu sensitivities, row-major */
     int step_known, end_known;  /* whether they belong to the present time */
 };

@@ -19,7 +19,11 @@ static int input_place(const fmu *f, const char *function, unsigned ref) {
     const fmu_variable *v = ref < (unsigned)f->about->nvariable ? &f->about->variables[ref] : NULL;
     if (v && v->block == FMU_INPUT)
         return v->first;
-    fmu_refuse(f, "%s: '%s' is not an input of a port", function, v ? v->name : "?");
+    if (v && v->block == FMU_NODE_INPUT)
+        fmu_refuse(f, "%s: '%s' is an input at a node; derivatives are with respect to held inputs", function,
+                   v->name);
+    else
+        fmu_refuse(f, "%s: '%s' is not an input of a port", function, v ? v->name : "?");
     return -1;
 }
 

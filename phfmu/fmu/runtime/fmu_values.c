@@ -14,10 +14,9 @@ static const fmu_variable *find(const fmu *f, const char *function, unsigned ref
 
 /* Whether a block is the result of solving at the present time; before the first step means are too. */
 static int solved(const fmu *f, int block) {
-    if (block >= PH_NBLOCK)
-        return 0;
-    return block >= PH_A_END ||
-           (f->phase.mode == FMU_INITIALIZATION && (block == PH_A || block == PH_Y_STEP));
+    if (block == PH_A || block == PH_Y_STEP || block == FMU_NODE_OUTPUT)
+        return f->phase.mode == FMU_INITIALIZATION;
+    return block >= PH_A_END && block < PH_NBLOCK;
 }
 
 /* Where the entries of a block begin. */
@@ -26,7 +25,10 @@ static const double *block_of(const fmu *f, int block) {
     case FMU_PARAMETER:
         return ph_parameters(f->in);
     case FMU_INPUT:
+    case FMU_NODE_INPUT:
         return ph_input(f->in);
+    case FMU_NODE_OUTPUT:
+        return ph_node_outputs(f->in);
     case FMU_ROW_STORED:
     case FMU_ROW_DISSIPATED:
     case FMU_ROW_SUPPLIED:
@@ -37,8 +39,11 @@ static const double *block_of(const fmu *f, int block) {
 }
 
 static double value_of(const fmu *f, const fmu_variable *v) {
+    const ph_plan *p = f->about->model->step;
     const double *from = block_of(f, v->block);
     double sum = from[v->first];
+    for (int i = 1; v->block == FMU_INPUT && i < p->k; i++) /* of values at nodes, their mean */
+        sum += p->weights[i] * (from[i * p->nu + v->first] - from[v->first]);
     for (int i = 1; i < v->count; i++)
         sum += from[v->first + i];
     return sum;
@@ -72,7 +77,7 @@ static int check_set(const fmu *f, const char *function, unsigned ref, double va
     if (!v)
         return FMU_ERROR;
     start = v->block == FMU_PARAMETER || (v->block == PH_X && v->first < nx);
-    if (!start && v->block != FMU_INPUT)
+    if (!start && v->block != FMU_INPUT && v->block != FMU_NODE_INPUT)
         return fmu_refuse(f, "%s: '%s' is calculated and cannot be set", function, v->name);
     if (start && !(f->phase.mode & (FMU_INSTANTIATED | FMU_INITIALIZATION)))
         return fmu_refuse(f, "%s: '%s' is fixed after initialization", function, v->name);
@@ -86,27 +91,51 @@ static void copy(double *to, const double *from, int n) {
         memcpy(to, from, sizeof(double) * (size_t)n);
 }
 
+/* Where the value of a variable goes; notes what changes: parameters, inputs, states. */
+static double *place_of(fmu *f, const fmu_variable *v, int *changed) {
+    switch (v->block) {
+    case FMU_PARAMETER:
+        changed[0] = 1;
+        return f->p + v->first;
+    case FMU_INPUT:
+    case FMU_NODE_INPUT:
+        changed[1] = 1;
+        return f->u + v->first;
+    default:
+        changed[2] = 1;
+        return f->x + v->first;
+    }
+}
+
+/* Inputs that are the same at all nodes are held. */
+static int set_inputs(fmu *f) {
+    const ph_plan *p = f->about->model->step;
+    for (int i = p->nu; i < p->nu * p->k; i++)
+        if (f->u[i] != f->u[i - p->nu])
+            return ph_set_node_inputs(f->in, f->u);
+    return ph_set_input(f->in, f->u);
+}
+
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values) {
     const ph_plan *plan = f ? f->about->model->step : NULL;
-    int states = 0, inputs = 0, parameters = 0;
+    int changed[3] = {0};
     if (fmu_allow(f, function, FMU_INSTANTIATED | FMU_INITIALIZATION | FMU_STEP))
         return FMU_ERROR;
     for (size_t i = 0; i < n; i++)
         if (check_set(f, function, ref[i], values[i]))
             return FMU_ERROR;
     copy(f->x, ph_signals(f->in), plan->nx);
-    copy(f->u, ph_input(f->in), plan->nu);
+    copy(f->u, ph_input(f->in), plan->nu * plan->k);
     copy(f->p, ph_parameters(f->in), plan->np);
     for (size_t i = 0; i < n; i++) {
         const fmu_variable *v = &f->about->variables[ref[i]];
-        int *changed = v->block == FMU_INPUT ? &inputs : v->block == FMU_PARAMETER ? &parameters : &states;
-        double *to = v->block == FMU_INPUT ? f->u : v->block == FMU_PARAMETER ? f->p : f->x;
-        to[v->first] = values[i];
-        *changed = 1;
+        double *to = place_of(f, v, changed);
+        for (int node = 0; node < (v->block == FMU_INPUT ? plan->k : 1); node++)
+            to[node * plan->nu] = values[i];
     }
     f->end_known = 0;
-    if ((parameters && ph_set_parameters(f->in, f->p)) || (states && ph_set_x(f->in, fmu_time(f), f->x)) ||
-        (inputs && ph_set_input(f->in, f->u)))
+    if ((changed[0] && ph_set_parameters(f->in, f->p)) ||
+        (changed[2] && ph_set_x(f->in, fmu_time(f), f->x)) || (changed[1] && set_inputs(f)))
         return fmu_refuse(f, "%s: the values were refused", function);
     return FMU_OK;
 }
