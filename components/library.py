@@ -10,6 +10,7 @@ _E, _M, _S = "phfmu.components.electrical.", "phfmu.components.mechanical.", "ph
 
 LIBRARY: dict[str, tuple[str, str, str]] = {
     "synchronous_machine": ("component", _E + "synchronous_machine", "field and damper windings, abc terminals"),
+    "machine_at_bus": ("component", _E + "synchronous_machine", "machine with its line folded in: no bare node"),
     "rl_line": ("component", _E + "rl_line", "three-phase series line"),
     "infinite_bus": ("component", _E + "infinite_bus", "stiff three-phase grid"),
     "rlc_load": ("component", _E + "rlc_load", "three-phase parallel R, L, C to ground"),
@@ -26,6 +27,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "drive": ("scene", _S + "drive", "DC motor, flexible shaft and load inertia"),
     "smib": ("scene", _S + "smib", "turbo generator at an infinite bus, torque step"),
     "smib_hydro": ("scene", _S + "smib", "hydro generator at an infinite bus, torque step"),
+    "smib_folded": ("scene", _S + "smib", "smib with the line folded into the machine: full order"),
     "two_machine": ("scene", _S + "two_machine", "two machines, line, load, three-phase fault"),
 }
 

@@ -8,7 +8,7 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import current_source, voltage_source
 from phfmu.components.electrical.switch import fault_resistor
-from phfmu.components.electrical.synchronous_machine import synchronous_machine
+from phfmu.components.electrical.synchronous_machine import machine_at_bus, synchronous_machine
 
 __all__ = [
     "MachineData",
@@ -18,6 +18,7 @@ __all__ = [
     "dc_motor",
     "fault_resistor",
     "infinite_bus",
+    "machine_at_bus",
     "machine_names",
     "machine_set",
     "operating_point",

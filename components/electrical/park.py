@@ -23,7 +23,8 @@ def park_matrix(theta: ca.SX) -> ca.SX:
 class Inductances:
     """Inductances of a machine as parameters, named Ld, Lq, L0, M_f, .., L_ff, L_fkd, ..
 
-    M: with each rotor winding; rotor: (i, j) -> L_ij of two windings on one axis, i <= j.
+    M: with each rotor winding; rotor: (i, j) -> L_ij of two windings on one axis, i <= j.  `line`: inductance per phase
+    in series with the stator; it adds to Ld, Lq and L0, because it is the same in all frames.
     """
 
     Ld: Variable
@@ -32,10 +33,17 @@ class Inductances:
     M: tuple[Variable, ...]
     rotor: dict[tuple[int, int], Variable]
     axis: tuple[str, ...]
+    line: Variable | None = None
 
     @property
     def parameters(self) -> tuple[Variable, ...]:
-        return (self.Ld, self.Lq, self.L0, *self.M, *self.rotor.values())
+        return (self.Ld, self.Lq, self.L0, *self.M, *self.rotor.values(), *(() if self.line is None else (self.line,)))
+
+    @property
+    def stator(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Inductances d, q, 0 of the stator with what is in series."""
+        line = ca.SX(0) if self.line is None else self.line.sx
+        return self.Ld + line, self.Lq + line, self.L0 + line
 
     def rotor_entry(self, i: int, j: int) -> ca.SX:
         """L_ij of rotor windings i and j; 0 across the axes."""
@@ -45,9 +53,8 @@ class Inductances:
     def axis_block(self, axis: str) -> tuple[list[int], ca.SX]:
         """Positions in (d, q, 0, rotor) of the windings on `axis` and their inductance matrix."""
         rotor = [j for j, a in enumerate(self.axis) if a == axis]
-        stator = self.Ld if axis == "d" else self.Lq
         L = ca.SX(1 + len(rotor), 1 + len(rotor))
-        L[0, 0] = stator.sx
+        L[0, 0] = self.stator[0 if axis == "d" else 1]
         for a, i in enumerate(rotor):
             L[0, 1 + a] = L[1 + a, 0] = COUPLING * self.M[i].sx
             for b, j in enumerate(rotor):
@@ -55,8 +62,8 @@ class Inductances:
         return [0 if axis == "d" else 1, *(3 + j for j in rotor)], L
 
 
-def inductances(data: MachineData) -> Inductances:
-    """Parameters with the values of `data`."""
+def inductances(data: MachineData, line: Variable | None = None) -> Inductances:
+    """Parameters with the values of `data`; `line`: inductance in series with the stator."""
     names = data.windings
     same = [(i, j) for i in range(len(names)) for j in range(i, len(names)) if data.axis[i] == data.axis[j]]
     return Inductances(
@@ -72,6 +79,7 @@ def inductances(data: MachineData) -> Inductances:
             for i, j in same
         },
         data.axis,
+        line,
     )
 
 
@@ -80,7 +88,7 @@ def magnetic_energy(flux: ca.SX, L: Inductances) -> ca.SX:
 
     Per axis: sum y_k^2 / (2 D_k) with the factors L = M D M^T, psi = M y.
     """
-    total = flux[2] ** 2 / (2 * L.L0.sx)
+    total = flux[2] ** 2 / (2 * L.stator[2])
     for axis in ("d", "q"):
         where, block = L.axis_block(axis)
         y, work = [flux[i] for i in where], ca.SX(block)
@@ -98,8 +106,9 @@ def phase_inductance(theta: ca.SX, L: Inductances) -> tuple[ca.SX, ca.SX, ca.SX]
     """L(theta) = constant + first + second harmonic (n x n each), order a, b, c, rotor."""
     n = 3 + len(L.axis)
     constant, first, second = (ca.SX(n, n) for _ in range(3))
-    mean, saliency = (L.Ld.sx + L.Lq.sx) / 2, (L.Ld.sx - L.Lq.sx) / 3
-    mutual = (mean - L.L0.sx) / 3
+    Ld, Lq, L0 = L.stator
+    mean, saliency = (Ld + Lq) / 2, (Ld - Lq) / 3
+    mutual = (mean - L0) / 3
     for i, a in enumerate(ALPHA):
         for j, b in enumerate(ALPHA):
             constant[i, j] = mean - mutual if i == j else -mutual

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -23,7 +24,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.electrical.machine_data import MachineData, machine_set
-from phfmu.components.electrical.machine_init import OperatingPoint, steady_state
+from phfmu.components.electrical.machine_init import OperatingPoint, operating_point, steady_state
 from phfmu.components.electrical.park import (
     Inductances,
     inductances,
@@ -64,18 +65,65 @@ def synchronous_machine(
     Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, Example 4, Appendix B; Kundur 1994, chapter 3.
     """
     data = machine_set(machine)
+    return _build(data, coordinates, start or steady_state(data), None)
+
+
+def machine_at_bus(
+    machine: str | Mapping[str, Any] | MachineData = "kundur555_1q",
+    R: float | None = None,
+    L: float | None = None,
+    *,
+    coordinates: Coordinates = "dq-flux",
+    start: OperatingPoint | None = None,
+) -> PHDAE:
+    """`synchronous_machine` behind a series line, its terminal at the far end: there is no node in between.
+
+    psi' = v - (Ra + R_line) I,   psi = (L(theta) + L_line) I on the stator; the rest as in `synchronous_machine`
+
+    The line's inductance per phase is the same in abc and in the rotor frame, so it adds to Ld, Lq, L0: the node between
+    machine and line, where only inductors meet (index 2), is gone, and all states have the order of the scheme.
+    states, ports, observables: those of the machine; psi and flux include the line; terminal: the far end
+    parameters:  those of the machine, R_line [ohm], L_line [H] per phase
+    R, L: of the line (default: 0.02 and 0.3 of the base impedance).  `start`: of the machine at its own terminals, which
+    the start value of the terminal voltage turns into the far end's for a balanced steady state.
+    """
+    data = machine_set(machine)
+    base = data.Vn_rms_ll**2 / data.Sn
+    R, L = 0.02 * base if R is None else R, 0.3 * base / data.omega if L is None else L
+    if not L >= 0 or not R >= 0:
+        raise ValueError(f"machine_at_bus: R = {R} ohm and L = {L} H of the line must not be negative")
+    near = start or steady_state(data)
+    folded = machine_set(data, Ld=data.Ld + L, Lq=data.Lq + L, L0=data.L0 + L)
+    far = operating_point(
+        folded, near.I, near.p, near.theta, v=_far_end(near, R, L, data.omega), Vf=near.Vf, tau=near.tau
+    )
+    model = _build(data, coordinates, far, (R, L))
+    return replace(model, name="machine_at_bus", description=f"{model.description}, behind a line")
+
+
+def _far_end(near: OperatingPoint, R: float, L: float, omega: float) -> list[float]:
+    """Voltages v + R i + L i' with i' of balanced currents: i_a' = omega (i_c - i_b) / sqrt(3)."""
+    i = near.I[:3]
+    return [near.v[x] + R * i[x] + L * omega * (i[x - 1] - i[x - 2]) / 3.0**0.5 for x in range(3)]
+
+
+def _build(
+    data: MachineData, coordinates: Coordinates, start: OperatingPoint, line: tuple[float, float] | None
+) -> PHDAE:
     builders = {"dq-flux": _dq_flux, "abc-flux": _abc_flux, "current": _current}
     if coordinates not in builders:
         raise ValueError(f"coordinates '{coordinates}' unknown; there are: {', '.join(builders)}")
-    return builders[coordinates](_Common(data, start or steady_state(data)))
+    return builders[coordinates](_Common(data, start, line))
 
 
 class _Common:
     """What the three coordinate systems share: parameters, p, theta, ports, friction, kinetic energy."""
 
-    def __init__(self, data: MachineData, start: OperatingPoint):
+    def __init__(self, data: MachineData, start: OperatingPoint, line: tuple[float, float] | None):
         self.data, self.start = data, start
-        self.L: Inductances = inductances(data)
+        self.R_line = None if line is None else parameter("R_line", line[0], unit="ohm", description="line, per phase")
+        L_line = None if line is None else parameter("L_line", line[1], unit="H", description="line, per phase")
+        self.L: Inductances = inductances(data, L_line)
         self.J = parameter("J", data.J, unit="kg.m2", description="inertia")
         self.d = parameter("d", data.d, unit="N.m.s/rad", description="friction torque per speed")
         self.Ra = parameter("Ra", data.Ra, unit="ohm", description="stator resistance")
@@ -147,11 +195,13 @@ class _Common:
             nominal=data.pole_pairs * data.Sn / data.omega,
             description="a positive torque accelerates",
         )
-        R = ca.diag(ca.vertcat(self.Ra, self.Ra, self.Ra, *self.R))
+        stator_R = self.Ra.sx if self.R_line is None else self.Ra + self.R_line
+        line = () if self.R_line is None else (self.R_line,)
+        R = ca.diag(ca.vertcat(stator_R, stator_R, stator_R, *self.R))
         return PHDAE(
             "synchronous_machine",
             states=(windings, self.p, self.theta),
-            parameters=(self.J, self.d, self.Ra, *self.R, *self.L.parameters),
+            parameters=(self.J, self.d, self.Ra, *self.R, *self.L.parameters, *line),
             structure=(skew(self.theta, self.p, 1), *extra.pop("structure", ())),
             dissipation=(block([windings], R), damping(self.p, self.d_el)),
             ports=(terminal, field, shaft),

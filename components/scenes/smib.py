@@ -5,12 +5,12 @@ from __future__ import annotations
 from cmath import phase
 from math import sqrt
 
-from phfmu import Event, Network, Scene
+from phfmu import PHDAE, Event, Network, Scene
 from phfmu.components.electrical.infinite_bus import infinite_bus
-from phfmu.components.electrical.machine_data import machine_set
-from phfmu.components.electrical.machine_init import steady_state
+from phfmu.components.electrical.machine_data import MachineData, machine_set
+from phfmu.components.electrical.machine_init import OperatingPoint, steady_state
 from phfmu.components.electrical.rl_line import rl_line
-from phfmu.components.electrical.synchronous_machine import Coordinates, synchronous_machine
+from phfmu.components.electrical.synchronous_machine import Coordinates, machine_at_bus, synchronous_machine
 
 
 def smib(machine: str = "kundur555_1q", *, coordinates: Coordinates = "dq-flux", name: str = "smib") -> Scene:
@@ -19,19 +19,43 @@ def smib(machine: str = "kundur555_1q", *, coordinates: Coordinates = "dq-flux",
     Line per phase R = 0.02, X = 0.3 of the machine's base impedance; the machine's bus has no capacitor (index 2).
     Source of the machine data: Kundur 1994 (kundur555_1q), Krause et al. 2013 (krause_hydro325); d = 50 N.m.s/rad.
     """
+    data, start, R, L, grid = _circuit(machine)
+    net = Network(name, description=f"{machine} at an infinite bus, torque step at 0.5 s")
+    net.add("gen", synchronous_machine(data, coordinates=coordinates, start=start))
+    net.add("line", rl_line(R, L, i=[-x for x in start.I[:3]], v=data.Vn_rms_ll * sqrt(2.0 / 3.0)))
+    net.add("grid", grid)
+    net.junction("bus1", ["gen.terminal", "line.a"])
+    net.junction("bus2", ["line.b", "grid.terminal"])
+    return _scene(name, net, start)
+
+
+def smib_folded(
+    machine: str = "kundur555_1q", *, coordinates: Coordinates = "dq-flux", name: str = "smib_folded"
+) -> Scene:
+    """`smib` with the line folded into the machine: the same currents and angle, but no node without capacitor.
+
+    Index 1, so that all states have the order of the scheme.  bus1 with its voltage does not appear.
+    """
+    data, start, R, L, grid = _circuit(machine)
+    net = Network(name, description=f"{machine} with its line at an infinite bus, torque step at 0.5 s")
+    net.add("gen", machine_at_bus(data, R, L, coordinates=coordinates, start=start))
+    net.add("grid", grid)
+    net.connect("gen.terminal", "grid.terminal", name="bus2")
+    return _scene(name, net, start)
+
+
+def _circuit(machine: str) -> tuple[MachineData, OperatingPoint, float, float, PHDAE]:
+    """Machine, its start, line R and L, and the grid that feeds it."""
     data = machine_set(machine, d=50.0)
-    start = steady_state(data)
     base = data.Vn_rms_ll**2 / data.Sn
     R, L = 0.02 * base, 0.3 * base / data.omega
     v = data.Vn_rms_ll * sqrt(2.0 / 3.0)
     i = -(complex(0.8, 0.2) * data.Sn / (1.5 * v)).conjugate()  # current into the machine
     grid = v + (R + 1j * data.omega * L) * i
-    net = Network(name, description=f"{machine} at an infinite bus, torque step at 0.5 s")
-    net.add("gen", synchronous_machine(data, coordinates=coordinates, start=start))
-    net.add("line", rl_line(R, L, i=[-x for x in start.I[:3]], v=v))
-    net.add("grid", infinite_bus(abs(grid), data.fn, phase(grid), i=abs(i)))
-    net.junction("bus1", ["gen.terminal", "line.a"])
-    net.junction("bus2", ["line.b", "grid.terminal"])
+    return data, steady_state(data), R, L, infinite_bus(abs(grid), data.fn, phase(grid), i=abs(i))
+
+
+def _scene(name: str, net: Network, start: OperatingPoint) -> Scene:
     step = Event(0.5, "gen.shaft.torque", 1.1 * start.tau)
     return Scene(name, net, stop=5.0, step=1e-4, events=(step,), description=net.description)
 
