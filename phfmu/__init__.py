@@ -18,6 +18,7 @@ _WHERE = {
     ),
     "phfmu.declare.transformation": ("SystemTransformation", "keeping_E"),
     "phfmu.declare.descriptor": ("reduce_descriptor",),
+    "phfmu.declare.parametrised": ("Parametrised",),
     "phfmu.discretise.discrete_pair": ("DiscretePair", "discrete_pair", "inverse_jacobian", "with_closed_pair"),
     "phfmu.declare.check": ("check", "Problem"),
     "phfmu.discretise.collocated": ("Collocated",),
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from phfmu.declare.energy import (
         strain_energy as strain_energy,
     )
+    from phfmu.declare.parametrised import Parametrised as Parametrised
     from phfmu.declare.phdae import (
         PHDAE as PHDAE,
     )

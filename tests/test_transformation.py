@@ -115,7 +115,7 @@ def test_starts_units_names_and_ports_carry_over():
     assert [v.name for v in declaration.states] == ["r", "phi", "p_r", "p_t"]
 
 
-@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+@pytest.mark.parametrize("engine", [PythonInstance, pytest.param(NativeInstance, marks=pytest.mark.slow)])
 def test_the_pair_of_the_old_coordinates_gives_the_same_steps(engine):
     """Theorem 9 in the engines: nonlinear phi, constant U, J, R, B: phi(x~_k) = x_k to rounding, for 100 large steps."""
     model, variables = plane()
