@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, sin
 
 import casadi as ca
 
@@ -12,10 +13,14 @@ from phfmu.components.electrical.machine_init import ALPHA
 
 
 def park_matrix(theta: ca.SX) -> ca.SX:
-    """Orthonormal Park matrix T(theta) (3 x 3), rows d, q, 0; q leads d by 90 degrees; T T^T = 1."""
-    s = (2.0 / 3.0) ** 0.5
-    d = ca.horzcat(*(s * ca.cos(theta - a) for a in ALPHA))
-    q = ca.horzcat(*(-s * ca.sin(theta - a) for a in ALPHA))
+    """Orthonormal Park matrix T(theta) (3 x 3), rows d, q, 0; q leads d by 90 degrees; T T^T = 1.
+
+    The three angles theta - alpha share one sine and one cosine: they are most of a machine's cost.
+    """
+    k = (2.0 / 3.0) ** 0.5
+    c, s = ca.cos(theta), ca.sin(theta)
+    d = ca.horzcat(*(k * (cos(a) * c + sin(a) * s) for a in ALPHA))
+    q = ca.horzcat(*(k * (sin(a) * c - cos(a) * s) for a in ALPHA))
     return ca.vertcat(d, q, ca.SX.ones(1, 3) / 3.0**0.5)
 
 
