@@ -40,9 +40,9 @@ class Buffered:
         self._args = [np.zeros(f.nnz_in(i)) for i in range(f.n_in())]
         self._out = [np.zeros(f.nnz_out(i)) for i in range(f.n_out())]
         for i, a in enumerate(self._args):
-            self._buffer.set_arg(i, memoryview(a.data))
+            self._buffer.set_arg(i, memoryview(a))  # type: ignore
         for i, a in enumerate(self._out):
-            self._buffer.set_res(i, memoryview(a.data))
+            self._buffer.set_res(i, memoryview(a))  # type: ignore
         self._output = output
 
     def __call__(self, *values: Array | float) -> Array:

@@ -12,7 +12,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.options import add_settings
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
-    parser.add_argument("target", help=TARGET)
+    parser.add_argument("target", help=f"{TARGET} | scaling")
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument("--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT],... (default: what fits the target)")
     parser.add_argument("--engines", metavar="LIST", default="native", help="native, python (default native)")
@@ -28,6 +28,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--errors", metavar="LIST", help="error levels at which costs are compared")
     parser.add_argument("--repeat", type=int, default=5, help="timed runs per row, the median counts (default 5)")
     parser.add_argument("--peers", metavar="LIST", default="all", help="all, none or names with commas (default all)")
+    parser.add_argument("--families", metavar="LIST", help="scaling: chain, net, ladder (default: all)")
+    parser.add_argument("--sizes", metavar="LIST", help="scaling: sizes n (default: those of the family)")
     parser.add_argument("--reference", metavar="CSV", help="states at the times: column time and one per state")
     add_settings(parser)
     parser.add_argument("-o", "--output", default="bench", metavar="DIR", help="folder of the files (default: bench)")
@@ -38,7 +40,24 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.bench.machine import one_thread
 
     one_thread()
+    if args.target == "scaling":
+        return _scaling(args)
     return _paper(args) if args.paper else _compare(args)
+
+
+def _scaling(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.bench.scaling import report
+    from phfmu.cli import FINE
+
+    sizes = _numbers("--sizes", args.sizes)
+    if any(n != int(n) for n in sizes):
+        raise ValueError(f"--sizes {args.sizes}: expected whole numbers with commas between, e.g. 10,100,1000")
+    with _Progress() as progress:
+        lines = report(_names(args.families), [int(n) for n in sizes], Path(args.output), progress)
+    print("\n".join(lines))
+    return FINE
 
 
 def _compare(args: argparse.Namespace) -> int:

@@ -67,7 +67,21 @@ def elimination_order(
     order = [i for q in quotient for i in members[q]]
     row_of = {int(c): int(r) for r, c in enumerate(full)}
     pivot = [c if has_diagonal[c] else (c if has_diagonal[partner[c]] else row_of[c]) for c in order]
-    return np.array(order, np.int32), np.array(pivot, np.int32)
+    return np.array(order, np.int32), np.array(_distinct(pivot, order, merged), np.int32)
+
+
+def _distinct(pivot: list[int], order: list[int], node: NDArray[np.int_]) -> list[int]:
+    """`pivot` with every row once: a row chosen before is replaced by one of its node that nobody chose, else -1."""
+    left: dict[int, list[int]] = {}
+    for r in sorted(set(order).difference(pivot)):
+        left.setdefault(int(node[r]), []).append(r)
+    taken: set[int] = set()
+    for j, c in enumerate(order):
+        if pivot[j] in taken:
+            free = left.get(int(node[c]))
+            pivot[j] = free.pop() if free else -1
+        taken.add(pivot[j])
+    return pivot
 
 
 def _root(node: NDArray[np.int_], i: int) -> int:

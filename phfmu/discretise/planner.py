@@ -228,6 +228,5 @@ def _with_diagonal(layout: Layout, m: Products) -> tuple[Products, NDArray[np.in
     start = np.concatenate([m.ptr[:-1], np.zeros(len(weak), np.int32)])
     order = np.lexsort((row, col))
     ptr = np.concatenate([[0], np.cumsum(length[order])]).astype(np.int32)
-    entries = [np.arange(s, s + n) for s, n in zip(start[order], length[order], strict=True)]
-    pick = np.concatenate(entries) if entries else np.zeros(0, int)
+    pick = np.repeat(start[order] - ptr[:-1], length[order]) + np.arange(ptr[-1])
     return Products(row[order], col[order], ptr, m.s[pick], m.t[pick], m.value[pick], m.power[pick]), weak

@@ -24,4 +24,5 @@ def check_scales(terms: Terms, checks: list[Check], x0: Array, p0: Array) -> Arr
     parameters = ca.vertcat(*(p.sx for p in model.parameters))
     rows = check_rows(terms, checks)
     jac = ca.Function("j", [model.x, parameters, time], [ca.jacobian(ca.vertcat(*rows), model.x)])
-    return np.abs(np.array(jac(x0, p0, 0.0))) @ size + 1e-300
+    sizes = ca.fabs(jac(x0, p0, 0.0)) @ size  # sparse: rows x states would not fit for large models
+    return np.array(sizes).ravel() + 1e-300

@@ -126,6 +126,11 @@ class NativeInstance:
         return result
 
     @property
+    def memory_size(self) -> int:
+        """Bytes of the instance's block and of the tables it points to."""
+        return self._memory.nbytes + self._tables.size
+
+    @property
     def time(self) -> float:
         return float(self._table[self.model.step.nx])
 

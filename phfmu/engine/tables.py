@@ -203,6 +203,11 @@ class CTables:
         self._model = self._fill("ph_model", model, derived)
         self.pointer = ctypes.addressof(self._model)
 
+    @property
+    def size(self) -> int:
+        """Bytes of the tables."""
+        return sum(k.nbytes if isinstance(k, np.ndarray) else ctypes.sizeof(k) for k in self._keep)
+
     def _plan(self, plan: Plan) -> int:
         derived = _plan_values(plan, self._index)
         rows = [self._fill("ph_group", g, values) for g, values in derived["groups"]]

@@ -1,0 +1,53 @@
+"""Models that grow with a number n."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from phfmu.declare.phdae import PHDAE
+
+
+@dataclass(frozen=True)
+class Family:
+    """`build(n)` with the step [s] it is stepped with; `parts`: what n counts, `count(n)`: how many of them."""
+
+    name: str
+    parts: str
+    build: Callable[[int], PHDAE]
+    step: float
+    sizes: tuple[int, ...]
+    count: Callable[[int], int] = lambda n: n
+
+
+def chain(n: int) -> PHDAE:
+    """n unit masses on unit bars from the origin, let go from the horizontal."""
+    from phfmu.components.mechanical.multibody import Multibody
+
+    body = Multibody(f"chain_{n}", description=f"pendulum chain of {n} links")
+    body.gravity((0.0, 0.0, -9.81))
+    last = body.support((0.0, 0.0, 0.0))
+    for i in range(n):
+        particle = body.particle(1.0, (i + 1.0, 0.0, 0.0))
+        body.bar(last, particle, 1.0)
+        last = particle
+    return body.build()
+
+
+def net(n: int) -> PHDAE:
+    from phfmu.components.mechanical.net import net
+
+    return net(n)
+
+
+def ladder(n: int) -> PHDAE:
+    from phfmu.components.scenes.ladder import ladder
+
+    return ladder(n).declaration()
+
+
+FAMILIES: dict[str, Family] = {
+    "chain": Family("chain", "links", chain, 1e-2, (10, 30, 100, 300, 1000)),
+    "net": Family("net", "particles", net, 1e-3, (4, 8, 16, 32), lambda n: n * n),
+    "ladder": Family("ladder", "machines", ladder, 1e-4, (3, 10, 30, 100)),
+}
