@@ -113,23 +113,27 @@ def strain(c: ca.SX, phi: ca.SX, s: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gra
     Cd_i = grad C(X_i)^T D_i,  Chat(t) = C(x) + sum_j (int_0^t l_j) Cd_j,  S_i = 1/b_i sum_q w_q l_i phi'(Chat(t_q)).
     `phi` is an expression of the scalar symbol `s`.  Linear and angular momentum maps of C are kept.
     """
-    grad_c, dphi = ca.gradient(c, x), ca.gradient(phi, s)
+    grad_c = ca.gradient(c, x)
     g = [at(grad_c, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
     cd = ca.horzcat(*(ca.dot(g[i], d[:, i]) for i in range(nd.k)))
+    node, dh = stress(phi, s, c, cd, nd)
+    return ca.horzcat(*(node[i] * g[i] for i in range(nd.k))), dh
+
+
+def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes) -> Gradient:
+    """Node stresses S_i (1 x k) of phi(C) along the path with C = c at its start and increments cd (1 x k); dH."""
+    dphi = ca.gradient(phi, s)
 
     def chat(t: float) -> ca.SX:
         return c + ca.mtimes(cd, ca.DM(nd.integral(t)))
 
     p = degree(phi, s)
     m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
-    stress = projected([at(dphi, s, chat(t)) for t in gauss(m)[0]], m, nd)
-    dc = ca.mtimes(cd, ca.DM(nd.b))
+    node = projected([at(dphi, s, chat(t)) for t in gauss(m)[0]], m, nd)
     if p is not None:
-        dh = sum((nd.b[i] * cd[i] * stress[i] for i in range(nd.k)), ca.SX(0))
-    else:
-        dh = at(phi, s, c + dc) - at(phi, s, c)
-        stress = _corrected(stress, dh, cd, nd, np.ones(1))
-    return ca.horzcat(*(stress[i] * g[i] for i in range(nd.k))), dh
+        return node, sum((nd.b[i] * cd[i] * node[i] for i in range(nd.k)), ca.SX(0))
+    dh = at(phi, s, c + ca.mtimes(cd, ca.DM(nd.b))) - at(phi, s, c)
+    return _corrected(node, dh, cd, nd, np.ones(1)), dh
 
 
 def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:

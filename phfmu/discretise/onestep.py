@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from phfmu.discretise.chord import find_chord
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import make_plan
@@ -21,4 +24,4 @@ def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
             cache[term.key] = scheme.specs(term)
         work.append((term, cache[term.key]))
     plan = make_plan(layout, work, scheme.constants(layout), scheme.maps(layout), na=terms.na, nobs=len(layout.work))
-    return plan, layout
+    return replace(plan, chord=find_chord(layout, scheme)), layout

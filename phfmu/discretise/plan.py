@@ -14,10 +14,13 @@ The Python evaluator and the C runtime run from the same plan.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from phfmu.discretise.chord import Chord
 
 Ints = NDArray[np.int32]
 Floats = NDArray[np.float64]
@@ -96,6 +99,7 @@ class Plan:
     `mean_*`: algebraic reports a[mean_a] = sum mean_c h^mean_pow w[mean_w].
     `work_*`: pairs that get the energy R[work_row] beside h sum b y u.
     `regularised`: entries of A that get +delta after row scaling, in the factor only.
+    `chord`: what the fast solver of constrained particles needs besides, or None where it does not apply.
     """
 
     nx: int
@@ -138,6 +142,7 @@ class Plan:
     pair_src: Ints
     pair_owner: Ints
     nominal: Floats
+    chord: Chord | None = None
 
     @property
     def nv(self) -> int:

@@ -28,7 +28,7 @@ class NativeInstance:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        table = kernel_table(kernels(model))
+        table = kernel_table(kernels(model), model.step.chord)
         self.build = build(table)
         self._tables = CTables(model, table.index, table.token)
         self._lib = load(self.build.path)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -19,13 +19,15 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
+from phfmu.discretise.chord import Chord, LaneGroup
 from phfmu.discretise.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
+from phfmu.engine.lane_text import loop_index, loop_name
 from phfmu.engine.model import Model
 
 RUNTIME = Path(__file__).parent / "runtime"
 SCALARS = {"int": ctypes.c_int, "double": ctypes.c_double, "uint64_t": ctypes.c_uint64}
 ARRAYS = {"int": np.int32, "double": np.float64, "signed char": np.int8}
-STRUCTS = ("ph_group", "ph_plan", "ph_model")
+STRUCTS = ("ph_elimination", "ph_lane_group", "ph_chord", "ph_group", "ph_plan", "ph_model")
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,21 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     }
 
 
+#: PH_LANE_* of plan.h
+LANE_KINDS = ("constraint", "strain", "force", "start", "mass", "load")
+
+
+def _lane_groups(chord: Chord) -> list[tuple[LaneGroup, dict[str, Any]]]:
+    """The groups in order of evaluation, with their loops."""
+    loops = loop_index(chord.groups)
+    groups = sorted(chord.groups, key=lambda g: LANE_KINDS.index(g.kernel.kind))
+    return [(g, {"loop": loops[loop_name(g)], "kind": LANE_KINDS.index(g.kernel.kind)}) for g in groups]
+
+
+def _chord_sizes(chord: Chord) -> dict[str, Any]:
+    return {"npoint": len(chord.point_plus), "ngroup": len(chord.groups), "nload": len(chord.load_dof)}
+
+
 def _value(source: Any, derived: dict[str, Any], name: str) -> Any:
     if name in derived:
         return derived[name]
@@ -213,8 +230,18 @@ class CTables:
         rows = [self._fill("ph_group", g, values) for g, values in derived["groups"]]
         array = (ctypes_structures()["ph_group"] * len(rows))(*rows)
         self._keep.append(array)
-        struct = self._fill("ph_plan", plan, derived | {"groups": ctypes.addressof(array)})
+        chord = None if plan.chord is None else self._chord(plan.chord)
+        struct = self._fill("ph_plan", plan, derived | {"groups": ctypes.addressof(array), "chord": chord})
         return ctypes.addressof(struct)
+
+    def _chord(self, chord: Chord) -> int:
+        rows = [self._fill("ph_lane_group", g, values) for g, values in _lane_groups(chord)]
+        array = (ctypes_structures()["ph_lane_group"] * len(rows))(*rows)
+        self._keep.append(array)
+        derived = _chord_sizes(chord) | {"groups": ctypes.addressof(array)}
+        for name in ("hard", "soft"):
+            derived[name] = ctypes.addressof(self._fill("ph_elimination", getattr(chord, name), {}))
+        return ctypes.addressof(self._fill("ph_chord", chord, derived))
 
     def _fill(self, name: str, source: Any, derived: dict[str, Any]) -> ctypes.Structure:
         struct = ctypes_structures()[name]()
@@ -250,16 +277,35 @@ def _struct_text(struct: str, name: str, source: Any, derived: dict[str, Any]) -
     return arrays, "{\n" + "\n".join(members) + "\n}"
 
 
-def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
-    derived = _plan_values(plan, index)
+def _array_of_structs(struct: str, name: str, items: Sequence[tuple[Any, dict[str, Any]]]) -> str:
+    """Text of an array of structures and of the arrays they point to; nothing for none."""
     text, rows = "", []
-    for i, (g, values) in enumerate(derived["groups"]):
-        arrays, members = _struct_text("ph_group", f"{name}_{i}", g, values)
+    for i, (source, values) in enumerate(items):
+        arrays, members = _struct_text(struct, f"{name}_{i}", source, values)
         text += arrays
         rows.append(members)
-    if rows:
-        text += f"static const ph_group {name}_groups[] = {{\n" + ",\n".join(rows) + "\n};\n"
-    derived["groups"] = f"{name}_groups" if rows else "0"
+    return text + (f"static const {struct} {name}[] = {{\n" + ",\n".join(rows) + "\n};\n" if rows else "")
+
+
+def _chord_text(chord: Chord, name: str) -> str:
+    text = _array_of_structs("ph_lane_group", f"{name}_groups", _lane_groups(chord))
+    derived = _chord_sizes(chord) | {"groups": f"{name}_groups"}
+    for part in ("hard", "soft"):
+        arrays, members = _struct_text("ph_elimination", f"{name}_{part}", getattr(chord, part), {})
+        text += arrays + f"static const ph_elimination {name}_{part} = {members};\n"
+        derived[part] = f"&{name}_{part}"
+    arrays, members = _struct_text("ph_chord", name, chord, derived)
+    return text + arrays + f"static const ph_chord {name} = {members};\n"
+
+
+def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
+    derived = _plan_values(plan, index)
+    text = _array_of_structs("ph_group", f"{name}_groups", derived["groups"])
+    derived["groups"] = f"{name}_groups" if plan.groups else "0"
+    derived["chord"] = "0"
+    if plan.chord is not None:
+        text += _chord_text(plan.chord, f"{name}_chord")
+        derived["chord"] = f"&{name}_chord"
     arrays, members = _struct_text("ph_plan", name, plan, derived)
     return text + arrays + f"static const ph_plan {name} = {members};\n"
 

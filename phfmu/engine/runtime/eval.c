@@ -53,6 +53,23 @@ void ph_eval(ph_system *s, int slots, int late) {
     }
 }
 
+/* Z and the rows after the residual: what is booked and reported, at a solution found elsewhere. */
+void ph_eval_late(ph_system *s) {
+    const ph_plan *p = s->plan;
+    const ph_point at = {s->x, s->y, s->p, s->hp};
+    memset(s->y + p->nv, 0, sizeof(double) * (size_t)p->nz);
+    memset(s->r + p->nw, 0, sizeof(double) * (size_t)(p->nrow - p->nw));
+    for (int i = 0; i < p->ngroup; i++) {
+        const ph_group *g = &p->groups[i];
+        if (g->stage == 0)
+            ph_kernels[g->kernel].value(g, &at, s->y + p->nv);
+        else if (g->late)
+            ph_kernels[g->kernel].value(g, &at, s->r);
+    }
+    for (int l = p->nconst_early; l < p->nconst; l++)
+        s->r[p->const_row[l]] += s->constants[l] * s->y[p->const_src[l]];
+}
+
 /* Entries of A that are not constant at fixed h; the lists have no write conflicts. */
 void ph_eval_matrix(ph_system *s) {
     const ph_plan *p = s->plan;

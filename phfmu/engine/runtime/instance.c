@@ -103,6 +103,8 @@ static size_t lay_out(ph_instance *in, block *b) {
     in->state_size = b->used - begin;
     lay_system(&in->step, in->model->step, b);
     lay_system(&in->instant, in->model->instant, b);
+    if (in->model->step->chord && ph_chord_solver.size)
+        in->chord = take(b, ph_chord_solver.size(in->model->step));
     in->backup = take(b, in->state_size);
     in->stored = doubles(b, in->model->step->ncomp);
     in->lost = doubles(b, in->model->step->ncomp);
@@ -154,9 +156,12 @@ int ph_init(void *memory, const ph_model *model) {
     in->model = model;
     ph_layout(model, in->offset);
     lay_out(in, &b);
+    if (in->chord)
+        ph_chord_solver.init(in->chord, model->step);
     for (int i = 0; i < 2; i++) {
         ph_system *s = i ? &in->instant : &in->step;
         s->x = in->table;
+        s->rest = in->rest;
         s->p = in->p;
         s->last_h = &in->head->last_h[i];
         s->count = in->count;

@@ -52,6 +52,16 @@ static void accept(ph_instance *in, double h, double from, double weight) {
     *s->last_h = h;
 }
 
+/* The Schur chord where the model has one, else, or where it does not converge, Newton's method. */
+static int solve(ph_instance *in, double h) {
+    ph_system *s = &in->step;
+    if (!in->chord || ph_chord_solver.solve(in->chord, s, h) != PH_OK)
+        return ph_solve(s, h);
+    ph_eval_h(s, h);
+    ph_eval_late(s);
+    return PH_OK;
+}
+
 /* The part [from, from + weight] of the communication step [t, t+h]. */
 static int advance(ph_instance *in, double t, double h, double from, double weight) {
     ph_system *s = &in->step;
@@ -59,7 +69,7 @@ static int advance(ph_instance *in, double t, double h, double from, double weig
     in->table[s->plan->nx] = t + h * from;
     ph_resample(in, from, weight, s->y + s->plan->nw);
     in->count[PH_SOLVES]++;
-    status = ph_solve(s, h * weight);
+    status = solve(in, h * weight);
     if (status) {
         ph_explain(s, status, &in->report);
         in->report.instant = 0;

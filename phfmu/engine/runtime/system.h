@@ -30,12 +30,14 @@ int ph_lu_adopt(ph_lu *lu, const int *pivot);
 void ph_lu_solve(ph_lu *lu, const double *b, double *x);
 
 /* One plan with its work space. The first block points into the state of the instance. */
-typedef struct ph_system {
+typedef struct ph_system ph_system;
+struct ph_system {
     const ph_plan *plan;
     const double *x, *p;
-    double *last;   /* nw: last converged unknowns */
-    double *last_h; /* step they belong to, 0 = start values */
-    int *pivot;     /* nw, pivots the state remembers; pivot[0] = -1: none */
+    const double *rest; /* nx: what compensated summation still owes x, to be subtracted */
+    double *last;       /* nw: last converged unknowns */
+    double *last_h;     /* step they belong to, 0 = start values */
+    int *pivot;         /* nw, pivots the state remembers; pivot[0] = -1: none */
 
     double *y;           /* nv+nz */
     double *r;           /* nrow */
@@ -58,10 +60,11 @@ typedef struct ph_system {
     int iterations;
     double update;
     long long *count;
-} ph_system;
+};
 
 void ph_eval_h(ph_system *s, double h);
 void ph_eval(ph_system *s, int slots, int late);
+void ph_eval_late(ph_system *s);
 void ph_eval_matrix(ph_system *s);
 void ph_eval_derivatives(ph_system *s, double *out);
 void ph_eval_ledger(ph_system *s, double *stored, double *lost);
@@ -102,6 +105,7 @@ struct ph_instance {
 
     /* Work space. */
     ph_system step, instant;
+    void *chord;    /* work space of the Schur chord, or NULL */
     void *backup;   /* state_size */
     double *stored; /* ncomp */
     double *lost;   /* ncomp */

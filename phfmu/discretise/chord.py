@@ -1,0 +1,311 @@
+"""The Schur chord of a holonomic model: what its fast solver needs beside the plan, where its conditions hold.
+
+    q' = v + M^-1 Dg^T mu,   M v' = f(q, q', u) - DV(q) - Dg^T lambda - (v^T D2g)^T mu,   Dg q' = 0 at the nodes, Dg v = 0
+
+with constant diagonal M, quadratic g, and V a sum of quadratic terms and of phi(C(q)) with quadratic C.  The iteration
+is described in docs/concepts/native_engine.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from phfmu.discretise import lanes
+from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.elimination import Elimination, eliminate
+from phfmu.discretise.gradients import degree
+from phfmu.discretise.lanes import LaneKernel, Lanes, NoLanes
+from phfmu.discretise.layout import Layout
+from phfmu.discretise.plan import Floats, Ints
+from phfmu.discretise.quadrature import nodes
+from phfmu.discretise.scheme import Scheme
+from phfmu.discretise.terms import Term
+
+#: a model whose factor needs more updates than this per row is better served by the sparse Newton
+DENSE = 200
+
+
+@dataclass(frozen=True)
+class LaneGroup:
+    """All instances of one lane kernel; tables are instance-major, `stress`: kernel of a strain's stresses.
+
+    `first`: first row (constraint, strain) of the group;  `point`: first of its coordinates;  zp, zm: degrees of freedom
+    of rates, op, om: of results, m subtracted (index ndof: nothing);  ui: inputs;  pi: parameters.
+    """
+
+    kernel: LaneKernel
+    stress: LaneKernel | None
+    n: int
+    first: int
+    point: int
+    zp: Ints
+    zm: Ints
+    ui: Ints
+    pi: Ints
+    op: Ints
+    om: Ints
+
+
+@dataclass(frozen=True)
+class Chord:
+    """Tables of the solver; degree of freedom d has the states position[d] and velocity[d].
+
+    Coordinates are differences of the degrees of freedom point_plus - point_minus (index ndof: nothing).  Rows are
+    constraints, then strains; those of row r are row_ptr[r] .. row_ptr[r + 1], further ones belong to forces.
+    `load`: constant entries (kind 0: times an input, 1: times a velocity) of the force on load_dof.
+    w_position, w_velocity (dof x k), w_lambda (constraint x k), w_mu: places among the unknowns of the plan.
+    `hard`: elimination of the constraints, `soft`: of all rows.
+    `extended`: A with the row b below it (k+1 x k);  `multiplier`: inverse of [A, -1; b^T, 0];  `spectrum`, `modes`,
+    `to_modes`: A^-2 in real block-diagonal form.
+    """
+
+    k: int
+    groups: tuple[LaneGroup, ...]
+    nconstraint: int
+    nstrain: int
+    position: Ints
+    velocity: Ints
+    nominal: Floats
+    w_position: Ints
+    w_velocity: Ints
+    w_lambda: Ints
+    w_mu: Ints
+    row_ptr: Ints
+    point_plus: Ints
+    point_minus: Ints
+    load_dof: Ints
+    load_kind: Ints
+    load_source: Ints
+    load_value: Floats
+    hard: Elimination
+    soft: Elimination
+    extended: Floats
+    multiplier: Floats
+    spectrum: Floats
+    modes: Floats
+    to_modes: Floats
+
+    @property
+    def ndof(self) -> int:
+        return len(self.position)
+
+
+class _Unfit(Exception):
+    """The model is not of the form the chord solves."""
+
+
+@dataclass
+class _Instances:
+    """Instances of terms that share their kernels; x, z, o: degrees of freedom (plus, minus) of their coordinates."""
+
+    kernels: tuple[LaneKernel, ...]
+    x: list[tuple[list[int], list[int]]] = field(default_factory=list)
+    z: list[tuple[list[int], list[int]]] = field(default_factory=list)
+    o: list[tuple[list[int], list[int]]] = field(default_factory=list)
+    u: list[list[int]] = field(default_factory=list)
+    p: list[list[int]] = field(default_factory=list)
+    multiplier: list[int] = field(default_factory=list)
+
+    def groups(self, first: int, point: int, ndof: int) -> list[LaneGroup]:
+        n = len(self.x)
+
+        def table(values: list) -> Ints:
+            array = np.array(values, np.int32).reshape(n, -1)
+            return np.where(array < 0, np.int32(ndof), array)
+
+        ends = [table([v[i] for v in values]) for values in (self.z, self.o) for i in (0, 1)]
+        inputs = [table(self.u), table(self.p)]
+        kernels = [k for k in self.kernels if k.kind != "stress"]
+        stress = next((k for k in self.kernels if k.kind == "stress"), None)
+        return [
+            LaneGroup(k, stress if k.kind == "strain" else None, n, first, point, *ends[:2], *inputs, *ends[2:])
+            for k in kernels
+        ]
+
+
+def find_chord(layout: Layout, scheme: Scheme) -> Chord | None:
+    """The chord tables of a step plan, or None where its conditions do not hold."""
+    terms = layout.terms
+    fits = isinstance(scheme, Collocated) and scheme.two_level and scheme.gradient == "per-term" and scheme.k in (1, 3)
+    if not fits or not terms.na:
+        return None
+    try:
+        return _Builder(layout).build()
+    except (_Unfit, NoLanes):
+        return None
+
+
+def _require(condition: bool) -> None:
+    if not condition:
+        raise _Unfit
+
+
+class _Builder:
+    """Collects the instances of one model; every method raises _Unfit or NoLanes for what the chord cannot take."""
+
+    def __init__(self, layout: Layout):
+        self.layout, self.terms = layout, layout.terms
+        t = self.terms
+        constraint = [x for x in t.terms if x.kind == "constraint"]
+        self.position = sorted(t.velocity_of)
+        self.velocity = [t.velocity_of[q] for q in self.position]
+        _require(sorted(self.position + self.velocity) == list(range(t.n1)))
+        _require(sorted(x.rows[0][1] for x in constraint) == list(range(t.na)))
+        _require({kind for kind, _, _ in layout.unknowns} <= {"D", "a", "m"})
+        _require(not t.solved_costates and not t.bound and all(p.port.source is None for p in t.pairs))
+        _require(len(t.pairs) == t.nu)
+        self.dof = {q: d for d, q in enumerate(self.position)}
+        self.dof_v = {v: d for d, v in enumerate(self.velocity)}
+        self.groups: dict[tuple[str, ...], _Instances] = {}
+        self.kinetic: set[int] = set()
+        self.load: list[tuple[int, int, int, float]] = []
+        self.known: dict[tuple, Lanes] = {}
+
+    def build(self) -> Chord:
+        for triplet in self.terms.constants:
+            self._constant(*triplet)
+        for term in self.terms.terms:
+            getattr(self, "_" + term.kind, self._other)(term)
+        _require(self.kinetic == set(self.velocity))
+        return self._tables()
+
+    # -- terms ------------------------------------------------------------------------------------------------------
+
+    def _other(self, term: Term) -> None:
+        raise _Unfit
+
+    def _observable(self, term: Term) -> None:
+        pass
+
+    def _constant(self, row_kind: str, row: int, kind: str, source: int, value: float) -> None:
+        if row_kind == "y" or row_kind == "x" and row in self.dof:
+            return
+        _require(row_kind == "x" and row in self.dof_v)
+        dof = self.dof_v[row]
+        if kind == "u":
+            self.load.append((dof, 0, source, value))
+        elif kind == "z" and source in self.dof_v:
+            self.load.append((dof, 1, self.dof_v[source], value))
+        else:
+            _require(kind == "z" and source == self.position[dof] and value == -1.0)
+
+    def _mass(self, term: Term) -> None:
+        row, m, p = term.rows[0][1], term.data["m"], term.local.get("p", lanes.EMPTY)
+        _require(row in self.dof_v and not self._depends(m, term, "x"))
+        start = [s for v in self.terms.model.parameters for s in v.start]
+        _require(float(ca.Function("m", [p], [m])([start[i] for i in term.index.get("p", ())])) > 0)
+        self._add(self._once(term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
+
+    def _energy(self, term: Term) -> None:
+        states = term.index.get("x", ())
+        kind = term.key[1][0]
+        if all(x in self.dof_v for x in states):
+            _require(kind == "quadratic" and self._is_kinetic(term) and not self.kinetic & set(states))
+            self.kinetic |= set(states)
+            return
+        _require(all(x in self.dof for x in states))
+        dofs = [self.dof[x] for x in states]
+        if kind == "quadratic":
+            return self._add(self._once(term, lambda: lanes.potential(term)), term, x=dofs, o=dofs)
+        _require(kind == "strain" and degree(term.data["C"], term.local["x"]) in (0, 1, 2))
+        self._add(self._once(term, lambda: lanes.strain(term, self.layout.k)), term, x=dofs)
+
+    def _is_kinetic(self, term: Term) -> bool:
+        """Its costates are the velocities themselves, z_v = v."""
+        x = term.local["x"]
+        defect = ca.gradient(term.data["H"], x) * term.data["scale"] - x
+        f = ca.Function("f", [x, term.local.get("p", lanes.EMPTY)], [defect])
+        rng = np.random.default_rng(1)
+        values = [rng.uniform(0.5, 2.0, f.numel_in(i)) for i in range(2)]
+        return bool(np.max(np.abs(np.asarray(f(*values)))) <= 1e-13)
+
+    def _flow(self, term: Term) -> None:
+        outputs = [j for j, (kind, _) in enumerate(term.rows) if kind != "y"]
+        if not outputs:
+            return
+        _require(all(term.rows[j][0] == "x" and term.rows[j][1] in self.dof_v for j in outputs))
+        _require(set(term.local) <= {"x", "z", "u", "p"})
+        _require(all(x in self.dof for x in term.index.get("x", ())))
+        _require(all(z in self.dof_v for z in term.index.get("z", ())))
+        self._add(
+            self._once(term, lambda: lanes.flow(term, outputs)), term,
+            x=[self.dof[x] for x in term.index.get("x", ())], z=[self.dof_v[z] for z in term.index.get("z", ())],
+            u=list(term.index.get("u", ())), o=[self.dof_v[term.rows[j][1]] for j in outputs],
+        )  # fmt: skip
+
+    def _constraint(self, term: Term) -> None:
+        _require(set(term.local) <= {"x", "p"} and not np.any(term.data["light"]) and degree(term.data["g"], term.local["x"]) in (1, 2))
+        known = self._once(term, lambda: lanes.constraint(term))
+        self._add(known, term, x=[self.dof[x] for x in term.index["x"]], multiplier=term.rows[0][1])
+
+    def _depends(self, expr: ca.SX, term: Term, kind: str) -> bool:
+        return kind in term.local and ca.depends_on(expr, term.local[kind])
+
+    def _once(self, term: Term, make: Callable[[], Lanes]) -> Lanes:
+        """Kernels are made once per kind of term."""
+        if term.key not in self.known:
+            self.known[term.key] = make()
+        return self.known[term.key]
+
+    def _add(self, made: Lanes, term: Term, *, x=(), z=(), u=(), o=(), multiplier: int = -1) -> None:
+        g = self.groups.setdefault(tuple(k.name for k in made.kernels), _Instances(made.kernels))
+        g.x.append(made.x.globally(x))
+        g.z.append(made.z.globally(z))
+        g.o.append(made.o.globally(o))
+        g.u.append(list(u))
+        g.p.append(list(term.index.get("p", ())))
+        g.multiplier.append(multiplier)
+
+    # -- tables -----------------------------------------------------------------------------------------------------
+
+    def _tables(self) -> Chord:
+        layout, nd, k, ndof = self.layout, nodes(self.layout.k), self.layout.k, len(self.position)
+        groups, points, ends, multipliers = self._groups()
+        rows = [
+            [(d, j, sign) for j in range(*span) for d, sign in zip(points[j], (1.0, -1.0), strict=True) if d < ndof]
+            for span in zip(ends, ends[1:], strict=False)
+        ]
+        w, m = layout.w_of, len(multipliers)
+        bordered = np.block([[nd.a, -np.ones((k, 1))], [nd.b, np.zeros((1, 1))]])
+        spectrum, modes, to_modes = lanes.spectrum(k)
+        hard, soft = eliminate(rows[:m]), eliminate(rows)
+        _require(len(soft.update_target) <= DENSE * max(len(rows), 1))
+        nominal = layout.nominals()
+        load = np.array([(d, kind, s) for d, kind, s, _ in self.load], np.int32).reshape(-1, 3)
+        return Chord(
+            k=k, groups=groups, nconstraint=m, nstrain=len(rows) - m,
+            position=_ints(self.position), velocity=_ints(self.velocity),
+            nominal=np.array([nominal[w[("D", v, 0)]] for v in self.velocity]),
+            w_position=_ints(w[("D", q, i)] for q in self.position for i in range(k)),
+            w_velocity=_ints(w[("D", v, i)] for v in self.velocity for i in range(k)),
+            w_lambda=_ints(w[("a", a, i)] for a in multipliers for i in range(k)),
+            w_mu=_ints(w[("m", a, 0)] for a in multipliers),
+            row_ptr=_ints(ends), point_plus=_ints(p for p, _ in points), point_minus=_ints(q for _, q in points),
+            load_dof=load[:, 0].copy(), load_kind=load[:, 1].copy(), load_source=load[:, 2].copy(),
+            load_value=np.array([v for *_, v in self.load], float),
+            hard=hard, soft=soft, extended=np.vstack([nd.a, nd.b]), multiplier=np.linalg.inv(bordered),
+            spectrum=spectrum, modes=modes, to_modes=to_modes,
+        )  # fmt: skip
+
+    def _groups(self) -> tuple[tuple[LaneGroup, ...], list[tuple[int, int]], list[int], list[int]]:
+        """Groups; the coordinates; where those of each row end; the algebraic variable of each constraint row."""
+        out: list[LaneGroup] = []
+        points: list[tuple[int, int]] = []
+        ends, multipliers, ndof = [0], [], len(self.position)
+        order = ("constraint", "strain", "mass", "load", "force")
+        for _, g in sorted(self.groups.items(), key=lambda item: (order.index(item[1].kernels[0].kind), item[0])):
+            out += g.groups(len(ends) - 1, len(points), ndof)
+            for plus, minus in g.x:
+                points += [(p, m if m >= 0 else ndof) for p, m in zip(plus, minus, strict=True)]
+                if g.kernels[0].kind in ("constraint", "strain"):
+                    ends.append(len(points))
+            multipliers += [a for a in g.multiplier if a >= 0]
+        return tuple(out), points, ends, multipliers
+
+
+def _ints(values: Iterable[int]) -> Ints:
+    return np.array(list(values), np.int32)

@@ -1,0 +1,238 @@
+"""Local functions of the Schur chord: one point of a step each, evaluated at all its nodes at once.
+
+An argument or result is either a lane (a value at every node and at the end point) or one number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from phfmu.discretise.gradients import stress
+from phfmu.discretise.quadrature import nodes
+from phfmu.discretise.terms import Term
+
+EMPTY = ca.SX(0, 1)
+
+#: operations that exist for lanes: those of vectors, and functions taken lane by lane
+LANE_OPERATIONS = frozenset(
+    {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ,
+     ca.OP_TWICE, ca.OP_INV, ca.OP_SQRT, ca.OP_EXP, ca.OP_LOG, ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_TANH,
+     ca.OP_POW, ca.OP_CONSTPOW}
+)  # fmt: skip
+#: further operations of single numbers
+OPERATIONS = LANE_OPERATIONS | {
+    ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO, ca.OP_FABS,
+    ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN, ca.OP_SINH, ca.OP_COSH, ca.OP_LOG1P, ca.OP_EXPM1, ca.OP_HYPOT,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LaneKernel:
+    """One local function; `kind` says what its arguments and results are (d coordinates, e their rates):
+
+    constraint  (d, e, p) -> (Dg, e^T D2g)            lanes
+    strain      (d, p) -> DC                          lanes
+    stress      (C at the start, increments of C at the k nodes, p) -> (S at the nodes, phi'' in the middle)   numbers
+    start       (d, p) -> C                           numbers, at the start of the step
+    force       (d, e, u, p) -> forces                lanes
+    mass        (p) -> 1/m;   load  (p) -> constant forces   numbers
+    """
+
+    kind: str
+    name: str
+    function: ca.Function
+
+    @property
+    def nx(self) -> int:
+        return self.function.numel_in(0) if self.kind not in ("stress", "mass", "load") else 0
+
+    @property
+    def nz(self) -> int:
+        return self.function.numel_in(1) if self.kind == "force" else 0
+
+    @property
+    def nu(self) -> int:
+        return self.function.numel_in(2) if self.kind == "force" else 0
+
+    @property
+    def np(self) -> int:
+        return self.function.numel_in(self.function.n_in() - 1)
+
+    @property
+    def no(self) -> int:
+        return self.function.numel_out(0)
+
+
+class NoLanes(Exception):
+    """A local function has an operation that lanes do not have."""
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Coordinates of a local function: pairs (plus, minus) of places of a vector; minus = -1 for a single one."""
+
+    pairs: tuple[tuple[int, int], ...]
+
+    def substitution(self, x: ca.SX, name: str) -> tuple[ca.SX, ca.SX]:
+        """The coordinates d as symbols, and x in terms of them: x_plus = d, x_minus = 0."""
+        d, values = ca.SX.sym(name, len(self.pairs)), [ca.SX(0)] * x.numel()
+        for j, (plus, _) in enumerate(self.pairs):
+            values[plus] = d[j]
+        return d, ca.vertcat(*values) if values else EMPTY
+
+    def globally(self, index: Sequence[int]) -> tuple[list[int], list[int]]:
+        """Global indices of the plus and minus places; -1 where there is no minus."""
+        return [index[p] for p, _ in self.pairs], [index[m] if m >= 0 else -1 for _, m in self.pairs]
+
+
+def differences(f: ca.Function, which: int) -> Differences:
+    """Places of argument `which` that the function depends on through their difference only, found by sampling."""
+    rng = np.random.default_rng(1)
+    points = [[rng.uniform(0.5, 1.5, f.numel_in(i)) for i in range(f.n_in())] for _ in range(2)]
+    values = [np.concatenate([np.asarray(v).ravel() for v in f.call(point)]) for point in points]
+    free, pairs = list(range(f.numel_in(which))), []
+    while free:
+        a = free.pop(0)
+        b = next((b for b in free if _invariant(f, which, points, values, [a, b])), -1)
+        if b >= 0:
+            free.remove(b)
+        pairs.append((b, a) if b >= 0 else (a, -1))
+    return Differences(tuple(pairs))
+
+
+def _invariant(f: ca.Function, which: int, points: list, values: list, places: list[int]) -> bool:
+    for point, value in zip(points, values, strict=True):
+        moved = [v.copy() for v in point]
+        moved[which][places] += 0.734
+        other = np.concatenate([np.asarray(v).ravel() for v in f.call(moved)])
+        if not np.allclose(other, value, rtol=1e-12, atol=1e-12):
+            return False
+    return True
+
+
+_kernels: dict[str, LaneKernel] = {}
+
+
+def lane_kernel(kind: str, args: Sequence[ca.SX], results: Sequence[ca.SX]) -> LaneKernel:
+    """The kernel of these expressions; equal content gives one object.  NoLanes if it cannot be evaluated in lanes."""
+    f = ca.Function("f", list(args), [ca.densify(r) for r in results])
+    allowed = OPERATIONS if kind in ("start", "stress", "mass", "load") else LANE_OPERATIONS
+    used = {f.instruction_id(i) for i in range(f.n_instructions())}
+    if used - allowed:
+        raise NoLanes
+    digest = hashlib.sha256((kind + f.serialize()).encode()).hexdigest()[:16]
+    return _kernels.setdefault(digest, LaneKernel(kind, f"{kind}_{digest}", f))
+
+
+def _p(term: Term) -> ca.SX:
+    return term.local.get("p", EMPTY)
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """The kernels of one kind of term with the coordinates of its positions, velocities and results."""
+
+    kernels: tuple[LaneKernel, ...]
+    x: Differences = Differences(())
+    z: Differences = Differences(())
+    o: Differences = Differences(())
+
+
+def _singles(n: int) -> Differences:
+    return Differences(tuple((j, -1) for j in range(n)))
+
+
+def constraint(term: Term) -> Lanes:
+    """Gradient of g and its derivative along v, both with respect to the coordinates."""
+    q, g = term.local["x"], term.data["g"]
+    x = differences(ca.Function("g", [q, _p(term)], [g]), 0)
+    d, back = x.substitution(q, "d")
+    g, v = ca.substitute(g, q, back), ca.SX.sym("v", d.numel())
+    grad = ca.gradient(g, d)
+    return Lanes((lane_kernel("constraint", [d, v, _p(term)], [grad, ca.jtimes(grad, d, v)]),), x)
+
+
+def strain(term: Term, k: int) -> Lanes:
+    """Gradient of C, the stresses at the k nodes, and C itself, of a term phi(C(q))."""
+    q, s = term.local["x"], term.local["z"]
+    x = differences(ca.Function("C", [q, _p(term)], [term.data["C"]]), 0)
+    d, back = x.substitution(q, "d")
+    c = ca.substitute(term.data["C"], q, back)
+    start, rate, nd = ca.SX.sym("c"), ca.SX.sym("r", k), nodes(k)
+    node, _ = stress(term.data["phi"], s, start, rate.T, nd)
+    slope = ca.gradient(ca.gradient(term.data["phi"], s), s)
+    middle = start + ca.dot(ca.SX(ca.DM(nd.a[k // 2])), rate)
+    kernels = (
+        lane_kernel("strain", [d, _p(term)], [ca.gradient(c, d)]),
+        lane_kernel("stress", [start, rate, _p(term)], [node.T, ca.substitute(slope, s, middle)]),
+        lane_kernel("start", [d, _p(term)], [c]),
+    )
+    return Lanes(kernels, x)
+
+
+def potential(term: Term) -> Lanes:
+    """Force -DV of a quadratic potential; a constant one is a load."""
+    q = term.local["x"]
+    force = -ca.gradient(term.data["H"], q)
+    if not ca.depends_on(force, q):
+        return Lanes((lane_kernel("load", [_p(term)], [force]),), o=_singles(q.numel()))
+    x = differences(ca.Function("f", [q, _p(term)], [force]), 0)
+    return _force(term, {"x": q}, force, x, Differences(()))
+
+
+def flow(term: Term, outputs: Sequence[int]) -> Lanes:
+    """The chosen outputs of a flow."""
+    args = {kind: term.local[kind] for kind in ("x", "z", "u") if kind in term.local}
+    force = ca.vertcat(*(term.data["f"][j] for j in outputs))
+    f = ca.Function("f", [*(args.get(kind, EMPTY) for kind in ("x", "z", "u")), _p(term)], [force])
+    return _force(term, args, force, differences(f, 0), differences(f, 1))
+
+
+def _force(term: Term, args: dict[str, ca.SX], force: ca.SX, x: Differences, z: Differences) -> Lanes:
+    """A force in the coordinates of its arguments; opposite results become one."""
+    q, v = args.get("x", EMPTY), args.get("z", EMPTY)
+    d, x_back = x.substitution(q, "d")
+    e, z_back = z.substitution(v, "e")
+    force = ca.substitute([force], [q, v], [x_back, z_back])[0] if q.numel() + v.numel() else force
+    inputs = [d, e, args.get("u", EMPTY), _p(term)]
+    o = _opposites(ca.Function("f", inputs, [ca.densify(force)]))
+    chosen = ca.vertcat(*(force[plus] for plus, _ in o.pairs))
+    return Lanes((lane_kernel("force", inputs, [chosen]),), x, z, o)
+
+
+def _opposites(f: ca.Function) -> Differences:
+    """Pairs of results that add up to zero, found by sampling."""
+    rng = np.random.default_rng(1)
+    values = np.array([np.asarray(f.call([rng.uniform(0.5, 1.5, f.numel_in(i)) for i in range(f.n_in())])[0]).ravel()
+                       for _ in range(2)])  # fmt: skip
+    free, pairs = list(range(values.shape[1])), []
+    while free:
+        a = free.pop(0)
+        b = next((b for b in free if np.allclose(values[:, a], -values[:, b], rtol=1e-12, atol=1e-14)), -1)
+        if b >= 0:
+            free.remove(b)
+        pairs.append((a, b))
+    return Differences(tuple(pairs))
+
+
+def mass(term: Term) -> Lanes:
+    """1/m."""
+    return Lanes((lane_kernel("mass", [_p(term)], [1 / term.data["m"]]),), o=_singles(1))
+
+
+@cache
+def spectrum(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A^-2 = T M T^-1 in real form: M as (real, re, im) of its eigenvalues, T and T^-1 (k = 1 or 3)."""
+    value, vector = np.linalg.eig(np.linalg.matrix_power(np.linalg.inv(nodes(k).a), 2))
+    if k == 1:
+        return np.array([value[0].real]), np.eye(1), np.eye(1)
+    real = int(np.argmin(np.abs(value.imag)))
+    upper = int(np.argmax(value.imag))
+    t = np.column_stack([vector[:, real].real, 2 * vector[:, upper].real, -2 * vector[:, upper].imag])
+    return np.array([value[real].real, value[upper].real, value[upper].imag]), t, np.linalg.inv(t)

@@ -1,0 +1,174 @@
+"""The Schur chord: recognised where its form holds, and the same solution as the sparse Newton of the readable engine."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.components.mechanical.multibody import Multibody
+from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.elimination import eliminate
+from phfmu.discretise.lanes import spectrum
+from phfmu.discretise.model import Model, build_model, default_scheme
+from phfmu.discretise.quadrature import nodes
+from phfmu.engine.native import NativeInstance
+from phfmu.engine.python import PythonInstance
+
+
+def chain(n: int, springs: float = 50.0) -> Multibody:
+    """n links of 1 m on a support, horizontal at the start, quartic springs between every other joint, gravity."""
+    body = Multibody("chain", dim=3)
+    body.gravity((0.0, 0.0, -9.81))
+    points = [body.support((0.0, 0.0, 0.0))]
+    points += [body.particle(1.0 + 0.1 * i, (i + 1.0, 0.0, 0.0), (0.0, 0.1 * (-1) ** i, 0.0)) for i in range(n)]
+    for a, b in zip(points, points[1:], strict=False):
+        body.bar(a, b)
+    for a, b in zip(points, points[2:], strict=False):
+        body.quartic_spring(a, b, springs, 2.0)
+    return body
+
+
+def pushed() -> Multibody:
+    """A bar on a port, tied to the ground by a spring of given length and a damper that feels one velocity only."""
+    body = Multibody("pushed")
+    a = body.particle(1.0, (0.0, 0.0, 0.0))
+    b = body.particle(2.0, (1.0, 0.0, 0.0), (0.0, 0.3, 0.0))
+    ground = body.support((0.0, -1.0, 0.5))
+    body.bar(a, b)
+    body.spring(ground, b, lambda c: 20.0 * (ca.sqrt(c) - 1.0) ** 2)
+    body.damper(ground, a, lambda c: 0.4 + 0.1 * c)
+    body.port("hand", a)
+    return body
+
+
+def model(body: Multibody, order: int) -> Model:
+    declaration = body.build()
+    return build_model(declaration, default_scheme(declaration, order))
+
+
+BODIES = {"chain": lambda: chain(4), "stiff chain": lambda: chain(4, 1e5), "pushed": pushed}
+
+
+@pytest.mark.parametrize("order", [2, 6])
+@pytest.mark.parametrize("name", BODIES)
+def test_the_chord_finds_the_solution_of_newton(name: str, order: int) -> None:
+    m = model(BODIES[name](), order)
+    fast, slow = NativeInstance(m), PythonInstance(m)
+    for i in range(30):
+        u = np.sin(0.3 * i + np.arange(m.step.nu))
+        for instance in (fast, slow):
+            instance.set_input(u)
+            instance.do_step(0.01 * i, 0.01)
+        ledger = fast.ledger()
+        assert abs(ledger["stored"] + ledger["dissipated"] - ledger["supplied"]).max() <= 2e-13
+    assert fast.counts["chords"] == 30
+    assert np.abs(fast.x - slow.x).max() <= 1e-11
+    assert np.abs(fast.signal("a") - slow.signal("a")).max() <= 1e-9 * (1 + np.abs(slow.signal("a")).max())
+    assert np.abs(fast.output() - slow.output()).max(initial=0.0) <= 1e-12
+
+
+@pytest.mark.parametrize(("k24", "sweeps"), [(500.0, 8), (1e6, 8), (1e8, 9)])
+def test_stiff_springs_cost_no_more_sweeps(k24: float, sweeps: int) -> None:
+    declaration = four_particle().with_starts({"k24": k24})
+    instance = NativeInstance(build_model(declaration, default_scheme(declaration, 6)))
+    ledger = instance.run(0.0, 0.01, 100, ["stored", "dissipated"])
+    assert instance.counts["chords"] == 100
+    assert instance.counts["sweeps"] <= 100 * sweeps
+    assert np.abs(ledger["stored"] + ledger["dissipated"]).max() <= 1e-13
+    assert np.abs(instance.signals()["observables"]).max() <= 1e-14
+
+
+@pytest.mark.parametrize("order", [2, 6])
+def test_restored_states_continue_bit_by_bit(order: int) -> None:
+    m = model(chain(3), order)
+    one, two = NativeInstance(m), NativeInstance(m)
+    one.run(0.0, 0.02, 20)
+    two.run(0.0, 0.05, 3)
+    two.set_state(one.get_state())
+    for instance in (one, two):
+        instance.run(0.4, 0.03, 20)
+    assert one.get_state() == two.get_state()
+
+
+def test_positions_far_away_are_as_exact_as_near_the_origin() -> None:
+    near, far = four_particle(), four_particle()
+    q = np.array(near.states[0].start)
+    far = far.with_starts({f"q[{i + 1}]": v + 1024.0 for i, v in enumerate(q)})
+    runs = []
+    for declaration in (near, far):
+        instance = NativeInstance(build_model(declaration, default_scheme(declaration, 6)))
+        instance.run(0.0, 0.01, 300)
+        runs.append(instance.x[12:])
+    assert np.abs(runs[0] - runs[1]).max() <= 1e-13
+
+
+def test_dependent_rows_are_left_to_the_sparse_newton() -> None:
+    body = chain(3)
+    body.bar(body.support((0.0, 0.0, 0.0)), body.particle(1.0, (0.0, 1.0, 0.0)))
+    body.constraint(lambda at: body_bar(at, body))
+    m = model(body, 2)
+    assert m.step.chord is not None
+    instance = NativeInstance(m)
+    instance.run(0.0, 0.01, 10)
+    assert instance.counts["chords"] == 0
+    assert instance.counts["iterations"] > 0
+
+
+def body_bar(at, body: Multibody) -> ca.SX:
+    """The first bar of a chain a second time."""
+    first = body._bars[0]
+    return 0.5 * (ca.sumsqr(at(first[1]) - at(first[0])) - 1.0)
+
+
+def test_other_forms_have_no_chord() -> None:
+    declaration = four_particle()
+    assert build_model(declaration, Collocated(1)).step.chord is None
+    cubic = chain(2)
+    cubic.constraint(lambda at: at(cubic._bars[1][1])[1] ** 3)
+    assert model(cubic, 2).step.chord is None
+    assert build_model(declaration, default_scheme(declaration, 2)).step.chord is not None
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_matrices_of_the_nodes(k: int) -> None:
+    m = model(chain(2), 2 * k).step.chord
+    assert m is not None
+    nd = nodes(k)
+    bordered = np.block([[nd.a, -np.ones((k, 1))], [nd.b, np.zeros((1, 1))]])
+    assert np.abs(m.multiplier.reshape(k + 1, k + 1) @ bordered - np.eye(k + 1)).max() <= 1e-13
+    value, t, back = spectrum(k)
+    block = np.diag(np.full(k, value[0]))
+    if k == 3:
+        block[1:, 1:] = [[value[1], -value[2]], [value[2], value[1]]]
+    inverse = np.linalg.inv(nd.a)
+    # modes combine the real and imaginary parts of one eigenvector: T M T^-1 on (real, re, im)
+    assert np.abs(t @ block @ back - inverse @ inverse).max() <= 1e-10
+
+
+def test_symbolic_elimination_factors_a_schur_matrix() -> None:
+    rng = np.random.default_rng(4)
+    m, n = 9, 20
+    mass = rng.uniform(0.5, 2.0, n)
+    rows, slots, d = [], [], np.zeros((m, n))
+    for r in range(m):
+        rows.append([])
+        for dof in rng.choice(n, 4, replace=False):
+            sign, value = rng.choice([-1.0, 1.0]), rng.uniform(0.5, 1.0)
+            rows[r].append((int(dof), len(slots), sign))
+            slots.append(value)
+            d[r, dof] = sign * value
+    e = eliminate(rows)
+    terms = e.product_sign * np.array(slots)[e.product_a] * np.array(slots)[e.product_b] / mass[e.product_dof]
+    entry = np.array([terms[a:b].sum() for a, b in zip(e.product_ptr, e.product_ptr[1:], strict=False)])
+    lower, place = np.eye(m), {int(r): i for i, r in enumerate(e.order)}
+    for j in range(m):
+        for q in range(e.update_ptr[j], e.update_ptr[j + 1]):
+            entry[e.update_target[q]] -= entry[e.update_left[q]] * entry[e.update_right[q]] / entry[j]
+        for q in range(e.column[j], e.column[j + 1]):
+            entry[q] /= entry[j]
+            lower[place[int(e.below[q - m])], j] = entry[q]
+    whole = lower @ np.diag(entry[:m]) @ lower.T
+    exact = (d / mass @ d.T)[np.ix_(e.order, e.order)]
+    assert np.abs(whole - exact).max() <= 1e-12
