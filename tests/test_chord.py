@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -13,8 +15,13 @@ from phfmu.discretise.elimination import eliminate
 from phfmu.discretise.lanes import spectrum
 from phfmu.discretise.model import Model, build_model, default_scheme
 from phfmu.discretise.quadrature import nodes
+from phfmu.engine.codegen import kernel_table
+from phfmu.engine.compile import compile, host_flags
+from phfmu.engine.library import load, runtime_sources
+from phfmu.engine.model import kernels
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.python import PythonInstance
+from phfmu.engine.tables import CTables
 
 
 def chain(n: int, springs: float = 50.0) -> Multibody:
@@ -172,3 +179,24 @@ def test_symbolic_elimination_factors_a_schur_matrix() -> None:
     whole = lower @ np.diag(entry[:m]) @ lower.T
     exact = (d / mass @ d.T)[np.ix_(e.order, e.order)]
     assert np.abs(whole - exact).max() <= 1e-12
+
+
+@pytest.mark.parametrize("order", [2, 6])
+def test_wider_vectors_give_the_same_bits(order: int) -> None:
+    """The library for this machine's vectors against the portable one of an FMU."""
+    if not host_flags():
+        pytest.skip("this machine has no wider vectors")
+    m = model(chain(3), order)
+    table = kernel_table(kernels(m), m.step.chord)
+    portable = load(compile({**runtime_sources(), "kernels.c": table.text}, flags=("-Wall", "-Wextra", "-Werror")).path)
+    tables = CTables(m, table.index, table.token)
+    memory = np.zeros(portable.ph_size(tables.pointer) // 8 + 1)
+    address = memory.ctypes.data
+    assert portable.ph_init(address, tables.pointer) == 0 and portable.ph_initialise(address) == 0
+    instance = NativeInstance(m)
+    for i in range(50):
+        assert portable.ph_step(address, i * 0.02, 0.02) == 0
+        instance.do_step(i * 0.02, 0.02)
+    saved = ctypes.create_string_buffer(portable.ph_state_size(address))
+    portable.ph_save(address, saved)
+    assert saved.raw == instance.get_state()

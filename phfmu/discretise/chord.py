@@ -119,8 +119,8 @@ class _Instances:
 
         ends = [table([v[i] for v in values]) for values in (self.z, self.o) for i in (0, 1)]
         inputs = [table(self.u), table(self.p)]
-        kernels = [k for k in self.kernels if k.kind != "stress"]
-        stress = next((k for k in self.kernels if k.kind == "stress"), None)
+        stress = next((k for k in self.kernels if k.kind in ("stress", "pointwise")), None)
+        kernels = [k for k in self.kernels if k is not stress]
         return [
             LaneGroup(k, stress if k.kind == "strain" else None, n, first, point, *ends[:2], *inputs, *ends[2:])
             for k in kernels

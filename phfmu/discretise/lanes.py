@@ -13,7 +13,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise.gradients import stress
+from phfmu.discretise.gradients import degree, stress
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.terms import Term
 
@@ -38,6 +38,7 @@ class LaneKernel:
 
     constraint  (d, e, p) -> (Dg, e^T D2g)            lanes
     strain      (d, p) -> DC                          lanes
+    pointwise   (C, p) -> (phi', phi'')               lanes, phi of degree two: S_i = phi'(C_i)
     stress      (C at the start, increments of C at the k nodes, p) -> (S at the nodes, phi'' in the middle)   numbers
     start       (d, p) -> C                           numbers, at the start of the step
     force       (d, e, u, p) -> forces                lanes
@@ -164,16 +165,18 @@ def strain(term: Term, k: int) -> Lanes:
     x = differences(ca.Function("C", [q, _p(term)], [term.data["C"]]), 0)
     d, back = x.substitution(q, "d")
     c = ca.substitute(term.data["C"], q, back)
+    gradient = lane_kernel("strain", [d, _p(term)], [ca.gradient(c, d)])
+    return Lanes((gradient, _stresses(term.data["phi"], s, _p(term), k), lane_kernel("start", [d, _p(term)], [c])), x)
+
+
+def _stresses(phi: ca.SX, s: ca.SX, p: ca.SX, k: int) -> LaneKernel:
+    slope = ca.gradient(ca.gradient(phi, s), s)
+    if (degree(phi, s) or 0) == 2:
+        return lane_kernel("pointwise", [s, p], [ca.gradient(phi, s), slope])
     start, rate, nd = ca.SX.sym("c"), ca.SX.sym("r", k), nodes(k)
-    node, _ = stress(term.data["phi"], s, start, rate.T, nd)
-    slope = ca.gradient(ca.gradient(term.data["phi"], s), s)
+    node, _ = stress(phi, s, start, rate.T, nd)
     middle = start + ca.dot(ca.SX(ca.DM(nd.a[k // 2])), rate)
-    kernels = (
-        lane_kernel("strain", [d, _p(term)], [ca.gradient(c, d)]),
-        lane_kernel("stress", [start, rate, _p(term)], [node.T, ca.substitute(slope, s, middle)]),
-        lane_kernel("start", [d, _p(term)], [c]),
-    )
-    return Lanes(kernels, x)
+    return lane_kernel("stress", [start, rate, p], [node.T, ca.substitute(slope, s, middle)])
 
 
 def potential(term: Term) -> Lanes:
@@ -231,8 +234,9 @@ def spectrum(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A^-2 = T M T^-1 in real form: M as (real, re, im) of its eigenvalues, T and T^-1 (k = 1 or 3)."""
     value, vector = np.linalg.eig(np.linalg.matrix_power(np.linalg.inv(nodes(k).a), 2))
     if k == 1:
-        return np.array([value[0].real]), np.eye(1), np.eye(1)
-    real = int(np.argmin(np.abs(value.imag)))
-    upper = int(np.argmax(value.imag))
-    t = np.column_stack([vector[:, real].real, 2 * vector[:, upper].real, -2 * vector[:, upper].imag])
-    return np.array([value[real].real, value[upper].real, value[upper].imag]), t, np.linalg.inv(t)
+        return np.real(value), np.eye(1), np.eye(1)
+    real, upper = int(np.argmin(np.abs(np.imag(value)))), int(np.argmax(np.imag(value)))
+    pair = vector[:, upper]
+    t = np.column_stack([np.real(vector[:, real]), 2 * np.real(pair), -2 * np.imag(pair)])
+    found = [np.real(value)[real], np.real(value)[upper], np.imag(value)[upper]]
+    return np.array(found), t, np.linalg.inv(t)

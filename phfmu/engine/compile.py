@@ -63,6 +63,29 @@ def host_target() -> str:
     return f"{machine}-{system}"
 
 
+#: what Linux calls the instructions of the x86-64-v3 level that lanes use
+LEVEL_3 = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
+
+
+def host_flags(compiler: str | None = None) -> tuple[str, ...]:
+    """Flags for the wider vectors of this machine (x86-64-v3), none where it does not say that it has them.
+
+    Only for libraries that stay here.  Results are the same bits: contraction is off and vectors are no wider than
+    the lanes of the source.
+    """
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        return ()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return ()
+    found = next((set(line.split()) for line in lines if line.startswith("flags")), set())
+    if not found >= LEVEL_3:
+        return ()
+    zig = compiler != "cc" and importlib.util.find_spec("ziglang") is not None
+    return ("-mcpu=x86_64_v3",) if zig else ("-march=x86-64-v3",)
+
+
 def suffix(target: str) -> str:
     """File name extension of a shared library for the target."""
     return SUFFIX.get(target.split("-")[1], ".so")

@@ -34,6 +34,7 @@ KINDS = {
     "constraint": ("CONSTRAINT", (True, True, False), (True, True)),
     "strain": ("STRAIN", (True, False), (True,)),
     "force": ("FORCE", (True, True, True, False), (True,)),
+    "pointwise": ("POINTWISE", (True, False), (True, True)),
     "stress": ("STRESS", (False, False, False), (False, False)),
     "start": ("START", (False, False), (False,)),
     "mass": ("MASS", (False,), (False,)),
@@ -89,7 +90,7 @@ def _spread(name: str, is_lane: bool) -> str:
 
 def loop_name(group: LaneGroup) -> str:
     """Name of the loops of a group; a strain's belong to its stresses too."""
-    return "_".join(["loop", group.kernel.name, *([group.stress.name[7:]] if group.stress else [])])
+    return "_".join(["loop", group.kernel.name, *([group.stress.name] if group.stress else [])])
 
 
 def chord_text(k: int, groups: Sequence[LaneGroup]) -> str:
@@ -104,7 +105,7 @@ def chord_text(k: int, groups: Sequence[LaneGroup]) -> str:
     for name in sorted(loops):
         kernel, stress = loops[name].kernel, loops[name].stress
         macros = {"NAME": name, "KERNEL": kernel.name, KINDS[kernel.kind][0]: ""}
-        macros |= {"STRESS": stress.name, "RELAX": f"{name}_relax"} if stress else {}
+        macros |= {KINDS[stress.kind][0]: stress.name, "RELAX": f"{name}_relax"} if stress else {}
         macros |= {"NX": kernel.nx, "NZ": kernel.nz, "NU": kernel.nu, "NP": kernel.np, "NO": kernel.no}
         text += "".join(f"#define PH_{m} {v}".rstrip() + "\n" for m, v in macros.items()) + '#include "lane.inc"\n\n'
         rows.append(f"{{{name}, {f'{name}_relax' if stress else 0}}}")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.codegen import KernelTable
-from phfmu.engine.compile import Build, compile
+from phfmu.engine.compile import Build, compile, host_flags
 from phfmu.engine.tables import RUNTIME
 
 #: what `run` can record: the whole signal table, parts of it, and ledger rows and counters of each step
@@ -109,7 +109,7 @@ def runtime_sources() -> dict[str, Path]:
 
 def build(table: KernelTable) -> Build:
     """Library of runtime and kernels for this machine; models with the same kernels share it."""
-    return compile({**runtime_sources(), "kernels.c": table.text})
+    return compile({**runtime_sources(), "kernels.c": table.text}, flags=host_flags())
 
 
 def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:

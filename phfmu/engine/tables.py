@@ -143,9 +143,20 @@ def _split(products: Products, slots: Floats) -> tuple[_Fixed, _Varying]:
     )
 
 
-def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
+def _late(g: Group, plan: Plan) -> bool:
+    return g.stage == 1 and bool(np.all(np.asarray(g.oi) >= plan.nw))
+
+
+def _reported(plan: Plan) -> set[int]:
+    """Entries of Z that the ledger, pair outputs and observables read."""
+    read = [g.yi for g in plan.groups if g.kernel.ledger is not None or _late(g, plan)]
+    read.append(plan.const_src[plan.const_row >= plan.nw])
+    return {int(i) - plan.nv for a in read for i in np.unique(a) if i >= plan.nv}
+
+
+def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int], reported: set[int]) -> dict[str, Any]:
     k = g.kernel
-    late = g.stage == 1 and bool(np.all(np.asarray(g.oi) >= plan.nw))
+    late = _late(g, plan) or g.stage == 0 and not reported.isdisjoint(np.unique(g.oi).tolist())
     sizes = {name: getattr(k, name) for name in ("nx", "ny", "np", "no", "nj")}
     return sizes | {"late": int(late), "kernel": index(k)}
 
@@ -155,8 +166,10 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     by_row = np.argsort(late, kind="stable")
     const = {n: getattr(plan, n)[by_row] for n in ("const_row", "const_src", "const_val", "const_pow")}
     groups = sorted(plan.groups, key=lambda g: g.stage)
+    reported, by_state = _reported(plan), np.argsort(plan.update_x, kind="stable")
+    update = {n: getattr(plan, n)[by_state] for n in ("update_x", "update_w", "update_c")}
     fixed, varying = _split(plan.matrix, _constant_slots(plan))
-    return const | {
+    return const | update | {
         "ngroup": len(groups),
         "nconst": len(by_row),
         "nconst_early": int(np.sum(~late)),
@@ -172,7 +185,7 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
         "nwork": len(plan.work_pair),
         "lucap": capacity(plan),
         "nodes": gauss_nodes(plan.weights),
-        "groups": [(g, _group_values(g, plan, index)) for g in groups],
+        "groups": [(g, _group_values(g, plan, index, reported)) for g in groups],
     }
 
 

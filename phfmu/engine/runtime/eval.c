@@ -40,7 +40,7 @@ void ph_eval(ph_system *s, int slots, int late) {
             const ph_group *g = &p->groups[i];
             const ph_kernel *kernel = &ph_kernels[g->kernel];
             double *target = stage ? r : z;
-            if (g->late && !late)
+            if (stage && g->late && !late)
                 continue;
             if (slots)
                 kernel->full(g, &at, target, s->v);
@@ -61,10 +61,8 @@ void ph_eval_late(ph_system *s) {
     memset(s->r + p->nw, 0, sizeof(double) * (size_t)(p->nrow - p->nw));
     for (int i = 0; i < p->ngroup; i++) {
         const ph_group *g = &p->groups[i];
-        if (g->stage == 0)
-            ph_kernels[g->kernel].value(g, &at, s->y + p->nv);
-        else if (g->late)
-            ph_kernels[g->kernel].value(g, &at, s->r);
+        if (g->late)
+            ph_kernels[g->kernel].value(g, &at, g->stage ? s->r : s->y + p->nv);
     }
     for (int l = p->nconst_early; l < p->nconst; l++)
         s->r[p->const_row[l]] += s->constants[l] * s->y[p->const_src[l]];

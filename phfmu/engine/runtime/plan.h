@@ -18,7 +18,8 @@
 typedef struct ph_group {
     int n;                    /* instances */
     int stage;                /* 0: outputs go to Z, 1: outputs go to rows */
-    int late;                 /* 1: touches no residual row, skipped during the iteration */
+    int late;                 /* stage 1: touches no residual row, skipped during the iteration;
+                               * stage 0: read by what is booked and reported */
     int slot;                 /* first Jacobian entry in V */
     int kernel;               /* index into ph_kernels */
     int nx, ny, np, no, nj;   /* local sizes, checked against the kernel table */
@@ -143,7 +144,7 @@ typedef struct ph_plan {
     const int *derivative_t;
     const double *derivative_value;
     const signed char *derivative_power;
-    const int *update_x;           /* nupdate: x[update_x] += update_c w[update_w] */
+    const int *update_x;           /* nupdate, ascending: x[update_x] += update_c w[update_w] */
     const int *update_w;           /* nupdate */
     const double *update_c;        /* nupdate */
     const int *mean_a;             /* nmean: a[mean_a] = sum mean_c h^mean_pow w[mean_w] */

@@ -46,8 +46,13 @@ static void accept(ph_instance *in, double h, double from, double weight) {
         a[p->mean_a[l]] += p->mean_pow[l] < 0 ? part / h : part;
     }
     ph_book_nodes(in, from, weight);
-    for (int l = 0; l < p->nupdate; l++)
-        add(&x[p->update_x[l]], &in->rest[p->update_x[l]], p->update_c[l] * s->y[p->update_w[l]]);
+    for (int l = 0; l < p->nupdate;) {
+        int state = p->update_x[l];
+        double change = 0.0;
+        for (; l < p->nupdate && p->update_x[l] == state; l++)
+            change += p->update_c[l] * s->y[p->update_w[l]];
+        add(&x[state], &in->rest[state], change);
+    }
     memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
     *s->last_h = h;
 }
