@@ -238,7 +238,11 @@ class _Builder:
         )  # fmt: skip
 
     def _constraint(self, term: Term) -> None:
-        _require(set(term.local) <= {"x", "p"} and not np.any(term.data["light"]) and degree(term.data["g"], term.local["x"]) in (1, 2))
+        _require(
+            set(term.local) <= {"x", "p"}
+            and not np.any(term.data["light"])
+            and degree(term.data["g"], term.local["x"]) in (1, 2)
+        )
         known = self._once(term, lambda: lanes.constraint(term))
         self._add(known, term, x=[self.dof[x] for x in term.index["x"]], multiplier=term.rows[0][1])
 

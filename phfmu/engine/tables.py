@@ -169,24 +169,28 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     reported, by_state = _reported(plan), np.argsort(plan.update_x, kind="stable")
     update = {n: getattr(plan, n)[by_state] for n in ("update_x", "update_w", "update_c")}
     fixed, varying = _split(plan.matrix, _constant_slots(plan))
-    return const | update | {
-        "ngroup": len(groups),
-        "nconst": len(by_row),
-        "nconst_early": int(np.sum(~late)),
-        "nnz": plan.matrix.nnz,
-        "nfixed": len(fixed.entry),
-        "nvarying": len(varying.entry),
-        "fixed": fixed,
-        "varying": varying,
-        "nderivative": plan.derivative.nnz,
-        "nreg": len(plan.regularised),
-        "nupdate": len(plan.update_x),
-        "nmean": len(plan.mean_a),
-        "nwork": len(plan.work_pair),
-        "lucap": capacity(plan),
-        "nodes": gauss_nodes(plan.weights),
-        "groups": [(g, _group_values(g, plan, index, reported)) for g in groups],
-    }
+    return (
+        const
+        | update
+        | {
+            "ngroup": len(groups),
+            "nconst": len(by_row),
+            "nconst_early": int(np.sum(~late)),
+            "nnz": plan.matrix.nnz,
+            "nfixed": len(fixed.entry),
+            "nvarying": len(varying.entry),
+            "fixed": fixed,
+            "varying": varying,
+            "nderivative": plan.derivative.nnz,
+            "nreg": len(plan.regularised),
+            "nupdate": len(plan.update_x),
+            "nmean": len(plan.mean_a),
+            "nwork": len(plan.work_pair),
+            "lucap": capacity(plan),
+            "nodes": gauss_nodes(plan.weights),
+            "groups": [(g, _group_values(g, plan, index, reported)) for g in groups],
+        }
+    )
 
 
 #: PH_LANE_* of plan.h
