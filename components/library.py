@@ -18,6 +18,8 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "dc_motor": ("component", _E + "dc_motor", "permanent-magnet DC motor"),
     "four_particle": ("component", _M + "four_particle", "four particles, two bars, two springs, a damper"),
     "mass_spring": ("component", _M + "mass_spring", "two masses, two springs, singular mass matrix reduced"),
+    "chain": ("component", _M + "chain", "ten rigid links that hang from a support"),
+    "heavy_top": ("component", _M + "heavy_top", "spinning disc on a stem, singular mass matrix"),
     "mass": ("component", _M + "translational", "mass with optional spring and damper to ground"),
     "spring": ("component", _M + "translational", "linear spring between two flanges"),
     "damper": ("component", _M + "translational", "linear damper between two flanges"),

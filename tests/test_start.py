@@ -50,10 +50,28 @@ def test_kept_states_stay() -> None:
     model = build_model(four_particle().with_starts({"q[4]": 1.1}))
     found = project_start(model, keep=["q[4]"])
     assert found.x[3] == 1.1 and found.x[0] == pytest.approx(0.1)
-    with pytest.raises(DeclarationError, match="no consistent start"):
-        project_start(model, keep=[f"q[{i}]" for i in range(1, 13)])
+    with pytest.raises(DeclarationError, match=r"lambda\[1\] \(position\) residual 0.105 .*Keep fewer of q\[1\]"):
+        project_start(model, keep=["q"])
     with pytest.raises(DeclarationError, match="no state q\\[99\\]"):
         project_start(model, keep=["q[99]"])
+
+
+def test_command_line_projects_and_reports(capsys) -> None:
+    """The joined masses of the first test, as a target of the command line."""
+    from phfmu.cli import main
+
+    common = ["run", "four_particle", "--set", "q[4]=1.1", "--set", "v[4]=1", "--stop", "0.02", "--engine", "python"]
+    assert main(common) == 2
+    assert "--project" in capsys.readouterr().err
+    assert main([*common, "--keep", "q[4]"]) == 2
+    assert main([*common, "--project", "--keep", "q[4]", "--keep", "v"]) == 2
+    assert "no consistent start" in capsys.readouterr().err
+    assert main([*common, "--project", "--keep", "q[4]"]) == 0
+    text = capsys.readouterr().out
+    for line in ("start projected: 4 hidden constraints, 2 off", "lambda[1] (position): 0.105 -> ", "q[1]: 0 -> 0.1",
+                 "lambda[1] (velocity): "):  # fmt: skip
+        assert line in text
+    assert "q[4]:" not in text
 
 
 def test_currents_of_a_bare_node_sum_to_zero() -> None:

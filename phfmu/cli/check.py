@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
 
 
 def add_parser(verbs: Any) -> None:
@@ -25,7 +28,10 @@ def call(args: argparse.Namespace) -> int:
     else:
         from phfmu.declare.check import check
 
-        problems = [str(p) for p in check(scene(args.target).declaration())]
+        declaration = scene(args.target).declaration()
+        problems = [str(p) for p in check(declaration)]
+        if declaration.constraints and not problems:
+            _print_rank(declaration)
     for problem in problems:
         print(problem)
     print(
@@ -34,3 +40,12 @@ def call(args: argparse.Namespace) -> int:
         else f"{args.target}: no problems"
     )
     return PROBLEMS if problems else FINE
+
+
+def _print_rank(declaration: PHDAE) -> None:
+    """Redundant constraints are allowed (multipliers of least norm), but worth knowing."""
+    from phfmu.discretise.rank import constraint_rank
+
+    found = constraint_rank(declaration)
+    if found.redundant:
+        print(found.report())

@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from phfmu.discretise.start import Projection
     from phfmu.network.run import Result
     from phfmu.network.scene import Event
 
@@ -31,6 +32,8 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--rtol", type=float, default=1e-11, help="allowed relative residual of a component's step")
     parser.add_argument("--project", action="store_true",
                         help="move an inconsistent start onto its constraints instead of refusing it")  # fmt: skip
+    parser.add_argument("--keep", action="append", default=[], metavar="NAME",
+                        help="a state that --project leaves as it is (v: all of v); may be repeated")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(call=call)
 
@@ -53,7 +56,7 @@ def call(args: argparse.Namespace) -> int:
         with report:
             result = run(
                 stepper, stop=stop, step=step, events=events, sink=writer, progress=report.update, keep=keep,
-                project=args.project,
+                project=args.project, kept=args.keep,
             )  # fmt: skip
     finally:
         if writer is not None:
@@ -83,6 +86,8 @@ def _check_files(args: argparse.Namespace) -> None:
     from phfmu.cli.options import tolerance
 
     tolerance(args.rtol)
+    if args.keep and not args.project:
+        raise ValueError(f"--keep {args.keep[0]} says what a projection leaves alone; add --project")
     if args.output:
         from phfmu.cli.table import check_table
 
@@ -112,6 +117,8 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float
     its = result.iterations / max(result.steps, 1)
     print(f"{args.target}: {label}; step {step:g} s to {stop:g} s: {result.steps} steps, {its:.2f} iterations a step, "
           f"{seconds:.3g} s")  # fmt: skip
+    if result.projection is not None:
+        _print_projection(result.projection)
     groups: dict[str, float] = {}
     for name, value in result.worst.items():
         key = name.split("[")[0]
@@ -122,6 +129,17 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float
         print(f"results: {args.output}")
     if args.audit:
         print(f"audit: {args.audit} (print with: phfmu audit {args.audit})")
+
+
+def _print_projection(p: Projection) -> None:
+    """Equations that were violated, states that moved, the energy."""
+    violated = {n: v for n, v in p.before.items() if abs(v) > 1e-12 and abs(p.after[n]) < 0.01 * abs(v)}
+    print(f"start projected: {len(p.before)} hidden constraints, {len(violated)} off; {len(p.moved)} states moved, "
+          f"energy changed by {p.energy:.9g} J")  # fmt: skip
+    for name, value in violated.items():
+        print(f"  {name}: {value:.6g} -> {p.after[name]:.2g}")
+    for name, before, after in p.moved:
+        print(f"  {name}: {before:.9g} -> {after:.9g}")
 
 
 class _Progress:

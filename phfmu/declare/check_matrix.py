@@ -144,7 +144,7 @@ def masses(entries: Entries, sample: Sample) -> list[Problem]:
     for (label, expr, names), value in zip(chosen, sample.values([c[1] for c in chosen]), strict=True):
         for i, E in enumerate(value):
             row = singular_row(E) if np.isfinite(E).all() else -1
-            if row >= 0 and entries.of("g") and expr.shape[0] > row and expr[row, row].is_symbolic():
+            if row >= 0 and entries.of("g") and expr.sparsity().is_diag() and expr[row, row].is_symbolic():
                 break  # z = v whatever the parameter m: the constraints decide
             if row >= 0:
                 text = f"E[{names[row]}, {names[row]}] = {E[row, row]:g}, singular {sample.where(i, expr)}"

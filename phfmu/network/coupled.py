@@ -11,6 +11,7 @@ the matrix regular.  Whatever the iteration leaves is booked at the junctions: s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -129,7 +130,7 @@ class Coupled:
                 "and joined outputs must be equal at the start; change the start values"
             )
 
-    def project_start(self, t0: float) -> None:
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> None:
         """Members know their own constraints only; ValueError tells how to start."""
         raise ValueError(
             f"{self.network.name}: a coupled network cannot be projected at t = {t0:g} s; use --coupling monolithic"

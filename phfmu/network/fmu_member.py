@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -154,7 +155,7 @@ class FMUStepper:
     def check_start(self) -> None:
         self.member.check_start()
 
-    def project_start(self, t0: float) -> None:
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> None:
         """The state of a unit is its own; ValueError tells how to start."""
         raise ValueError(
             f"{self.unit.name}: a start inside an FMU cannot be projected at t = {t0:g} s; set start values"

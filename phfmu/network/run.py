@@ -15,6 +15,7 @@ from phfmu.network.stepper import Booking, Stepper, Steps
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger, PortKey
+    from phfmu.discretise.start import Projection
 
 Array = NDArray[Any]
 
@@ -23,7 +24,7 @@ BLOCK = 4096  # steps between progress reports and audit flushes
 
 @dataclass
 class Result:
-    """Rows of a run: `time` (rows), `values` (rows x names); the ledger; step counts."""
+    """Rows of a run: `time` (rows), `values` (rows x names); the ledger; step counts; how the start was projected."""
 
     names: list[str]
     time: Array
@@ -32,6 +33,7 @@ class Result:
     steps: int
     iterations: float
     worst: dict[str, float] = field(default_factory=dict)
+    projection: Projection | None = None
 
     def column(self, name: str) -> Array:
         """One signal over time; KeyError lists close names."""
@@ -97,12 +99,14 @@ def run(
     progress: Callable[[float], None] | None = None,
     keep: Callable[[Array, Array], None] | None = None,
     project: bool = False,
+    kept: Sequence[str] = (),
 ) -> Result:
     """Run from t0 to stop; returns all rows (first row: the start).
 
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
     keep:  receives (time, values) blocks instead of collecting them
     project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
+    kept:  states that the projection leaves as they are
     Errors: ValueError for a bad step or stop; InconsistentState; StepFailure (audit written so far stays readable)
     """
     from phfmu.audit import Ledger
@@ -121,7 +125,7 @@ def run(
             times.append(t)
             rows.append(v)
 
-    first = True
+    first, projection = True, None
     for start, end, here in segments(t0, stop, events):
         for e in here:
             if first:
@@ -130,7 +134,7 @@ def run(
                 book.set_value(e)
         if first:
             if project:
-                book.project(t0)
+                projection = book.project(t0, kept)
             stepper.check_start()
             prepare = getattr(stepper, "prepare", None)
             if prepare is not None:
@@ -146,7 +150,7 @@ def run(
     ledger.flush()
     time = np.concatenate(times) if times else np.zeros(0)
     values = np.concatenate(rows) if rows else np.zeros((0, len(stepper.names)))
-    return Result(stepper.names, time, values, ledger, book.steps, book.iterations, book.worst())
+    return Result(stepper.names, time, values, ledger, book.steps, book.iterations, book.worst(), projection)
 
 
 def _check_times(t0: float, stop: float, step: float) -> None:
@@ -207,12 +211,13 @@ class _Book:
             self.ledger.event(e.t, "input", message=message)
         self._H = now
 
-    def project(self, t0: float) -> None:
+    def project(self, t0: float, kept: Sequence[str]) -> Projection | None:
         """Move the start onto its constraints; the energy change is an event."""
-        found = self.stepper.project_start(t0)
+        found = self.stepper.project_start(t0, kept)
         if found is not None and found.moved:
             moved = ", ".join(f"{n} {a:.6g} -> {b:.6g}" for n, a, b in found.moved)
             self.ledger.event(t0, "reprojection", None, found.energy, moved)
+        return found
 
     def advance(self, t: float, h: float, n: int) -> Steps:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -62,7 +62,7 @@ class Stepper(Protocol):
     def read(self) -> Array: ...
     def energies(self) -> Array: ...
     def check_start(self) -> None: ...
-    def project_start(self, t0: float) -> Projection | None: ...
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None: ...
     def advance(self, t0: float, h: float, n: int) -> Steps: ...
 
 
@@ -155,13 +155,13 @@ class Monolithic:
     def check_start(self) -> None:
         require_consistent(self.model, self.instance)
 
-    def project_start(self, t0: float) -> Projection | None:
-        """Move the state onto its hidden constraints; None if it has none."""
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
+        """Move the state onto its hidden constraints, but not the states `kept`; None if it has none."""
         if not self.model.checks:
             return None
         from phfmu.discretise.start import project_start
 
-        found = project_start(self.model, self.instance.x)
+        found = project_start(self.model, self.instance.x, keep=kept, t=t0)
         self.instance.set_x(t0, found.x)
         self.instance.initialise()
         return found

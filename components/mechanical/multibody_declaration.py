@@ -1,0 +1,148 @@
+"""From the parts of a `Multibody` to its declaration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+from phfmu import (
+    PHDAE,
+    TRANSLATIONAL,
+    Block,
+    Energy,
+    Holonomic,
+    Port,
+    Variable,
+    algebraic,
+    block,
+    drive,
+    energy,
+    parameter,
+    skew,
+    state,
+    strain_energy,
+    time,
+)
+from phfmu.components.mechanical.multibody_parts import Constraint, DrivenPoint, MovingSupport, Particle, Point, Support
+
+if TYPE_CHECKING:
+    from phfmu.components.mechanical.multibody import Multibody
+
+
+class Declaration:
+    """The variables of one build and the terms on them."""
+
+    def __init__(self, body: Multibody):
+        self.body, dim = body, body.dim
+        n = len(body._mass) * dim
+        if not n:
+            raise ValueError(f"{body.name}: no particles")
+        self.q = state("q", n, unit="m", start=body._q, description="positions of the particles")
+        self.v = state("v", n, unit="m/s", start=body._v, description="velocities of the particles")
+        self.m = parameter("m", body._mass, len(body._mass), unit="kg", description="masses")
+        damped = {p for d in body._dampers for p in (d.a, d.b) if isinstance(p, DrivenPoint)}
+        self.s = {
+            p: state(f"{p.name}.q", dim, unit="m", start=p.q, description=f"position of {p.name}") for p in body._driven
+        }
+        self.w = {p: algebraic(f"{p.name}.w", dim, unit="m/s", description=f"velocity of {p.name}") for p in damped}
+        self.f = {p: algebraic(f"{p.name}.f", dim, unit="N", description=f"force on {p.name}") for p in damped}
+
+    def at(self, point: Point) -> ca.SX:
+        """Its position."""
+        if isinstance(point, Support):
+            return ca.SX(ca.DM(list(point.position)))
+        if isinstance(point, MovingSupport):
+            return ca.vertcat(*map(ca.SX, point.position(time)))
+        return self.s[point].sx if isinstance(point, DrivenPoint) else self.q[self.body._rows(point)]
+
+    def velocity(self, point: Point) -> Variable | None:
+        """The variable a damper acts on, None for supports."""
+        if isinstance(point, Particle):
+            return self.v.part(point.number * self.body.dim, self.body.dim)
+        return self.w[point] if isinstance(point, DrivenPoint) else None
+
+    def phdae(self) -> PHDAE:
+        body = self.body
+        constraints, multipliers = self.constraints()
+        structure = [skew(self.q, self.v, 1.0)]
+        for p, w in self.w.items():
+            structure += [skew(self.s[p], w, 1.0), skew(w, self.f[p], 1.0)]
+        return PHDAE(
+            body.name,
+            states=(self.q, self.v, *self.s.values()),
+            algebraics=(*multipliers, *self.w.values(), *self.f.values()),
+            parameters=(self.m, *body._parameters),
+            energies=tuple(self.energies()),
+            E={self.v: ca.vertcat(*(s for s in ca.vertsplit(self.m.sx) for _ in range(body.dim)))},
+            structure=tuple(structure),
+            dissipation=tuple(self.dissipation()),
+            ports=tuple(self.ports()),
+            constraints=constraints,
+            description=body.description,
+        )
+
+    def energies(self) -> Iterator[Energy]:
+        body = self.body
+        for i, m in enumerate(ca.vertsplit(self.m.sx)):
+            p = Particle(i)
+            yield energy(0.5 * m * ca.sumsqr(self.v[body._rows(p)]))
+            if body._gravity is not None and body._weight[i]:
+                yield energy(-m * ca.dot(ca.DM(list(body._gravity)), self.at(p)))
+        for s in body._springs:
+            yield strain_energy(ca.sumsqr(self.at(s.b) - self.at(s.a)), s.potential)
+        for made in body._potentials:
+            yield energy(made(self.at))
+
+    def dissipation(self) -> Iterator[Block]:
+        for d in self.body._dampers:
+            ends = [v for v in map(self.velocity, (d.a, d.b)) if v is not None]
+            if ends:
+                yield block(ends, d.matrix(self.at(d.b) - self.at(d.a), len(ends)))
+
+    def ports(self) -> Iterator[Port]:
+        dim = self.body.dim
+        one = ca.SX.eye(dim)
+        for name, p, base in self.body._ports:
+            on = {self.velocity(p): one} | ({} if base is None else {self.velocity(base): -one})
+            whom = f"particle {p.number + 1}" + ("" if base is None else f", reaction on particle {base.number + 1}")
+            yield Port(name, TRANSLATIONAL, "effort", on, dim, description=f"force on {whom}")
+        for p in self.body._driven:
+            on = {self.f.get(p, self.s[p]): one}
+            yield Port(p.name, TRANSLATIONAL, "flow", on, dim, description=f"velocity of the driven point {p.name}")
+
+    def constraints(self) -> tuple[tuple[Holonomic, ...], tuple[Variable, ...]]:
+        """Constraints and the multiplier variable they share by parts."""
+        items = [(c, ca.SX(c.g(self.at))) for c in (*self.body._bars, *self.body._constraints)]
+        if not items:
+            return (), ()
+        total = sum(g.numel() for _, g in items)
+        lam = algebraic("lambda", total, unit="N/m", description="multipliers")
+        drives: dict[str, Port] = {}
+        out, first = [], 0
+        for c, g in items:
+            port = None
+            if ca.depends_on(g, time):
+                name = self.drive_name(c, g)
+                port = drives.setdefault(name, drive(name, description=f"work of the moving constraints of {name}"))
+            out.append(Holonomic(lam.part(first, g.numel()), ca.vec(g), drive=port))
+            first += g.numel()
+        return tuple(out), (lam,)
+
+    def drive_name(self, c: Constraint, g: ca.SX) -> str:
+        """Where the work of a moving constraint is booked."""
+        touched: dict[str, None] = {}
+
+        def seen(point: Point) -> ca.SX:
+            if isinstance(point, MovingSupport):
+                touched[point.name] = None
+            return self.at(point)
+
+        c.g(seen)
+        if not c.drive and len(touched) > 1:
+            raise ValueError(
+                f"{self.body.name}: {c.label} touches the moving supports {', '.join(touched)}, whose work cannot be told "
+                "apart; give them one name, or name the constraint's drive"
+            )
+        return c.drive or next(iter(touched), "drive")
