@@ -14,7 +14,7 @@ def chain(
     mass: float = 1.0,
     damping: float = 0.0,
     bending: float = 0.0,
-    speed: float = 0.0,
+    speed: float = 1.0,
     port: bool = False,
 ) -> PHDAE:
     """n point masses on rigid massless links, released straight and horizontal from a support at the origin.
