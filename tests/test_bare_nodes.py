@@ -15,6 +15,7 @@ from phfmu import (
     ELECTRICAL,
     PHDAE,
     Collocated,
+    Event,
     NativeInstance,
     Network,
     Port,
@@ -296,3 +297,38 @@ def test_saturation_projects_and_books_the_loss(k: int) -> None:
     assert min(losses) >= -1e-15 and losses[0] > (1e-7 if k == 1 else 1e-12)
     gaps = [np.max(np.abs(a - b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     assert np.log2(gaps[1] / gaps[2]) == pytest.approx(2 * k, abs=0.15)
+
+
+def test_an_event_that_breaks_kirchhoff_projects_the_state() -> None:
+    """The line's inductance doubles: its current would halve at once; the impulse moves both sides, its loss is booked."""
+    scene = smib()
+    model = build_model(scene.declaration(), Collocated(2))
+    sink = Rows()
+    events = [Event(0.005, "line.L", 2.0 * scene_inductance(model))]
+    instance = NativeInstance(model)
+    before = instance.signal("H").sum()
+    r = run(Monolithic(model, instance), stop=0.01, step=1e-3, events=events, sink=sink)
+    assert max(r.worst.values()) <= 1e-10 * RATED
+    assert [e.kind for e in sink.events] == ["parameter", "reprojection"]
+    assert all(e.energy_jump < 0 for e in sink.events)
+    stored = instance.signal("H").sum() - before
+    booked = sum(c.stored for c in r.ledger.summary().components) + sum(e.energy_jump for e in sink.events)
+    assert stored == pytest.approx(booked, abs=1e-12 * 2e9)
+
+
+class Rows:
+    """An audit sink that keeps event rows."""
+
+    def __init__(self) -> None:
+        self.events: list = []
+
+    def write_event(self, row) -> None:
+        self.events.append(row)
+
+    def __getattr__(self, name: str):
+        return lambda *args, **kwargs: None
+
+
+def scene_inductance(model) -> float:
+    names = [n for v in model.declaration.parameters for n in v.names()]
+    return float(model.p0[names.index("line.L")])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phfmu import PHDAE, NativeInstance, Network, PythonInstance, StepFailure, build_model, export, run
+from phfmu import PHDAE, Collocated, NativeInstance, Network, PythonInstance, StepFailure, build_model, export, run
 from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
@@ -49,7 +49,8 @@ def couple(net: Network, kinds: str = "python", folder: Any = None, step: float 
 
 
 def composed(net: Network, engine: str = "python") -> Monolithic:
-    model = build_model(net.compose())
+    """One model, without the impulses at bare nodes that coupled members do not exchange."""
+    model = build_model(net.compose(), Collocated(1, impulses=False))
     return Monolithic(model, ENGINES[engine](model))
 
 

@@ -48,9 +48,9 @@ class Projection:
 
 
 def project_start(
-    model: Model, x: Array | None = None, *, keep: Iterable[str] = (), t: float | None = None
+    model: Model, x: Array | None = None, *, p: Array | None = None, t: float | None = None, keep: Iterable[str] = ()
 ) -> Projection:
-    """Project x (default: the start) at time t onto the constraints of `model`.
+    """Project x at parameters p and time t (defaults: the start values) onto the constraints of `model`.
 
     keep: states that stay as they are, by scalar name or the bare name of a vector.
     DeclarationError names the equations that cannot be met, with their residuals, or an unknown state.
@@ -58,7 +58,7 @@ def project_start(
     start = model.x0 if x is None else np.asarray(x, float)
     names = [n for v in model.declaration.states for n in v.names()]
     free = ~_kept(model, names, list(keep))
-    rows = _Rows(model, model.t0 if t is None else t)
+    rows = _Rows(model, model.p0 if p is None else np.asarray(p, float), model.t0 if t is None else t)
     level = np.array([c.level for c in model.checks])
     positions = np.abs(rows.jacobian(start)[level == "position"]).sum(axis=0) > 0
     nominal = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
@@ -95,7 +95,7 @@ def _kept(model: Model, names: list[str], keep: list[str]) -> NDArray[np.bool_]:
 class _Rows:
     """The hidden constraints of a model as functions of the state."""
 
-    def __init__(self, model: Model, t: float):
+    def __init__(self, model: Model, p: Array, t: float):
         d = model.declaration
         rows = ca.vertcat(*check_rows(extract(d), list(model.checks))) if model.checks else ca.SX(0, 1)
         symbols = [d.x, ca.vertcat(*(p.sx for p in d.parameters)), time]
@@ -103,7 +103,7 @@ class _Rows:
         self._functions = [
             ca.Function("f", symbols, [ca.densify(e)]) for e in (rows, ca.jacobian(rows, d.x), d.hamiltonian, hessian)
         ]
-        self._fixed = (model.p0, t)
+        self._fixed = (p, t)
         self.labels = [f"{c.name} ({c.level})" for c in model.checks]
         self.names = [c.name for c in model.checks]
         self.size, self.model = model.check_scale, model.name

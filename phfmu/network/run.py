@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
 from phfmu.network.scene import Event
-from phfmu.network.stepper import Booking, Stepper, Steps
+from phfmu.network.stepper import Booking, InconsistentState, Stepper, Steps
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger, PortKey
@@ -210,6 +210,17 @@ class _Book:
         if not changed:
             self.ledger.event(e.t, "input", message=message)
         self._H = now
+        if changed:
+            self._keep_consistent(e.t)
+
+    def _keep_consistent(self, t: float) -> None:
+        """A parameter that enters a hidden constraint (an inductance at a node) makes the state jump as by an impulse."""
+        try:
+            self.stepper.check_start()
+        except InconsistentState:
+            self.project(t, ())
+            self.stepper.check_start()
+            self._H = self.stepper.energies()
 
     def project(self, t0: float, kept: Sequence[str]) -> Projection | None:
         """Move the start onto its constraints; the energy change is an event."""

@@ -161,7 +161,7 @@ class Monolithic:
             return None
         from phfmu.discretise.start import project_start
 
-        found = project_start(self.model, self.instance.x, keep=kept, t=t0)
+        found = project_start(self.model, self.instance.x, p=self.instance.parameters, t=t0, keep=kept)
         self.instance.set_x(t0, found.x)
         self.instance.initialise()
         return found
