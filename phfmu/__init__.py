@@ -23,6 +23,8 @@ _WHERE = {
     "phfmu.declare.check": ("check", "Problem"),
     "phfmu.discretise.collocated": ("Collocated",),
     "phfmu.discretise.discrete": ("discrete_gradient", "discrete_jacobian"),
+    "phfmu.discretise.gradient_pair": ("GradientPair",),
+    "phfmu.discretise.dirac_dissipative": ("DiracDissipative",),
     "phfmu.discretise.model": ("Model", "build_model", "default_scheme"),
     "phfmu.discretise.terms": ("DeclarationError",),
     "phfmu.engine.status": ("Status", "StepFailure"),
@@ -133,6 +135,8 @@ if TYPE_CHECKING:
     from phfmu.discretise.discrete_pair import discrete_pair as discrete_pair
     from phfmu.discretise.discrete_pair import inverse_jacobian as inverse_jacobian
     from phfmu.discretise.discrete_pair import with_closed_pair as with_closed_pair
+    from phfmu.discretise.dirac_dissipative import DiracDissipative as DiracDissipative
+    from phfmu.discretise.gradient_pair import GradientPair as GradientPair
     from phfmu.discretise.model import Model as Model
     from phfmu.discretise.model import build_model as build_model
     from phfmu.discretise.model import default_scheme as default_scheme

@@ -11,13 +11,18 @@ if TYPE_CHECKING:
 
 
 def add_scheme(parser: argparse.ArgumentParser) -> None:
-    """--order, --scheme, --gradient."""
-    from phfmu.discretise.scheme_names import GRADIENTS, ORDERS, SCHEMES
+    """--order, --scheme, --gradient, --closure."""
+    from phfmu.discretise.scheme_names import CLOSURES, GRADIENTS, ORDERS, SCHEMES
 
     parser.add_argument("--order", type=int, default=2, choices=ORDERS, help="order of the scheme (default 2)")
     parser.add_argument("--scheme", default="auto", choices=SCHEMES,
                         help="auto: two-level with holonomic constraints, else collocated")  # fmt: skip
     parser.add_argument("--gradient", default="per-term", choices=GRADIENTS)
+    parser.add_argument(
+        "--closure",
+        choices=CLOSURES,
+        help="where algebraic variables of a step belong (semi-explicit, gradient-pair, dirac-dissipative)",
+    )
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
@@ -55,4 +60,4 @@ def scheme_of(args: argparse.Namespace, declaration: PHDAE, *, member: bool = Fa
     name: Any = args.scheme
     if member and name == "two-level" and not declaration.constraints:
         name = "collocated"
-    return named_scheme(declaration, name, args.order, args.gradient)
+    return named_scheme(declaration, name, args.order, args.gradient, args.closure)

@@ -142,6 +142,8 @@ def _pair(sample: Sample, pair: Pair) -> list[Problem]:
     text = _apart("E^T z", lhs, "grad H", grad, RELATIVE * (terms + np.abs(grad)), names)
     if text:
         return [Problem("closed-pair", pair.label, text, "correct E, z or H: E^T z = grad H")]
+    if pair.ebar is None or pair.zbar is None:
+        return []
     rng = np.random.default_rng(2)
     direction = rng.uniform(-1.0, 1.0, (sample.n, n)) * size
     (end,) = ca.substitute([H], [pair.x], [pair.x + pair.d])

@@ -51,8 +51,8 @@ class Pair:
     origin: ClosedPair
     x: ca.SX
     d: ca.SX
-    ebar: ca.SX
-    zbar: ca.SX
+    ebar: ca.SX | None
+    zbar: ca.SX | None
 
 
 @dataclass
@@ -233,16 +233,15 @@ def _closed(e: Entries, pair: ClosedPair, label: str) -> None:
     n = sum(v.n for v in pair.variables)
     x, d = ca.vertcat(*(v.sx for v in pair.variables)), ca.SX.sym("d", n)
     ok = e.rows_known("closed", label, pair.variables)
-    for what, name, expr, shape in (
-        ("H", "H", pair.hamiltonian, (1, 1)), ("E", "E", pair.E, (n, n)), ("z", "z", pair.z, (n, 1)),
-        ("H", "ebar", pair.ebar(x, d), (n, 1)), ("H", "zbar", pair.zbar(x, d), (n, 1)),
-    ):  # fmt: skip
+    parts = [("H", "H", pair.hamiltonian, (1, 1)), ("E", "E", pair.E, (n, n)), ("z", "z", pair.z, (n, 1))]
+    discrete = {n: ca.SX(f(x, d)) for n, f in (("ebar", pair.ebar), ("zbar", pair.zbar)) if f is not None}
+    for what, name, expr, shape in (*parts, *(("H", name, expr, (n, 1)) for name, expr in discrete.items())):
         if name.endswith("bar"):
             (expr,) = ca.substitute([ca.SX(expr)], [d], [x])  # d counts as known
         before = len(e.sound)
         ok = e.add(what, f"{label}: {name}", expr, shape, origin=pair) and ok
         del e.sound[before:]
     if ok:
-        e.pairs.append(Pair(label, pair, x, d, ca.SX(pair.ebar(x, d)), ca.SX(pair.zbar(x, d))))
+        e.pairs.append(Pair(label, pair, x, d, discrete.get("ebar"), discrete.get("zbar")))
     else:
         e.leave_out("E", pair.variables)

@@ -135,11 +135,11 @@ def _indefinite(total: NDArray, names: list[str], blocks: list[Entry], sample: S
 
 
 def masses(entries: Entries, sample: Sample) -> list[Problem]:
-    """E11 is regular at the start and at sampled points; massless velocities are left to the constraints."""
+    """E11 is regular at the start and at sampled points; massless velocities are left to the constraints.
+
+    E of a pair (E, z) may be singular.
+    """
     chosen = [(e.label, e.expr, e.names()) for e in entries.of("E")]
-    for pair in entries.pairs:
-        names = [n for v in pair.origin.variables for n in v.names()]
-        chosen.append((f"{pair.label}: E", ca.SX(pair.origin.E), names))
     found = []
     for (label, expr, names), value in zip(chosen, sample.values([c[1] for c in chosen]), strict=True):
         for i, E in enumerate(value):

@@ -56,16 +56,18 @@ def strain_energy(invariant: Any, phi: Callable[[ca.SX], ca.SX], *, owner: str =
 
 @dataclass(frozen=True, eq=False)
 class ClosedPair:
-    """A closed-form discrete gradient pair for states whose E depends on x.
+    """A gradient pair (E, z) for states whose E depends on x or is singular:  E^T z = grad H.
 
-    With increment d = x' - x:   ebar(x, d) replaces E d,   zbar(x, d) replaces z,   zbar^T ebar = H(x + d) - H(x).
-    `E`, `z`: the continuous counterparts with E^T z = grad H;  `hamiltonian`: H(x).  k = 1 only.
+    With increment d = x' - x its discrete pair has   ebar(x, d) for E d,   zbar(x, d) for z,
+    zbar^T ebar = H(x + d) - H(x),   and for small d the limits E d and z.  k = 1 only.
+    Without `ebar` and `zbar` only the Dirac-dissipative scheme fits, which needs no discrete pair.
+    `hamiltonian`: H(x), depends on `variables` only.  Source: Kinon, Morandin, Schulze 2026, Definitions 1 and 7.
     """
 
     variables: tuple[Variable, ...]
     hamiltonian: ca.SX
     E: ca.SX
     z: ca.SX
-    ebar: Callable[[ca.SX, ca.SX], ca.SX]
-    zbar: Callable[[ca.SX, ca.SX], ca.SX]
+    ebar: Callable[[ca.SX, ca.SX], ca.SX] | None = None
+    zbar: Callable[[ca.SX, ca.SX], ca.SX] | None = None
     owner: str = ""

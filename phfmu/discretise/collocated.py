@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise import constraints, gradients, impulses, inertia
+from phfmu.discretise import closure, constraints, gradients, impulses, inertia
 from phfmu.discretise.arguments import EMPTY, Arguments
 from phfmu.discretise.discrete import Summand, node_gradients
 from phfmu.discretise.layout import Layout
@@ -33,8 +33,10 @@ class Collocated:
     gradient: "per-term" | "mean-value" | "joint-gonzalez", "itoh-abe", "itoh-abe-symmetric", "nodal" (these k = 1; nodal
     is the midpoint baseline MP, which keeps no energy balance).
 
+    `closure` (k = 1): where x2 of a step belongs, "end" | "start" | "midpoint" of `closure.py`; "mean": the mean over the
+    step is reported and nothing is carried on.
     `two_level`: holonomic models keep position and velocity constraints both (GGL form, odd k).
-    `impulses`: neutral impulse pairs at bare nodes, where their conditions hold (`impulses.py`).
+    `impulses`: neutral impulse pairs at bare nodes, where their conditions hold (`impulses.py`); not with a closure.
     """
 
     k: int = 1
@@ -42,6 +44,7 @@ class Collocated:
     name: str = "collocated"
     two_level: bool = False
     impulses: bool = True
+    closure: str = "mean"
 
     @property
     def joint(self) -> bool:
@@ -57,6 +60,8 @@ class Collocated:
 
     def unknowns(self, terms: Terms) -> list[Unknown]:
         out = node_unknowns(terms, self.k)
+        if self.closure != "mean":
+            out += closure.unknowns(terms)
         if self.two_level:
             out += [("m", t.rows[0][1], 0) for t in terms.terms if t.kind == "constraint"]
         return out + impulses.unknowns(terms)
@@ -65,6 +70,8 @@ class Collocated:
         return node_constants(layout)
 
     def maps(self, layout: Layout) -> Maps:
+        if self.closure != "mean":
+            return closure.maps(layout)
         maps = node_maps(layout, self.nodes)
         return replace(
             maps,
@@ -75,6 +82,11 @@ class Collocated:
 
     def prepare(self, terms: Terms) -> Terms:
         """Check that the scheme fits the model; returns the terms to discretise."""
+        for pair in terms.model.closed:
+            if pair.ebar is None or pair.zbar is None:
+                names = ", ".join(v.name for v in pair.variables)
+                raise DeclarationError(f"{terms.model.name}: the pair (E, z) on {names} has no discrete pair; give ebar and "
+                                       "zbar, or use --scheme dirac-dissipative")  # fmt: skip
         if terms.closed_states and self.k > 1:
             raise DeclarationError(
                 f"{terms.model.name}: the closed-form pair has order 2 only; use --order 2, or flux coordinates for "
@@ -87,6 +99,12 @@ class Collocated:
                 f"{terms.model.name}: order {2 * self.k} with holonomic constraints drifts off the velocity constraint; "
                 "use --order 2 or 6"
             )
+        if self.closure != "mean":
+            closure.require(self.closure, self.name)
+            if self.k > 1 or self.two_level:
+                raise DeclarationError(f"closure {self.closure} of {self.name} is for order 2 without a velocity level; "
+                                       "use --scheme semi-explicit --order 2, or leave out --closure")  # fmt: skip
+            return closure.add(terms)
         if self.two_level:
             terms = inertia.prepare(terms)
         if terms.light and self.gradient not in ("per-term", "mean-value"):
@@ -103,6 +121,9 @@ class Collocated:
             return impulses.specs(term, self.nodes)
         build = getattr(self, "_" + term.kind, None)
         return [] if build is None else [impulses.shifted(s, term) for s in build(term)]
+
+    def _closure(self, term: Term) -> list[Spec]:
+        return closure.specs(term, self.closure)
 
     # -- terms ------------------------------------------------------------------------------------------------------
 

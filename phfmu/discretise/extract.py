@@ -101,11 +101,12 @@ def _closed(model: PHDAE, out: Terms, locator: Locator) -> None:
         out.closed_states.update(where)
         exprs = {"H": pair.hamiltonian, "E": pair.E, "z": pair.z}
         # d is no model symbol: it enters through a second locator that maps it onto inputs of the kernel
-        ebar, zbar = pair.ebar(x, d), pair.zbar(x, d)
+        if pair.ebar is not None and pair.zbar is not None:
+            exprs |= {"ebar": pair.ebar(x, d), "zbar": pair.zbar(x, d)}
         probe = Locator(model, out.pairs)
         for j in range(d.numel()):
             probe.where[d[j].element_hash()] = ("d", where[j])
-        term = make_term("closed", exprs | {"ebar": ebar, "zbar": zbar}, WithIncrement(probe), "closed-form pair",
+        term = make_term("closed", exprs, WithIncrement(probe), "closed-form pair",
                          rows=[("x", i) for i in where], owner=member(out.members, pair.owner),
                          extra=[*ca.vertsplit(x), *ca.vertsplit(d)])  # fmt: skip
         out.terms.append(term)

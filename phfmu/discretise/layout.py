@@ -9,6 +9,11 @@ import numpy as np
 from phfmu.discretise.spec import Address
 from phfmu.discretise.terms import Term, Terms
 
+#: unknowns that are numbered by states; all others by algebraic variables
+STATE_KINDS = ("D", "Z", "s0", "s1", "mu.D", "mu.Z")
+#: terms whose kernels read the old algebraic variables after the old states
+CARRYING = ("closure", "given", "nearness")
+
 
 @dataclass
 class Layout:
@@ -17,7 +22,8 @@ class Layout:
     `unknowns`: list of (kind, global index, node), giving w; the row of an unknown has the same number:
     D <-> balance of that state, a <-> row of that algebraic variable, Z <-> E^T z = W, m <-> velocity constraint,
     b (rate of an algebraic variable) <-> the undifferentiated row that gives it, i0 and i1 (impulse, roots) <-> end
-    current and square root at a bare node, s0 and s1 <-> shifts of a state by the impulses.
+    current and square root at a bare node, s0 and s1 <-> shifts of a state by the impulses, X (carried algebraic
+    variable) <-> its closure, mu.* (multiplier of an equation) <-> stationarity of that equation's own unknown.
     """
 
     terms: Terms
@@ -117,6 +123,10 @@ class Layout:
             return self.value("b", self.bound[term.index["u"][j]], node)
         if kind == "dz":
             return self.value("Q", term.index["z"][j], node)
+        if kind == "X":
+            return self.value("X", term.index["a"][j], node)
+        if kind.startswith("mu."):
+            return self.multiplier(self.result(term, (kind[3:], j, node)))
         return self.value(kind, term.index[kind][j], node)
 
     def _velocity(self, term: Term, j: int) -> int:
@@ -129,6 +139,8 @@ class Layout:
             base += [self._velocity(term, j) for j in range(len(base))]
         if "t" in term.index:
             base.append(self.terms.n1)
+        if term.kind in CARRYING:
+            base += [self.terms.n1 + 1 + i for i in term.index["a"]]
         return base[:spec_nx] if spec_nx else []
 
     def result(self, term: Term, address: Address) -> int:
@@ -158,6 +170,8 @@ class Layout:
             return self.w_of[(kind, term.rows[j][1], node)]
         if kind == "work":
             return self.work[(term.rows[j][1], term.owner)]
+        if kind.startswith("stat."):
+            return self.stationary(self.argument(term, (kind[5:], j, node)))
         if kind == "costate":
             return self.w_of[("Z", term.rows[j][1], node)]
         row_kind, i = term.rows[j]
@@ -172,18 +186,31 @@ class Layout:
             return self.nw + nq * self.k + i
         return self.w_of[({"x": "D"}.get(kind, kind), i, node)]
 
+    def multiplier(self, row: int) -> int:
+        """Unknown that multiplies an equation, where the scheme minimises."""
+        kind, i, node = self.unknowns[row]
+        return self.w_of[(f"mu.{kind}", i, node)]
+
+    def stationary(self, w: int) -> int:
+        """Row that says the minimum does not change with unknown `w`: that of its multiplier, else its own."""
+        kind, i, node = self.unknowns[w]
+        return self.w_of.get((f"mu.{kind}", i, node), w)
+
     def names(self) -> list[str]:
         """A name per unknown/row for messages."""
         states = [n for v in self.terms.model.states for n in v.names()]
         algebraics = [n for v in self.terms.model.algebraics for n in v.names()]
         text = {
-            "D": lambda i: f"balance of {states[i]}", "a": lambda i: f"equation of {algebraics[i]}",
+            "D": lambda i: f"balance of {states[i]}",
+            "a": lambda i: f"equation of {algebraics[i]}",
             "Z": lambda i: f"costate of {states[i]}",
             "m": lambda i: f"velocity constraint of {algebraics[i]}",
             "b": lambda i: f"rate of {algebraics[i]}",
             "i0": lambda i: f"end current at {algebraics[i]}", "i1": lambda i: f"impulse at {algebraics[i]}",
             "s0": lambda i: f"start impulse on {states[i]}", "s1": lambda i: f"end impulse on {states[i]}",
-        }  # fmt: skip
+            "X": lambda i: f"closure of {algebraics[i]}",
+        }
+        text |= {f"mu.{kind}": lambda i, own=text[kind]: f"least distance, {own(i)}" for kind in "DZa"}  # fmt: skip
         suffix = (lambda node: f" (node {node + 1})") if self.k > 1 else (lambda node: "")
         return [text[kind](i) + suffix(node) for kind, i, node in self.unknowns]
 
@@ -191,12 +218,12 @@ class Layout:
         """The variable each unknown stands for, for messages."""
         states = [n for v in self.terms.model.states for n in v.names()]
         algebraics = [n for v in self.terms.model.algebraics for n in v.names()]
-        return [(states if kind in ("D", "Z", "s0", "s1") else algebraics)[i] for kind, i, _ in self.unknowns]
+        return [(states if kind in STATE_KINDS else algebraics)[i] for kind, i, _ in self.unknowns]
 
     def nominals(self) -> np.ndarray:
         x = [v.nominal[j] for v in self.terms.model.states for j in range(v.n)]
         a = [v.nominal[j] for v in self.terms.model.algebraics for j in range(v.n)]
         found = self.terms.impulses
         impulse = max(x[i] for i in found.end_states) if found else 1.0  # it has the unit of the states it shifts
-        size = {"a": a, "m": a, "b": a, "i0": [impulse] * len(a), "i1": [impulse] * len(a)}
-        return np.array([size.get(kind, x)[i] for kind, i, _ in self.unknowns], float).reshape(-1)
+        size = dict.fromkeys(STATE_KINDS, x) | {"i0": [impulse] * len(a), "i1": [impulse] * len(a)}
+        return np.array([size.get(kind, a)[i] for kind, i, _ in self.unknowns], float).reshape(-1)

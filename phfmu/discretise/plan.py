@@ -2,7 +2,7 @@
 
 A plan knows neither physics nor schemes.  With the value spaces
 
-    x = [old state | t],   v = [w | u | h],   Y = [v | Z],
+    x = [old state | t | old algebraic variables],   v = [w | u | h],   Y = [v | Z],
 
 it describes   Z = sum of stage-0 kernels(x, v, p),
                R = C(h) Y + sum of h^pow * stage-1 kernels(x, Y, p),
@@ -100,6 +100,8 @@ class Plan:
     `work_*`: pairs that get the energy R[work_row] beside h sum b y u.
     `regularised`: entries of A that get +delta after row scaling, in the factor only.
     `chord`: what the fast solver of constrained particles needs besides, or None where it does not apply.
+    `carries`: 1 if the reported algebraic variables belong to the end of a step and enter the next one; else they are
+    means over the step.
     """
 
     nx: int
@@ -143,6 +145,7 @@ class Plan:
     pair_owner: Ints
     nominal: Floats
     chord: Chord | None = None
+    carries: int = 0
 
     @property
     def nv(self) -> int:

@@ -35,7 +35,7 @@ class Maps:
 
     `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, w, weight, power of h);
     `guess`: per unknown a list of (w of the last step, weight, power of h/h_last);  `work`: (pair, row of R),
-    energy that goes through a pair beside h sum b y u.
+    energy that goes through a pair beside h sum b y u;  `carries`: see `Plan`.
     """
 
     update: list[tuple[int, int, float]]
@@ -43,6 +43,7 @@ class Maps:
     guess: list[list[tuple[int, float, int]]]
     weights: NDArray[np.float64]
     work: list[tuple[int, int]] = field(default_factory=list)
+    carries: bool = False
 
 
 #: Kinds of unknowns that vanish with the step size.
@@ -104,6 +105,7 @@ def make_plan(
         pair_src=np.array([layout.input_index(j, i) for i in range(layout.k) for j in range(nq)], np.int32),
         pair_owner=np.array([p.owner for p in terms.pairs], np.int32),
         nominal=layout.nominals(),
+        carries=int(maps.carries),
     )  # fmt: skip
 
 

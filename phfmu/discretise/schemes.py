@@ -4,24 +4,51 @@ from __future__ import annotations
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.dirac_dissipative import DiracDissipative
+from phfmu.discretise.gradient_pair import GradientPair
 from phfmu.discretise.scheme import Scheme
-from phfmu.discretise.scheme_names import ORDERS, SCHEMES
+from phfmu.discretise.scheme_names import CLOSURES, GRADIENTS, ORDERS, SCHEMES
 from phfmu.discretise.terms import DeclarationError
 
+#: schemes of order 2 only, and what to use for more
+ONE_NODE = ("gradient-pair", "dirac-dissipative")
 
-def named_scheme(declaration: PHDAE, name: str = "auto", order: int = 2, gradient: str = "per-term") -> Scheme:
+
+def named_scheme(
+    declaration: PHDAE,
+    name: str = "auto",
+    order: int = 2,
+    gradient: str = "per-term",
+    closure: str | None = None,
+) -> Scheme:
     """The scheme `name` of `order` for a declaration; DeclarationError says what fits instead.
 
-    auto:           two-level with holonomic constraints, collocated else
-    collocated:     k = order/2 Gauss nodes;  semi-explicit is its name for holonomic models (scheme (44) of the seed)
-    two-level:      position and velocity constraints both exact; holonomic models, order 2 or 6
-    midpoint:       the baseline without energy exactness: gradients at the midpoint, order 2
+    auto:               two-level with holonomic constraints, collocated else
+    collocated:         k = order/2 Gauss nodes;  semi-explicit is its name for holonomic models (scheme (44) of the seed)
+    two-level:          position and velocity constraints both exact; holonomic models, order 2 or 6
+    gradient-pair:      discrete gradient pair (Ebar, zbar), order 2
+    dirac-dissipative:  discrete gradient on the Dirac structure, costate as unknown, order 2
+    midpoint:           the baseline without energy exactness: gradients at the midpoint, order 2
+    closure:            where algebraic variables belong: "end" | "start" | "midpoint" (order 2 of collocated, semi-explicit,
+                        gradient-pair, dirac-dissipative), "minimal" (dirac-dissipative); None = the default of the scheme
     """
-    if order not in ORDERS:
-        raise DeclarationError(f"order {order} is not offered; choose from {', '.join(map(str, ORDERS))}")
+    _require_known(order, gradient, closure)
     holonomic = bool(declaration.constraints)
     if name == "auto":
         name = "two-level" if holonomic else "collocated"
+    if name in ONE_NODE and order != 2:
+        raise DeclarationError(f"scheme {name} has order 2 only; use --scheme collocated for order {order}")
+    if name == "gradient-pair":
+        if closure == "minimal":
+            raise DeclarationError("closure minimal is for --scheme dirac-dissipative; use --closure midpoint or end")
+        return GradientPair(gradient, closure or "midpoint")
+    if name == "dirac-dissipative":
+        return DiracDissipative(closure or "midpoint", gradient=gradient)
+    if closure is not None and name not in ("collocated", "semi-explicit"):
+        fits = "semi-explicit, gradient-pair or dirac-dissipative"
+        raise DeclarationError(f"scheme {name} has no closure; leave out --closure, or use --scheme {fits}")
+    if closure == "minimal":
+        raise DeclarationError("closure minimal is for --scheme dirac-dissipative")
     if name == "midpoint":
         if order != 2 or gradient != "per-term":
             raise DeclarationError(
@@ -35,5 +62,13 @@ def named_scheme(declaration: PHDAE, name: str = "auto", order: int = 2, gradien
             raise DeclarationError("the two-level scheme has odd stages only; use --order 2 or 6")
         return Collocated(order // 2, gradient=gradient, name=name, two_level=True)
     if name in ("collocated", "semi-explicit"):
-        return Collocated(order // 2, gradient=gradient, name=name)
+        return Collocated(order // 2, gradient=gradient, name=name, closure=closure or "mean")
     raise DeclarationError(f"unknown scheme '{name}'; choose from {', '.join(SCHEMES)}")
+
+
+def _require_known(order: int, gradient: str, closure: str | None) -> None:
+    for what, value, known in (("order", order, ORDERS), ("gradient", gradient, GRADIENTS)):
+        if value not in known:
+            raise DeclarationError(f"{what} {value} is not offered; choose from {', '.join(map(str, known))}")
+    if closure is not None and closure not in CLOSURES:
+        raise DeclarationError(f"closure {closure} is not offered; choose from {', '.join(CLOSURES)}")

@@ -106,7 +106,8 @@ class PythonInstance:
             self._stay(t, before)
             return
         s, plan = self._s, self.model.step
-        s.x_old, s.u_old, s.solved = np.append(s.x[:-1], t), s.u.copy(), 0
+        s.x[-1] = t
+        s.x_old, s.u_old, s.solved = self._old().copy(), s.u.copy(), 0
         s.last = self._nothing()
         y, a, nodes_y = np.zeros(plan.nq), np.zeros(plan.na), np.zeros((plan.k, plan.nq))
         try:
@@ -120,7 +121,9 @@ class PythonInstance:
             self._s = before
             self._s.counts = counts
             raise
-        s.y_step, s.y_node, s.a, s.t, s.theta = y, nodes_y, a, t + h, 1.0
+        s.y_step, s.y_node, s.t, s.theta = y, nodes_y, t + h, 1.0
+        if not plan.carries:
+            s.a = a
         s.x[-1] = t + h
         s.energy += s.last["pairs"]
         s.stored += s.last["stored"]
@@ -138,8 +141,10 @@ class PythonInstance:
         except StepFailure:
             self._s = before
             raise
-        s.x_old, s.u_old, s.solved, s.last = s.x.copy(), s.u.copy(), 0, self._nothing()
-        s.a, s.y_step, s.y_node = end["a"].copy(), end["y"].copy(), np.tile(end["y"], (self.model.step.k, 1))
+        if not self.model.step.carries:
+            s.a = end["a"].copy()
+        s.x_old, s.u_old, s.solved, s.last = self._old().copy(), s.u.copy(), 0, self._nothing()
+        s.y_step, s.y_node = end["y"].copy(), np.tile(end["y"], (self.model.step.k, 1))
         s.counts["steps"] += 1
 
     def _advance(
@@ -163,6 +168,10 @@ class PythonInstance:
         first = self._advance(t, h, start, part / 2, depth + 1)
         return first + self._advance(t, h, start + part / 2, part / 2, depth + 1)
 
+    def _old(self) -> Array:
+        """What the kernels of a step read as x: states, time and, where they are carried, algebraic variables."""
+        return np.append(self._s.x, self._s.a) if self.model.step.carries else self._s.x
+
     def _inputs(self, at: Array) -> Array:
         """The polynomial through the node inputs of the communication step, at the fractions `at` of it (stacked)."""
         k = self.model.step.k
@@ -181,7 +190,7 @@ class PythonInstance:
         if s.h_last != 0:
             ratio = (h / s.h_last) ** plan.guess_pow
             starts.insert(0, np.add.reduceat(plan.guess_val * ratio * s.w[plan.guess_idx], plan.guess_ptr[:-1]))
-        fixed = (s.x, np.append(u, h), s.p, h)
+        fixed = (self._old(), np.append(u, h), s.p, h)
         outcome = Outcome(Status.NO_CONVERGENCE, rest)
         for damped in (False, True):
             for start in starts:
@@ -196,10 +205,10 @@ class PythonInstance:
     def _accept(self, outcome: Outcome, h: float, u: Array) -> tuple[Array, Array]:
         """Book the ledger at the converged unknowns and move the state; node outputs and mean algebraic variables."""
         s, plan = self._s, self.model.step
-        fixed = (s.x, np.append(u, h), s.p, h)
+        fixed = (self._old(), np.append(u, h), s.p, h)
         s.solved += 1
         self._newton.residual(outcome.w, fixed)
-        stored, lost = self._step.ledger(s.x, s.p)
+        stored, lost = self._step.ledger(fixed[0], s.p)
         y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
         u_nodes = self._step.Y[plan.pair_src].reshape(plan.k, plan.nq)
         pairs = h * plan.weights @ (y_nodes * u_nodes)
@@ -214,6 +223,8 @@ class PythonInstance:
         s.carry = change - (total - s.x[:-1])
         s.x[:-1] = total
         a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * outcome.w[plan.mean_w], plan.na)
+        if plan.carries:
+            s.a = a
         return y_nodes.copy(), a
 
     def _projected(self, y: Array, start: float, part: float) -> Array:

@@ -44,7 +44,7 @@ static void lay_state(ph_instance *in, block *b) {
         in->row[i] = doubles(b, length[i]);
     in->u = doubles(b, p->nu * p->k);
     in->p = doubles(b, p->np);
-    in->x_old = doubles(b, p->nx + 1);
+    in->x_old = doubles(b, p->nx + 1 + p->na);
     in->u_old = doubles(b, p->nu * p->k);
     in->y_node = doubles(b, p->k > 1 ? p->nq * p->k : 0);
     in->step.last = doubles(b, p->nw);

@@ -50,10 +50,11 @@ int ph_refresh(ph_instance *in) {
     return PH_OK;
 }
 
-void ph_take_instant(ph_instance *in) {
+void ph_take_instant(ph_instance *in, int algebraic) {
     const ph_plan *p = in->model->step;
     double *table = in->table;
-    memcpy(table + in->offset[PH_A], table + in->offset[PH_A_END], sizeof(double) * (size_t)p->na);
+    if (algebraic)
+        memcpy(table + in->offset[PH_A], table + in->offset[PH_A_END], sizeof(double) * (size_t)p->na);
     memcpy(table + in->offset[PH_Y_STEP], table + in->offset[PH_Y_END], sizeof(double) * (size_t)p->nq);
     for (int i = 0; p->k > 1 && p->nq > 0 && i < p->k; i++)
         memcpy(in->y_node + i * p->nq, table + in->offset[PH_Y_END], sizeof(double) * (size_t)p->nq);
@@ -63,7 +64,7 @@ int ph_initialise(ph_instance *in) {
     int status = ph_refresh(in);
     if (status)
         return status;
-    ph_take_instant(in);
+    ph_take_instant(in, 1);
     ph_seed(in, in->table + in->offset[PH_A]);
     return PH_OK;
 }

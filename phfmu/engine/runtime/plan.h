@@ -103,7 +103,7 @@ typedef struct ph_chord {
     const double *to_modes;     /* k*k */
 } ph_chord;
 
-/* Spaces: x = [old state nx | time], v = [w nw | u nu*k | h], Y = [v | Z nz], rows R =
+/* Spaces: x = [old state nx | time | old algebraic variables na], v = [w nw | u nu*k | h], Y = [v | Z nz], rows R =
  * [residual nw | pair outputs nq*k | observables nobs]. */
 typedef struct ph_plan {
     int nx, nw, nu, k, nz, np, nq, nobs, na, ncomp, nv, nrow;
@@ -117,6 +117,7 @@ typedef struct ph_plan {
     int nreg;                         /* regularised diagonal entries */
     int nupdate, nmean;               /* entries of the update and of the algebraic report */
     int nwork;                        /* rows with the work of impulses */
+    int carries;                      /* 1: algebraic variables of the step's end enter the next; 0: means */
     int lucap;                        /* room for the entries of L + U */
     const ph_group *groups;           /* ngroup */
     const int *const_row;             /* nconst */

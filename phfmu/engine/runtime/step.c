@@ -41,8 +41,10 @@ static void accept(ph_instance *in, double h, double from, double weight) {
         in->row[PH_ROW_PAIRS][p->work_pair[l]] += energy;
         in->row[PH_ROW_SUPPLIED][p->pair_owner[p->work_pair[l]]] += energy;
     }
+    for (int l = 0; l < p->nmean && p->carries; l++)
+        a[p->mean_a[l]] = 0.0;
     for (int l = 0; l < p->nmean; l++) {
-        double part = weight * p->mean_c[l] * s->y[p->mean_w[l]];
+        double part = (p->carries ? 1.0 : weight) * p->mean_c[l] * s->y[p->mean_w[l]];
         a[p->mean_a[l]] += p->mean_pow[l] < 0 ? part / h : part;
     }
     ph_book_nodes(in, from, weight);
@@ -116,7 +118,7 @@ static void clear(double *values, int n) {
 static void begin(ph_instance *in, double h) {
     const ph_plan *p = in->step.plan;
     double *a = in->table + in->offset[PH_A];
-    memcpy(in->x_old, in->table, sizeof(double) * (size_t)(p->nx + 1));
+    memcpy(in->x_old, in->table, sizeof(double) * (size_t)(p->nx + 1 + p->na));
     if (p->nu > 0)
         memcpy(in->u_old, in->u, sizeof(double) * (size_t)(p->nu * p->k));
     for (int i = 0; i < PH_ROW_PAIRS; i++)
@@ -124,7 +126,7 @@ static void begin(ph_instance *in, double h) {
     clear(in->row[PH_ROW_PAIRS], p->nq);
     clear(in->table + in->offset[PH_Y_STEP], p->nq);
     clear(in->y_node, p->k > 1 ? p->nq * p->k : 0);
-    for (int l = 0; l < p->nmean; l++)
+    for (int l = 0; l < p->nmean && !p->carries; l++)
         a[p->mean_a[l]] = 0.0;
     in->head->parts = 0;
     in->head->step_h = h;
@@ -163,7 +165,7 @@ static int stay(ph_instance *in, double t) {
     if (status)
         return status;
     begin(in, 0.0);
-    ph_take_instant(in);
+    ph_take_instant(in, !in->step.plan->carries);
     in->count[PH_STEPS]++;
     return PH_OK;
 }

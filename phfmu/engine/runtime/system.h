@@ -99,7 +99,7 @@ struct ph_instance {
     double *row[PH_NROW];
     double *u;      /* nu*k */
     double *p;      /* np */
-    double *x_old;  /* nx+1: at the start of the last step */
+    double *x_old;  /* nx+1+na: states, time, algebraic variables at the start of the last step */
     double *u_old;  /* nu*k: inputs of the last step */
     double *y_node; /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
 
@@ -120,6 +120,6 @@ void ph_inputs_at(ph_instance *in, double theta, double *u);
 void ph_basis(ph_instance *in, double theta);
 void ph_book_nodes(ph_instance *in, double from, double weight);
 void ph_seed(ph_instance *in, const double *a);
-void ph_take_instant(ph_instance *in); /* step means = values at the present time */
+void ph_take_instant(ph_instance *in, int algebraic); /* means = values at the present time */
 
 #endif

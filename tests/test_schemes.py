@@ -1,0 +1,517 @@
+"""The one-step schemes of section 4 of Kinon, Morandin, Schulze (2026): its theorems, examples and orders."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from phfmu import (
+    PHDAE,
+    TRANSLATIONAL,
+    ClosedPair,
+    Collocated,
+    DeclarationError,
+    DiracDissipative,
+    FMUInstance,
+    GradientPair,
+    NativeInstance,
+    Port,
+    PythonInstance,
+    Status,
+    StepFailure,
+    algebraic,
+    block,
+    build_model,
+    check,
+    damping,
+    energy,
+    export,
+    skew,
+    state,
+    time,
+)
+from phfmu.cli import main
+from phfmu.components.electrical import synchronous_machine
+from phfmu.components.library import build
+from phfmu.discretise.schemes import named_scheme
+from tests.test_orders import BETA, END, START, G, L, R, drive, reference, rlc, rlc_exact, rlc_rate, slope
+
+ENGINES = (PythonInstance, NativeInstance)
+POINTS = ("end", "start", "midpoint")
+
+
+def steps(model, h, n, engine=PythonInstance):
+    """x and a after every step (rows), and the worst step residual over H at the start and the energies exchanged."""
+    instance, x, a, worst = engine(model), [], [], 0.0
+    stored = np.sum(np.abs(instance.signal("H")))
+    for k in range(n):
+        instance.do_step(k * h, h)
+        row = instance.ledger()
+        size = stored + sum(np.sum(np.abs(row[name])) for name in ("dissipated", "supplied"))
+        left = np.sum(row["stored"] + row["dissipated"] - row["supplied"])
+        worst = max(worst, abs(left) / size)
+        x.append(instance.x)
+        a.append(instance.signal("a"))
+    return np.array(x), np.array(a), worst
+
+
+# -- Examples 1, 5 and 6 ------------------------------------------------------------------------------------------
+
+
+def linear() -> PHDAE:
+    """x1' = x2, 0 = -x1 - x2, H = x1^2/2 (Example 1)."""
+    x1, x2 = state("x1", start=1.0), algebraic("x2", start=-1.0)
+    return PHDAE(
+        "linear",
+        states=(x1,),
+        algebraics=(x2,),
+        energies=(energy(x1**2 / 2),),
+        structure=(skew(x1, x2, 1.0),),
+        dissipation=(damping(x2, 1.0),),
+    )
+
+
+def linear_descriptor(ebar=None, zbar=None) -> PHDAE:
+    """The same with x = (x1, x2) and the singular E = diag(1, 0) as a gradient pair."""
+    x = state("x", 2, start=(1.0, -1.0))
+    pair = ClosedPair((x,), x[0] ** 2 / 2, ca.SX([[1.0, 0.0], [0.0, 0.0]]), x.sx, ebar, zbar)
+    return PHDAE(
+        "linear_descriptor",
+        states=(x,),
+        closed=(pair,),
+        structure=(block([x], ca.SX([[0.0, 1.0], [-1.0, 0.0]])),),
+        dissipation=(block([x], ca.diag(ca.SX([0.0, 1.0]))),),
+    )
+
+
+H = 0.1
+#: x1 after each step, and the means (x1 + x1')/2
+X1 = ((2 - H) / (2 + H)) ** np.arange(6)
+MEANS = (X1[:-1] + X1[1:]) / 2
+OUTCOMES = {"end": -MEANS, "start": -MEANS, "midpoint": -X1[1:]}
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("make", [DiracDissipative, lambda p: DiracDissipative("minimal", at=p)], ids=["z2", "minimal"])
+def test_example_6_has_three_outcomes(make, point, engine):
+    """x1 is the midpoint rule for all; x2' is -(x1 + x1')/2, the same filed as x2, or -x1' from a consistent start."""
+    x, a, worst = steps(build_model(linear(), make(point)), H, 5, engine)
+    assert x[:, 0] == pytest.approx(X1[1:], rel=1e-14)
+    assert a[:, 0] == pytest.approx(OUTCOMES[point], rel=1e-13)
+    assert worst <= 1e-14
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("point", ["end", "midpoint"])
+def test_example_6_with_a_singular_descriptor_matrix(point, engine):
+    """The least |f - zbar| finds the same without knowing which states are algebraic."""
+    x, _, worst = steps(build_model(linear_descriptor(), DiracDissipative("minimal", at=point)), H, 5, engine)
+    assert x == pytest.approx(np.column_stack([X1[1:], OUTCOMES[point]]), rel=1e-13)
+    assert worst <= 1e-14
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("declaration", [linear, linear_descriptor])
+def test_a_closure_of_the_user(declaration, engine):
+    """The algebraic equation itself, 0 = x1' + x2', is the first of the completions that Example 6 names."""
+    model = build_model(declaration(), DiracDissipative(lambda x, new, f: new[0] + new[1]))
+    x, a, _ = steps(model, H, 5, engine)
+    both = np.hstack([x, a])
+    assert both == pytest.approx(np.column_stack([X1[1:], -X1[1:]]), rel=1e-14)
+
+
+def test_an_inconsistent_start_alternates_with_the_midpoint_closure():
+    model = build_model(linear(), Collocated(1, closure="midpoint"))
+    instance = PythonInstance(model)
+    instance._s.a = np.array([-0.5])  # x2 = -1/2 instead of -1
+    for k in range(4):
+        instance.do_step(k * H, H)
+        assert instance.signal("a")[0] + X1[k + 1] == pytest.approx(0.5 * (-1) ** (k + 1), rel=1e-13)
+
+
+# -- Theorems 2, 4 and 5, Corollary 1 -----------------------------------------------------------------------------
+
+
+def rlc_descriptor() -> PHDAE:
+    """The circuit of test_orders with x = (q, phi, i) and the pair of Theorem 4 written out."""
+    q, phi, i = state("q", start=START[0]), state("phi", start=START[1]), state("i", start=0.5)
+    h = q**2 / 2 + BETA * q**4 / 4 + phi**2 / (2 * L)
+
+    def zbar(x, d):
+        y = x + d
+        slope = (x[0] + y[0]) / 2 + BETA / 4 * (y[0] ** 3 + y[0] ** 2 * x[0] + y[0] * x[0] ** 2 + x[0] ** 3)
+        return ca.vertcat(slope, (x[1] + y[1]) / (2 * L), (x[2] + y[2]) / 2)
+
+    pair = ClosedPair(
+        (q, phi, i), h, ca.diag(ca.SX([1.0, 1.0, 0.0])), ca.vertcat(q + BETA * q**3, phi / L, i),
+        lambda x, d: ca.vertcat(d[0], d[1], 0), zbar,
+    )  # fmt: skip
+    return PHDAE(
+        "rlc_descriptor",
+        states=(q, phi, i),
+        closed=(pair,),
+        structure=(skew(q, phi, 1.0), skew(q, i, -1.0)),
+        dissipation=(damping(phi, R), block([i], G + i**2 / 2)),
+        ports=(Port("terminal", rlc("source", "algebraic").ports[0].domain, "effort", {phi: 1.0},
+                    source=ca.SX(drive(time, ca.sin, ca.cos))),),
+    )  # fmt: skip
+
+
+@cache
+def consistent_current():
+    """i(0) of the circuit: v = (G + i^2/2) i."""
+    v = START[0] + BETA * START[0] ** 3
+    return current(v)
+
+
+def current(v):
+    roots = np.roots([0.5, 0.0, G, -v])
+    return float(roots[np.argmin(np.abs(roots.imag))].real)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_corollary_1_the_pair_of_theorem_4_gives_the_semi_explicit_scheme(engine):
+    h, n = 0.04, 50
+    general = rlc_descriptor().with_starts({"i": consistent_current()})
+    assert check(general) == []
+    x, _, worst = steps(build_model(general, GradientPair()), h, n, engine)
+    semi = build_model(rlc("source", "algebraic"), Collocated(1, closure="midpoint"))
+    x1, x2, _ = steps(semi, h, n, engine)
+    assert x == pytest.approx(np.hstack([x1, x2]), rel=1e-12, abs=1e-12)
+    assert worst <= 1e-13
+    own = steps(build_model(rlc("source", "algebraic"), GradientPair()), h, n, engine)
+    assert np.array_equal(own[0], x1) and np.array_equal(own[1], x2)
+
+
+def declaration(name):
+    if name == "rlc":
+        return rlc("source", "algebraic")
+    if name == "machine":
+        return synchronous_machine(coordinates="abc-flux")
+    found = build(name)
+    return found if isinstance(found, PHDAE) else found.declaration()
+
+
+SIZES = {"rlc": 0.05, "drive": 1e-4, "four_particle": 0.01, "oscillator": 0.01, "machine": 1e-4, "smib": 1e-4}
+
+
+@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("name", list(SIZES))
+def test_theorem_5_the_closed_dirac_dissipative_scheme_is_the_semi_explicit_one(name, point):
+    d, h = declaration(name), SIZES[name]
+    x, a, _ = steps(build_model(d, Collocated(1, closure=point)), h, 20)
+    y, b, worst = steps(build_model(d, DiracDissipative(point)), h, 20)
+    assert np.max(np.abs(x - y)) <= 1e-12 * max(1.0, np.max(np.abs(x)))
+    assert np.max(np.abs(a - b), initial=0.0) <= 1e-9 * max(1.0, np.max(np.abs(a), initial=0.0))
+    assert worst <= 1e-13
+
+
+@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("name", ["rlc", "drive"])
+def test_the_least_distance_is_zero_where_x2_is_free(name, point):
+    """Semi-explicit models whose E does not depend on x2: minimal and point closures are one."""
+    d, h = declaration(name), SIZES[name]
+    x, a, _ = steps(build_model(d, DiracDissipative(point)), h, 20)
+    y, b, worst = steps(build_model(d, DiracDissipative("minimal", at=point)), h, 20)
+    assert y == pytest.approx(x, rel=1e-11, abs=1e-11) and b == pytest.approx(a, rel=1e-10, abs=1e-10)
+    assert worst <= 1e-13
+
+
+# -- Proposition 1 and observed orders ----------------------------------------------------------------------------
+
+
+@cache
+def circuit_at(t):
+    run = solve_ivp(rlc_rate("algebraic"), (0.0, t), START, method="DOP853", rtol=3e-14, atol=1e-15, max_step=0.01)
+    q = run.y[0, -1]
+    return run.y[:, -1], current(q + BETA * q**3)
+
+
+@pytest.mark.parametrize(
+    ("make", "point"),
+    [(lambda p: Collocated(1, closure=p), p) for p in POINTS]
+    + [(DiracDissipative, p) for p in POINTS]
+    + [(lambda p: GradientPair(closure=p), p) for p in ("end", "midpoint")],
+)
+def test_proposition_1_order_two_of_x1_and_of_x2_at_its_instant(make, point):
+    """x2 of the closures end and start belongs to the middle of the step; read at its end it has order 1."""
+    model, counts = build_model(rlc("source", "algebraic"), make(point)), (20, 40, 80)
+    x_errors, own, late = [], [], []
+    for n in counts:
+        x, a, worst = steps(model, END / n, n)
+        x_errors.append(np.max(np.abs(x[-1] - rlc_exact("algebraic"))))
+        instant = END if point == "midpoint" else END - END / n / 2
+        own.append(abs(a[-1, 0] - circuit_at(instant)[1]))
+        late.append(abs(a[-1, 0] - circuit_at(END)[1]))
+        assert worst <= 1e-13
+    assert slope(counts, x_errors) == pytest.approx(-2.0, abs=0.1)
+    assert slope(counts, own) == pytest.approx(-2.0, abs=0.1)
+    if point != "midpoint":
+        assert slope(counts, late) == pytest.approx(-1.0, abs=0.15)
+
+
+BOTH = [GradientPair(), DiracDissipative()]
+
+
+@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
+def test_order_on_the_drive(scheme):
+    """Against the matrix exponential."""
+    exact, model = reference("drive"), build_model(declaration("drive"), scheme)
+    names, sizes, errors = [n for v in model.declaration.states for n in v.names()], (5e-5, 2.5e-5, 1.25e-5), []
+    for h in sizes:
+        x, _, worst = steps(model, h, round(0.005 / h), NativeInstance)
+        speed = x[-1, names.index("load.w")] - exact["w2"][1]
+        errors.append(abs(speed) + abs(x[-1, names.index("motor.w")] - exact["w1"][1]))
+        assert worst <= 1e-13
+    assert slope(sizes, errors) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
+def test_order_on_the_oscillator(scheme):
+    """Against the closed form, at half a period."""
+    model = build_model(declaration("oscillator"), scheme)
+    names, sizes, errors = [n for v in model.declaration.states for n in v.names()], (0.01, 0.005, 0.0025), []
+    q = [names.index(f"mass{i}.q") for i in (1, 2)]
+    for h in sizes:
+        x, _, worst = steps(model, h, round(0.3 / h), NativeInstance)
+        slow, fast = np.cos(2 * np.pi * 0.3), np.cos(6 * np.pi * 0.3)
+        errors.append(np.max(np.abs(x[-1, q] - [(slow + fast) / 2, (slow - fast) / 2])))
+        assert worst <= 1e-13
+    assert slope(sizes, errors) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
+def test_order_on_four_particles(scheme):
+    """Positions; the velocities of the one-level form alternate around the constraint."""
+    exact, model = reference("four_particle"), build_model(declaration("four_particle"), scheme)
+    final, sizes, errors = np.array([exact[f"q[{j + 1}]"][-1] for j in range(12)]), (1 / 400, 1 / 800, 1 / 1600), []
+    for h in sizes:
+        x, _, worst = steps(model, h, round(1 / h), NativeInstance)
+        errors.append(np.linalg.norm(x[-1, :12] - final))
+        assert worst <= 1e-13
+    assert slope(sizes, errors) == pytest.approx(2.0, abs=0.1)
+
+
+@cache
+def machine_truth(t):
+    """Rotor angle and momentum from dq fluxes with order 6 at a small step."""
+    model = build_model(synchronous_machine(coordinates="dq-flux"), Collocated(3))
+    x = NativeInstance(model).run(0.0, t / 400, 400, ("x",))["x"][-1]
+    names = [n for v in model.declaration.states for n in v.names()]
+    return np.array([x[names.index("p")] / 1e6, x[names.index("theta")]])
+
+
+@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
+def test_order_on_the_machine_in_current_coordinates(scheme):
+    """E(x) is full and depends on the angle: the closed-form pair, and a discrete gradient with E at the midpoint."""
+    model = build_model(synchronous_machine(coordinates="current"), scheme)
+    names, sizes, errors = [n for v in model.declaration.states for n in v.names()], (4e-4, 2e-4, 1e-4), []
+    for h in sizes:
+        x, _, worst = steps(model, h, round(0.02 / h), NativeInstance)
+        last = np.array([x[-1, names.index("p")] / 1e6, x[-1, names.index("theta")]])
+        errors.append(np.max(np.abs(last - machine_truth(0.02))))
+        assert worst <= 1e-13
+    assert slope(sizes, errors) == pytest.approx(2.0, abs=0.15)
+
+
+# -- Example 8 ----------------------------------------------------------------------------------------------------
+
+
+def example_8(a=1.0, y=0.0, pair=False) -> PHDAE:
+    """H = exp(x1^2/2) - 1 + x2^2/2, E = (1, 1)^T grad H^T, z = (1, 1)/2, and an input that asks for x1 = a/2.
+
+    The input acts as (psi, -psi) with psi = x1 - a/2: its power is zero, and a step from (a, .) must end at x1' = 0.
+    """
+    x = state("x", 2, start=(a, y))
+    h = ca.exp(x[0] ** 2 / 2) - 1 + x[1] ** 2 / 2
+    half, psi = ca.SX([0.5, 0.5]), x[0] - a / 2
+
+    def ebar(x, d):  # (1, 1)^T DG H^T with one divided difference a coordinate
+        first = ca.if_else(d[0] == 0, x[0] * ca.exp(x[0] ** 2 / 2),
+                           (ca.exp((x[0] + d[0]) ** 2 / 2) - ca.exp(x[0] ** 2 / 2)) / ca.if_else(d[0] == 0, 1, d[0]))  # fmt: skip
+        return ca.repmat(first * d[0] + (x[1] + d[1] / 2) * d[1], 2)
+
+    return PHDAE(
+        "example_8",
+        states=(x,),
+        closed=(ClosedPair((x,), h, ca.mtimes(ca.SX([1.0, 1.0]), ca.gradient(h, x.sx).T), half,
+                           ebar if pair else None, (lambda x, d: half) if pair else None),),
+        ports=(Port("hold", TRANSLATIONAL, "effort", {x: ca.vertcat(psi, -psi)}, start=1.0),),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("y", [0.0, 0.3])
+@pytest.mark.parametrize("closure", ["minimal", lambda x, new, f: ca.SX(0, 1)], ids=["minimal", "none"])
+def test_example_8_has_no_solution_and_says_so(closure, y, engine):
+    """The input moves x across grad H, where E^T f = DG H has no f; the state stays where it was."""
+    instance = engine(build_model(example_8(y=y), DiracDissipative(closure)))
+    with pytest.raises(StepFailure, match="example_8 at t = 0") as failure:
+        instance.do_step(0.0, 0.1)
+    assert failure.value.status in (Status.SINGULAR, Status.NO_CONVERGENCE)
+    assert "costate of x" in str(failure.value) or "least distance" in str(failure.value)
+    assert instance.x == pytest.approx([1.0, y], abs=0)
+
+
+def test_example_8_the_numbers_of_the_appendix():
+    """x = (a, 0), x' = (0, b), b = a exp(a^2/16): grad H at the midpoint is normal to x' - x although H changes."""
+    a = 1.0
+    b = a * np.exp(a**2 / 16)
+    x, new = np.array([a, 0.0]), np.array([0.0, b])
+    d, mid = new - x, (x + new) / 2
+    grad = np.array([mid[0] * np.exp(mid[0] ** 2 / 2), mid[1]])
+    dh = b**2 / 2 - (np.exp(a**2 / 2) - 1)
+    assert grad @ d == pytest.approx(0.0, abs=1e-15) and abs(dh) > 0.08
+    for w in (0.0, 1.0, -3.0):  # every discrete gradient is dh d/|d|^2 plus something normal to d, i.e. along grad
+        found = dh * d / (d @ d) + w * grad
+        assert np.linalg.matrix_rank(np.column_stack([grad, found])) == 2
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_example_8_steps_with_a_discrete_pair(engine):
+    """Ebar = (1, 1)^T DG H^T is a pair without that defect: H is kept, and the input's condition met."""
+    instance = engine(build_model(example_8(y=0.9, pair=True), GradientPair()))
+    before = instance.signal("H")[0]
+    instance.do_step(0.0, 0.1)
+    assert instance.x[0] == pytest.approx(0.0, abs=1e-12)
+    assert instance.signal("H")[0] == pytest.approx(before, rel=1e-12)
+
+
+# -- engines, substeps, units, refusals ---------------------------------------------------------------------------
+
+SCHEMES = [
+    *BOTH,
+    DiracDissipative("minimal"),
+    Collocated(1, closure="midpoint"),
+    DiracDissipative("end", gradient="itoh-abe"),
+]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}-{s.closure}")
+@pytest.mark.parametrize(
+    "name", ["rlc", pytest.param("drive", marks=pytest.mark.slow), pytest.param("machine", marks=pytest.mark.slow)]
+)
+def test_both_engines_agree_also_in_parts_and_after_restoring(name, scheme):
+    model, h = build_model(declaration(name), scheme), SIZES[name]
+    python, native = PythonInstance(model), NativeInstance(model)
+    for k in range(6):
+        if k == 3:
+            saved = python.get_state(), native.get_state()
+        for instance in (python, native):
+            instance.do_step(k * h, h, parts=2)
+    last = native.signal("a")
+    for block_name in ("x", "a", "y_step", "energy", "a_end"):
+        p, q = python.signal(block_name), native.signal(block_name)
+        assert p == pytest.approx(q, rel=1e-11, abs=1e-11 * max(1.0, np.max(np.abs(q), initial=0.0))), block_name
+    for instance, state_ in zip((python, native), saved, strict=True):
+        instance.set_state(state_)
+        for k in range(3, 6):
+            instance.do_step(k * h, h, parts=2)
+    assert np.array_equal(native.signal("a"), last)
+
+
+def test_parts_of_a_step_are_steps_where_x2_is_carried():
+    model = build_model(rlc("source", "algebraic"), GradientPair())
+    one, other = PythonInstance(model), NativeInstance(model)
+    for k in range(8):
+        one.do_step(k * 0.025, 0.025)
+    for k in range(2):
+        other.do_step(k * 0.1, 0.1, parts=4)
+    assert other.signal("a") == pytest.approx(one.signal("a"), rel=1e-12)
+    assert other.x == pytest.approx(one.x, rel=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
+def test_sensitivities_are_slopes_of_the_step(scheme, engine):
+    model = build_model(rlc("free", "algebraic"), scheme)
+    instance = engine(model)
+    instance.do_step(0.0, 0.1)
+    saved = instance.get_state()
+
+    def output(u):
+        instance.set_state(saved)
+        instance.set_input(np.array([u]))
+        instance.do_step(0.1, 0.1)
+        return instance.output()[0]
+
+    eps = 1e-5
+    slope_ = (output(0.4 + eps) - output(0.4 - eps)) / (2 * eps)
+    output(0.4)
+    assert instance.sensitivity()[0, 0] == pytest.approx(slope_, rel=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}-{s.closure}")
+def test_units_equal_the_native_engine(scheme, tmp_path):
+    d, h = declaration("drive"), 1e-4
+    model = build_model(d, scheme)
+    native = NativeInstance(model)
+    x, a, _ = steps(model, h, 50, NativeInstance)
+    native.reset()
+    for path in export(d, model, tmp_path, step=h):
+        with FMUInstance(path) as unit:
+            for k in range(50):
+                unit.do_step(k * h, h)
+            names = [n for v in d.states for n in v.names()]
+            assert unit.get(names) == pytest.approx(x[-1], rel=1e-12, abs=1e-13)
+            algebraics = [n for v in d.algebraics for n in v.names()]
+            assert unit.get(algebraics) == pytest.approx(a[-1], rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"name": "gradient-pair", "order": 4}, "order 2 only; use --scheme collocated"),
+        ({"name": "dirac-dissipative", "order": 6}, "order 2 only; use --scheme collocated"),
+        ({"name": "gradient-pair", "closure": "minimal"}, "dirac-dissipative"),
+        ({"name": "collocated", "closure": "minimal"}, "dirac-dissipative"),
+        ({"name": "midpoint", "closure": "end"}, "has no closure; .* semi-explicit, gradient-pair"),
+        ({"closure": "middle"}, "choose from end, start, midpoint, minimal"),
+        ({"gradient": "gonzales"}, "choose from per-term"),
+    ],
+)
+def test_a_scheme_that_does_not_exist_says_what_does(arguments, said):
+    with pytest.raises(DeclarationError, match=said):
+        named_scheme(linear(), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "said"),
+    [
+        (Collocated(1), "no discrete pair; give ebar and zbar, or use --scheme dirac-dissipative"),
+        (GradientPair(), "no discrete pair; give ebar and zbar, or use --scheme dirac-dissipative"),
+        (DiracDissipative("midpoint"), "rank 1 of 2 at the start.*--closure minimal"),
+        (DiracDissipative("minimal", at="start"), "structurally singular"),
+        (DiracDissipative(lambda x, new, f: new), "gives 2 x 1 rows, but 1 are open.*give 1"),
+        (DiracDissipative("middle"), "closure 'middle' is not known; choose from end, start, midpoint"),
+    ],
+)
+def test_a_model_that_a_scheme_cannot_take_says_what_can(scheme, said):
+    with pytest.raises(DeclarationError, match=said):
+        build_model(linear_descriptor(), scheme)
+
+
+def test_closures_that_leave_something_open_are_refused():
+    with pytest.raises(DeclarationError, match="x2 would occur in no equation.*--closure midpoint or end"):
+        build_model(linear(), GradientPair(closure="start"))
+    with pytest.raises(DeclarationError, match="order 2 without a velocity level"):
+        build_model(linear(), Collocated(2, closure="midpoint"))
+
+
+@pytest.mark.parametrize(
+    "words", ["gradient-pair", "dirac-dissipative --closure end", "dirac-dissipative --closure minimal"]
+)
+def test_schemes_at_the_command_line(words, capsys):
+    assert main(f"run drive --engine python --stop 0.001 --scheme {words}".split()) == 0
+    assert words.split()[0] in capsys.readouterr().out
+
+
+def test_the_command_line_refuses_what_does_not_fit(capsys):
+    assert main("run drive --engine python --scheme gradient-pair --closure start".split()) == 2
+    assert "--closure midpoint or end" in capsys.readouterr().err
