@@ -15,6 +15,8 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "infinite_bus": ("component", _E + "infinite_bus", "stiff three-phase grid"),
     "rlc_load": ("component", _E + "rlc_load", "three-phase parallel R, L, C to ground"),
     "fault_resistor": ("component", _E + "switch", "three-phase shunt conductance, switched by events"),
+    "resistor": ("component", _E + "resistor", "resistor to ground: feedthrough, no state"),
+    "transformer": ("component", _E + "resistor", "ideal transformer: feedthrough, no state"),
     "dc_motor": ("component", _E + "dc_motor", "permanent-magnet DC motor"),
     "four_particle": ("component", _M + "four_particle", "four particles, two bars, two springs, a damper"),
     "mass_spring": ("component", _M + "mass_spring", "two masses, two springs, singular mass matrix reduced"),

@@ -4,6 +4,7 @@ from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.machine_data import MachineData, MachineDataError, machine_names, machine_set
 from phfmu.components.electrical.machine_init import OperatingPoint, operating_point, steady_state
+from phfmu.components.electrical.resistor import resistor, transformer
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import current_source, voltage_source
@@ -22,9 +23,11 @@ __all__ = [
     "machine_names",
     "machine_set",
     "operating_point",
+    "resistor",
     "rl_line",
     "rlc_load",
     "steady_state",
     "synchronous_machine",
+    "transformer",
     "voltage_source",
 ]

@@ -12,6 +12,7 @@ import casadi as ca
 from phfmu.declare.check_problem import Problem
 from phfmu.declare.energy import ClosedPair
 from phfmu.declare.phdae import PHDAE, stacked
+from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, _sx, time
 
 #: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
@@ -35,7 +36,7 @@ class Entry:
     what: str
     label: str
     expr: ca.SX
-    rows: tuple[Variable, ...] = ()
+    rows: tuple[Variable | Port, ...] = ()
     origin: Any = None
 
     def names(self) -> list[str]:
@@ -86,11 +87,11 @@ class Entries:
         """Sound entries of these kinds."""
         return [e for e in self.sound if e.what in what]
 
-    def kind(self, v: Variable) -> str:
+    def kind(self, v: Variable | Port) -> str:
         """Kind of a variable, "" if it is not declared."""
         return self.known.get(key(v), ("", ""))[0]
 
-    def leave_out(self, what: str, rows: Sequence[Variable]) -> None:
+    def leave_out(self, what: str, rows: Sequence[Variable | Port]) -> None:
         self.doubtful |= {s.element_hash() for v in rows for s in ca.vertsplit(v.sx)}
         self.complete &= what not in ("H", "E")
 
@@ -150,8 +151,9 @@ class Entries:
             )
         return ok
 
-    def _rows(self, what: str, label: str, rows: Sequence[Variable]) -> bool:
-        allowed = {"E": "x", "z": "x", "z2": "a", "closed": "x", "correct": "x", "g": "a"}.get(what, "xa")
+    def _rows(self, what: str, label: str, rows: Sequence[Variable | Port]) -> bool:
+        allowed = {"E": "x", "z": "x", "z2": "a", "closed": "x", "correct": "x", "g": "a", "J": "xau", "R": "xau"}
+        allowed = allowed.get(what, "xa")
         bad = [v for v in rows if self.kind(v) not in tuple(allowed)]
         for v in bad:
             words = " or ".join(_WORDS[k] for k in allowed)
@@ -171,7 +173,7 @@ class Entries:
         self.problems.append(Problem(rule, label, message, remedy))
 
 
-def key(v: Variable) -> int:
+def key(v: Variable | Port) -> int:
     """What tells variables apart: their symbols."""
     return v.sx[0].element_hash()
 

@@ -47,10 +47,16 @@ def _idle_ports(entries: Entries) -> list[Problem]:
     """Every port acts on something; ports with a B that was left out are not judged."""
     sound = entries.of("B")
     acting = {id(e.origin) for e in sound if ca.sparsify(e.expr).nnz()}
+    acting |= {id(v) for e in entries.of("J", "R") for v in e.rows if ca.sparsify(e.expr).nnz()}
     judged = Counter(id(e.origin) for e in sound)
     drives = {c.drive.u[0].element_hash() for c in entries.model.constraints if c.drive is not None}
     return [
-        Problem("unused", f"port '{p.name}'", "B is zero: the port acts on no equation", "give `on` its variables")
+        Problem(
+            "unused",
+            f"port '{p.name}'",
+            "B is zero: the port acts on no equation",
+            "give `on` its variables, or a block of J or R the port",
+        )
         for p in entries.model.ports
         if id(p) not in acting and judged[id(p)] == len(p.on) and p.u[0].element_hash() not in drives
     ]

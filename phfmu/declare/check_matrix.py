@@ -70,8 +70,8 @@ def _mirrored(entries: Entries, sample: Sample, what: str, sign: int, rule: str,
 
 
 def passivity(entries: Entries, sample: Sample) -> list[Problem]:
-    """The sum of all R blocks is positive semidefinite."""
-    variables = (*entries.model.states, *entries.model.algebraics)
+    """The sum W of all R blocks on variables and ports is positive semidefinite."""
+    variables = (*entries.model.states, *entries.model.algebraics, *entries.model.ports)
     names = [n for v in variables for n in v.names()]
     place = places(variables)
     blocks = entries.of("R")

@@ -20,19 +20,28 @@ from phfmu.declare.variable import Variable, _sx, time
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A square block of J or R on the rows and columns of `variables` (stacked)."""
+    """A square block of J or R on the rows and columns of `variables` (stacked).
 
-    variables: tuple[Variable, ...]
+    Ports among them give feedthrough.  With blocks Gamma of J (skew) and W of R (symmetric) on variables and ports,
+
+        [E x'; -y] = (Gamma - W) [z; u],   Gamma = [J, B; -B^T, -N],   W = [R, P; P^T, S],   that is
+        E x' = (J - R) z + (B - P) u,      y = (B + P)^T z + (S + N) u,
+
+    and H' = -[z; u]^T W [z; u] + y^T u, passive if W is positive semidefinite.
+    Source: Mehrmann, Unger, Acta Numerica 32 (2023), Definition 4.1.
+    """
+
+    variables: tuple[Variable | Port, ...]
     matrix: ca.SX
     owner: str = ""
 
 
-def block(variables: Sequence[Variable], matrix: Any, *, owner: str = "") -> Block:
-    """A block of R (symmetric, positive semidefinite) or J (skew) on the stacked `variables`."""
+def block(variables: Sequence[Variable | Port], matrix: Any, *, owner: str = "") -> Block:
+    """A block of R (symmetric, positive semidefinite) or J (skew) on the stacked `variables` and ports."""
     return Block(tuple(variables), ca.SX(_sx(matrix)), owner)
 
 
-def skew(rows: Variable, cols: Variable, matrix: Any, *, owner: str = "") -> Block:
+def skew(rows: Variable | Port, cols: Variable | Port, matrix: Any, *, owner: str = "") -> Block:
     """The block of J with J[rows, cols] = matrix and J[cols, rows] = -matrix^T."""
     g = ca.SX(_sx(matrix))
     if g.numel() == 1 and rows.n == cols.n > 1:
@@ -41,8 +50,8 @@ def skew(rows: Variable, cols: Variable, matrix: Any, *, owner: str = "") -> Blo
     return Block((rows, cols), ca.vertcat(top, ca.horzcat(-g.T, ca.SX(cols.n, cols.n))), owner)
 
 
-def damping(variable: Variable, value: Any, *, owner: str = "") -> Block:
-    """The block R = diag(value) on `variable`."""
+def damping(variable: Variable | Port, value: Any, *, owner: str = "") -> Block:
+    """The block R = diag(value) on `variable`; on a port: the feedthrough y = diag(value) u."""
     v = ca.SX(_sx(value))
     v = ca.repmat(v, variable.n) if v.numel() == 1 else v
     return Block((variable,), ca.diag(v), owner)
@@ -132,7 +141,7 @@ class PHDAE:
             total += pair.hamiltonian
         return total
 
-    def effort(self, v: Variable) -> ca.SX:
+    def effort(self, v: Variable | Port) -> ca.SX:
         """The costate of `v`: the symbol of a state's z; of an algebraic variable its given z, else itself."""
         given = self.z.get(v) if v.role == "algebraic" else None
         return v.z if given is None else ca.SX(_sx(given))
@@ -172,18 +181,22 @@ class PHDAE:
 
     def mapped(self, variable: Callable[[Variable], Variable], port: Callable[[Port], Port]) -> PHDAE:
         """A copy with every variable and port replaced by its image (same symbols), e.g. renamed or with new starts."""
-        swap: dict[int, Variable] = {}
+        swap: dict[int, Any] = {}
         fields = {}
         for f in ("states", "algebraics", "parameters"):
             fields[f] = tuple(swap.setdefault(id(v), variable(v)) for v in getattr(self, f))
 
-        def image(v: Variable) -> Variable:  # parts of variables stand in blocks and ports only
+        def image(v: Any) -> Any:  # parts of variables stand in blocks and ports only
+            if isinstance(v, Port):
+                return swap.get(id(v), v)
             return swap[id(v)] if id(v) in swap else swap.setdefault(id(v), variable(v))
 
+        ports = tuple(replace(port(p), on={image(v): m for v, m in p.on.items()}) for p in self.ports)
+        swap |= {id(old): new for old, new in zip(self.ports, ports, strict=True)}
         return replace(
             self,
             **fields,
-            ports=tuple(replace(port(p), on={image(v): m for v, m in p.on.items()}) for p in self.ports),
+            ports=ports,
             E={image(v) if isinstance(v, Variable) else tuple(map(image, v)): m for v, m in self.E.items()},
             z={image(v): m for v, m in self.z.items()},
             structure=tuple(_swapped(b, image) for b in self.structure),
@@ -225,5 +238,5 @@ def _starts(port: Port) -> tuple[float, ...]:
     return _values(port.name, "start", port.start, port.n)
 
 
-def _swapped(b: Block, image: Callable[[Variable], Variable]) -> Block:
+def _swapped(b: Block, image: Callable[[Any], Any]) -> Block:
     return replace(b, variables=tuple(map(image, b.variables)))

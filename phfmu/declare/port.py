@@ -41,7 +41,10 @@ DRIVE = Domain("drive", "power", "W", "clock", "1", "flow")
 class Port:
     """A power port: B acts on the rows of `on`, y = B^T z; positive power flows INTO the component.
 
-    on:      variable -> coefficient matrix (len(variable) x size), may depend on x and parameters
+    A port may also stand among the variables of a block of J or R, where it has the row -y and the costate u; see
+    `Block` for what this makes of feedthrough.
+
+    on:      variable -> coefficient matrix (len(variable) x size), may depend on x and parameters; {} = feedthrough only
     given:   which member of the pair is the input u ("effort" or "flow")
     size:    number of scalar pairs; None = a scalar port
     source:  expression (size x 1) of `time` and parameters: the port is fed from inside the model and its
@@ -71,6 +74,25 @@ class Port:
     def n(self) -> int:
         """Number of scalar pairs."""
         return self.size or 1
+
+    @property
+    def role(self) -> str:
+        """Tells it from variables."""
+        return "port"
+
+    @property
+    def sx(self) -> ca.SX:
+        """Its input, which stands for the port in blocks of J and R."""
+        return self.u
+
+    @property
+    def z(self) -> ca.SX:
+        """Its costate in blocks of J and R: the input."""
+        return self.u
+
+    def names(self) -> list[str]:
+        """Names of its entries in blocks of J and R: the inputs."""
+        return self.input_names()
 
     @property
     def external(self) -> bool:

@@ -113,14 +113,17 @@ def _closed(model: PHDAE, out: Terms, locator: Locator) -> None:
 
 
 def _rows(
-    model: PHDAE, variables: Sequence[Variable], locator: Locator
+    model: PHDAE, variables: Sequence[Variable | Port], locator: Locator
 ) -> tuple[list[tuple[str, int]], ca.SX, list[tuple[str, int] | None]]:
-    """Rows of `variables`, their efforts, and where each effort is a plain value (None: a given z2)."""
-    rows = [r for v in variables for r in locator.of(v)]
+    """Rows of `variables`, their efforts, and where each effort is a plain value (None: a given z2).
+
+    A port has the rows -y of its pairs, and its input is the effort.
+    """
+    rows = [("y", i) if kind == "u" else (kind, i) for v in variables for kind, i in locator.of(v)]
     for kind, _ in rows:
-        if kind not in ("x", "a"):
-            raise DeclarationError("blocks of J and R act on states and algebraic variables only")
-    plain = [v.role == "state" or v not in model.z for v in variables for _ in range(v.n)]
+        if kind not in ("x", "a", "y"):
+            raise DeclarationError("blocks of J and R act on states, algebraic variables and ports only")
+    plain = [v.role != "algebraic" or v not in model.z for v in variables for _ in range(v.n)]
     sources = [_source(row) if ok else None for row, ok in zip(rows, plain, strict=True)]
     return rows, ca.vertcat(*(model.effort(v) for v in variables)), sources
 
@@ -130,7 +133,21 @@ def _constant(entry: ca.SX) -> float | None:
 
 
 def _source(row: tuple[str, int]) -> tuple[str, int]:
-    return ("z", row[1]) if row[0] == "x" else row
+    return ({"x": "z", "y": "u"}.get(row[0], row[0]), row[1])
+
+
+def _targets(out: Terms, row: tuple[str, int]) -> list[tuple[tuple[str, int], float]]:
+    """Rows that an entry of a block adds to, with signs: -y is also booked where a bound port is fed from."""
+    if row[0] != "y":
+        return [(row, 1.0)]
+    back = out.bound.get(row[1])
+    return [(row, -1.0)] if back is None else [(row, -1.0), (("a", back), 1.0)]
+
+
+def _flow(out: Terms, rows: Sequence[tuple[str, int]], f: ca.SX) -> tuple[list[tuple[str, int]], ca.SX]:
+    """Rows and values of a block's product f = (J - R) z."""
+    found = [(target, sign * f[j]) for j, row in enumerate(rows) for target, sign in _targets(out, row)]
+    return [target for target, _ in found], ca.vertcat(*(value for _, value in found))
 
 
 def _blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
@@ -153,8 +170,9 @@ def _dissipation(out: Terms, locator: Locator, b: Block, rows: list, z: ca.SX, o
     for part in components(b.matrix):
         zp = ca.vertcat(*(z[i] for i in part))
         f = -ca.mtimes(b.matrix[part, part], zp)
-        exprs = {"f": f, "loss": -ca.dot(zp, f)}
-        out.terms.append(make_term("flow", exprs, locator, label, rows=[rows[i] for i in part], owner=owner))
+        where, values = _flow(out, [rows[i] for i in part], f)
+        exprs = {"f": values, "loss": -ca.dot(zp, f)}
+        out.terms.append(make_term("flow", exprs, locator, label, rows=where, owner=owner))
 
 
 def _interconnection(
@@ -174,15 +192,15 @@ def _interconnection(
         if value is None or (source is None and value):
             varying.append((r, c, entry))
         elif value and source is not None:
-            out.constants.append((*rows[r], *source, value))
+            out.constants += [(*target, *source, sign * value) for target, sign in _targets(out, rows[r])]
     if not varying:
         return
     i_row, i_col, entries = (list(column) for column in zip(*varying, strict=True))
     matrix = ca.SX.triplet(i_row, i_col, ca.vertcat(*entries), *b.matrix.shape)
     for part in components(matrix):
         zp = ca.vertcat(*(z[i] for i in part))
-        f = ca.mtimes(matrix[part, part], zp)
-        out.terms.append(make_term("flow", {"f": f}, locator, label, rows=[rows[i] for i in part], owner=owner))
+        where, f = _flow(out, [rows[i] for i in part], ca.mtimes(matrix[part, part], zp))
+        out.terms.append(make_term("flow", {"f": f}, locator, label, rows=where, owner=owner))
 
 
 def _ports(out: Terms, locator: Locator) -> None:

@@ -110,7 +110,7 @@ class Locator:
                 "list its variable in the declaration"
             ) from None
 
-    def of(self, variable: Variable) -> list[tuple[str, int]]:
+    def of(self, variable: Variable | Port) -> list[tuple[str, int]]:
         return [self.find(s, variable.name) for s in ca.vertsplit(variable.sx)]
 
 
