@@ -129,6 +129,7 @@ if TYPE_CHECKING:
         time as time,
     )
     from phfmu.discretise.collocated import Collocated as Collocated
+    from phfmu.discretise.dirac_dissipative import DiracDissipative as DiracDissipative
     from phfmu.discretise.discrete import discrete_gradient as discrete_gradient
     from phfmu.discretise.discrete import discrete_jacobian as discrete_jacobian
     from phfmu.discretise.discrete_pair import DiscretePair as DiscretePair

@@ -206,8 +206,10 @@ class Layout:
             "Z": lambda i: f"costate of {states[i]}",
             "m": lambda i: f"velocity constraint of {algebraics[i]}",
             "b": lambda i: f"rate of {algebraics[i]}",
-            "i0": lambda i: f"end current at {algebraics[i]}", "i1": lambda i: f"impulse at {algebraics[i]}",
-            "s0": lambda i: f"start impulse on {states[i]}", "s1": lambda i: f"end impulse on {states[i]}",
+            "i0": lambda i: f"end current at {algebraics[i]}",
+            "i1": lambda i: f"impulse at {algebraics[i]}",
+            "s0": lambda i: f"start impulse on {states[i]}",
+            "s1": lambda i: f"end impulse on {states[i]}",
             "X": lambda i: f"closure of {algebraics[i]}",
         }
         text |= {f"mu.{kind}": lambda i, own=text[kind]: f"least distance, {own(i)}" for kind in "DZa"}  # fmt: skip
