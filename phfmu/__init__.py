@@ -136,7 +136,6 @@ if TYPE_CHECKING:
     from phfmu.discretise.discrete_pair import discrete_pair as discrete_pair
     from phfmu.discretise.discrete_pair import inverse_jacobian as inverse_jacobian
     from phfmu.discretise.discrete_pair import with_closed_pair as with_closed_pair
-    from phfmu.discretise.dirac_dissipative import DiracDissipative as DiracDissipative
     from phfmu.discretise.gradient_pair import GradientPair as GradientPair
     from phfmu.discretise.model import Model as Model
     from phfmu.discretise.model import build_model as build_model
