@@ -12,16 +12,16 @@ from phfmu.discretise.schemes import named_scheme
 ENGINES = (PythonInstance, NativeInstance)
 
 
-def four(scheme="semi-explicit", gradient="per-term", **starts):
+def four(**starts):
     d = four_particle().with_starts({k.replace("_", "[") + "]" if "_" in k else k: v for k, v in starts.items()})
-    return build_model(d, named_scheme(d, scheme, 2, gradient))
+    return build_model(d, named_scheme(d, "semi-explicit", 2, "per-term"))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_slow_progress_is_not_taken_for_rounding(engine):
     """117 rad a step: the constraint is nearly singular and Newton shrinks by half; every step must still balance."""
     instance = engine(four(v_12=1.18e4))
-    for k in range(12):
+    for k in range(4):
         instance.do_step(0.01 * k, 0.01)
         row = instance.ledger()
         H = instance.signals()["H"][0]
@@ -37,11 +37,11 @@ def test_an_old_matrix_that_leads_astray_is_given_up(engine):
 
 
 def test_both_engines_name_the_same_floor():
-    """A joint gradient at 1e5 times the speed has no solution Newton finds; the error says how far rounding goes."""
+    """At 1e5 times the speed Newton finds no solution; the error says how far rounding would go."""
     found = []
     for engine in ENGINES:
         with pytest.raises(StepFailure, match="rounding floor") as failure:
-            engine(four(gradient="joint-gonzalez", v_12=1.17e5)).do_step(0.0, 0.01)
+            engine(four(v_12=1.17e5)).do_step(0.0, 0.01)
         found.append(failure.value)
     one, two = found
     assert one.status is two.status is Status.NO_CONVERGENCE and one.equation == two.equation

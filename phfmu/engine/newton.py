@@ -14,8 +14,10 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9  # scaled update after which one polish reaches round-off
 ROUNDING = 1e-15  # what the polish may leave, judged by the last two updates
-STAGNATION = 1e-6  # an update below this that no longer shrinks is rounding
-FLOOR = 64.0  # units of rounding in a row that cannot be told from zero
+STAGNATION = 1e-4  # an update below this that stays is rounding, if the residual is; multipliers feel it over h
+CRAWLING = 1e-2  # up to here it crawls where constraints lose rank, if it shrinks slower than CRAWL
+CRAWL = 0.9
+FLOOR = 1024.0  # units of rounding in a row that cannot be told from zero
 ITERATIONS = 30
 DELTA = 1e-10  # on multiplier diagonals of the factor only: minimum-norm multipliers for redundant rows
 SMALLEST = 1.0 / 64.0  # line search
@@ -112,21 +114,29 @@ class Newton:
         ratio = out.update / last
         if out.update <= TOLERANCE and ratio**2 * out.update <= ROUNDING:
             return True
-        if out.update > STAGNATION or ratio <= 0.5:
+        crawls = CRAWL < ratio < 1.0
+        if out.update > (CRAWLING if crawls else STAGNATION) or ratio <= 0.5:
             return False
-        return (ratio >= 1.0 and out.update <= TOLERANCE) or self._at_floor(out.w, r, fixed)
+        return (ratio >= 1.0 and out.update <= TOLERANCE) or self._at_floor(out.w, r, fixed, float(crawls))
 
-    def _at_floor(self, w: Array, r: Array, fixed: tuple) -> bool:
+    def _at_floor(self, w: Array, r: Array, fixed: tuple, nominal: float = 0.0) -> bool:
         """All rows are rounding."""
-        return bool((np.abs(r) <= FLOOR * self._rounding(w, fixed)).all())
+        return bool((np.abs(r) <= FLOOR * self._rounding(w, fixed, nominal)).all())
 
-    def _rounding(self, w: Array, fixed: tuple) -> Array:
-        """What rounding leaves in each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is."""
+    def _rounding(self, w: Array, fixed: tuple, nominal: float = 0.0) -> Array:
+        """What rounding leaves in each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is.
+
+        nominal = 1 judges constraint rows by the nominal size of their unknowns: where they lose rank, their multipliers
+        crawl without end for less.
+        """
         plan, x, h = self.plan, fixed[0], fixed[3]
-        size = np.bincount(plan.update_w, np.abs(x[plan.update_x]), plan.nw)
+        size = np.bincount(plan.update_w, np.abs(x[plan.update_x]), plan.nw) + np.abs(w)
+        constraint = np.zeros(plan.nw)
+        constraint[plan.matrix.row[plan.regularised]] = nominal
         column = np.repeat(np.arange(plan.nw), np.diff(plan.colptr))
         a = np.abs(self.evaluator.products(plan.matrix, h))
-        return np.finfo(float).eps * np.bincount(plan.matrix.row, a * (size + np.abs(w))[column], plan.nw)
+        terms = a * (size[column] + constraint[plan.matrix.row] * plan.nominal[column])
+        return np.finfo(float).eps * np.bincount(plan.matrix.row, terms, plan.nw)
 
     def _damping(self, w: Array, dw: Array, r: Array, fixed: tuple) -> float:
         """The longest of the steps 1, 1/2, .. 1/64 that reduces the scaled residual, at rounding the full one; 0 if none does."""

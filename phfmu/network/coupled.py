@@ -30,6 +30,7 @@ Array = NDArray[Any]
 ENERGY = 1e-14  # accepted interface energy relative to the energy in play
 ROUNDING = 1e-13  # componentwise relative residual that counts as solved
 COMPONENT = 1e-9  # largest one at which a stalled iteration counts as its rounding floor
+FLOOR = 16.0  # units of rounding in a junction row that cannot be told from zero
 ITERATIONS = 30
 
 
@@ -194,13 +195,14 @@ class Coupled:
     def _solve(self, t: float, h: float, states: list[Any]) -> None:
         face, xi = self.face, self.xi.copy()
         history: list[float] = []
+        gain = np.zeros_like(face.C)
         for i in range(ITERATIONS):
             y = self._trial(xi, t, h, states, again=i > 0)
             r = face.P.T @ y + face.C @ xi
             if not np.isfinite(r).all():
                 raise self._failure(Status.NOT_FINITE, t, h, r, y, xi, history)
             history.append(float(np.max(np.abs(r) / self._scale(y, xi), initial=0.0)))
-            self.accepted_by = self._accepted(r, y, xi, h, history)
+            self.accepted_by = self._accepted(r, y, xi, h, history, gain)
             if self.accepted_by:
                 self.xi, self.iterations = xi, i + 1
                 return
@@ -209,6 +211,7 @@ class Coupled:
             for g, place in zip(G, self._slices, strict=True):
                 part = face.P[place]
                 matrix += part.T @ g @ part
+            gain = np.abs(matrix)
             scale = 1.0 / np.maximum(np.abs(matrix).max(axis=1), 1e-300)
             try:
                 dxi = np.linalg.solve(matrix * scale[:, None], -r * scale)
@@ -226,8 +229,12 @@ class Coupled:
         flow = np.abs(self.face.C) @ self.face.nominal
         return np.maximum(flow, 1e-3)
 
-    def _accepted(self, r: Array, y: Array, xi: Array, h: float, history: list[float]) -> str:
-        """energy: interface energy below budget, every row at rounding; rounding floor: rows stopped shrinking."""
+    def _accepted(self, r: Array, y: Array, xi: Array, h: float, history: list[float], gain: Array) -> str:
+        """energy: interface energy below budget, every row at rounding; rounding floor: rows stopped shrinking, or are
+        what a relative change of xi by eps makes of them through the members' gains (stiff members that hardly act).
+        """
+        if (np.abs(r) <= FLOOR * np.finfo(float).eps * (gain @ np.abs(xi))).all() and len(history) > 1:
+            return "rounding floor"
         energy = h * float(np.abs(xi) @ np.abs(r))
         in_play = max(float(np.abs(self.energies()).sum()), h * float(np.abs(self._inputs_at(xi)) @ np.abs(y)))
         stalled = len(history) > 2 and history[-1] > 0.5 * history[-2]

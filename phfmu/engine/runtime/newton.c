@@ -11,8 +11,12 @@
 #define MAX_ITERATIONS 30
 #define TOLERANCE 1e-9 /* on max |dw_i| / (nominal_i + |w_i|) */
 #define ROUNDING 1e-15
-#define STAGNATION 1e-6 /* below it, an update that no longer shrinks is rounding */
-#define FLOOR 64.0      /* units of rounding in a row that cannot be told from zero */
+/* Below the first an update that stays is rounding, if the residual is; multipliers feel it as rounding over
+ * h. Up to the second it crawls where constraints lose rank, if it shrinks slower than CRAWL. */
+#define STAGNATION 1e-4
+#define CRAWLING 1e-2
+#define CRAWL 0.9
+#define FLOOR 1024.0 /* units of rounding in a row that cannot be told from zero */
 /* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
  * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
 #define CHORD 1e-1
@@ -81,24 +85,33 @@ static double move(ph_system *s, const double *base, double damping) {
 }
 
 /* size (nw): what rounding leaves in each row, eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose
- * increment w_j is. A residual of that size belongs to equations changed by eps alone. */
-static void rounding(const ph_system *s, double *size) {
+ * increment w_j is. A residual of that size belongs to equations changed by eps alone. nominal = 1 judges
+ * constraint rows by the nominal size of their unknowns: where they lose rank, their multipliers crawl
+ * without end for less. */
+static void rounding(const ph_system *s, double nominal, double *size) {
     const ph_plan *p = s->plan;
-    for (int i = 0; i < p->nw; i++)
+    double *constraint = s->rhs; /* nominal in rows with a regularised diagonal */
+    for (int i = 0; i < p->nw; i++) {
         size[i] = 0.0;
+        constraint[i] = 0.0;
+    }
+    for (int l = 0; l < p->nreg; l++)
+        constraint[p->matrix_row[p->regularised[l]]] = nominal;
     for (int l = 0; l < p->nupdate; l++) {
         int j = p->update_w[l];
         for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
             size[p->matrix_row[e]] += DBL_EPSILON * fabs(s->a[e] * s->x[p->update_x[l]]);
     }
     for (int j = 0; j < p->nw; j++)
-        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
-            size[p->matrix_row[e]] += DBL_EPSILON * fabs(s->a[e] * s->y[j]);
+        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++) {
+            int i = p->matrix_row[e];
+            size[i] += DBL_EPSILON * fabs(s->a[e]) * (fabs(s->y[j]) + constraint[i] * p->nominal[j]);
+        }
 }
 
 /* All rows are rounding. */
-static int at_floor(const ph_system *s, double *size) {
-    rounding(s, size);
+static int at_floor(const ph_system *s, double nominal, double *size) {
+    rounding(s, nominal, size);
     for (int i = 0; i < s->plan->nw; i++)
         if (fabs(s->r[i]) > FLOOR * size[i])
             return 0;
@@ -107,7 +120,7 @@ static int at_floor(const ph_system *s, double *size) {
 
 /* Halves the update until the scaled residual falls; where that is rounding the full one is taken. */
 static int damp(ph_system *s, double norm, double *damping) {
-    const int floor = at_floor(s, s->base);
+    const int floor = at_floor(s, 0.0, s->base);
     memcpy(s->base, s->y, sizeof(double) * (size_t)s->plan->nw);
     for (*damping = 1.0; *damping >= MIN_DAMPING; *damping *= 0.5) {
         s->update = move(s, s->base, *damping);
@@ -152,11 +165,12 @@ static int polish(ph_system *s) {
  * shrinks is at the floor if the residual before it is rounding, or if it is tiny and only noise is left. */
 static int solved(const ph_system *s, int kept, double previous) {
     double ratio = s->update / previous;
+    int crawls = ratio > CRAWL && ratio < 1.0;
     if (s->update <= TOLERANCE && ratio * ratio * s->update <= ROUNDING)
         return 1;
-    if (kept || s->update > STAGNATION || ratio <= 0.5)
+    if (kept || s->update > (crawls ? CRAWLING : STAGNATION) || ratio <= 0.5)
         return 0;
-    return (ratio >= 1.0 && s->update <= TOLERANCE) || at_floor(s, s->base);
+    return (ratio >= 1.0 && s->update <= TOLERANCE) || at_floor(s, crawls, s->base);
 }
 
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
@@ -262,7 +276,7 @@ void ph_explain(const ph_system *s, int status, ph_report *report) {
         report->column = s->empty < 0 ? s->lu.failed : -1;
         return;
     }
-    rounding(s, s->base);
+    rounding(s, 0.0, s->base);
     for (int i = 0; i < s->plan->nw; i++) {
         double size = fabs(s->scale[i] * s->r[i]);
         if (size <= report->residual)

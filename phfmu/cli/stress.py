@@ -1,0 +1,41 @@
+"""phfmu stress: stiff and extreme cases, pass or fail with the criterion."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+
+def add_parser(verbs: Any) -> None:
+    from phfmu.cli import TARGET
+
+    parser = verbs.add_parser("stress", help="stiff and extreme cases; exit 1 if a criterion is not met")
+    parser.add_argument("target", nargs="?", help=f"{TARGET}; default: the whole matrix")
+    parser.add_argument("--long", action="store_true", help="also what takes minutes: 1e6 steps, 40 windows, 60 s")
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder for stress.md")
+    parser.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> int:
+    from phfmu.cli import FINE, PROBLEMS
+    from phfmu.cli.target import TargetError, is_fmu
+    from phfmu.stress.case import Verdict, answer
+    from phfmu.stress.matrix import cases
+    from phfmu.stress.report import short, tally, write
+
+    if args.target and is_fmu(args.target):
+        raise TargetError(f"{args.target} is an FMU; its step cannot go back or be zero. Give the declaration")
+    lines = []
+    for case in cases(args.target):
+        if case.long and not args.long:
+            continue
+        if sys.stderr.isatty():
+            print(f"{case.target}: {case.name} ...", end="\r", file=sys.stderr)
+        lines.append(answer(case))
+        print(short(lines[-1]), flush=True)
+    print(tally(lines))
+    if args.output:
+        arguments = " ".join(a for a in (args.target, "--long" if args.long else "") if a)
+        print(f"page: {write(lines, args.output, arguments)}")
+    return PROBLEMS if any(line.verdict is Verdict.FAIL for line in lines) else FINE

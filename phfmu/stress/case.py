@@ -1,0 +1,75 @@
+"""A case: a question put to the solver, the criterion that the answer must meet, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Verdict(Enum):
+    PASS = "pass"
+    FAIL = "FAIL"
+    NOT_SUPPORTED = "not supported"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What happened, in numbers, and whether it meets the criterion; `holds` is None where the case cannot be posed."""
+
+    happened: str
+    holds: bool | None
+
+
+@dataclass(frozen=True)
+class Case:
+    """`target`: the component or scene it is about; `long`: takes more than some seconds, run on request only."""
+
+    target: str
+    name: str
+    criterion: str
+    measure: Callable[[], Outcome]
+    long: bool = False
+
+
+@dataclass(frozen=True)
+class Line:
+    """A case and its answer."""
+
+    case: Case
+    happened: str
+    verdict: Verdict
+
+
+def answer(case: Case) -> Line:
+    """Run a case; an exception that it does not expect is a failure with its words."""
+    try:
+        found = case.measure()
+    except Exception as error:
+        return Line(case, f"{type(error).__name__}: {error}", Verdict.FAIL)
+    if found.holds is None:
+        return Line(case, found.happened, Verdict.NOT_SUPPORTED)
+    return Line(case, found.happened, Verdict.PASS if found.holds else Verdict.FAIL)
+
+
+def not_supported(reason: str) -> Callable[[], Outcome]:
+    """A case that cannot be posed, with the reason."""
+    return lambda: Outcome(reason, None)
+
+
+def refused(call: Callable[[], object], kind: type[Exception] | tuple[type[Exception], ...], *words: str) -> Outcome:
+    """Holds if `call` raises an error of `kind` (one or several) whose text contains the words."""
+    try:
+        call()
+    except kind as error:
+        text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
+        missing = [w for w in words if w not in text]
+        note = f" (does not say {', '.join(missing)})" if missing else ""
+        return Outcome(f"{type(error).__name__}: {_first(text)}{note}", not missing)
+    return Outcome("was accepted", False)
+
+
+def _first(text: str) -> str:
+    """The first sentence, not longer than a line."""
+    head = text.split(". ")[0].split("; ")[0]
+    return head if len(head) <= 160 else head[:157] + "..."

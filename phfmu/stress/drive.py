@@ -1,0 +1,95 @@
+"""Driving an instance through a case and the numbers a criterion is about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Record:
+    """n steps: x (n x nx), a, H (n x members), position and velocity constraints, worst balance, iterations a step.
+
+    `balance`: largest |stored + dissipated - supplied| of a member and step over the energy in play (H of all members,
+    what was supplied and dissipated);  `solved`: what the solver needed beyond Newton from the first start.
+    """
+
+    x: Array
+    a: Array
+    H: Array
+    position: float
+    velocity: float
+    balance: float
+    iterations: float
+    solved: str
+
+    @property
+    def drift(self) -> float:
+        """Largest change of the total energy, relative to the first value."""
+        total = self.H.sum(axis=1)
+        return float(np.abs(total - total[0]).max() / abs(total[0]))
+
+    @property
+    def rise(self) -> float:
+        """Largest growth of the total energy in a step, relative to the first value."""
+        total = self.H.sum(axis=1)
+        return float(np.diff(total).max(initial=0.0) / abs(total[0]))
+
+    @property
+    def finite(self) -> bool:
+        return bool(np.isfinite(self.x).all() and np.isfinite(self.H).all())
+
+
+def instance(declaration: PHDAE, order: int = 2, scheme: Any = "auto", gradient: str = "per-term") -> Any:
+    """A native instance, a Python one without a C compiler."""
+    from phfmu.discretise.model import build_model
+    from phfmu.discretise.schemes import named_scheme
+    from phfmu.engine.compile import CompilerMissing, require_compiler
+
+    model = build_model(declaration, named_scheme(declaration, scheme, order, gradient))
+    try:
+        require_compiler()
+    except CompilerMissing:
+        from phfmu.engine.python import PythonInstance
+
+        return PythonInstance(model)
+    from phfmu.engine.native import NativeInstance
+
+    return NativeInstance(model)
+
+
+def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = None) -> Record:
+    """n steps of length h; StepFailure as it comes."""
+    model = unit.model
+    before = unit.counts
+    start = unit.signals()
+    blocks = ("signals", "x", "a", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
+    r = unit.run(t0, h, n, blocks, inputs=inputs)
+    checks = r["signals"][:, unit.layout["observables"]]
+    checks = np.abs(checks[:, checks.shape[1] - len(model.checks) :])
+    levels = np.array([c.level for c in model.checks])
+    play = np.abs(r["energy"]).sum(axis=1) + np.abs(r["dissipated"]).sum(axis=1) + np.abs(r["pairs"]).sum(axis=1)
+    gap = np.abs(r["stored"] + r["dissipated"] - r["supplied"]).max(axis=1, initial=0.0)
+    after = unit.counts
+    extra = {k: after[k] - before[k] for k in ("restarts", "line_searches", "substeps")}
+    return Record(
+        r["x"], r["a"], np.vstack([start["H"], r["energy"]]),
+        float(checks[:, levels == "position"].max(initial=0.0)),
+        float(checks[:, levels == "velocity"].max(initial=0.0)),
+        float((gap / np.maximum(play, 1e-300)).max(initial=0.0)),
+        float(r["counts"][:, 0].sum()) / n,
+        ", ".join(f"{v} {k.replace('_', ' ')}" for k, v in extra.items() if v),
+    )  # fmt: skip
+
+
+def effort(r: Record) -> str:
+    """Iterations a step and what was needed beyond."""
+    return f"{r.iterations:.1f} iterations a step" + (f", {r.solved}" if r.solved else "")

@@ -1,0 +1,71 @@
+"""Linkages through singular positions: rows of parallel cranks that lie flat twice per turn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from phfmu.stress.case import Case, Outcome, not_supported
+from phfmu.stress.drive import effort, instance, record
+
+TARGET = "four_bar"
+G = 9.81
+
+
+def cranks(n: int) -> Any:
+    """n windows: n + 1 parallel cranks of 1 m with 1 kg at their ends, joined by bars of 1 m; 1 m/s at the top.
+
+    Windows share their cranks; when all bars lie in one line the constraints lose rank and the cranks may fold
+    the other way.  Source: benchmark A02 of the IFToMM library (geometry, start velocity), point masses here.
+    """
+    from phfmu.components.mechanical.multibody import Multibody
+
+    body = Multibody("four_bar", dim=2)
+    ends = [body.particle(1.0, (float(i), 1.0), v=(1.0, 0.0)) for i in range(n + 1)]
+    for i, end in enumerate(ends):
+        body.bar(body.support((float(i), 0.0)), end)
+        if i:
+            body.bar(ends[i - 1], end)
+    body.gravity((0.0, -G))
+    return body.build()
+
+
+def pendulum(times: np.ndarray) -> np.ndarray:
+    """Angle from the top of one crank: the exact motion of all, theta'' = g sin theta."""
+    from scipy.integrate import solve_ivp
+
+    s = solve_ivp(
+        lambda t, y: [y[1], G * np.sin(y[0])],
+        (0.0, times[-1]),
+        [0.0, 1.0],
+        "DOP853",
+        rtol=1e-12,
+        atol=1e-12,
+        t_eval=times,
+    )
+    return s.y[0]
+
+
+def flat(n: int, h: float, order: int) -> Outcome:
+    """20 s with some ten turns: the links stay parallel and follow the pendulum."""
+    r = record(instance(cranks(n), order=order), h, round(20.0 / h))
+    q = r.x[:, : 2 * (n + 1)].reshape(-1, n + 1, 2) - np.column_stack([np.arange(n + 1), np.zeros(n + 1)])
+    parallel = float(np.abs(q - q[:, :1]).max())
+    theta = pendulum(h * np.arange(1, len(q) + 1))
+    error = float(np.hypot(q[:, 0, 0] - np.sin(theta), q[:, 0, 1] - np.cos(theta)).max())
+    turns = float(np.abs(theta).max() / (2 * np.pi))
+    text = f"{turns:.1f} turns; parallel to {parallel:.1e}, position error {error:.1e} m, energy {r.drift:.1e} H0; {effort(r)}"
+    return Outcome(text, parallel <= 1e-6 and error <= 1e-3)
+
+
+CASES = (
+    Case(TARGET, "2 windows through the flat position, h = 0.002 s, order 6", "parallel to 1e-6, error <= 1e-3",
+         lambda: flat(2, 0.002, 6)),
+    Case(TARGET, "40 windows through the flat position, h = 0.002 s, order 6", "parallel to 1e-6, error <= 1e-3",
+         lambda: flat(40, 0.002, 6), long=True),
+    Case("bricard", "Bricard mechanism, 10 s at h = 0.01 s", "|dE| <= 1e-9 J, error <= 1e-3", not_supported(
+        "the library has particles, bars and position constraints, no rigid bodies with hinges")),
+    Case("heavy_top", "heavy top about its centre, singular mass matrix", "E and Lz to 1e-10", not_supported(
+        "the library has no rigid bodies")),
+)  # fmt: skip

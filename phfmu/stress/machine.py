@@ -1,0 +1,95 @@
+"""A synchronous machine at the limits of its data and of the grid."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from phfmu.stress.case import Case, Outcome, not_supported, refused
+from phfmu.stress.drive import effort, instance, record
+
+TARGET = "synchronous_machine"
+H = 1e-4
+
+
+def machine(**changes: Any) -> Any:
+    """The turbo generator of the library in its steady state, with changed data."""
+    from phfmu.components.electrical.machine_data import machine_set
+    from phfmu.components.electrical.machine_init import steady_state
+    from phfmu.components.electrical.synchronous_machine import synchronous_machine
+
+    start = steady_state(machine_set("kundur555_1q"))
+    return synchronous_machine(machine_set("kundur555_1q", **changes), start=start)
+
+
+def voltages(unit: Any, n: int, amplitude: float) -> np.ndarray:
+    """Inputs over n steps: balanced terminal voltages, field and torque as at the start."""
+    phase = 2 * np.pi * 60.0 * H * (np.arange(n)[:, None] + 0.5) - 2 * np.pi / 3 * np.arange(3)
+    return np.hstack([amplitude * 24e3 * np.sqrt(2 / 3) * np.cos(phase), np.tile(unit.model.u0[3:], (n, 1))])
+
+
+def driven(changes: dict[str, Any] | None = None, starts: dict[str, float] | None = None, amplitude: float = 1.0,
+           n: int = 1000) -> Outcome:  # fmt: skip
+    """n steps of 0.1 ms: the balance in units of the energy in play, the iterations, the extremes."""
+    d = machine(**(changes or {}))
+    unit = instance(d.with_starts(starts or {}))
+    r = record(unit, H, n, inputs=voltages(unit, n, amplitude))
+    speed = r.x[:, -2] / float(unit.parameters[0])
+    text = f"balance {r.balance:.1e}, speed {speed.min():.4g} to {speed.max():.4g} rad/s; {effort(r)}"
+    return Outcome(text, r.finite and r.balance <= 1e-11)
+
+
+def switched(resistance: float, phases: int) -> Outcome:
+    """The two-machine scene with a fault of `resistance` ohm on some phases."""
+    from phfmu.components.scenes.two_machine import two_machine
+    from phfmu.network.run import run
+    from phfmu.network.scene import Event
+    from phfmu.network.stepper import Monolithic
+
+    scene = two_machine()
+    names = ["fault.G"] if phases == 3 else [f"fault.G[{i + 1}]" for i in range(phases)]
+    events = [Event(t, n, g) for t, g in ((0.02, 1.0 / resistance), (0.06, 0.0)) for n in names]
+    unit = instance(scene.declaration())
+    result = run(Monolithic(unit.model, unit), stop=0.1, step=H, events=events)
+    worst = max(c.worst_relative for c in result.ledger.summary().components)
+    v = result.column("bus2.v[1]")
+    fault = (result.time > 0.021) & (result.time < 0.06)
+    ringing = float(np.abs(np.diff(v[fault])).max())
+    tau = resistance * 2.76e-4
+    text = f"RC time {tau:.1e} s; worst ledger {worst:.1e}; bus voltage jumps by up to {ringing:.3g} V a step; "
+    text += f"{result.iterations / result.steps:.1f} iterations a step"
+    return Outcome(text, worst <= 1e-11 and bool(np.isfinite(result.values).all()))
+
+
+def wide() -> Outcome:
+    """60 s at 0.1 ms: momentum 1e7, angle 2e4 rad, time constants from 0.03 to 8 s."""
+    return driven(n=600_000)
+
+
+def impossible(**changes: Any) -> Outcome:
+    from phfmu.components.electrical.machine_data import MachineDataError
+
+    return refused(lambda: machine(**changes), MachineDataError)
+
+
+BALANCE = "balance <= 1e-11"
+CASES = (
+    Case(TARGET, "short circuit at the terminals", BALANCE, lambda: driven(amplitude=0.0)),
+    Case(TARGET, "twice the rated speed", BALANCE, lambda: driven(starts={"p": 2.07578e7})),
+    Case(TARGET, "standstill at full voltage", BALANCE, lambda: driven(starts={"p": 0.0})),
+    Case(TARGET, "resistances x 1e-6", BALANCE, lambda: driven(starts={"Ra": 3.1e-9, "R_f": 7e-8, "R_kd": 2e-8, "R_kq": 2e-8})),
+    *(Case(TARGET, f"inertia x {f:g}, voltage halved", BALANCE,
+           lambda f=f: driven(starts={"J": 27530.9 * f, "p": 1.03789e7 * f}, amplitude=0.5)) for f in (1e-2, 1e-4, 1e-6)),
+    Case(TARGET, "no inertia", "refused", lambda: impossible(J=0.0)),
+    Case(TARGET, "negative inertia", "refused", lambda: impossible(J=-1.0)),
+    Case(TARGET, "negative resistance", "refused", lambda: impossible(Ra=-1e-3)),
+    Case(TARGET, "singular inductances", "refused", lambda: impossible(Ld=0.0)),
+    Case(TARGET, "no field voltage, no flux", BALANCE,
+         lambda: driven(starts={f"psi[{i}]": 0.0 for i in range(1, 7)} | {"field.v": 0.0})),
+    *(Case("two_machine", f"fault of {r:g} ohm, {n} phase{'s' if n > 1 else ''}", "ledger <= 1e-11, finite",
+           lambda r=r, n=n: switched(r, n)) for r, n in ((0.05, 3), (0.005, 3), (1e-6, 3), (0.05, 1))),
+    Case(TARGET, "60 s at 0.1 ms", BALANCE, wide, long=True),
+    Case(TARGET, "open phase", "index change handled", not_supported(
+        "opening a phase changes the index; model the switch as a conductance (fault_resistor)")),
+)  # fmt: skip

@@ -1,0 +1,25 @@
+"""The matrix: cases with systems of their own, and the step cases of a target."""
+
+from __future__ import annotations
+
+from phfmu.stress import coupled, linkage, machine, particles, steps
+from phfmu.stress.case import Case
+
+#: scenes and components whose steps are put to the test without a target
+STEPPED = ("smib", "four_particle", "dc_motor")
+
+
+def cases(target: str | None) -> list[Case]:
+    """All cases, or those about one target: its steps, and the cases with its name."""
+    from phfmu.cli.target import scene
+
+    own = [c for module in (particles, linkage, coupled, machine) for c in module.CASES]
+    if target is None:
+        return [*own, *(c for name in STEPPED for c in steps.cases(name, scene(name)))]
+    if any(c.target == target for c in own):
+        mine = [c for c in own if c.target == target]
+        try:
+            return [*mine, *steps.cases(target, scene(target))]
+        except KeyError:  # a system of the matrix that is not in the library
+            return mine
+    return list(steps.cases(target, scene(target)))

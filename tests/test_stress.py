@@ -1,0 +1,88 @@
+"""The stress command: verdicts, exit codes, and the cases that once failed."""
+
+from __future__ import annotations
+
+import pytest
+
+from phfmu.cli import main
+from phfmu.stress import coupled, linkage, matrix, particles
+from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
+from phfmu.stress.report import page, tally
+
+
+def case(measure):
+    return Case("t", "n", "c", measure)
+
+
+def test_verdicts():
+    def broken():
+        raise RuntimeError("words")
+
+    lines = [answer(case(m)) for m in (
+        lambda: Outcome("a", True), lambda: Outcome("b", False), not_supported("no wheel"), broken)]  # fmt: skip
+    assert [x.verdict for x in lines] == [Verdict.PASS, Verdict.FAIL, Verdict.NOT_SUPPORTED, Verdict.FAIL]
+    assert lines[3].happened == "RuntimeError: words" and lines[2].happened == "no wheel"
+    assert tally(lines) == "1 pass, 2 fail, 1 not supported"
+    assert page(lines, "").count("| FAIL |") == 2
+
+
+def test_refused_asks_for_the_error_and_its_words():
+    def bad():
+        raise ValueError("m1 and m2 differ")
+
+    assert refused(bad, ValueError, "m1").holds and not refused(bad, ValueError, "m3").holds
+    assert not refused(lambda: None, ValueError).holds
+    with pytest.raises(ValueError, match="differ"):
+        refused(bad, KeyError)
+
+
+@pytest.mark.parametrize("name", ["oscillator", "rigid_link"])
+def test_command_runs_one_target(name, tmp_path, capsys):
+    assert main(["stress", name, "-o", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert f"pass           {name}: " in said and "FAIL" not in said
+    text = (tmp_path / "stress.md").read_text()
+    assert f"phfmu stress {name}" in text and f"## {name}" in text
+
+
+def test_a_failed_criterion_is_exit_code_1(monkeypatch, capsys):
+    monkeypatch.setattr(matrix, "cases", lambda target: [case(lambda: Outcome("too much", False))])
+    assert main(["stress"]) == 1
+    assert "FAIL           t: n: too much  [c]" in capsys.readouterr().out
+
+
+def test_long_cases_wait_for_their_option(monkeypatch, capsys):
+    late = Case("t", "n", "c", lambda: Outcome("done", True), long=True)
+    monkeypatch.setattr(matrix, "cases", lambda target: [late])
+    assert main(["stress"]) == 0 and "done" not in capsys.readouterr().out
+    assert main(["stress", "--long"]) == 0 and "done" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("target", ["no_such_thing", "some.fmu"])
+def test_bad_targets(target, capsys):
+    assert main(["stress", target]) == 2
+    assert target.split(".")[0] in capsys.readouterr().err
+
+
+def test_flat_linkage_keeps_its_branch():
+    found = linkage.flat(2, 0.002, 2)
+    assert found.holds, found.happened
+
+
+@pytest.mark.parametrize("k", [1e8, 1e10])
+def test_stiff_members_that_hardly_act_are_coupled(k):
+    found = coupled.stiff(k)
+    assert found.holds, found.happened
+
+
+def test_large_steps_and_light_particles():
+    for found in (particles.large(20.0), particles.mass(1e-12), particles.stiffness(1e12, 1e-6)):
+        assert found.holds, found.happened
+
+
+@pytest.mark.slow
+def test_whole_matrix():
+    """Everything but the limit of a vanishing mass, whose steps are halved where others are not."""
+    lines = [answer(c) for c in matrix.cases(None) if not c.long]
+    failed = {x.case.name for x in lines if x.verdict is Verdict.FAIL}
+    assert failed <= {"particle of 1e-13 kg as one of 1e-15 kg"}
