@@ -177,3 +177,82 @@ def test_a_massless_direction_without_constraint_is_named():
     assert check(started(0.0)) == []
     with pytest.raises(DeclarationError, match=r"v\[5\], v\[6\] without mass have no joint-gonzalez gradient"):
         build_model(started(0.0), Collocated(1, gradient="joint-gonzalez", two_level=True))
+
+
+def test_work_of_moving_supports_stays_with_its_member_and_reaches_the_unit(tmp_path):
+    from phfmu import FMUInstance, Monolithic, Network, export, run
+    from phfmu.components.mechanical.multibody import Multibody
+
+    def crane(reach):
+        body = Multibody("crane", 2)
+        body.gravity((0.0, -G))
+        body.bar(body.moving_support("trolley", lambda t: (reach * t**2, 0.0)), body.particle(3.0, (0.0, -1.0)))
+        return body.build()
+
+    net = Network("two")
+    net.add("near", crane(0.25))
+    net.add("far", crane(0.5))
+    model = build_model(net.compose())
+    result = run(Monolithic(model, PythonInstance(model)), stop=0.2, step=0.02)
+    supplied = {(p.component, p.port): p.supplied for p in result.ledger.summary().ports}
+    for member in ("near", "far"):
+        stored = result.column(f"{member}.energy.stored")
+        assert supplied[member, "trolley"] == pytest.approx(stored[-1] - stored[0], abs=1e-14)
+    single = crane(0.5)
+    (path,) = export(single, build_model(single), tmp_path, versions=("3.0",), step=0.02)
+    unit = FMUInstance(path)
+    for i in range(10):
+        unit.do_step(0.02 * i, 0.02)
+    assert unit.get(["trolley.energy"])[0] == pytest.approx(supplied["far", "trolley"], abs=1e-14)
+
+
+# -- constraints that are not quadratic ----------------------------------------------------------------------------
+
+
+def on_surface(kind: str) -> PHDAE:
+    """Two beads on a quartic surface joined by a bar; one bead on a catenary."""
+    from phfmu.components.mechanical.multibody import Multibody
+
+    if kind == "catenary":
+        body = Multibody(kind, 2)
+        body.gravity((0.0, -G))
+        p = body.particle(1.0, (0.6, np.cosh(0.6) - 1.0))
+        body.constraint(lambda at: at(p)[1] - ca.cosh(at(p)[0]) + 1.0)
+        return body.build()
+    body = Multibody(kind, 3)
+    body.gravity((0.0, 0.0, -G))
+
+    def height(x, y):
+        return 0.5 * x**2 + 0.25 * y**4 + 0.1 * x * y**2
+
+    beads = [body.particle(m, (x, y, height(x, y))) for m, x, y in ((1.0, 0.9, 0.3), (2.0, -0.4, 0.7))]
+    for p in beads:
+        body.constraint(lambda at, p=p: at(p)[2] - height(at(p)[0], at(p)[1]))
+    body.bar(*beads)
+    return body.build()
+
+
+@pytest.mark.parametrize("kind", ["quartic", "catenary"])
+@pytest.mark.parametrize(("scheme", "order", "steps"), [(FIRST, 2.0, (80, 160, 320)), (THIRD, 6.0, (10, 20, 40))])
+def test_constraints_of_any_degree_are_exact_and_keep_the_order(kind, scheme, order, steps):
+    ends = []
+    for n in steps:
+        instance = NativeInstance(build_model(on_surface(kind), scheme))
+        rows = instance.run(0.0, 0.6 / n, n, ("x", "stored", "signals"))
+        assert np.max(np.abs(rows["stored"])) <= 1e-14
+        assert np.max(np.abs(rows["signals"][:, instance.layout["observables"]])) <= 1e-14
+        ends.append(rows["x"][-1])
+    errors = [np.linalg.norm(a - b) for a, b in zip(ends, ends[1:], strict=False)]
+    assert abs(slopes(errors)[0] - order) <= 0.2, errors
+
+
+@pytest.mark.parametrize("gradient", ["per-term", "mean-value", "joint-gonzalez", "itoh-abe", "itoh-abe-symmetric"])
+@pytest.mark.parametrize("two_level", [True, False])
+def test_every_gradient_takes_large_steps_of_four_particles(gradient, two_level):
+    from phfmu.components.mechanical.four_particle import four_particle
+
+    model = build_model(four_particle(), Collocated(1, gradient=gradient, two_level=two_level))
+    for h in (0.1, 0.25, 0.4):
+        rows = NativeInstance(model).run(0.0, h, round(10.0 / h), ("energy", "stored", "dissipated"))
+        assert np.max(np.abs(rows["stored"] + rows["dissipated"])) <= 1e-12
+        assert np.max(np.diff(rows["energy"][:, 0])) <= 1e-13
