@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from multibody_tables import chain, top
 from numpy.typing import NDArray
 
 from phfmu import Collocated, NativeInstance, Scene, build_model, run
@@ -269,6 +270,8 @@ TABLES: dict[str, Callable[[], str]] = {
         smib_convergence,
         smib_coordinates,
         two_machine_order,
+        chain,
+        top,
     )
 }
 

@@ -79,7 +79,7 @@ def test_damped_chain_has_full_order_in_positions_velocities_and_multipliers(sch
     assert abs(slopes(mean)[-1] - order) <= 0.2, mean
 
 
-@pytest.mark.parametrize(("scheme", "order", "steps"), [(FIRST, 2, (50, 100, 200)), (THIRD, 6, (13, 25, 50))])
+@pytest.mark.parametrize(("scheme", "order", "steps"), [(FIRST, 2, (50, 100, 200)), (THIRD, 6, (16, 32, 64))])
 def test_top_with_singular_mass_matrix_has_full_order(scheme, order, steps):
     q, v = heavy_top_reference.heavy_top(0.1, precession=1.0)
     errors = []
@@ -91,7 +91,7 @@ def test_top_with_singular_mass_matrix_has_full_order(scheme, order, steps):
         assert np.max(np.abs(rows["signals"][:, instance.layout["observables"]])) <= 1e-12
         errors.append([np.linalg.norm(x[:12] - q), np.linalg.norm(x[12:21] - v[:9]), np.linalg.norm(x[21:] - v[9:])])
     for column in np.array(errors).T:
-        assert all(abs(s - order) <= 0.3 for s in slopes(column)[-1:]), column
+        assert all(abs(s - order) <= 0.15 for s in slopes(column)), column
 
 
 def test_top_keeps_energy_and_vertical_spin():
