@@ -260,6 +260,14 @@ def smib_coordinates() -> str:
     return table(head, rows)
 
 
+def orders() -> str:
+    """Slopes and worst ledger closure of every scheme on everything in the library."""
+    from phfmu.bench.orders import measure
+    from phfmu.bench.orders import table as orders_table
+
+    return orders_table(measure())
+
+
 TABLES: dict[str, Callable[[], str]] = {
     f.__name__: f
     for f in (
@@ -272,6 +280,7 @@ TABLES: dict[str, Callable[[], str]] = {
         two_machine_order,
         chain,
         top,
+        orders,
     )
 }
 

@@ -22,6 +22,7 @@ from phfmu import (
     Port,
     PythonInstance,
     Scene,
+    SystemTransformation,
     algebraic,
     block,
     build_model,
@@ -152,6 +153,21 @@ def test_units_have_the_outputs(tmp_path):
             seen = unit.get(["p1.i", "p2.i", "p1.i_step", "p2.i_step", "energy.dissipated"])
     expected = [*native.signal("y_end"), *native.output(), native.signal("dissipated")[0]]
     assert seen == pytest.approx(expected, rel=1e-12)
+
+
+def test_transformed_models_keep_their_feedthrough():
+    """x = T x~ with U = T: the same outputs and the same steps."""
+    d, T = mixed(0.5), np.array([[2.0, 0.5], [-0.3, 1.0]])
+    y = state("y", 2)
+    new = SystemTransformation({d.states[0]: ca.mtimes(ca.SX(T), y.sx)}, (y,), U=T)(d)
+    assert check(new) == []
+    one, other = PythonInstance(build_model(d)), PythonInstance(build_model(new))
+    for k in range(5):
+        for instance in (one, other):
+            instance.do_step(0.1 * k, 0.1)
+    assert T @ other.x == pytest.approx(one.x, rel=1e-11)
+    assert other.output() == pytest.approx(one.output(), rel=1e-11)
+    assert other.ledger()["dissipated"] == pytest.approx(one.ledger()["dissipated"], rel=1e-11)
 
 
 # -- components and networks --------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""phfmu bench: error against run time beside peers; published results reproduced."""
+"""phfmu bench: error against run time beside peers; scaling; observed orders; published results reproduced."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.options import add_settings
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
-    parser.add_argument("target", help=f"{TARGET} | scaling")
+    parser.add_argument("target", help=f"{TARGET} | scaling | orders")
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument("--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT],... (default: what fits the target)")
     parser.add_argument("--engines", metavar="LIST", default="native", help="native, python (default native)")
@@ -28,11 +28,13 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--errors", metavar="LIST", help="error levels at which costs are compared")
     parser.add_argument("--repeat", type=int, default=5, help="timed runs per row, the median counts (default 5)")
     parser.add_argument("--peers", metavar="LIST", default="all", help="all, none or names with commas (default all)")
-    parser.add_argument("--families", metavar="LIST", help="scaling: chain, net, ladder (default: all)")
+    parser.add_argument(
+        "--families", metavar="LIST", help="scaling: chain, net, ladder; orders: names of the library (default: all)"
+    )
     parser.add_argument("--sizes", metavar="LIST", help="scaling: sizes n (default: those of the family)")
     parser.add_argument("--reference", metavar="CSV", help="states at the times: column time and one per state")
     add_settings(parser)
-    parser.add_argument("-o", "--output", default="bench", metavar="DIR", help="folder of the files (default: bench)")
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder of the files (default: bench); orders: a file")
     parser.set_defaults(call=call)
 
 
@@ -40,6 +42,9 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.bench.machine import one_thread
 
     one_thread()
+    if args.target == "orders":
+        return _orders(args)
+    args.output = args.output or "bench"
     if args.target == "scaling":
         return _scaling(args)
     return _paper(args) if args.paper else _compare(args)
@@ -57,6 +62,20 @@ def _scaling(args: argparse.Namespace) -> int:
     with _Progress() as progress:
         lines = report(_names(args.families), [int(n) for n in sizes], Path(args.output), progress)
     print("\n".join(lines))
+    return FINE
+
+
+def _orders(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.bench.orders import measure, table
+    from phfmu.cli import FINE
+
+    with _Progress() as progress:
+        text = table(measure(_names(args.families), progress))
+    if args.output:
+        Path(args.output).write_text(text + "\n", encoding="utf-8")
+    print(text)
     return FINE
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.check_entries import Entries
+from phfmu.declare.check_entries import Entries, key
 from phfmu.declare.check_problem import Problem
 from phfmu.declare.phdae import PHDAE
 
@@ -46,8 +46,8 @@ def unused(entries: Entries) -> list[Problem]:
 def _idle_ports(entries: Entries) -> list[Problem]:
     """Every port acts on something; ports with a B that was left out are not judged."""
     sound = entries.of("B")
-    acting = {id(e.origin) for e in sound if ca.sparsify(e.expr).nnz()}
-    acting |= {id(v) for e in entries.of("J", "R") for v in e.rows if ca.sparsify(e.expr).nnz()}
+    acting = {key(e.origin) for e in sound if ca.sparsify(e.expr).nnz()}
+    acting |= {key(v) for e in entries.of("J", "R") for v in e.rows if ca.sparsify(e.expr).nnz()}
     judged = Counter(id(e.origin) for e in sound)
     drives = {c.drive.u[0].element_hash() for c in entries.model.constraints if c.drive is not None}
     return [
@@ -58,7 +58,7 @@ def _idle_ports(entries: Entries) -> list[Problem]:
             "give `on` its variables, or a block of J or R the port",
         )
         for p in entries.model.ports
-        if id(p) not in acting and judged[id(p)] == len(p.on) and p.u[0].element_hash() not in drives
+        if key(p) not in acting and judged[id(p)] == len(p.on) and p.u[0].element_hash() not in drives
     ]
 
 

@@ -134,6 +134,9 @@ class Parametrised:
             E[index, index] = full * ca.SX.eye(len(index)) if full.numel() == 1 else full
         for sign, blocks in ((1, part.structure), (-1, part.dissipation)):
             for b in blocks:
+                if any(v.role == "port" for v in b.variables):
+                    raise DeclarationError(f"{part.name}: the part has feedthrough ({', '.join(v.name for v in b.variables)} "
+                                           "in one block); let its ports act by `on` only")  # fmt: skip
                 index = [i for v in b.variables for i in range(*_ends(place[key(v)]))]
                 JR[index, index] += sign * b.matrix
         at = 0

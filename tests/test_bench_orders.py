@@ -1,0 +1,65 @@
+"""The table of observed orders: rates of models, cells, words of refusal, the command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phfmu import DeclarationError, build_model
+from phfmu.bench.orders import Method, fastest, measure, methods, table, targets
+from phfmu.cli import main
+from phfmu.components.library import build
+from phfmu.discretise.schemes import named_scheme
+
+
+def test_fastest_rate_of_a_motor_is_its_largest_eigenvalue():
+    """x' = A x of winding and rotor with the default parameters L, R, J, k, d."""
+    L, R, J, k, d = 2e-3, 0.4, 1e-4, 0.05, 1e-5
+    exact = np.max(np.abs(np.linalg.eigvals([[-R / L, -k], [k / L / J, -d / J]])))
+    assert fastest(build_model(build("dc_motor"))) == pytest.approx(exact, rel=1e-3)
+
+
+def test_fastest_rate_passes_over_the_modes_of_junctions():
+    """The composed oscillator has hidden constraints at its junctions; its own rates are 2 pi and 6 pi."""
+    assert fastest(build_model(build("oscillator").declaration())) == pytest.approx(6 * np.pi, rel=1e-3)
+
+
+def test_rows_have_slopes_and_words():
+    (row,) = measure(["rl_line"])
+    assert float(row.cells[Method("collocated", 2)]) == pytest.approx(2.0, abs=0.05)
+    assert float(row.cells[Method("collocated", 6)]) == pytest.approx(6.0, abs=0.2)
+    assert row.cells[Method("gradient-pair", 4)] == "order 2"
+    assert row.cells[Method("two-level", 2)] == "no constraint"
+    assert max(row.ledger.values()) <= 1e-13
+    text = table([row])
+    assert text.splitlines()[0].startswith("| target | collocated 2 | collocated 4 |")
+    assert "two-level" not in text and text.splitlines()[-1].startswith("| worst ledger |")
+
+
+def test_every_refusal_in_the_table_has_a_word():
+    """A DeclarationError of a new kind would show as `no`: it needs a word in REASONS."""
+    from phfmu.bench.orders import REASONS
+
+    for name in ("dc_motor", "four_particle"):
+        for m in methods():
+            declaration = build(name)
+            try:
+                build_model(declaration, named_scheme(declaration, m.scheme, m.order, m.gradient))
+            except DeclarationError as e:
+                assert any(text in str(e) for text, _ in REASONS), e
+
+
+def test_targets_are_what_has_states():
+    names = [n for n, _ in targets()]
+    assert "synchronous_machine" in names and "infinite_bus" not in names and "resistor" not in names
+
+
+def test_command(capsys, tmp_path: Path):
+    file = tmp_path / "orders.md"
+    assert main(["bench", "orders", "--families", "spring", "-o", str(file)]) == 0
+    assert file.read_text() == capsys.readouterr().out
+    assert "| spring | exact |" in file.read_text()
+    assert main(["bench", "orders", "--families", "sprig"]) == 2
+    assert "did you mean spring" in capsys.readouterr().err
