@@ -230,14 +230,15 @@ class Coupled:
         return np.maximum(flow, 1e-3)
 
     def _accepted(self, r: Array, y: Array, xi: Array, h: float, history: list[float], gain: Array) -> str:
-        """energy: interface energy below budget, every row at rounding; rounding floor: rows stopped shrinking, or are
-        what a relative change of xi by eps makes of them through the members' gains (stiff members that hardly act).
+        """energy: interface energy below budget, every row at rounding; rounding floor: rows stopped shrinking.
+
+        Rows of stiff members that hardly act stop at what a relative change of xi by eps makes of them.
         """
-        if (np.abs(r) <= FLOOR * np.finfo(float).eps * (gain @ np.abs(xi))).all() and len(history) > 1:
-            return "rounding floor"
         energy = h * float(np.abs(xi) @ np.abs(r))
         in_play = max(float(np.abs(self.energies()).sum()), h * float(np.abs(self._inputs_at(xi)) @ np.abs(y)))
         stalled = len(history) > 2 and history[-1] > 0.5 * history[-2]
+        if stalled and (np.abs(r) <= FLOOR * np.finfo(float).eps * (gain @ np.abs(xi))).all():
+            return "rounding floor"
         if energy > ENERGY * in_play and not (stalled and energy <= 10 * ENERGY * in_play):
             return ""
         if history[-1] <= ROUNDING:
