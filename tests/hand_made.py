@@ -93,12 +93,12 @@ LISTS = ("groups", "const", "update", "mean", "reg", "pair_src")
 
 
 def make_plan(**given: Any) -> Plan:
-    """Plan with one component from SIZES, LISTS, `increments` and `weights`; what is not given is absent.
+    """Plan with one component from SIZES, LISTS, `increments`, `weights` and `nodes`; what is not given is absent.
 
     groups: (kernel, stage, xi, yi, pi, oi, power); const: (row, Y index, value, power of h);
     update: (x, w, factor); mean: (a, w, factor); reg: rows whose diagonal is regularised.
     """
-    plan: dict[str, Any] = SIZES | {n: [] for n in LISTS} | {"weights": [1.0]}
+    plan: dict[str, Any] = SIZES | {n: [] for n in LISTS} | {"weights": [1.0], "nodes": [0.5]}
     plan |= {"increments": [0] * given.get("nw", 0)} | given
     groups, slot = [], 1
     for kern, stage, *tables, power in plan["groups"]:
@@ -143,6 +143,7 @@ def make_plan(**given: Any) -> Plan:
         guess_pow=np.array(plan["increments"], np.int8),
         increments=np.array(plan["increments"], np.int8),
         weights=np.array(plan["weights"], float),
+        nodes=np.array(plan["nodes"], float),
         pair_src=np.array(plan["pair_src"], np.int32),
         pair_owner=np.zeros(plan["nq"], np.int32),
         nominal=np.ones(nw),
@@ -258,7 +259,8 @@ def gauss_two() -> HandMade:
         0.5 * sum((x + A2[i, 0] * y[0] + A2[i, 1] * y[1]) ** 2 for i in range(2)),
     ))  # fmt: skip
     step = make_plan(
-        nx=1, nw=2, nu=1, k=2, nq=1, increments=[1, 1], weights=[0.5, 0.5], update=[(0, 0, 0.5), (0, 1, 0.5)],
+        nx=1, nw=2, nu=1, k=2, nq=1, increments=[1, 1], weights=[0.5, 0.5],
+        nodes=[0.5 - 3**-0.5 / 2, 0.5 + 3**-0.5 / 2], update=[(0, 0, 0.5), (0, 1, 0.5)],
         groups=[(old, 1, [[0]], NOTHING, NOTHING, [[0, 1, 2, 3]], [1, 1, 0, 0]),
                 (loss, 1, [[0]], [[0, 1]], NOTHING, NOTHING, [])],
         const=const, pair_src=[2, 3],

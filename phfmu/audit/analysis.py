@@ -86,13 +86,14 @@ def _sum(x: Floats) -> float:
 
 def _balance(rows: _Rows) -> tuple[Floats, Floats]:
     """Residual of every component row, recomputed, and what it is measured against; both [n]."""
-    lost, gained = rows.numbers("dissipated", 0.0), rows.numbers("supplied", 0.0)
+    lost, gained, damped = (rows.numbers(name, 0.0) for name in ("dissipated", "supplied", "numerical"))
     stored = np.maximum(np.abs(rows.numbers("H0", math.nan)), np.abs(rows.numbers("H1", math.nan)))
     if rows.has("scale"):
         scale = rows.numbers("scale", -1.0)
         stored = np.where(scale == -1.0, stored, scale)
     with np.errstate(invalid="ignore", over="ignore"):
-        return rows.numbers("dH", math.nan) + lost - gained, stored + np.abs(gained) + np.abs(lost)
+        residual = rows.numbers("dH", math.nan) + lost + damped - gained
+        return residual, stored + np.abs(gained) + np.abs(lost) + np.abs(damped)
 
 
 def _estimated(rows: _Rows) -> NDArray[np.bool_]:
@@ -147,7 +148,7 @@ def _components(rows: _Rows, events: _Rows) -> list[ComponentSummary]:
     residual, magnitude = _balance(rows)
     ratio, estimated = relative(residual, magnitude), _estimated(rows)
     H0, H1, dH = (rows.numbers(name, math.nan) for name in ("H0", "H1", "dH"))
-    lost, gained = rows.numbers("dissipated", math.nan), rows.numbers("supplied", math.nan)
+    lost, gained, damped = (rows.numbers(name, math.nan) for name in ("dissipated", "supplied", "numerical"))
     step, t0 = rows.integers("step"), rows.numbers("t0", math.nan)
     jump = events.numbers("energy_jump", math.nan)
     jumps = {name: _present(jump[members]) for name, members in _groups(events.names("component"))}
@@ -169,6 +170,7 @@ def _components(rows: _Rows, events: _Rows) -> list[ComponentSummary]:
                 worst_t0=float(t0[worst]),
                 magnitude=largest(magnitude[members]),
                 quality=ESTIMATED if estimated[members].any() else "exact",
+                numerical=_present(damped[members]),
             )
         )
     return summaries
@@ -211,7 +213,7 @@ def _junctions(rows: _Rows) -> list[JunctionSummary]:
 
 def _network(rows: _Rows) -> NetworkSummary:
     unexplained = rows.numbers("unexplained", math.nan)
-    optional = ("dissipated", "external", "junction_residual")
-    lost, external, created = (_sum(rows.numbers(name, 0.0)) if rows.has(name) else None for name in optional)
+    optional = ("dissipated", "external", "junction_residual", "numerical")
+    lost, external, created, damped = (_sum(rows.numbers(name, 0.0)) if rows.has(name) else None for name in optional)
     stored = _sum(rows.numbers("dH", math.nan))
-    return NetworkSummary(stored, lost, external, created, _sum(unexplained), largest(unexplained))
+    return NetworkSummary(stored, lost, external, created, _sum(unexplained), largest(unexplained), damped)

@@ -81,6 +81,7 @@ class Block:
     junction_residual: Floats
     junction_exchanged: Floats
     network: dict[str, Floats]
+    numerical: Floats | None = None
 
 
 def make_block(
@@ -100,11 +101,12 @@ def make_block(
     scale: ArrayLike | None = None,
     newton: ArrayLike | None = None,
     substeps: ArrayLike | None = None,
+    numerical: ArrayLike | None = None,
 ) -> Block:
     """Copy n steps into a block and derive residuals, junctions and the network balance.
 
     Shapes: step, t0 [n], h [n] or scalar; H (at the ends of the steps), dH, H0 (at their starts; default H - dH), dissipated,
-    supplied, scale, newton, substeps [n,c]; port_energy, port_u, port_y [n,q].
+    supplied, scale, newton, substeps, numerical [n,c]; port_energy, port_u, port_y [n,q].
     Errors: ValueError naming the array and both shapes.
     """
     steps = np.array(step, np.int64, ndmin=1)
@@ -114,14 +116,15 @@ def make_block(
     times, widths = _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,))
     ends, change = _table("H", H, (n, c)), _table("dH", dH, (n, c))
     lost, gained = _maybe("dissipated", dissipated, (n, c)), _maybe("supplied", supplied, (n, c))
+    damped = _maybe("numerical", numerical, (n, c))
     sizes = _maybe("scale", scale, (n, c))
     energy = _table("port_energy", np.zeros((n, 0)) if port_energy is None else port_energy, (n, q))
     with np.errstate(invalid="ignore", over="ignore"):
         starts = ends - change if H0 is None else _table("H0", H0, (n, c))
-        spent, got = (0.0 if lost is None else lost), (0.0 if gained is None else gained)
-        residual = change + spent - got
+        spent, got, gone = (0.0 if a is None else a for a in (lost, gained, damped))
+        residual = change + spent + gone - got
         magnitude = np.maximum(np.abs(starts), np.abs(ends)) if sizes is None else sizes
-        magnitude = magnitude + np.abs(got) + np.abs(spent)
+        magnitude = magnitude + np.abs(got) + np.abs(spent) + np.abs(gone)
         members = list(layout.junctions.values())
         created = _stack(n, [across(energy[:, m]) for m in members])
         exchanged = _stack(n, [0.5 * across(np.abs(energy[:, m])) for m in members])
@@ -146,20 +149,22 @@ def make_block(
         port_y=_maybe("port_y", port_y, (n, q)),
         junction_residual=created,
         junction_exchanged=exchanged,
-        network=_balance(layout, ends, change, lost, energy, created),
+        network=_balance(layout, ends, change, lost, damped, energy, created),
+        numerical=damped,
     )
 
 
 def _balance(
-    layout: Layout, H: Floats, dH: Floats, lost: Floats | None, energy: Floats, created: Floats
+    layout: Layout, H: Floats, dH: Floats, lost: Floats | None, damped: Floats | None, energy: Floats, created: Floats
 ) -> dict[str, Floats]:
-    """Network columns: unexplained = (dH + dissipated - external) - junction residuals, each summed."""
+    """Network columns: unexplained = (dH + dissipated + numerical - external) - junction residuals, each summed."""
     columns = {"H": across(H), "dH": across(dH)}
     balance = columns["dH"]
     with np.errstate(invalid="ignore", over="ignore"):
-        if lost is not None:
-            columns["dissipated"] = across(lost)
-            balance = balance + columns["dissipated"]
+        for name, energies in (("dissipated", lost), ("numerical", damped)):
+            if energies is not None:
+                columns[name] = across(energies)
+                balance = balance + columns[name]
         if layout.external:
             js, signs = zip(*layout.external, strict=True)
             columns["external"] = across(energy[:, list(js)] * np.array(signs))

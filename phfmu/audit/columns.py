@@ -36,9 +36,10 @@ COLUMNS = {
     "dH": "f64",  # [J]
     "dissipated": "f64",  # [J]
     "supplied": "f64",  # [J]
+    "numerical": "f64",  # [J] lost by a damping scheme (Radau); null elsewhere
     "external": "f64",  # [J] supplied through ports without a junction
-    "residual": "f64",  # [J] component: dH + dissipated - supplied; junction: sum of supplied
-    "residual_rel": "f64",  # |residual| / (scale + |supplied| + |dissipated|)
+    "residual": "f64",  # [J] component: dH + dissipated + numerical - supplied; junction: sum of supplied
+    "residual_rel": "f64",  # |residual| / (scale + |supplied| + |dissipated| + |numerical|)
     "scale": "f64",  # [J] sum of |H_s|; where null, max(|H0|, |H1|)
     "exchanged": "f64",  # [J] junction: half the sum of |supplied|
     "junction_residual": "f64",  # [J] network: sum over the junctions
@@ -66,7 +67,7 @@ DTYPES = {"i64": np.int64, "i32": np.int32, "f64": np.float64, "name": np.int32,
 
 _FIELDS: dict[str, tuple[str, ...]] = {
     "component": (
-        *("component", "H0", "H1", "dH", "dissipated", "supplied", "residual", "scale", "quality"),
+        *("component", "H0", "H1", "dH", "dissipated", "supplied", "numerical", "residual", "scale", "quality"),
         *("residual_rel", "newton", "newton_residual", "substeps", "rollbacks"),
     ),
     "port": ("component", "port", "index", "junction", "kind", "quality", "u", "y", "supplied"),
@@ -75,7 +76,7 @@ _FIELDS: dict[str, tuple[str, ...]] = {
         *("method", "accepted_by"),
     ),
     "network": (
-        *("H", "dH", "dissipated", "external", "junction_residual", "unexplained", "status"),
+        *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained", "status"),
         *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained"),
     ),
     "event": ("kind", "component", "energy_jump", "message"),
@@ -135,6 +136,7 @@ def block_sections(block: Block, encode: Encode) -> list[Section]:
                 "dH": block.dH,
                 "dissipated": block.dissipated,
                 "supplied": block.supplied,
+                "numerical": block.numerical,
                 "residual": block.residual,
                 "residual_rel": block.relative,
                 "scale": block.scale,

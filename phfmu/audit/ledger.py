@@ -2,10 +2,11 @@
 
 Per step (power positive INTO the component)
 
-    component:  residual    = dH + dissipated - supplied
+    component:  residual    = dH + dissipated + numerical - supplied
     junction:   residual    = sum of the supplied energies of its member ports
-    network:    unexplained = (sum dH + sum dissipated - external) - sum of junction residuals
+    network:    unexplained = (sum dH + sum dissipated + sum numerical - external) - sum of junction residuals
 
+`numerical` is the loss of a damping scheme (Radau IIA restart steps); absent elsewhere.
 `external` is what ports without a junction supplied. A component without a row of its own (a foreign FMU that
 reports no energy) lies outside the balance: what it takes from a junction leaves through `external`.
 """
@@ -133,6 +134,8 @@ class Ledger:
             self._sums["dissipated", name].add(row.dissipated)
         if row.supplied is not None:
             self._sums["supplied", name].add(row.supplied)
+        if row.numerical is not None:
+            self._sums["numerical", name].add(row.numerical)
         worst = self._worst.setdefault(name, _Worst(H_start=row.H0))
         worst.H_end = row.H1
         worst.magnitude = larger(worst.magnitude, row.magnitude)
@@ -151,6 +154,7 @@ class Ledger:
     ) -> NetworkRow:
         inside = {row.component for row in components}
         dissipated = total(row.dissipated for row in components if row.dissipated is not None)
+        numerical = total(row.numerical for row in components if row.numerical is not None)
         external = total(
             row.supplied if row.component in inside else -row.supplied
             for row in ports
@@ -158,9 +162,11 @@ class Ledger:
         )
         residual = total(row.residual for row in junctions if row.residual is not None)
         dH = total(row.dH for row in components) or 0.0
-        unexplained = (dH + (dissipated or 0.0) - (external or 0.0)) - (residual or 0.0)
+        unexplained = (dH + (dissipated or 0.0) + (numerical or 0.0) - (external or 0.0)) - (residual or 0.0)
         self._unexplained = larger(self._unexplained, unexplained)
         self._sums["dH",].add(dH)
+        if numerical is not None:
+            self._sums["numerical",].add(numerical)
         return NetworkRow(
             H=total(row.H1 for row in components) or 0.0,
             dH=dH,
@@ -173,6 +179,7 @@ class Ledger:
             cum_junction_residual=None if residual is None else self._sums["junction_residual",].add(residual),
             cum_unexplained=self._sums["unexplained",].add(unexplained),
             status=status,
+            numerical=numerical,
         )
 
     def add_block(
@@ -193,6 +200,7 @@ class Ledger:
         scale: ArrayLike | None = None,
         newton: ArrayLike | None = None,
         substeps: ArrayLike | None = None,
+        numerical: ArrayLike | None = None,
     ) -> None:
         """Book n accepted steps at once; shapes and errors as for `make_block`, which copies the arrays."""
         block = make_block(
@@ -211,6 +219,7 @@ class Ledger:
             scale=scale,
             newton=newton,
             substeps=substeps,
+            numerical=numerical,
         )
         n = len(block.step)
         if n == 0:
@@ -229,6 +238,8 @@ class Ledger:
                 self._sums["dissipated", name].extend(block.dissipated[:, i])
             if block.supplied is not None:
                 self._sums["supplied", name].extend(block.supplied[:, i])
+            if block.numerical is not None:
+                self._sums["numerical", name].extend(block.numerical[:, i])
             worst = self._worst.setdefault(name, _Worst(H_start=float(block.H0[0, i])))
             worst.H_end = float(block.H1[-1, i])
             worst.magnitude = larger(worst.magnitude, largest(block.magnitude[:, i]))
@@ -254,6 +265,8 @@ class Ledger:
         """Sum the network's columns and put the running sums beside them."""
         self._unexplained = larger(self._unexplained, largest(network["unexplained"]))
         self._sums["dH",].extend(network["dH"])
+        if "numerical" in network:
+            self._sums["numerical",].extend(network["numerical"])
         for name in ("dissipated", "external", "junction_residual", "unexplained"):
             if name in network:
                 network[f"cum_{name}"] = self._sums[name,].extend(network[name])
@@ -302,6 +315,7 @@ class Ledger:
                 worst_t0=worst.t0,
                 magnitude=worst.magnitude,
                 quality=worst.quality,
+                numerical=get("numerical", name),
             )
             for name, worst in self._worst.items()
         ]
@@ -320,6 +334,7 @@ class Ledger:
             junction_residual=get("junction_residual"),
             unexplained=get("unexplained") or 0.0,
             worst_unexplained=self._unexplained,
+            numerical=get("numerical"),
         )
         return LedgerSummary(
             self._steps,

@@ -83,7 +83,7 @@ def _component_columns(summary: LedgerSummary, rtol: float) -> dict[str, Callabl
         "H end": lambda c: _joule(c.H_end),
         "stored": lambda c: _joule(c.stored),
     }
-    for name in ("dissipated", "supplied", "jumps"):
+    for name in ("dissipated", "numerical", "supplied", "jumps"):
         if any(getattr(component, name) is not None for component in summary.components):
             columns[name] = lambda c, name=name: _joule(getattr(c, name))
     columns["worst"] = lambda c: f"{c.worst_relative:.1e}"
@@ -131,6 +131,7 @@ def _network_table(network: NetworkSummary) -> "Table":
     rows = {
         "stored": network.stored,
         "dissipated": network.dissipated,
+        "lost by the scheme": network.numerical,
         "supplied from outside": network.external,
         "created by the junctions": network.junction_residual,
         "unexplained": network.unexplained,

@@ -13,9 +13,9 @@ ESTIMATED = "estimated"
 class ComponentRow:
     """One component over one step; None means that the component has no such thing.
 
-    residual = dH + dissipated - supplied. `scale` [J] is the sum over its energies of |H_s|, needed where
-    terms of both signs cancel in H; without it max(|H0|, |H1|) is taken. `quality` is "estimated" where a
-    port's supplied energy is a quadrature and not the step's own.
+    residual = dH + dissipated + numerical - supplied; `numerical` is what a damping scheme (Radau) lost. `scale` [J] is
+    the sum over its energies of |H_s|, needed where terms of both signs cancel in H; without it max(|H0|, |H1|) is
+    taken. `quality` is "estimated" where a port's supplied energy is a quadrature and not the step's own.
     """
 
     component: str
@@ -30,16 +30,17 @@ class ComponentRow:
     newton_residual: float | None = None
     substeps: int | None = None
     rollbacks: int | None = None
+    numerical: float | None = None
 
     @property
     def residual(self) -> float:
-        return self.dH + (self.dissipated or 0.0) - (self.supplied or 0.0)
+        return self.dH + (self.dissipated or 0.0) + (self.numerical or 0.0) - (self.supplied or 0.0)
 
     @property
     def magnitude(self) -> float:
-        """What the residual is measured against: scale + |supplied| + |dissipated|."""
+        """What the residual is measured against: scale + |supplied| + |dissipated| + |numerical|."""
         stored = max(abs(self.H0), abs(self.H1)) if self.scale is None else self.scale
-        return stored + abs(self.supplied or 0.0) + abs(self.dissipated or 0.0)
+        return stored + abs(self.supplied or 0.0) + abs(self.dissipated or 0.0) + abs(self.numerical or 0.0)
 
     @property
     def relative(self) -> float:
@@ -104,6 +105,7 @@ class NetworkRow:
     cum_junction_residual: float | None
     cum_unexplained: float
     status: str | None = None
+    numerical: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

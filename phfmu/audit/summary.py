@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 class ComponentSummary:
     """A component over the run; the worst step is the one with the largest relative residual.
 
-    `magnitude` is the largest sum |H_s| + |supplied| + |dissipated| of a step.
+    `magnitude` is the largest sum |H_s| + |supplied| + |dissipated| + |numerical| of a step.
     """
 
     component: str
@@ -24,6 +24,7 @@ class ComponentSummary:
     worst_t0: float
     magnitude: float
     quality: str
+    numerical: float | None = None
 
     @property
     def gap(self) -> float:
@@ -62,6 +63,7 @@ class NetworkSummary:
     junction_residual: float | None
     unexplained: float
     worst_unexplained: float
+    numerical: float | None = None
 
 
 @dataclass

@@ -48,11 +48,11 @@ def candidates(
                 )
 
 
-def _parts(text: str) -> tuple[str, int, str]:
+def _parts(text: str) -> tuple[str, int | None, str]:
     name, _, rest = text.partition(":")
     order, _, gradient = rest.partition(":")
     try:
-        return name, int(order or 2), gradient or "per-term"
+        return name, int(order) if order else None, gradient or "per-term"
     except ValueError:
         raise ValueError(f"--schemes {text}: expected NAME:ORDER or NAME:ORDER:GRADIENT, e.g. two-level:6") from None
 
@@ -81,7 +81,7 @@ class _Solver:
         instance.reset()
         inputs = Inputs(instance, self._model)
         x, steps, iterations, worst = [], 0, 0, 0.0
-        record = ("counts", "energy", "stored", "dissipated", "supplied") if watch else ()
+        record = ("counts", "energy", "stored", "dissipated", "numerical", "supplied") if watch else ()
         for piece in self._problem.pieces(times):
             for name, value in piece.changes.items():
                 inputs.set(name, value)
@@ -100,7 +100,7 @@ class _Solver:
 
 
 def _ledger(rows: dict[str, Array]) -> float:
-    """Largest |stored + dissipated - supplied| of a step relative to the energies in play."""
-    residual = np.abs(rows["stored"] + rows["dissipated"] - rows["supplied"])
+    """Largest |stored + dissipated + numerical - supplied| of a step relative to the energies in play."""
+    residual = np.abs(rows["stored"] + rows["dissipated"] + rows["numerical"] - rows["supplied"])
     scale = np.abs(rows["energy"]).sum(axis=1, keepdims=True) + np.abs(rows["supplied"]) + np.abs(rows["dissipated"])
     return float((residual / np.maximum(scale, 1e-300)).max(initial=0.0))

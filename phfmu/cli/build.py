@@ -161,7 +161,7 @@ def _fmu_run(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
 
 def _refuse_compiled_in(args: argparse.Namespace) -> None:
     """ValueError for options that an FMU has compiled in."""
-    usual = {"order": (2,), "scheme": ("auto",), "gradient": ("per-term",), "closure": (None,),
+    usual = {"order": (None, 2), "scheme": ("auto",), "gradient": ("per-term",), "closure": (None,),
              "engine": ("auto", "fmu"), "coupling": ("monolithic",)}  # fmt: skip
     for option, values in usual.items():
         asked = getattr(args, option)

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.discretise.scheme import Scheme
+    from phfmu.network.scene import Scene
 
 
 def add_scheme(parser: argparse.ArgumentParser) -> None:
     """--order, --scheme, --gradient, --closure."""
     from phfmu.discretise.scheme_names import CLOSURES, GRADIENTS, ORDERS, SCHEMES
 
-    parser.add_argument("--order", type=int, default=2, choices=ORDERS, help="order of the scheme (default 2)")
+    parser.add_argument("--order", type=int, choices=ORDERS, help="order of the scheme (default 2, radau 3)")
     parser.add_argument("--scheme", default="auto", choices=SCHEMES,
                         help="auto: two-level with holonomic constraints, else collocated")  # fmt: skip
     parser.add_argument("--gradient", default="per-term", choices=GRADIENTS)
@@ -31,10 +32,35 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
                         help="parameter, start value of a state, or start of an input; may be repeated")  # fmt: skip
 
 
-def tolerance(rtol: float) -> float:
-    """--rtol checked."""
+def add_steps(parser: argparse.ArgumentParser) -> None:
+    """--rtol, --atol, --min-step, --max-step, --restart."""
+    parser.add_argument("--rtol", type=float, help="adapt the step: allowed error of a step relative to each state")
+    parser.add_argument("--atol", type=float, help="the same relative to each state's nominal value (default: --rtol)")
+    parser.add_argument("--min-step", type=float, help="smallest adaptive step in s (default: none)")
+    parser.add_argument("--max-step", type=float, help="largest adaptive step in s (default: none)")
+    parser.add_argument("--restart", type=int, metavar="N",
+                        help="take N damping steps (Radau) after each event, loss booked (default: the scene's)")  # fmt: skip
+
+
+def steps(args: argparse.Namespace, scene: Scene, *, monolithic: bool) -> dict[str, Any]:
+    """The options of `add_steps` and --step as arguments of `run`; the scene's restarts need one composed model."""
+    restart = args.restart if args.restart is not None else scene.restart if monolithic else 0
+    if restart < 0:
+        raise ValueError(f"--restart {restart}: expected a number of steps from 0")
+    given = {"atol": args.atol, "min_step": args.min_step, "max_step": args.max_step}
+    given = {name: value for name, value in given.items() if value is not None}
+    if args.rtol is None:
+        if given:
+            option = "--" + next(iter(given)).replace("_", "-")
+            raise ValueError(f"{option} is for adaptive steps; give --rtol too, or leave it out")
+        return {"restart": restart}
+    return {"restart": restart, "rtol": args.rtol, "landing": args.step or float("inf")} | given
+
+
+def tolerance(rtol: float, option: str = "--rtol") -> float:
+    """A tolerance of the ledger, checked."""
     if not 0 <= rtol < float("inf"):
-        raise ValueError(f"--rtol {rtol}: expected a number from 0, e.g. 1e-11")
+        raise ValueError(f"{option} {rtol}: expected a number from 0, e.g. 1e-11")
     return rtol
 
 

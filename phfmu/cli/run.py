@@ -18,18 +18,21 @@ def add_parser(verbs: Any) -> None:
     parser = verbs.add_parser("run", help="simulate; result table, audit")
     parser.add_argument("target", help=TARGET)
     parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
-    parser.add_argument("--step", type=float, help="communication step in s (default: the scene's)")
+    parser.add_argument("--step", type=float, help="communication step in s (default: the scene's; none with --rtol)")
     options.add_scheme(parser)
     parser.add_argument("--engine", default="auto", choices=("auto", "python", "native", "fmu"),
                         help="auto: native if a C compiler is there, else python")  # fmt: skip
     parser.add_argument("--fmi", default="3.0", choices=("2.0", "3.0"), help="FMI version of --engine fmu")
     parser.add_argument("--coupling", default="monolithic", choices=("monolithic", "newton"),
                         help="monolithic: one composed model; newton: members stepped apart")  # fmt: skip
+    options.add_steps(parser)
     options.add_settings(parser)
     parser.add_argument("--input", metavar="CSV", help="input and parameter values over time (first column time), held")
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--audit", metavar="FILE", help="energy ledger per step, FILE.parquet")
-    parser.add_argument("--rtol", type=float, default=1e-11, help="allowed relative residual of a component's step")
+    parser.add_argument(
+        "--audit-rtol", type=float, default=1e-11, help="allowed relative residual of a component's step"
+    )
     parser.add_argument("--project", action="store_true",
                         help="move an inconsistent start onto its constraints instead of refusing it")  # fmt: skip
     parser.add_argument("--keep", action="append", default=[], metavar="NAME",
@@ -40,9 +43,10 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
-    from phfmu.cli import FINE, LEDGER
+    from phfmu.cli import FINE, LEDGER, options
     from phfmu.cli.build import stepper_for
     from phfmu.network.run import run
+    from phfmu.network.stepper import Monolithic
 
     _check_files(args)
     stepper, scene, label = stepper_for(args)
@@ -57,6 +61,7 @@ def call(args: argparse.Namespace) -> int:
             result = run(
                 stepper, stop=stop, step=step, events=events, sink=writer, progress=report.update, keep=keep,
                 project=args.project, kept=args.keep,
+                **options.steps(args, scene, monolithic=isinstance(stepper, Monolithic)),
             )  # fmt: skip
     finally:
         if writer is not None:
@@ -66,10 +71,10 @@ def call(args: argparse.Namespace) -> int:
 
         write_table(args.output, result)
     summary = result.ledger.summary()
-    bad = [c for c in summary.components if c.quality == "exact" and not c.worst_relative <= args.rtol]
+    bad = [c for c in summary.components if c.quality == "exact" and not c.worst_relative <= args.audit_rtol]
     if not args.quiet:
         _print_run(args, label, result, stop, step, report.seconds)
-        print(audit_table(summary, args.rtol), end="")
+        print(audit_table(summary, args.audit_rtol), end="")
     if bad:
         print(f"phfmu: ledger violated: {', '.join(c.component for c in bad)}", file=sys.stderr)
     return LEDGER if bad else FINE
@@ -85,7 +90,7 @@ def _check_files(args: argparse.Namespace) -> None:
 
     from phfmu.cli.options import tolerance
 
-    tolerance(args.rtol)
+    tolerance(args.audit_rtol, "--audit-rtol")
     if args.keep and not args.project:
         raise ValueError(f"--keep {args.keep[0]} says what a projection leaves alone; add --project")
     if args.output:
@@ -115,10 +120,19 @@ def _input_events(path: str, known: list[str]) -> list[Event]:
 
 def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float, step: float, seconds: float) -> None:
     its = result.iterations / max(result.steps, 1)
-    print(f"{args.target}: {label}; step {step:g} s to {stop:g} s: {result.steps} steps, {its:.2f} iterations a step, "
+    sizes = (
+        f"step {step:g} s"
+        if args.rtol is None
+        else f"rtol {args.rtol:g}, steps {result.smallest:.3g} to {result.largest:.3g} s"
+    )
+    print(f"{args.target}: {label}; {sizes} to {stop:g} s: {result.steps} steps, {its:.2f} iterations a step, "
           f"{seconds:.3g} s")  # fmt: skip
     if result.projection is not None:
         _print_projection(result.projection)
+    if args.rtol is not None:
+        print(f"rejected: {result.rejected} trial steps")
+    if result.restarted:
+        print(f"restarted after events with {result.restarted} damping steps")
     groups: dict[str, float] = {}
     for name, value in result.worst.items():
         key = name.split("[")[0]

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import casadi as ca
-import numpy as np
 
 from phfmu.discretise.arguments import EMPTY, Arguments
 from phfmu.discretise.layout import Layout
@@ -63,4 +62,4 @@ def maps(layout: Layout) -> Maps:
     base = node_maps(layout, nodes(1))
     carried = [(i, layout.w_of[("X", i, 0)], 1.0, 0) for i in range(layout.terms.na)]
     started = [(i, layout.w_of[("a", i, 0)], 0.0, 0) for i in range(layout.terms.na)]
-    return Maps(base.update, carried + started, base.guess, np.ones(1), carries=True)
+    return Maps(base.update, carried + started, base.guess, base.weights, base.nodes, carries=True)

@@ -20,7 +20,7 @@ from phfmu.discretise.arguments import EMPTY, Arguments
 from phfmu.discretise.discrete import Summand, node_gradients
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.planner import Maps
-from phfmu.discretise.quadrature import Nodes, nodes
+from phfmu.discretise.quadrature import Nodes, nodes, radau_nodes
 from phfmu.discretise.scheme import Triplet, Unknown, node_constants, node_maps, node_unknowns
 from phfmu.discretise.spec import Spec, substituted
 from phfmu.discretise.terms import DeclarationError, Term, Terms
@@ -28,7 +28,7 @@ from phfmu.discretise.terms import DeclarationError, Term, Terms
 
 @dataclass(frozen=True)
 class Collocated:
-    """k Gauss nodes.
+    """k Gauss nodes, or k Radau nodes.
 
     gradient: "per-term" | "mean-value" | "joint-gonzalez", "itoh-abe", "itoh-abe-symmetric", "nodal" (these k = 1; nodal
     is the midpoint baseline MP, which keeps no energy balance).
@@ -37,6 +37,7 @@ class Collocated:
     step is reported and nothing is carried on.
     `two_level`: holonomic models keep position and velocity constraints both (GGL form, odd k).
     `impulses`: neutral impulse pairs at bare nodes, where their conditions hold (`impulses.py`); not with a closure.
+    `radau`: Radau IIA nodes and nodal gradients, see `radau`.
     """
 
     k: int = 1
@@ -45,6 +46,7 @@ class Collocated:
     two_level: bool = False
     impulses: bool = True
     closure: str = "mean"
+    radau: bool = False
 
     @property
     def joint(self) -> bool:
@@ -52,11 +54,11 @@ class Collocated:
 
     @property
     def order(self) -> int:
-        return 1 if self.gradient == "itoh-abe" else 2 * self.k
+        return 1 if self.gradient == "itoh-abe" else 2 * self.k - self.radau
 
     @property
     def nodes(self) -> Nodes:
-        return nodes(self.k)
+        return radau_nodes(self.k) if self.radau else nodes(self.k)
 
     def unknowns(self, terms: Terms) -> list[Unknown]:
         out = node_unknowns(terms, self.k)
@@ -87,14 +89,23 @@ class Collocated:
                 names = ", ".join(v.name for v in pair.variables)
                 raise DeclarationError(f"{terms.model.name}: the pair (E, z) on {names} has no discrete pair; give ebar and "
                                        "zbar, or use --scheme dirac-dissipative")  # fmt: skip
+        if terms.closed_states and self.radau:
+            raise DeclarationError(
+                f"{terms.model.name}: the closed-form pair has no Radau form; use flux coordinates, or --scheme collocated"
+            )
         if terms.closed_states and self.k > 1:
             raise DeclarationError(
                 f"{terms.model.name}: the closed-form pair has order 2 only; use --order 2, or flux coordinates for "
                 f"order {2 * self.k}"
             )
-        if self.k > 1 and self.gradient not in ("per-term", "mean-value"):
+        if self.k > 1 and self.gradient not in ("per-term", "mean-value") and not self.radau:
             raise DeclarationError(f"{self.gradient} has order 2 at most; use --gradient per-term for a higher order")
-        if terms.velocity_of and self.k % 2 == 0 and any(t.kind == "constraint" for t in terms.terms):
+        if (
+            terms.velocity_of
+            and self.k % 2 == 0
+            and not self.radau
+            and any(t.kind == "constraint" for t in terms.terms)
+        ):
             raise DeclarationError(
                 f"{terms.model.name}: order {2 * self.k} with holonomic constraints drifts off the velocity constraint; "
                 "use --order 2 or 6"
@@ -135,19 +146,21 @@ class Collocated:
         metric = np.array(tag[1]) if tag[0] == "general" else None
         if tag[0] == "quadratic" and not self.gradient.startswith("itoh-abe"):
             w, dh = gradients.quadratic(data["H"], data["z"], x, d, self.nodes)
-            return [self._costates(args, w, dh)]
+            numerical = gradients.numerical_loss(data["H"], x, d, w, dh, self.nodes) if self.radau else None
+            return [self._costates(args, w, dh, numerical)]
         w, dh = node_gradients(self.gradient, Summand(tag[0], data["H"], x, strain, metric), d, self.nodes)
-        return [self._costates(args, w * ca.repmat(data["scale"], 1, self.k), dh)]
+        numerical = gradients.numerical_loss(data["H"], x, d, w, dh, self.nodes) if self.radau else None
+        return [self._costates(args, w * ca.repmat(data["scale"], 1, self.k), dh, numerical)]
 
     def _joint(self, term: Term) -> list[Spec]:
         args, x = Arguments(term, self.k), term.local["x"]
         d = args.matrix("D", x.numel())
-        w, dh = gradients.joint_gonzalez(term.data["H"], x, d, nodes(self.k))
+        w, dh = gradients.joint_gonzalez(term.data["H"], x, d, self.nodes)
         return [self._costates(args, w * term.data["scale"], dh)]
 
-    def _costates(self, args: Arguments, w: ca.SX, dh: ca.SX) -> Spec:
+    def _costates(self, args: Arguments, w: ca.SX, dh: ca.SX, numerical: ca.SX | None = None) -> Spec:
         out = [(("W", j, i), 0, w[j, i]) for i in range(self.k) for j in range(w.shape[0])]
-        return Spec(0, args.x, args.p, args.y, out, stored=dh)
+        return Spec(0, args.x, args.p, args.y, out, stored=dh, numerical=numerical)
 
     def _closed(self, term: Term) -> list[Spec]:
         args, x, data = Arguments(term, 1), term.local["x"], term.data
@@ -165,7 +178,7 @@ class Collocated:
         if "light" not in term.data:
             return [Spec(1, EMPTY, args.p, args.y, out)]
         # equal increments, and the shift of the velocity in the mean: sum b_i m (z_i - v_i) = sum b_i S_i^T mu
-        nd, v, z = nodes(self.k), term.local["x"], args.matrix("Z", 1)
+        nd, v, z = self.nodes, term.local["x"], args.matrix("Z", 1)
         shift = sum((nd.b[i] * (z[i] - v - ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(self.k)), ca.SX(0))
         out += [(("costate", 0, i), 0, d[i + 1] - d[i]) for i in range(self.k - 1)]
         out.append((("costate", 0, self.k - 1), 0, m * shift))
@@ -186,7 +199,7 @@ class Collocated:
 
     def _at_nodes(self, term: Term, args: Arguments) -> tuple[list[list[tuple[ca.SX, ca.SX]]], dict[str, ca.SX]]:
         """Per node the substitution of local symbols by their node values; and the argument matrices by kind."""
-        nd, made = nodes(self.k), {}
+        nd, made = self.nodes, {}
         local = term.local
         if "x" in local:
             made["D"] = args.matrix("D", local["x"].numel())
@@ -214,7 +227,7 @@ class Collocated:
                 out.append((("row", j, i), int(kind == "x"), f[j] if kind == "y" else -f[j]))
             if "loss" in term.data:
                 (loss,) = substituted([term.data["loss"]], pairs[i])
-                lost = nodes(self.k).b[i] * loss + (0 if lost is None else lost)
+                lost = self.nodes.b[i] * loss + (0 if lost is None else lost)
         return [Spec(1, args.x, args.p, args.y, out, lost=lost)]
 
     def _source(self, term: Term) -> list[Spec]:
@@ -224,4 +237,15 @@ class Collocated:
         return [Spec(0, args.x, args.p, args.y, out)]
 
     def _constraint(self, term: Term) -> list[Spec]:
-        return constraints.two_level(term, self.k) if self.two_level else constraints.collocated(term, self.k)
+        build = constraints.two_level if self.two_level else constraints.collocated
+        return build(term, self.nodes)
+
+
+def radau(k: int = 2) -> Collocated:
+    """Radau IIA with k stages: order 2k - 1, stiff decay is damped and the damping booked as numerical loss.
+
+        sum_i b_i D_i^T grad H(X_i) = H(x') - H(x) + loss,     stored + dissipated + loss = supplied.
+
+    loss >= 0 for quadratic H (algebraic stability: K. Burrage, J. C. Butcher, SIAM J. Numer. Anal. 16, 1979).
+    """
+    return Collocated(k, gradient="nodal", name="radau", radau=True, impulses=False)

@@ -20,7 +20,7 @@ import numpy as np
 
 from phfmu.discretise.arguments import Arguments
 from phfmu.discretise.gradients import JOINT_GUARD, degree, general, guarded, projected
-from phfmu.discretise.quadrature import Nodes, gauss, nodes
+from phfmu.discretise.quadrature import Nodes, gauss
 from phfmu.discretise.spec import Address, Spec, substituted
 from phfmu.discretise.terms import Term
 
@@ -53,9 +53,9 @@ class _Path:
         return ca.SX(0) if self.t is None else ca.gradient(g, self.t)
 
 
-def _path(term: Term, args: Arguments, d: ca.SX, k: int) -> _Path:
+def _path(term: Term, args: Arguments, d: ca.SX, nd: Nodes) -> _Path:
     t = term.local.get("t")
-    return _Path(term.local["x"], d, t, None if t is None else args.symbol("h", 0, 0), nodes(k))
+    return _Path(term.local["x"], d, t, None if t is None else args.symbol("h", 0, 0), nd)
 
 
 def quadratic(term: Term) -> bool:
@@ -75,7 +75,7 @@ def _node_rows(g: ca.SX, path: _Path, simple: bool) -> tuple[list[ca.SX], list[c
     grad, rate = ca.gradient(g, path.q), path.moving(g)
     pairs = [path.at([grad, rate], float(c)) for c in nd.c]
     rows, rates = [p[0] for p in pairs], [p[1] for p in pairs]
-    if simple and path.t is None:
+    if path.t is None and (simple or nd.c[-1] == 1.0):  # Radau: the last row is Dg at the end, while g drifts
         return rows, rates
     if path.t is None and degree(g, path.q) is not None:
         return ca.horzsplit(general(g, path.q, d, nd, np.ones(path.q.numel()))[0]), rates
@@ -111,11 +111,11 @@ def _turning(g: ca.SX, path: _Path, v: ca.SX, dv: ca.SX, simple: bool) -> tuple[
     return [both[:n, i] for i in range(nd.k)], [both[n:, i] for i in range(nd.k)]
 
 
-def collocated(term: Term, k: int) -> list[Spec]:
+def collocated(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the plain scheme: -G_i^T lambda_i on v, 0 = G_i z_v,i + r_i."""
-    args, n = Arguments(term, k), term.local["x"].numel()
+    args, n, k = Arguments(term, nd.k), term.local["x"].numel(), nd.k
     d, z, lam = args.matrix("D", n), args.matrix("v", n), args.matrix("l", 1)
-    path = _path(term, args, d, k)
+    path = _path(term, args, d, nd)
     rows, rates = _node_rows(term.data["g"], path, quadratic(term))
     out: Rows = []
     for i in range(k):
@@ -126,13 +126,13 @@ def collocated(term: Term, k: int) -> list[Spec]:
     return [Spec(1, args.x, args.p, args.y, out)]
 
 
-def two_level(term: Term, k: int) -> list[Spec]:
+def two_level(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the two-level form; `light` velocities have the row sum_i b_i [m n_i - S_i^T mu] = 0 instead of n_i."""
-    args, g, n = Arguments(term, k), term.data["g"], term.local["x"].numel()
+    k, args, g, n = nd.k, Arguments(term, nd.k), term.data["g"], term.local["x"].numel()
     v = ca.SX.sym("v", n)
     d, dv = args.matrix("D", n), args.matrix("V", n)
     z, lam, mu = args.matrix("v", n), args.matrix("l", 1), args.symbol("m", 0, 0)
-    path, simple = _path(term, args, d, k), quadratic(term)
+    path, simple = _path(term, args, d, nd), quadratic(term)
     rows, rates = _node_rows(g, path, simple)
     turn, shift = _turning(g, path, v, dv, simple)
     light, b = term.data["light"], path.nd.b

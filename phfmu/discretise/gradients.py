@@ -65,6 +65,20 @@ def nodal(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     return ca.horzcat(*w), at(h, x, _end(x, d, nd)) - h
 
 
+def numerical_loss(h: ca.SX, x: ca.SX, d: ca.SX, w: ca.SX, dh: ca.SX, nd: Nodes) -> ca.SX:
+    """sum_i b_i D_i^T W_i - dH of node gradients: what the directionality condition misses.
+
+    Quadratic H: 1/2 sum_ij m_ij D_i^T H'' D_j with M = BA + A^T B - b b^T, without cancellation; M >= 0 for Radau IIA.
+    """
+    if degree(h, x) not in (0, 1, 2):
+        return sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0)) - dh
+    m = nd.b[:, None] * nd.a
+    m = m + m.T - np.outer(nd.b, nd.b)
+    turned = ca.horzcat(*(ca.jtimes(ca.gradient(h, x), x, d[:, j]) for j in range(nd.k)))
+    pairs = ((i, j) for i in range(nd.k) for j in range(nd.k))
+    return sum((0.5 * m[i, j] * ca.dot(d[:, i], turned[:, j]) for i, j in pairs), ca.SX(0))
+
+
 def general(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> Gradient:
     """W_i = 1/b_i sum_q w_q l_i(t_q) grad H(x(t_q)) + alpha metric D_i with m Gauss points.
 

@@ -61,7 +61,7 @@ def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
     mean = [(i, layout.w_of[("a", i, 0)], 1.0, 0) for i in range(terms.na)]
     guess = [[(w, 1.0, 0)] for w in range(layout.nw)]
     nobs = len(terms.observable_names) + len(checks)
-    maps = Maps([], mean, guess, np.ones(1))
+    maps = Maps([], mean, guess, np.ones(1), np.full(1, 0.5))
     plan = make_plan(layout, work, _constants(layout, hidden), maps, na=terms.na, nobs=nobs)
     return plan, checks
 

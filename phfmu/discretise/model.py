@@ -55,9 +55,14 @@ class Model:
         return [g.kernel for plan in (self.step, self.instant) for g in plan.groups]
 
     @property
+    def loses_energy(self) -> bool:
+        """The scheme has a numerical loss, which its ledger books."""
+        return any(g.kernel.ledger is not None and g.kernel.ledger.n_out() == 3 for g in self.step.groups)
+
+    @property
     def nodes(self) -> Array:
         """The k quadrature nodes on [0, 1]."""
-        return self.scheme.nodes.c
+        return self.step.nodes
 
 
 def _stack(variables: tuple[Variable, ...]) -> Array:

@@ -31,7 +31,8 @@ Powers = NDArray[np.int8]
 class Kernel:
     """A local function with its sparse Jacobian, shared by all its instances.
 
-    `function`: (x, y, p) -> (out, jac);  `ledger`: (x, y, p) -> (stored, lost), or None.
+    `function`: (x, y, p) -> (out, jac);  `ledger`: (x, y, p) -> (stored, lost) or
+    (stored, lost, numerical), or None.
     `jac_row`, `jac_col`: position of each Jacobian nonzero, columns into the y locals.
     """
 
@@ -141,6 +142,7 @@ class Plan:
     guess_pow: Powers
     increments: Powers
     weights: Floats
+    nodes: Floats
     pair_src: Ints
     pair_owner: Ints
     nominal: Floats

@@ -34,14 +34,15 @@ class Maps:
     """Linear maps of a scheme between unknowns and what is reported or carried on.
 
     `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, w, weight, power of h);
-    `guess`: per unknown a list of (w of the last step, weight, power of h/h_last);  `work`: (pair, row of R),
-    energy that goes through a pair beside h sum b y u;  `carries`: see `Plan`.
+    `guess`: per unknown a list of (w of the last step, weight, power of h/h_last);  `weights`, `nodes`: quadrature on
+    [0, 1];  `work`: (pair, row of R), energy that goes through a pair beside h sum b y u;  `carries`: see `Plan`.
     """
 
     update: list[tuple[int, int, float]]
     mean: list[tuple[int, int, float, int]]
     guess: list[list[tuple[int, float, int]]]
     weights: NDArray[np.float64]
+    nodes: NDArray[np.float64]
     work: list[tuple[int, int]] = field(default_factory=list)
     carries: bool = False
 
@@ -101,7 +102,7 @@ def make_plan(
         guess_val=np.array([i for g in guess for i in g[2]], float),
         guess_pow=np.array([i for g in guess for i in g[3]], np.int8),
         increments=np.array([kind in INCREMENTS for kind, _, _ in layout.unknowns], np.int8),
-        weights=np.asarray(maps.weights, float),
+        weights=np.asarray(maps.weights, float), nodes=np.asarray(maps.nodes, float),
         pair_src=np.array([layout.input_index(j, i) for i in range(layout.k) for j in range(nq)], np.int32),
         pair_owner=np.array([p.owner for p in terms.pairs], np.int32),
         nominal=layout.nominals(),

@@ -1,4 +1,4 @@
-"""Gauss quadrature on [0, 1] and the collocation coefficients of k Gauss nodes."""
+"""Quadrature on [0, 1] and the collocation coefficients of k Gauss or Radau nodes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.polynomial import Polynomial
+from numpy.polynomial import Legendre, Polynomial
 from numpy.typing import NDArray
 
 
@@ -19,7 +19,7 @@ def gauss(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 @dataclass(frozen=True)
 class Nodes:
-    """k Gauss nodes c, weights b, a_ij = int_0^{c_i} l_j, with the Lagrange basis l_j on the nodes."""
+    """k nodes c, weights b, a_ij = int_0^{c_i} l_j, with the Lagrange basis l_j on the nodes."""
 
     k: int
     c: NDArray[np.float64]
@@ -40,12 +40,24 @@ class Nodes:
 def nodes(k: int) -> Nodes:
     """The k Gauss nodes; k = 1 is the midpoint."""
     c, b = gauss(k)
+    return _collocation(c, b)
+
+
+@cache
+def radau_nodes(k: int) -> Nodes:
+    """The k right Radau nodes (Radau IIA): the last one is the end of the step; exact up to degree 2k - 2."""
+    roots = (Legendre.basis(k - 1) - Legendre.basis(k)).roots()
+    return _collocation(np.append((np.sort(roots.real)[:-1] + 1.0) / 2.0, 1.0))
+
+
+def _collocation(c: NDArray[np.float64], b: NDArray[np.float64] | None = None) -> Nodes:
+    """Basis and coefficients of the nodes c; weights int_0^1 l_j unless given."""
     basis = []
-    for j in range(k):
+    for j in range(len(c)):
         p = Polynomial([1.0])
-        for i in range(k):
+        for i in range(len(c)):
             if i != j:
                 p = p * Polynomial([-c[i], 1.0]) / (c[j] - c[i])
         basis.append(p)
     a = np.array([[p.integ()(ci) for p in basis] for ci in c])
-    return Nodes(k, c, b, a, tuple(basis))
+    return Nodes(len(c), c, np.array([p.integ()(1.0) for p in basis]) if b is None else b, a, tuple(basis))

@@ -98,4 +98,4 @@ def node_maps(layout: Layout, nd: Nodes) -> Maps:
         else:
             last = [layout.w_of[(kind, i, j)] for j in range(layout.k)]
             guess.append([(last[j], float(ahead[node, j]), int(kind == "D")) for j in range(layout.k)])
-    return Maps(update, mean, guess, nd.b)
+    return Maps(update, mean, guess, nd.b, nd.c)

@@ -1,6 +1,16 @@
 """Names of schemes, gradients and orders that users choose from; imports nothing, so that the command line stays fast."""
 
-SCHEMES = ("auto", "collocated", "two-level", "semi-explicit", "gradient-pair", "dirac-dissipative", "midpoint")
+SCHEMES = (
+    "auto",
+    "collocated",
+    "two-level",
+    "semi-explicit",
+    "gradient-pair",
+    "dirac-dissipative",
+    "midpoint",
+    "radau",
+)
 GRADIENTS = ("per-term", "joint-gonzalez", "mean-value", "itoh-abe", "itoh-abe-symmetric")
 CLOSURES = ("end", "start", "midpoint", "minimal")
-ORDERS = (2, 4, 6)
+#: even orders are those of Gauss nodes, odd ones those of Radau nodes
+ORDERS = (1, 2, 3, 4, 5, 6)

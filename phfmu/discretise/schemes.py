@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.collocated import Collocated, radau
 from phfmu.discretise.dirac_dissipative import DiracDissipative
 from phfmu.discretise.gradient_pair import GradientPair
 from phfmu.discretise.scheme import Scheme
@@ -17,7 +17,7 @@ ONE_NODE = ("gradient-pair", "dirac-dissipative")
 def named_scheme(
     declaration: PHDAE,
     name: str = "auto",
-    order: int = 2,
+    order: int | None = None,
     gradient: str = "per-term",
     closure: str | None = None,
 ) -> Scheme:
@@ -29,10 +29,17 @@ def named_scheme(
     gradient-pair:      discrete gradient pair (Ebar, zbar), order 2
     dirac-dissipative:  discrete gradient on the Dirac structure, costate as unknown, order 2
     midpoint:           the baseline without energy exactness: gradients at the midpoint, order 2
+    radau:              Radau IIA, orders 1, 3, 5: damps stiff decay and books the damping; no holonomic constraints
+    order None:         2, for radau 3
     closure:            where algebraic variables belong: "end" | "start" | "midpoint" (order 2 of collocated, semi-explicit,
                         gradient-pair, dirac-dissipative), "minimal" (dirac-dissipative); None = the default of the scheme
     """
+    order = order if order is not None else 3 if name == "radau" else 2
     _require_known(order, gradient, closure)
+    if name == "radau":
+        return _radau(declaration, order, gradient, closure)
+    if order % 2:
+        raise DeclarationError(f"scheme {name} has the orders 2, 4 and 6; order {order} is one of --scheme radau")
     holonomic = bool(declaration.constraints)
     if name == "auto":
         name = "two-level" if holonomic else "collocated"
@@ -72,3 +79,16 @@ def _require_known(order: int, gradient: str, closure: str | None) -> None:
             raise DeclarationError(f"{what} {value} is not offered; choose from {', '.join(map(str, known))}")
     if closure is not None and closure not in CLOSURES:
         raise DeclarationError(f"closure {closure} is not offered; choose from {', '.join(CLOSURES)}")
+
+
+def _radau(declaration: PHDAE, order: int, gradient: str, closure: str | None) -> Scheme:
+    if order % 2 == 0:
+        raise DeclarationError(f"scheme radau has the orders 1, 3 and 5; order {order} is one of --scheme collocated")
+    if gradient != "per-term" or closure is not None:
+        raise DeclarationError("scheme radau takes gradients and algebraic variables at its nodes; leave out --gradient and "
+                               "--closure")  # fmt: skip
+    if declaration.constraints:
+        raise DeclarationError(
+            f"{declaration.name}: Radau nodes let the holonomic constraints drift; use --scheme two-level"
+        )
+    return radau((order + 1) // 2)

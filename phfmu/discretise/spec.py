@@ -28,8 +28,8 @@ class Spec:
     """A kernel before it is compiled: symbols, addresses and results.
 
     `x`: local old states (then time); `p`: parameters; `y`: symbol per argument address; `out`: (address, power of h,
-    expression) per result; `stored`, `lost`: ledger expressions or None; `report`: nothing is solved for the results,
-    so they need no derivatives.
+    expression) per result; `stored`, `lost`, `numerical`: ledger expressions or None; `report`: nothing is solved for the
+    results, so they need no derivatives.
     """
 
     stage: int
@@ -40,6 +40,7 @@ class Spec:
     stored: ca.SX | None = None
     lost: ca.SX | None = None
     report: bool = False
+    numerical: ca.SX | None = None
 
 
 _cache: dict[str, Kernel] = {}
@@ -57,7 +58,10 @@ def build(spec: Spec) -> Kernel:
     args = [spec.x, y, spec.p]
     text = ca.Function("k", args, [out, nonzeros]).serialize()
     has_ledger = spec.stored is not None or spec.lost is not None
-    ledger_out = ca.cse([ca.SX(0) if e is None else ca.densify(e) for e in (spec.stored, spec.lost)])
+    ledger_out = [ca.SX(0) if e is None else ca.densify(e) for e in (spec.stored, spec.lost)]
+    if spec.numerical is not None:
+        ledger_out.append(ca.densify(spec.numerical))
+    ledger_out = ca.cse(ledger_out)
     if has_ledger:
         text += ca.Function("l", args, ledger_out).serialize()
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -97,9 +97,11 @@ def _check(kernel: Kernel) -> None:
     if given != expected:
         raise ValueError(f"kernel {kernel.name}: (nx, ny, np, no, nj) = {expected}, its function has {given}")
     if kernel.ledger is not None:
-        ledger = [kernel.ledger.nnz_out(i) for i in range(2)]
-        if ledger != [1, 1]:
-            raise ValueError(f"kernel {kernel.name}: stored and lost are one dense value each, not {ledger}")
+        ledger = [kernel.ledger.nnz_out(i) for i in range(kernel.ledger.n_out())]
+        if ledger not in ([1, 1], [1, 1, 1]):
+            raise ValueError(
+                f"kernel {kernel.name}: stored, lost and perhaps numerical are one dense value each, not {ledger}"
+            )
 
 
 def _functions_text(bodies: dict[str, Body]) -> str:
@@ -126,6 +128,7 @@ def _entry(kernel: Kernel, function: Body, ledger: Body | None) -> tuple[str, st
     key = repr((function.name, ledger.name if ledger else None, sizes, work))
     name = "g_" + hashlib.sha256(key.encode()).hexdigest()[:16]
     macros = {"NAME": name, "KERNEL": function.name} | ({"LEDGER": ledger.name} if ledger else {})
+    macros |= {"NUMERICAL": ""} if ledger and ledger.function.n_out() == 3 else {}
     macros |= sizes | {f"SZ_{k}": v for k, v in work.items()}
     include = "".join(f"#define PH_{k} {v}\n" for k, v in macros.items()) + '#include "group.inc"\n'
     last = f"{name}_ledger" if ledger else "0"

@@ -55,7 +55,7 @@ class Evaluator:
         for g in plan.groups:
             k = g.kernel
             values = _Buffered(k.function, g.n, [k.nx, k.ny, k.np], [k.no, k.nj])
-            ledger = None if k.ledger is None else _Buffered(k.ledger, g.n, [k.nx, k.ny, k.np], [1, 1])
+            ledger = None if k.ledger is None else _Buffered(k.ledger, g.n, [k.nx, k.ny, k.np], [1] * k.ledger.n_out())
             self._work.append(_GroupWork(g, values, ledger))
         self.V = np.zeros(plan.nslot)
         self.V[0] = 1.0
@@ -90,14 +90,14 @@ class Evaluator:
         terms = lists.value * h**lists.power * self.V[lists.s] * self.V[lists.t]
         return np.bincount(self._entry[id(lists)], terms, lists.nnz)
 
-    def ledger(self, x: Array, p: Array) -> tuple[Array, Array]:
-        """Per component: sum of `stored` and of `lost` at the last residual's Y."""
+    def ledger(self, x: Array, p: Array) -> tuple[Array, Array, Array]:
+        """Per component: sums of `stored`, `lost` and `numerical` at the last residual's Y."""
         n = self.plan.ncomp
-        stored, lost = np.zeros(n), np.zeros(n)
+        sums = np.zeros((3, n))
         for w in self._work:
             if w.ledger is not None:
                 w.gather(w.ledger, x, self.Y, p)
                 w.ledger.call()
-                stored += np.bincount(w.group.owner, w.ledger.res[0][:, 0], n)
-                lost += np.bincount(w.group.owner, w.ledger.res[1][:, 0], n)
-        return stored, lost
+                for total, values in zip(sums, w.ledger.res, strict=False):
+                    total += np.bincount(w.group.owner, values[:, 0], n)
+        return sums[0], sums[1], sums[2]

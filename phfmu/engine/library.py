@@ -25,6 +25,8 @@ RECORD: tuple[str, ...] = (
     "stored",
     "dissipated",
     "supplied",
+    "numerical",
+    "unknowns",
     "energy",
     "counts",
 )
@@ -80,6 +82,8 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_parameters": (pointer, [pointer]),
         "ph_input": (pointer, [pointer]),
         "ph_node_outputs": (pointer, [pointer]),
+        "ph_continue": (integer, [pointer, pointer]),
+        "ph_unknowns": (pointer, [pointer]),
         "ph_step": (integer, [pointer, real, real]),
         "ph_step_parts": (integer, [pointer, real, real, integer]),
         "ph_run": (integer, [pointer, real, real, integer, ctypes.POINTER(Record), ctypes.POINTER(integer)]),

@@ -82,6 +82,13 @@ class NativeInstance:
         values = self._array(x, self.model.step.nx)
         self._check(self._lib.ph_set_x(self._in, t, values.ctypes.data))
 
+    def continue_from(self, other: NativeInstance) -> None:
+        """Go on from the state, time, held inputs, parameters and cumulative energies of `other`.
+
+        `other` is of the same declaration under another scheme.
+        """
+        self._check(self._lib.ph_continue(self._in, other._in))
+
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
         """One communication step over [t, t + h] in `parts` equal internal steps.
 
@@ -103,12 +110,13 @@ class NativeInstance:
     ) -> dict[str, Floats]:
         """Steps k = 0..n-1 from t0 + k h without leaving C; `inputs`: n x nu, row k held over step k.
 
-        `record`: names from RECORD, a row a step each.  pairs, stored, dissipated, supplied: ledger of that
-        step; energy: H per component at its end; counts: iterations and solves; signals: see `layout`.
+        `record`: names from RECORD, a row a step each.  pairs, stored, dissipated, supplied, numerical: ledger of
+        that step; unknowns: w of its last solve; energy: H per component at its end; counts: iterations and
+        solves; signals: see `layout`.
         """
         plan = self.model.step
         width = dict.fromkeys(RECORD, plan.ncomp) | dict.fromkeys(("y_step", "pairs"), plan.nq)
-        width |= {"signals": len(self._table), "x": plan.nx, "a": plan.na, "counts": 2}
+        width |= {"unknowns": plan.nw, "signals": len(self._table), "x": plan.nx, "a": plan.na, "counts": 2}
         result = {name: np.full((n, width[name]), np.nan) for name in record}
         request = Record(parts=parts)
         for name, array in result.items():
@@ -156,10 +164,15 @@ class NativeInstance:
         return values[:, : plan.nu].copy()
 
     def ledger(self) -> dict[str, Floats]:
-        """Of the last communication step: stored, dissipated, supplied per component, pairs [J]."""
+        """Of the last communication step: stored, dissipated, supplied, numerical per component, pairs [J]."""
         names, plan = enums()["ph_row"], self.model.step
         sizes = {name: plan.nq if name == "pairs" else plan.ncomp for name in names}
         return {n: view(self._lib.ph_ledger(self._in, i), sizes[n]).copy() for i, n in enumerate(names)}
+
+    @property
+    def unknowns(self) -> Floats:
+        """w of the last solve: see `Plan`."""
+        return view(self._lib.ph_unknowns(self._in), self.model.step.nw).copy()
 
     def signals(self) -> dict[str, Floats]:
         """All values by block: x, time, a, y_step, energy, ..., a_end, y_end, observables, H."""

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.discretise.quadrature import nodes
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.newton import Newton, Outcome
 from phfmu.engine.state import State
@@ -57,7 +56,8 @@ class PythonInstance:
     def _nothing(self) -> dict[str, Array]:
         """The ledger of a step in which nothing moved."""
         plan = self.model.step
-        return {n: np.zeros(plan.ncomp) for n in ("stored", "dissipated", "supplied")} | {"pairs": np.zeros(plan.nq)}
+        sums = {n: np.zeros(plan.ncomp) for n in ("stored", "dissipated", "supplied", "numerical")}
+        return sums | {"pairs": np.zeros(plan.nq)}
 
     def get_state(self) -> State:
         """A complete copy; stepping after `set_state` gives the same bits."""
@@ -90,6 +90,24 @@ class PythonInstance:
         self._s.x[:-1], self._s.x[-1], self._s.t = self._array(x, self.model.step.nx), t, t
         self._s.carry[:] = 0.0
         self._s.end = None
+
+    def continue_from(self, other: PythonInstance) -> None:
+        """Go on from the state, time, held inputs, parameters and cumulative energies of `other`.
+
+        `other` is of the same declaration under another scheme.
+        """
+        mine, its = self.model.step, other.model.step
+        sizes = ("nx", "nu", "np", "nq", "na", "ncomp")
+        held = other._s.u.reshape(its.k, -1)
+        if any(getattr(mine, n) != getattr(its, n) for n in sizes) or (held != held[:1]).any():
+            raise StepFailure(Status.ARGUMENT, self.model.name, other.time, 0.0)
+        old, s = self._s, other.get_state()
+        s.y_node = np.zeros((mine.k, mine.nq))
+        s.u, s.w, s.h_last, s.counts, s.solved = np.tile(held[0], mine.k), old.w.copy(), old.h_last, old.counts, 0
+        if old.t != s.t:  # its own last step is no longer the one before the next
+            level = mine.increments[mine.mean_w] == 0
+            s.w[mine.mean_w[level]], s.h_last = s.a[mine.mean_a[level]], 0.0
+        self._s = s
 
     # -- stepping ---------------------------------------------------------------------------------------------------
 
@@ -177,7 +195,7 @@ class PythonInstance:
         k = self.model.step.k
         if k == 1 or not self._s.u.size:
             return np.tile(self._s.u, len(at)) if k == 1 else np.zeros(0)
-        values, basis = self._s.u.reshape(k, -1), nodes(k)
+        values, basis = self._s.u.reshape(k, -1), self.model.scheme.nodes
         if (values == values[0]).all():
             return np.tile(values[0], len(at))
         return np.concatenate([basis.value(float(c)) @ values for c in at])
@@ -208,13 +226,14 @@ class PythonInstance:
         fixed = (self._old(), np.append(u, h), s.p, h)
         s.solved += 1
         self._newton.residual(outcome.w, fixed)
-        stored, lost = self._step.ledger(fixed[0], s.p)
+        stored, lost, numerical = self._step.ledger(fixed[0], s.p)
         y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
         u_nodes = self._step.Y[plan.pair_src].reshape(plan.k, plan.nq)
         pairs = h * plan.weights @ (y_nodes * u_nodes)
         np.add.at(pairs, plan.work_pair, self._step.R[plan.work_row])
         s.last["stored"] += stored
         s.last["dissipated"] += h * lost
+        s.last["numerical"] += numerical
         s.last["pairs"] += pairs
         s.last["supplied"] += np.bincount(plan.pair_owner, pairs, plan.ncomp)
         s.w, s.h_last = outcome.w.copy(), h
@@ -235,7 +254,7 @@ class PythonInstance:
         plan = self.model.step
         if part == 1.0 or plan.k == 1:
             return part * y
-        basis = np.array([nodes(plan.k).value(start + part * float(c)) for c in self.model.nodes])
+        basis = np.array([self.model.scheme.nodes.value(start + part * float(c)) for c in self.model.nodes])
         return part * (basis * plan.weights[:, None] / plan.weights).T @ y
 
     def run(
@@ -269,7 +288,7 @@ class PythonInstance:
                     failure.recorded = {name: np.array(kept) for name, kept in rows.items()}
                     raise
                 now |= {"signals": np.concatenate([signals[b] for b in self.layout]), "energy": signals["H"]}
-            now |= {"x": self.x, "a": self._s.a, "y_step": self._s.y_step}
+            now |= {"unknowns": self._s.w, "x": self.x, "a": self._s.a, "y_step": self._s.y_step}
             for name, kept in rows.items():
                 kept.append(now[name].copy())
         return {name: np.array(kept) for name, kept in rows.items()}
@@ -307,8 +326,13 @@ class PythonInstance:
         return self._s.y_node[:, : self.model.step.nu].copy()
 
     def ledger(self) -> dict[str, Array]:
-        """Of the last communication step: stored, dissipated, supplied per component, pairs per scalar pair [J]."""
+        """Of the last communication step: stored, dissipated, supplied, numerical per component, pairs per scalar pair [J]."""
         return {k: v.copy() for k, v in self._s.last.items()}
+
+    @property
+    def unknowns(self) -> Array:
+        """w of the last solve: see `Plan`."""
+        return self._s.w.copy()
 
     def signals(self) -> dict[str, Array]:
         """All values by block: x, time, a, y_step, energy, supplied, dissipated, residual, a_end, y_end, observables, H."""
@@ -339,7 +363,7 @@ class PythonInstance:
                                       residual=outcome.residual, iterations=outcome.iterations)  # fmt: skip
                 w = outcome.w
             r = self._instant.residual(s.x, np.concatenate([w, fixed[1]]), s.p, 1.0)
-            stored, _ = self._instant.ledger(s.x, s.p)
+            stored, *_ = self._instant.ledger(s.x, s.p)
             s.end = {
                 "w": w, "a": w[plan.mean_w], "y": r[plan.nw : plan.nw + plan.nq].copy(),
                 "o": r[plan.nw + plan.nq :].copy(), "H": stored,

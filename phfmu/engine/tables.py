@@ -89,12 +89,6 @@ def capacity(plan: Plan) -> int:
     return int(min(4 * (trial.L.nnz + trial.U.nnz) + n, n * n))
 
 
-def gauss_nodes(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Nodes on [0, 1] of the Gauss rule with these weights; empty if it is another rule."""
-    t, w = np.polynomial.legendre.leggauss(len(weights))
-    return (t + 1) / 2 if np.allclose(w / 2, weights, rtol=0, atol=1e-13) else np.empty(0)
-
-
 @dataclass(frozen=True)
 class _Fixed:
     """Constant part of a sum of products: entry, value and power of h, one item per product."""
@@ -187,7 +181,6 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
             "nmean": len(plan.mean_a),
             "nwork": len(plan.work_pair),
             "lucap": capacity(plan),
-            "nodes": gauss_nodes(plan.weights),
             "groups": [(g, _group_values(g, plan, index, reported)) for g in groups],
         }
     )

@@ -47,6 +47,11 @@ def export(
     unknown = [v for v in versions if v not in VERSIONS]
     if unknown or not versions:
         raise FMUError(f"FMI versions {list(versions)}; known: {', '.join(VERSIONS)}")
+    if model.loses_energy:
+        raise FMUError(
+            f"{declaration.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
+            "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
+        )
     unit = Unit(declaration, model, step, stop, node_inputs)
     equations = sources.generated(unit)
     token = sources.token(unit, equations)

@@ -158,7 +158,8 @@ class Coupled:
                 raise
             books = [m.ledger() for m in self.members]
             parts = [np.concatenate([b[key] for b in books]) for key in ("stored", "dissipated", "supplied", "pairs")]
-            rows.append((*now, *parts, np.array(float(self.iterations))))
+            damped = [b.get("numerical", np.zeros(len(b["stored"]))) for b in books]
+            rows.append((*now, *parts, np.array(float(self.iterations)), np.concatenate(damped)))
         return Steps.stacked(rows)
 
     # -- one step ---------------------------------------------------------------------------------------------------

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import StepFailure
+from phfmu.network.book import Book
+from phfmu.network.march import AdaptiveSteps, FixedSteps
 from phfmu.network.scene import Event
-from phfmu.network.stepper import Booking, InconsistentState, Stepper, Steps
+from phfmu.network.stepper import Stepper
 
 if TYPE_CHECKING:
-    from phfmu.audit import Ledger, PortKey
+    from phfmu.audit import Ledger
     from phfmu.discretise.start import Projection
+    from phfmu.network.adaptive import Control
 
 Array = NDArray[Any]
-
-BLOCK = 4096  # steps between progress reports and audit flushes
 
 
 @dataclass
@@ -34,6 +34,11 @@ class Result:
     iterations: float
     worst: dict[str, float] = field(default_factory=dict)
     projection: Projection | None = None
+    #: steps taken with damping; adaptive runs: rejected trials, smallest and largest step (s)
+    restarted: int = 0
+    rejected: int = 0
+    smallest: float = 0.0
+    largest: float = 0.0
 
     def column(self, name: str) -> Array:
         """One signal over time; KeyError lists close names."""
@@ -75,19 +80,6 @@ def segments(t0: float, stop: float, events: Sequence[Event]) -> Iterator[tuple[
         past = []
 
 
-def pieces(start: float, end: float, h: float) -> Iterator[tuple[float, float, int]]:
-    """(t, h, n) runs of equal steps covering [start, end]; the last partial step is taken."""
-    n = int(np.floor((end - start) / h * (1 + 1e-12) + 1e-9))
-    if n:
-        full = abs(start + n * h - end) <= 1e-9 * h
-        step = (end - start) / n if full else h
-        for first in range(0, n, BLOCK):
-            yield start + first * step, step, min(BLOCK, n - first)
-        if full:
-            return
-    yield start + n * h, end - (start + n * h), 1
-
-
 def run(
     stepper: Stepper,
     *,
@@ -100,21 +92,36 @@ def run(
     keep: Callable[[Array, Array], None] | None = None,
     project: bool = False,
     kept: Sequence[str] = (),
+    restart: int = 0,
+    rtol: float | None = None,
+    atol: float | None = None,
+    landing: float = np.inf,
+    min_step: float = 0.0,
+    max_step: float = np.inf,
 ) -> Result:
     """Run from t0 to stop; returns all rows (first row: the start).
 
+    With `rtol` steps are as long as |error| <= rtol |x| + atol nominal allows in each of them (atol: as rtol), and within
+    [min_step, max_step]; `step` is the first trial, and multiples of `landing` after t0 and each event are landed on.
+
+    restart:  damping steps (Radau IIA) after each event
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
     keep:  receives (time, values) blocks instead of collecting them
     project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
     kept:  states that the projection leaves as they are
-    Errors: ValueError for a bad step or stop; InconsistentState; StepFailure (audit written so far stays readable)
+    Errors: ValueError for a bad step or stop; InconsistentState; StepFailure (audit written so far stays readable);
+    DeclarationError where restart or adaptive steps do not fit; ToleranceMissed
     """
     from phfmu.audit import Ledger
 
     _check_times(t0, stop, step)
     _check_events(stepper, [e for e in events if not e.t >= stop])
     ledger = Ledger(sink)
-    book = _Book(stepper, ledger)
+    book = Book(stepper, ledger)
+    if rtol is None:
+        march: Any = FixedSteps(stepper, book, step, restart)
+    else:
+        march = AdaptiveSteps(stepper, book, restart, landing, _control(rtol, atol, step, min_step, max_step))
     times: list[Array] = []
     rows: list[Array] = []
 
@@ -142,15 +149,15 @@ def run(
             book.start()
             take(np.array([t0]), stepper.read()[None])
             first = False
-        for t, h, n in pieces(start, end, step):
-            steps = book.advance(t, h, n)
-            take(t + h * np.arange(1, n + 1), steps.signals)
+        for ends, values in march.over(start, end, start > t0):
+            take(ends, values)
             if progress is not None:
-                progress(t + n * h)
+                progress(float(ends[-1]))
     ledger.flush()
     time = np.concatenate(times) if times else np.zeros(0)
     values = np.concatenate(rows) if rows else np.zeros((0, len(stepper.names)))
-    return Result(stepper.names, time, values, ledger, book.steps, book.iterations, book.worst(), projection)
+    worst, facts = book.worst(), march.facts()
+    return Result(stepper.names, time, values, ledger, book.steps, book.iterations, worst, projection, **facts)
 
 
 def _check_times(t0: float, stop: float, step: float) -> None:
@@ -174,90 +181,7 @@ def _check_events(stepper: Stepper, events: Sequence[Event]) -> None:
             stepper.set_value(e.name, e.value)  # raises with what there is instead
 
 
-class _Book:
-    """Books the steps of a stepper in a ledger and watches the hidden constraints."""
+def _control(rtol: float, atol: float | None, step: float, smallest: float, largest: float) -> Control:
+    from phfmu.network.adaptive import Control
 
-    def __init__(self, stepper: Stepper, ledger: Ledger):
-        from phfmu.audit import Layout
-
-        self.stepper, self.ledger = stepper, ledger
-        b = stepper.booking
-        self.layout = Layout(b.components, tuple(self._key(*pair, b) for pair in b.pairs))
-        self._owners = np.array([[float(c == name) for name in b.components] for c, *_ in b.pairs])
-        self._owners = self._owners.reshape(len(b.pairs), len(b.components))
-        self.steps, self.iterations = 0, 0.0
-        self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith("constraint.")]
-        self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
-        self._H = np.zeros(0)
-
-    @staticmethod
-    def _key(component: str, port: str, index: int | None, junction: str | None, b: Booking) -> PortKey:
-        from phfmu.audit import PortKey
-
-        quality = "estimated" if component in b.estimated else "exact"
-        return PortKey(component, port, index, junction, quality=quality)
-
-    def start(self) -> None:
-        self._H = self.stepper.energies()
-
-    def set_value(self, e: Event) -> None:
-        """Set an event's value and book the energy that a changed parameter makes or takes."""
-        self.stepper.set_value(e.name, e.value)
-        message, now = f"{e.name} = {e.value:.9g}", self.stepper.energies()
-        changed = [(c, float(d)) for c, d in zip(self.layout.components, now - self._H, strict=True) if d]
-        for component, jump in changed:
-            self.ledger.event(e.t, "parameter", component, jump, message)
-        if not changed:
-            self.ledger.event(e.t, "input", message=message)
-        self._H = now
-        if changed:
-            self._keep_consistent(e.t)
-
-    def _keep_consistent(self, t: float) -> None:
-        """A parameter that enters a hidden constraint (an inductance at a node) makes the state jump as by an impulse."""
-        try:
-            self.stepper.check_start()
-        except InconsistentState:
-            self.project(t, ())
-            self.stepper.check_start()
-            self._H = self.stepper.energies()
-
-    def project(self, t0: float, kept: Sequence[str]) -> Projection | None:
-        """Move the start onto its constraints; the energy change is an event."""
-        found = self.stepper.project_start(t0, kept)
-        if found is not None and found.moved:
-            moved = ", ".join(f"{n} {a:.6g} -> {b:.6g}" for n, a, b in found.moved)
-            self.ledger.event(t0, "reprojection", None, found.energy, moved)
-        return found
-
-    def advance(self, t: float, h: float, n: int) -> Steps:
-        try:
-            steps = self.stepper.advance(t, h, n)
-        except StepFailure as failure:
-            if "steps" in failure.recorded:
-                self._add(t, h, failure.recorded["steps"])
-            self.ledger.event(failure.time, "nonconverged", failure.component, message=str(failure))
-            self.ledger.flush()
-            raise
-        self._add(t, h, steps)
-        return steps
-
-    def _add(self, t: float, h: float, s: Steps) -> None:
-        n = len(s.H)
-        k = self.steps + np.arange(n)
-        before = np.vstack([self._H[None], s.H[:-1]])
-        self._H = s.H[-1]
-        # a lossless junction of large powers has supplied = 0: its scale is what passes through its ports
-        scale = np.maximum(np.abs(before), np.abs(s.H)) + np.abs(s.pairs) @ self._owners
-        newton = np.repeat(s.iterations.astype(int)[:, None], len(self.layout.components), axis=1)
-        self.ledger.add_block(
-            self.layout, k, t + h * np.arange(n), h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, H0=before,
-            scale=scale, newton=newton,
-        )  # fmt: skip
-        self.steps += n
-        self.iterations += float(s.iterations.sum())
-        for name, i in self._watch:
-            self._worst[name] = max(self._worst[name], float(np.max(np.abs(s.signals[:, i]))))
-
-    def worst(self) -> dict[str, float]:
-        return self._worst
+    return Control(rtol, rtol if atol is None else atol, step, smallest, largest)

@@ -19,7 +19,10 @@ class Event:
 
 @dataclass(frozen=True)
 class Scene:
-    """What `phfmu run NAME` runs: stop time and step in seconds, events of the first kind; the grid lands on them."""
+    """What `phfmu run NAME` runs: stop time and step in seconds, events of the first kind; the grid lands on them.
+
+    `restart`: damping steps after each event, see `phfmu.network.restart`.
+    """
 
     name: str
     system: PHDAE | Network
@@ -27,6 +30,7 @@ class Scene:
     step: float
     events: tuple[Event, ...] = ()
     description: str = ""
+    restart: int = 0
 
     def declaration(self) -> PHDAE:
         """The scene as one PHDAE."""

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.model import Model
+from phfmu.discretise.model import Model, build_model
+from phfmu.discretise.scheme import Scheme
 from phfmu.engine.status import StepFailure
 from phfmu.fmu.variables import ordered_ports
 from phfmu.network.columns import Columns
@@ -31,11 +32,22 @@ class Steps:
     supplied: Array
     pairs: Array
     iterations: Array
+    #: lost by a damping scheme (n x components), None where there is none
+    numerical: Array | None = None
 
     @classmethod
     def stacked(cls, rows: list[tuple[Array, ...]]) -> Steps:
         """From one tuple of values per step, in the order of the fields."""
         return cls(*(np.array(column) for column in zip(*rows, strict=True)))
+
+    @classmethod
+    def joined(cls, parts: list[Steps]) -> Steps:
+        """One after the other; a part without numerical loss has 0 where others have one."""
+        names = ("signals", "H", "stored", "dissipated", "supplied", "pairs", "iterations")
+        arrays = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
+        lossy = any(p.numerical is not None for p in parts)
+        lost = [np.zeros_like(p.H) if p.numerical is None else p.numerical for p in parts]
+        return cls(**arrays, numerical=np.concatenate(lost) if lossy else None)
 
 
 @dataclass(frozen=True)
@@ -167,18 +179,28 @@ class Monolithic:
         return found
 
     def advance(self, t0: float, h: float, n: int) -> Steps:
-        wanted = ("signals", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
         try:
-            return self._steps(self.instance.run(t0, h, n, record=wanted))
+            return self.taken(self.instance, t0, h, n)
         except StepFailure as failure:
             if len(failure.recorded.get("counts", ())):
                 failure.recorded = {"steps": self._steps(failure.recorded)}
             raise
 
+    def companion(self, scheme: Scheme) -> Any:
+        """An instance of the same declaration and engine under another scheme."""
+        return type(self.instance)(build_model(self.model.declaration, scheme))
+
+    def taken(self, instance: Any, t0: float, h: float, n: int) -> Steps:
+        """n steps of the instance or of a companion."""
+        wanted = ("signals", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
+        if instance.model.loses_energy:
+            wanted += ("numerical",)
+        return self._steps(instance.run(t0, h, n, record=wanted))
+
     def _steps(self, r: dict[str, Array]) -> Steps:
         return Steps(
             self._columns.pick(r["signals"]), r["energy"], r["stored"], r["dissipated"], r["supplied"], r["pairs"],
-            r["counts"][:, 0],
+            r["counts"][:, 0], r.get("numerical"),
         )  # fmt: skip
 
 

@@ -25,8 +25,6 @@ int ph_set_input(ph_instance *in, const double *u) {
 
 int ph_set_node_inputs(ph_instance *in, const double *u) {
     const ph_plan *p = in->model->step;
-    if (!p->nodes)
-        return PH_ARGUMENT;
     if (!ph_finite(u, p->nu * p->k))
         return PH_VALUE;
     if (p->nu > 0)
@@ -88,7 +86,7 @@ void ph_book_nodes(ph_instance *in, double from, double weight) {
         memcpy(in->y_node, y, sizeof(double) * (size_t)(p->nq * p->k));
         return;
     }
-    for (int m = 0; m < p->k && p->nodes; m++) {
+    for (int m = 0; m < p->k; m++) {
         ph_basis(in, from + weight * p->nodes[m]);
         for (int i = 0; i < p->k; i++)
             for (int j = 0; j < p->nq; j++)

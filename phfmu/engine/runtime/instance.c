@@ -35,7 +35,7 @@ void ph_layout(const ph_model *model, int *offset) {
 
 static void lay_state(ph_instance *in, block *b) {
     const ph_plan *p = in->model->step;
-    const int length[PH_NROW] = {p->ncomp, p->ncomp, p->ncomp, p->nq};
+    const int length[PH_NROW] = {p->ncomp, p->ncomp, p->ncomp, p->ncomp, p->nq};
     in->head = take(b, sizeof(ph_head));
     in->table = doubles(b, in->offset[PH_NBLOCK]);
     in->rest = doubles(b, p->nx);
@@ -108,6 +108,7 @@ static size_t lay_out(ph_instance *in, block *b) {
     in->backup = take(b, in->state_size);
     in->stored = doubles(b, in->model->step->ncomp);
     in->lost = doubles(b, in->model->step->ncomp);
+    in->numerical = doubles(b, in->model->step->ncomp);
     in->basis = doubles(b, in->model->step->k);
     return b->used;
 }
@@ -250,6 +251,23 @@ const double *ph_node_outputs(const ph_instance *in) {
     return in->model->step->k > 1 ? in->y_node : in->table + in->offset[PH_Y_STEP];
 }
 
+int ph_continue(ph_instance *in, const ph_instance *from) {
+    const ph_plan *p = in->model->step, *q = from->model->step;
+    const int length = in->offset[PH_NBLOCK], together = in->table[p->nx] == from->table[p->nx];
+    if (length != from->offset[PH_NBLOCK] || p->nx != q->nx || p->np != q->np || p->nu != q->nu ||
+        p->ncomp != q->ncomp || p->nq != q->nq || (p->nu > 0 && !from->head->held))
+        return PH_ARGUMENT;
+    copy(in->table, from->table, length);
+    copy(in->rest, from->rest, p->nx);
+    copy(in->table_rest, from->table_rest, p->nq + 3 * p->ncomp);
+    copy(in->p, from->p, p->np);
+    if (!together) /* its own last step is no longer the one before the next */
+        ph_seed(in, in->table + in->offset[PH_A]);
+    in->head->parts = 0;
+    in->head->dirty = 1;
+    return ph_set_input(in, from->u);
+}
+
 size_t ph_state_size(const ph_instance *in) {
     return in->state_size;
 }
@@ -275,6 +293,10 @@ const double *ph_signals(const ph_instance *in) {
 
 const double *ph_ledger(const ph_instance *in, int row) {
     return row >= 0 && row < PH_NROW ? in->row[row] : NULL;
+}
+
+const double *ph_unknowns(const ph_instance *in) {
+    return in->step.last;
 }
 
 const long long *ph_counts(const ph_instance *in) {

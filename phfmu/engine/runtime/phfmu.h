@@ -56,6 +56,7 @@ typedef enum ph_row {
     PH_ROW_STORED,     /* ncomp change of stored energy */
     PH_ROW_DISSIPATED, /* ncomp */
     PH_ROW_SUPPLIED,   /* ncomp */
+    PH_ROW_NUMERICAL,  /* ncomp lost by the scheme itself, zero unless it is Radau */
     PH_ROW_PAIRS,      /* nq energy through each pair */
     PH_NROW
 } ph_row;
@@ -116,6 +117,10 @@ PH_API const double *ph_input(const ph_instance *in);            /* k*nu */
  * h sum_i weights[i] u[i] y[i] = energy through the pair, exactly, for any number of internal steps. */
 PH_API const double *ph_node_outputs(const ph_instance *in);
 
+/* Takes over state, time, held inputs, parameters and cumulative energies of an instance of the same
+ * declaration under another scheme, and goes on from there. */
+PH_API int ph_continue(ph_instance *in, const ph_instance *from);
+
 /* One step over [t, t+h]; ph_step_parts takes it as n equal internal steps. h < 0 goes back in time: the
  * schemes are symmetric, so a step and the same step back give the old state to rounding. h = 0 leaves the
  * state as it is, books nothing and gives the step means their values at t. */
@@ -140,6 +145,8 @@ typedef struct ph_record {
     ph_column stored;       /* ncomp of the step */
     ph_column dissipated;   /* ncomp of the step */
     ph_column supplied;     /* ncomp of the step */
+    ph_column numerical;    /* ncomp of the step */
+    ph_column unknowns;     /* step.nw of its last solve */
     ph_column energy;       /* ncomp stored energy at the end of the step */
     ph_column counts;       /* 2: iterations and solves of the step */
 } ph_record;
@@ -155,6 +162,8 @@ PH_API const double *ph_signals(const ph_instance *in);
 PH_API int ph_refresh(ph_instance *in);
 /* Ledger of the last communication step: ncomp values, or nq for PH_ROW_PAIRS. */
 PH_API const double *ph_ledger(const ph_instance *in, int row);
+/* Solved unknowns of the last solve of a step: w of the plan, nw values. */
+PH_API const double *ph_unknowns(const ph_instance *in);
 /* S: nu*nu row-major, S[i,j] = d (step mean of external output i) / d (held input j), last step. */
 PH_API int ph_sensitivity(ph_instance *in, double *s);
 /* The same for the outputs at the present time. */

@@ -160,7 +160,7 @@ typedef struct ph_plan {
     const signed char *guess_pow;  /* guess_ptr[nw]: power of h / last h */
     const signed char *increments; /* nw: 1 = increment, zero in the second start */
     const double *weights;         /* k: quadrature weights */
-    const double *nodes;           /* k: quadrature nodes on [0, 1]; NULL if not Gauss */
+    const double *nodes;           /* k: quadrature nodes on [0, 1] */
     const int *pair_src;           /* k*nq: Y index of the input of each pair at each node */
     const int *pair_owner;         /* nq: component of each pair */
     const double *nominal;         /* nw: size of each unknown */
@@ -186,11 +186,11 @@ typedef struct ph_point {
 
 /* One entry of the kernel table: loops over a group with kernel and gather inlined (group.inc).
  * value: target += h^power out; full: the same and the Jacobian slots into V;
- * ledger: stored[owner] += , lost[owner] += (NULL if the kernel has none). */
+ * ledger: stored[owner] += , lost[owner] += , numerical[owner] += (NULL if the kernel has none). */
 typedef struct ph_kernel {
     void (*value)(const ph_group *, const ph_point *, double *target);
     void (*full)(const ph_group *, const ph_point *, double *target, double *slots);
-    void (*ledger)(const ph_group *, const ph_point *, double *stored, double *lost);
+    void (*ledger)(const ph_group *, const ph_point *, double *stored, double *lost, double *numerical);
     int nx, ny, np, no, nj;
 } ph_kernel;
 

@@ -19,10 +19,11 @@ static void accept(ph_instance *in, double h, double from, double weight) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     double *x = in->table, *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
-    ph_eval_ledger(s, in->stored, in->lost);
+    ph_eval_ledger(s, in->stored, in->lost, in->numerical);
     for (int c = 0; c < p->ncomp; c++) {
         in->row[PH_ROW_STORED][c] += in->stored[c];
         in->row[PH_ROW_DISSIPATED][c] += h * in->lost[c];
+        in->row[PH_ROW_NUMERICAL][c] += in->numerical[c];
     }
     for (int j = 0; j < p->nq; j++) {
         double y = 0.0, power = 0.0, energy;
@@ -215,6 +216,8 @@ static void write_row(ph_instance *in, const ph_record *r, int row) {
     put(&r->stored, row, in->row[PH_ROW_STORED], p->ncomp);
     put(&r->dissipated, row, in->row[PH_ROW_DISSIPATED], p->ncomp);
     put(&r->supplied, row, in->row[PH_ROW_SUPPLIED], p->ncomp);
+    put(&r->numerical, row, in->row[PH_ROW_NUMERICAL], p->ncomp);
+    put(&r->unknowns, row, in->step.last, p->nw);
     put(&r->energy, row, in->table + offset[PH_H], p->ncomp);
 }
 

@@ -67,7 +67,7 @@ void ph_eval(ph_system *s, int slots, int late);
 void ph_eval_late(ph_system *s);
 void ph_eval_matrix(ph_system *s);
 void ph_eval_derivatives(ph_system *s, double *out);
-void ph_eval_ledger(ph_system *s, double *stored, double *lost);
+void ph_eval_ledger(ph_system *s, double *stored, double *lost, double *numerical);
 
 int ph_newton(ph_system *s, int damped);
 int ph_solve(ph_system *s, double h);
@@ -105,11 +105,12 @@ struct ph_instance {
 
     /* Work space. */
     ph_system step, instant;
-    void *chord;    /* work space of the Schur chord, or NULL */
-    void *backup;   /* state_size */
-    double *stored; /* ncomp */
-    double *lost;   /* ncomp */
-    double *basis;  /* k */
+    void *chord;       /* work space of the Schur chord, or NULL */
+    void *backup;      /* state_size */
+    double *stored;    /* ncomp */
+    double *lost;      /* ncomp */
+    double *numerical; /* ncomp */
+    double *basis;     /* k */
     long long count[PH_NCOUNT];
     ph_report report;
 };

@@ -1,0 +1,199 @@
+"""Steps of a size that keeps an error tolerance.
+
+Each trial step is taken twice from the same state: with the scheme itself (order p = 2k) and with Radau IIA on as many
+nodes (order 2k - 1).  The difference of the states is O(h^2k) and sees what rings; the multipliers, which converge more
+slowly and belong to other instants, stay out of it.  Accepted is the scheme's own state, so the power balance of
+each step is as exact as ever: it holds for any step size, and no step needs the size of another.
+
+The error of n = O(1/h) steps is then O(h^2k), in proportion to the tolerance.  Where the accepted state is the one of
+lower order (Radau IIA, Itoh-Abe; p < q = order of the estimate), steps keep tolerance^(q/p), which restores that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.discretise.collocated import Collocated, radau
+from phfmu.discretise.model import Model
+from phfmu.discretise.terms import DeclarationError
+from phfmu.engine.status import Status, StepFailure
+from phfmu.network.restart import gains
+from phfmu.network.stepper import Monolithic, Steps
+
+Array = NDArray[np.float64]
+
+SAFETY = 0.9
+SHRINK, GROW = 0.2, 5.0  # limits of the change from step to step
+INTEGRAL, PROPORTIONAL = 0.7, 0.4  # exponents of the PI controller, times 1/(order of the estimate)
+DIGITS = 8  # binary digits of a step size: engines that agree to rounding take the same steps
+ROUNDING = 1e-14  # a step below this part of the time is lost in it
+TINY = 1e-15  # s, where the time is 0
+
+
+class ToleranceMissed(StepFailure):
+    """The smallest step still misses the tolerance."""
+
+    def __init__(self, component: str, time: float, h: float, error: float, name: str):
+        super().__init__(Status.NO_CONVERGENCE, component, time, h)
+        self.args = (
+            f"{component} at t = {time:.9g} s: a step of {h:.3g} s misses the tolerance {error:.3g} times, worst state {name}, "
+            "and no smaller one is allowed. Next: loosen --rtol or --atol, lower --min-step, or take restart steps (--restart) "
+            "if the state jumps at an event",
+        )
+
+
+@dataclass(frozen=True)
+class Control:
+    """Tolerances: |error_i| <= rtol |x_i| + atol nominal_i per step; limits of the step size in s.
+
+    `first`: the first trial step.  ValueError names what is out of range.
+    """
+
+    rtol: float
+    atol: float
+    first: float
+    smallest: float = 0.0
+    largest: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name, value in (("--rtol", self.rtol), ("--atol", self.atol)):
+            if not 1e-13 <= value < 1:
+                raise ValueError(f"{name} {value}: expected a number from 1e-13 to below 1, e.g. 1e-6")
+        if not 0 <= self.smallest <= self.largest or not self.largest > 0:
+            raise ValueError(f"--min-step {self.smallest} s and --max-step {self.largest} s: expected 0 <= min <= max")
+
+
+class Adaptive:
+    """Error-controlled steps of a `Monolithic`.
+
+    `rejected`: trial steps that were taken back;  `smallest`, `largest`: sizes of accepted steps.
+    """
+
+    def __init__(self, stepper: Monolithic, control: Control):
+        self.stepper, self.control = stepper, control
+        model = stepper.model
+        _require_held(model)
+        k, lossy = model.step.k, model.loses_energy
+        self.other = stepper.companion(Collocated(k) if lossy else radau(k))
+        self.order = min(model.scheme.order, self.other.model.scheme.order) + 1
+        power = max(1.0, self.order / model.scheme.order)
+        self._rtol, self._atol = control.rtol**power, control.atol**power
+        states = model.declaration.states
+        self._nominal = np.array([v.nominal[j] for v in states for j in range(v.n)])
+        self._names = [n for v in states for n in v.names()]
+        self.rejected, self.smallest, self.largest = 0, math.inf, 0.0
+        self._h, self._last = _rounded(min(control.first, control.largest)), 1.0
+
+    def after_event(self) -> None:
+        """Forget the last error: what comes is not its continuation."""
+        self._last = 1.0
+
+    def advance(self, t: float, end: float, restart: bool = False) -> tuple[float, Steps]:
+        """One accepted step from t, not beyond `end`: where it ends (`end` to the last bit), and the step.
+
+        `restart`: accept the damping solution of the pair (see `restart.py`) unless it would gain energy.
+        ToleranceMissed, StepFailure: the stepper is at t.
+        """
+        own = self.stepper.instance
+        state, before, limit, spent = own.get_state(), own.x, GROW, 0.0
+        while True:
+            h, goal = self._fitted(t, end)
+            try:
+                damped, used = self._companion_step(t, h, restart)
+                spent += used
+                steps = self.stepper.taken(own, t, h, 1)
+            except StepFailure as failure:
+                own.set_state(state)
+                self._shrink(t, h, SHRINK, failure)
+                continue
+            spent += float(steps.iterations[0])
+            error, worst = self._error(before, own.x)
+            if error <= 1.0:
+                break
+            own.set_state(state)
+            missed = ToleranceMissed(self.stepper.model.name, t, h, error, self._names[worst])
+            self._shrink(t, h, max(SHRINK, SAFETY * error ** (-1.0 / self.order)), missed)
+            limit = 1.0
+        if damped is not None and not gains(damped):
+            own.continue_from(self.other)
+            steps = damped
+        self._grow(h, error, limit)
+        return goal, replace(steps, iterations=np.array([spent]))
+
+    def _companion_step(self, t: float, h: float, wanted: bool) -> tuple[Steps | None, float]:
+        """The trial of the other scheme, its rows if wanted, and its iterations."""
+        self.other.continue_from(self.stepper.instance)
+        if wanted and self.other.model.loses_energy:
+            steps = self.stepper.taken(self.other, t, h, 1)
+            return steps, float(steps.iterations[0])
+        count = self.other.counts["iterations"]
+        self.other.do_step(t, h)
+        return None, float(self.other.counts["iterations"] - count)
+
+    def _fitted(self, t: float, end: float) -> tuple[float, float]:
+        """The proposed size, or what is left up to `end`; half of that if less than two steps are."""
+        left = end - t
+        if self._h >= left * (1 - 1e-9):
+            return left, end
+        h = self._h if 2 * self._h <= left else _rounded(left / 2)
+        return h, t + h
+
+    def _error(self, before: Array, x: Array) -> tuple[float, int]:
+        """Largest difference of the two solutions relative to its tolerance, and the state it belongs to."""
+        if not x.size:
+            return 0.0, 0
+        size = np.maximum(np.abs(before), np.abs(x))
+        ratio = np.abs(x - self.other.x) / (self._rtol * size + self._atol * self._nominal)
+        worst = int(np.argmax(ratio))
+        return float(ratio[worst]), worst
+
+    def _shrink(self, t: float, h: float, factor: float, reason: Exception) -> None:
+        """A smaller proposal; `reason` is raised if the step is as small as it may be."""
+        if h <= max(self.control.smallest, ROUNDING * abs(t), TINY) * (1 + 1e-9):
+            raise reason
+        self.rejected += 1
+        self._h = _rounded(max(factor * h, self.control.smallest))
+
+    def _grow(self, h: float, error: float, limit: float) -> None:
+        """The next proposal by the PI controller; a step cut short by `end` does not lower it."""
+        error = max(error, 1e-10)
+        factor = SAFETY * error ** (-INTEGRAL / self.order) * self._last ** (PROPORTIONAL / self.order)
+        proposal = h * min(limit, max(SHRINK, factor))
+        cut = self._h if h < self._h and limit > 1 else 0.0
+        self._h = _rounded(min(max(proposal, cut, self.control.smallest), self.control.largest))
+        self._last = error
+        self.smallest, self.largest = min(self.smallest, h), max(self.largest, h)
+
+
+def _require_held(model: Model) -> None:
+    """DeclarationError if the scheme lets a hidden constraint chatter: that error does not shrink with the step."""
+    scheme: Any = model.scheme
+    if not model.checks or model.loses_energy or getattr(scheme, "two_level", False):
+        return
+    fit = "two-level" if model.declaration.constraints else "radau"
+    free = [model.checks[0].name] if fit == "two-level" else _free_nodes(model)
+    if free:
+        raise DeclarationError(
+            f"{model.name}: scheme {scheme.name} lets {free[0]} chatter from step to step, whatever their size; adaptive steps "
+            f"need --scheme {fit} here"
+        )
+
+
+def _free_nodes(model: Model) -> list[str]:
+    """Bare nodes without impulses."""
+    from phfmu.discretise.bare import bare_nodes
+    from phfmu.discretise.extract import extract
+
+    held = getattr(model.scheme, "impulses", False)
+    return [n.name for n in bare_nodes(extract(model.declaration)) if not held or n.remedy == "none"]
+
+
+def _rounded(h: float) -> float:
+    """h rounded down to DIGITS binary digits."""
+    mantissa, exponent = math.frexp(h)
+    return math.ldexp(math.floor(math.ldexp(mantissa, DIGITS)), exponent - DIGITS)

@@ -1,0 +1,105 @@
+"""The books of a run: its steps and events in the ledger, and the worst of its hidden constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.status import StepFailure
+from phfmu.network.scene import Event
+from phfmu.network.stepper import Booking, InconsistentState, Stepper, Steps
+
+if TYPE_CHECKING:
+    from phfmu.audit import Ledger, PortKey
+    from phfmu.discretise.start import Projection
+
+Array = NDArray[Any]
+
+
+class Book:
+    """Books the steps of a stepper in a ledger and watches the hidden constraints."""
+
+    def __init__(self, stepper: Stepper, ledger: Ledger):
+        from phfmu.audit import Layout
+
+        self.stepper, self.ledger = stepper, ledger
+        b = stepper.booking
+        self.layout = Layout(b.components, tuple(self._key(*pair, b) for pair in b.pairs))
+        self._owners = np.array([[float(c == name) for name in b.components] for c, *_ in b.pairs])
+        self._owners = self._owners.reshape(len(b.pairs), len(b.components))
+        self.steps, self.iterations = 0, 0.0
+        self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith("constraint.")]
+        self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
+        self._H = np.zeros(0)
+
+    @staticmethod
+    def _key(component: str, port: str, index: int | None, junction: str | None, b: Booking) -> PortKey:
+        from phfmu.audit import PortKey
+
+        quality = "estimated" if component in b.estimated else "exact"
+        return PortKey(component, port, index, junction, quality=quality)
+
+    def start(self) -> None:
+        self._H = self.stepper.energies()
+
+    def set_value(self, e: Event) -> None:
+        """Set an event's value and book the energy that a changed parameter makes or takes."""
+        self.stepper.set_value(e.name, e.value)
+        message, now = f"{e.name} = {e.value:.9g}", self.stepper.energies()
+        changed = [(c, float(d)) for c, d in zip(self.layout.components, now - self._H, strict=True) if d]
+        for component, jump in changed:
+            self.ledger.event(e.t, "parameter", component, jump, message)
+        if not changed:
+            self.ledger.event(e.t, "input", message=message)
+        self._H = now
+        if changed:
+            self._keep_consistent(e.t)
+
+    def _keep_consistent(self, t: float) -> None:
+        """A parameter that enters a hidden constraint (an inductance at a node) makes the state jump as by an impulse."""
+        try:
+            self.stepper.check_start()
+        except InconsistentState:
+            self.project(t, ())
+            self.stepper.check_start()
+            self._H = self.stepper.energies()
+
+    def project(self, t0: float, kept: Sequence[str]) -> Projection | None:
+        """Move the start onto its constraints; the energy change is an event."""
+        found = self.stepper.project_start(t0, kept)
+        if found is not None and found.moved:
+            moved = ", ".join(f"{n} {a:.6g} -> {b:.6g}" for n, a, b in found.moved)
+            self.ledger.event(t0, "reprojection", None, found.energy, moved)
+        return found
+
+    def failed(self, failure: StepFailure) -> None:
+        """Book that the run ends here, and bring everything to the file."""
+        self.ledger.event(failure.time, "nonconverged", failure.component, message=str(failure))
+        self.ledger.flush()
+
+    def add(self, t: Array, h: Array, s: Steps) -> None:
+        """Book n accepted steps that start at t (n) and have the sizes h (n)."""
+        n = len(s.H)
+        if n == 0:
+            return
+        k = self.steps + np.arange(n)
+        before = np.vstack([self._H[None], s.H[:-1]])
+        self._H = s.H[-1]
+        # a lossless junction of large powers has supplied = 0: its scale is what passes through its ports
+        scale = np.maximum(np.abs(before), np.abs(s.H)) + np.abs(s.pairs) @ self._owners
+        newton = np.repeat(s.iterations.astype(int)[:, None], len(self.layout.components), axis=1)
+        lost = s.numerical if s.numerical is not None and s.numerical.any() else None
+        self.ledger.add_block(
+            self.layout, k, t, h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, H0=before, scale=scale, newton=newton,
+            numerical=lost,
+        )  # fmt: skip
+        self.steps += n
+        self.iterations += float(s.iterations.sum())
+        for name, i in self._watch:
+            self._worst[name] = max(self._worst[name], float(np.max(np.abs(s.signals[:, i]))))
+
+    def worst(self) -> dict[str, float]:
+        return self._worst

@@ -1,0 +1,140 @@
+"""How a run gets from event to event: equal steps, or steps that keep a tolerance; either with restart steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.status import StepFailure
+from phfmu.network.book import Book
+from phfmu.network.stepper import Monolithic, Stepper, Steps
+
+if TYPE_CHECKING:
+    from phfmu.network.adaptive import Control
+
+Array = NDArray[Any]
+Rows = Iterator[tuple[Array, Array]]
+
+BLOCK = 4096  # steps between progress reports and audit flushes
+
+
+def pieces(start: float, end: float, h: float) -> Iterator[tuple[float, float, int]]:
+    """(t, h, n) runs of equal steps covering [start, end]; the last partial step is taken."""
+    n = int(np.floor((end - start) / h * (1 + 1e-12) + 1e-9))
+    if n:
+        full = abs(start + n * h - end) <= 1e-9 * h
+        step = (end - start) / n if full else h
+        for first in range(0, n, BLOCK):
+            yield start + first * step, step, min(BLOCK, n - first)
+        if full:
+            return
+    yield start + n * h, end - (start + n * h), 1
+
+
+class FixedSteps:
+    """Equal steps; the first `restart` ones after an event with damping."""
+
+    def __init__(self, stepper: Stepper, book: Book, step: float, restart: int):
+        self.stepper, self.book, self.step, self.restart = stepper, book, step, restart
+        self._damped = None
+        if restart:
+            from phfmu.network.restart import Restart
+
+            self._damped = Restart(_monolithic(stepper, "--restart"))
+        self._restarted = 0
+
+    def over(self, start: float, end: float, event: bool) -> Rows:
+        """(times, values) of the rows in (start, end]; `event`: something changed at the start."""
+        left = self.restart if event else 0
+        for t, h, n in pieces(start, end, self.step):
+            first = 0
+            while left and first < n and self._damped is not None:
+                yield self._booked(t + first * h, h, 1, damped=True)
+                first, left = first + 1, left - 1
+            if first < n:
+                yield self._booked(t + first * h, h, n - first)
+
+    def facts(self) -> dict[str, Any]:
+        """What the result says about the steps."""
+        return {"restarted": self._restarted - (self._damped.refused if self._damped else 0)}
+
+    def _booked(self, t: float, h: float, n: int, damped: bool = False) -> tuple[Array, Array]:
+        try:
+            if damped and self._damped is not None:
+                steps = self._damped.advance(t, h)
+                self._restarted += 1
+            else:
+                steps = self.stepper.advance(t, h, n)
+        except StepFailure as failure:
+            kept = failure.recorded.get("steps")
+            if kept is not None:
+                self.book.add(t + h * np.arange(len(kept.H)), np.full(len(kept.H), h), kept)
+            self.book.failed(failure)
+            raise
+        self.book.add(t + h * np.arange(n), np.full(n, h), steps)
+        return t + h * np.arange(1, n + 1), steps.signals
+
+
+class AdaptiveSteps:
+    """Steps that keep a tolerance; multiples of `landing` after each event are landed on."""
+
+    def __init__(self, stepper: Stepper, book: Book, restart: int, landing: float, control: Control):
+        from phfmu.network.adaptive import Adaptive
+
+        self.book, self.restart, self.landing = book, restart, landing
+        self.adaptive = Adaptive(_monolithic(stepper, "--rtol"), control)
+        self._restarted = 0
+
+    def over(self, start: float, end: float, event: bool) -> Rows:
+        """(times, values) of the rows in (start, end]; `event`: something changed at the start."""
+        self.adaptive.after_event()
+        times, rows, left, t = [start], [], self.restart if event else 0, start
+        try:
+            for goal in self._goals(start, end):
+                while t < goal:
+                    t, steps = self.adaptive.advance(t, goal, left > 0)
+                    self._restarted += left > 0 and steps.numerical is not None
+                    left = max(left - 1, 0)
+                    times.append(t)
+                    rows.append(steps)
+                    if len(rows) == BLOCK:
+                        yield self._booked(times, rows)
+                        times, rows = [t], []
+        except StepFailure as failure:
+            self._booked(times, rows)
+            self.book.failed(failure)
+            raise
+        if rows:
+            yield self._booked(times, rows)
+
+    def facts(self) -> dict[str, Any]:
+        """What the result says about the steps."""
+        a = self.adaptive
+        return {"restarted": self._restarted, "rejected": a.rejected, "smallest": a.smallest, "largest": a.largest}
+
+    def _goals(self, start: float, end: float) -> Iterator[float]:
+        if not np.isfinite(self.landing):
+            yield end
+            return
+        for t, h, n in pieces(start, end, self.landing):
+            for i in range(1, n + 1):
+                goal = t + i * h
+                yield end if abs(goal - end) <= 1e-9 * h else goal
+
+    def _booked(self, times: list[float], rows: list[Steps]) -> tuple[Array, Array]:
+        if not rows:
+            return np.zeros(0), np.zeros((0, 0))
+        steps, t = Steps.joined(rows), np.array(times)
+        self.book.add(t[:-1], np.diff(t), steps)
+        return t[1:], steps.signals
+
+
+def _monolithic(stepper: Stepper, option: str) -> Monolithic:
+    if isinstance(stepper, Monolithic):
+        return stepper
+    raise ValueError(
+        f"{option} needs one composed model stepped by the python or native engine; leave out --coupling and --engine fmu"
+    )
