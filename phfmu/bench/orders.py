@@ -31,7 +31,8 @@ SETTLED = 0.03  # change of the slope from halving to halving
 LARGEST = 60  # states; larger models repeat what smaller ones show
 #: what a DeclarationError is about -> the word in the table
 REASONS = (
-    ("no holonomic", "no constraint"), ("constraints drift", "g drifts"), ("odd stages", "odd k"), ("drifts off", "odd k"), ("order 2", "order 2"),
+    ("no holonomic", "no constraint"), ("constraints drift", "g drifts"),
+    ("odd stages", "odd k"), ("drifts off", "odd k"), ("order 2", "order 2"),
     ("no discrete gradient", "order 2"), ("closed-form pair", "order 2"), ("diagonal", "diagonal E"),
     ("quadratic constraints", "quadratic g"), ("velocities as states", "velocities"), ("structurally", "singular"),
 )  # fmt: skip
