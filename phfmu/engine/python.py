@@ -274,24 +274,30 @@ class PythonInstance:
         for k in range(n):
             if held is not None:
                 self.set_input(held[k])
-            before = self.counts["iterations"]
             try:
-                self.do_step(t0 + k * h, h, parts)
+                now = self._stepped(t0 + k * h, h, parts, reads=bool({"signals", "energy"} & rows.keys()))
             except StepFailure as failure:
                 failure.recorded = {name: np.array(kept) for name, kept in rows.items()}
                 raise
-            now = self.ledger() | {"counts": np.array([self.counts["iterations"] - before, parts], float)}
-            if "signals" in rows or "energy" in rows:
-                try:
-                    signals = self.signals()
-                except StepFailure as failure:
-                    failure.recorded = {name: np.array(kept) for name, kept in rows.items()}
-                    raise
-                now |= {"signals": np.concatenate([signals[b] for b in self.layout]), "energy": signals["H"]}
             now |= {"unknowns": self._s.w, "x": self.x, "a": self._s.a, "y_step": self._s.y_step}
             for name, kept in rows.items():
                 kept.append(now[name].copy())
         return {name: np.array(kept) for name, kept in rows.items()}
+
+    def _stepped(self, t: float, h: float, parts: int, reads: bool) -> dict[str, Array]:
+        """A step and what is recorded of it; one whose end values are read and do not exist is not taken."""
+        before, spent = self.get_state() if reads else self._s, self.counts["iterations"]
+        self.do_step(t, h, parts)
+        now = self.ledger() | {"counts": np.array([self.counts["iterations"] - spent, parts], float)}
+        if not reads:
+            return now
+        try:
+            signals = self.signals()
+        except StepFailure:
+            before.counts = self._s.counts | {"steps": before.counts["steps"]}
+            self._s = before
+            raise
+        return now | {"signals": np.concatenate([signals[b] for b in self.layout]), "energy": signals["H"]}
 
     @property
     def layout(self) -> dict[str, slice]:

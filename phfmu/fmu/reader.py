@@ -74,6 +74,7 @@ class FMUInstance:
             dict(starts or {}),
             (self.interface.start if start is None else start, stop),
         )
+        self._asked: dict[tuple[str, ...], References] = {}
         self._slave = Slave(archive, self.name)
         self._handles: dict[int, Any] = {}
         self._close = weakref.finalize(self, _free, self._slave, self._handles, archive)
@@ -260,8 +261,12 @@ class FMUInstance:
         return self.interface.variables[name]
 
     def get(self, names: Iterable[str]) -> Array:
-        """Values at the present time."""
-        return self._slave.get(References(self.interface.references(list(names), "variable")))
+        """Values at the present time; the places of a group of names are looked up once."""
+        asked = tuple(names)
+        known = self._asked.get(asked)
+        if known is None:
+            known = self._asked[asked] = References(self.interface.references(list(asked), "variable"))
+        return self._slave.get(known).copy()
 
     def values(self) -> dict[str, float]:
         """All variables of `names`."""

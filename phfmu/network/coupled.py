@@ -11,7 +11,7 @@ the matrix regular.  Whatever the iteration leaves is booked at the junctions: s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -151,8 +151,7 @@ class Coupled:
         rows: list[tuple[Array, ...]] = []
         for k in range(n):
             try:
-                self.step(t0 + k * h, h)
-                now = self.read(), self.energies()
+                now = self.step(t0 + k * h, h, lambda: (self.read(), self.energies()))
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
                 raise
@@ -172,12 +171,16 @@ class Coupled:
         for m, place in zip(self.members, self._slices, strict=True):
             m.set_input(u[place])
 
-    def step(self, t: float, h: float) -> None:
-        """One macro step; every member is at t + h with the committed inputs, or all are back at t."""
+    def step(self, t: float, h: float, read: Callable[[], Any] = lambda: None) -> Any:
+        """One macro step, and what `read` finds at its end.
+
+        Every member is at t + h with the committed inputs, or, also when reading fails, all are back at t.
+        """
         states = [m.get_state() for m in self.members]
         xi = self.xi.copy()
         try:
             self._solve(t, h, states)
+            return read()
         except BaseException:
             for m, s in zip(self.members, states, strict=True):
                 m.set_state(s)

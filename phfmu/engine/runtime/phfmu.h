@@ -151,7 +151,8 @@ typedef struct ph_record {
     ph_column counts;       /* 2: iterations and solves of the step */
 } ph_record;
 
-/* Steps k = 0..n-1 from t0 + k h; *done: steps accepted. record may be NULL. */
+/* Steps k = 0..n-1 from t0 + k h; *done: steps accepted. record may be NULL. A step whose end values are
+ * recorded but cannot be solved for is taken back. */
 PH_API int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record, int *done);
 
 /* offset: PH_NBLOCK+1 places of the blocks in the signal table, the last one its length. */

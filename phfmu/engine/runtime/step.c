@@ -240,9 +240,13 @@ int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record,
         put(&r->counts, *done, spent, 2);
         if (r->signals.data || r->energy.data)
             status = ph_refresh(in);
-        write_row(in, r, *done);
-        if (status)
+        if (status) { /* a step whose end values are asked for and do not exist is not taken */
+            ph_load(in, in->backup);
+            in->count[PH_STEPS]--;
+            in->count[PH_FAILED]++;
             return status;
+        }
+        write_row(in, r, *done);
     }
     return PH_OK;
 }
