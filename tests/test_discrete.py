@@ -14,8 +14,20 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from phfmu import discrete_gradient, discrete_jacobian, energy, parameter, state, strain_energy
+from phfmu import (
+    PHDAE,
+    Holonomic,
+    algebraic,
+    discrete_gradient,
+    discrete_jacobian,
+    energy,
+    parameter,
+    skew,
+    state,
+    strain_energy,
+)
 from phfmu.discretise import constraints
+from phfmu.discretise.extract import extract
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.scheme_names import GRADIENTS
 
@@ -90,10 +102,9 @@ def test_consistency_is_approached_at_first_order_at_least(method, name, x, d, p
     at_rest = gradient(name, method)(x, x, p)
     assert np.max(abs(at_rest - grad)) <= 500 * EPS * (1.0 + np.sum(abs(p)))
     w = gradient(name, method)(x, x + d, p)
-    noise = 1e-3 if method == "joint-gonzalez" and name == "smooth" else 0.0  # eps H / |d| where |d| > 1e-6
     size = np.linalg.norm((x + d) - x)
     allowed = 100.0 * (1.0 + np.sum(abs(p))) * (size + 10 * EPS)
-    assert np.max(abs(w - grad)) <= allowed + (noise * min(1.0, 1e-6 / size) if size else 0.0)
+    assert np.max(abs(w - grad)) <= allowed
 
 
 @pytest.mark.parametrize("name", ENERGIES)
@@ -104,8 +115,8 @@ def test_symmetric_ones_do_not_know_which_point_is_first(method, name, x, d, p):
     x1 = x + d
     dg = gradient(name, method)
     size = 1.0 + np.sum(abs(p))
-    amplified = 1e6 if method == "joint-gonzalez" and name == "smooth" else 1e3  # rounding divided by the guarded |d|
-    assert np.max(abs(dg(x, x1, p) - dg(x1, x, p))) <= 100 * EPS * size * amplified
+    # of other energies: rounding divided by |d|, which is 1e-3 at least where a quotient is formed
+    assert np.max(abs(dg(x, x1, p) - dg(x1, x, p))) <= 100 * EPS * size * (1.0 if name == "polynomial" else 1e3)
 
 
 def test_coordinate_increments_know_which_point_is_first():
@@ -247,7 +258,7 @@ def test_jacobians_have_definition_6(method, x, d, p):
     assert np.max(abs(D @ (x1 - x) - (end - start))) <= 500 * EPS * size
     assert np.max(abs(jacobian(method)(x, x, p) - np.array(_map(x, p)[1]))) <= 500 * EPS * size
     if method != "itoh-abe":
-        assert np.max(abs(D - jacobian(method)(x1, x, p))) <= 1e6 * EPS * size
+        assert np.max(abs(D - jacobian(method)(x1, x, p))) <= 1e5 * EPS * size
 
 
 CONSTRAINTS = {
@@ -259,10 +270,27 @@ CONSTRAINTS = {
 
 @cache
 def rows(name: str, k: int):
-    d = ca.SX.sym("d", N, k)
-    G = ca.horzcat(*constraints._node_rows(CONSTRAINTS[name], X, d, k))
+    """G (N x k) as the kernel of the constraint has it, and its slopes by D; g itself."""
+    q, v, lam = state("q", N), state("v", N), algebraic("lambda")
+    p = parameter("p", 0.0, P.numel())
+    g = ca.substitute(CONSTRAINTS[name], ca.vertcat(X, P), ca.vertcat(q.sx, p.sx))
+    model = PHDAE(
+        "constrained", states=(q, v), algebraics=(lam,), parameters=(p,), energies=(energy(ca.sumsqr(v.sx) / 2),),
+        structure=(skew(q, v, 1.0),), constraints=(Holonomic(lam, g),),
+    )  # fmt: skip
+    (term,) = (t for t in extract(model).terms if t.kind == "constraint")
+    (spec,) = constraints.collocated(term, k)
+    symbols, expr = dict(spec.y), {address: e for address, _, e in spec.out}
+    place = {j: i for i, j in enumerate(term.index["x"])}
+    z, d = (ca.SX(N, k) for _ in range(2))
+    for j, i in itertools.product(range(N), range(k)):
+        z[j, i], d[j, i] = symbols["v", place[j], i], symbols["D", place[j], i]
+    G = ca.horzcat(*(-ca.gradient(expr["row", 0, i], z[:, i]) for i in range(k)))
+    x, coefficient = spec.x[[place[j] for j in range(N)]], ca.SX.sym("p", P.numel())
+    used = term.index.get("p", ())
+    (G,) = ca.substitute([G], [spec.p], [coefficient[list(used)]]) if used else (G,)
     slope = ca.jacobian(ca.vec(G), ca.vec(d))
-    return ca.Function("g", [X, d, P], [G, slope]), ca.Function("g", [X, P], [CONSTRAINTS[name]])
+    return ca.Function("g", [x, d, coefficient], [G, slope]), ca.Function("g", [X, P], [CONSTRAINTS[name]])
 
 
 @pytest.mark.parametrize("k", [1, 2, 3])

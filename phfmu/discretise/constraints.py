@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.discretise.arguments import Arguments
-from phfmu.discretise.gradients import JOINT_GUARD, degree, general, guarded, projected
+from phfmu.discretise.gradients import QUOTIENT_GUARD, degree, general, guarded, projected
 from phfmu.discretise.quadrature import Nodes, gauss
 from phfmu.discretise.spec import Address, Spec, substituted
 from phfmu.discretise.terms import Term
@@ -84,7 +84,7 @@ def _node_rows(g: ca.SX, path: _Path, simple: bool) -> tuple[list[ca.SX], list[c
         defect -= path.h * sum((nd.b[i] * rates[i] for i in range(nd.k)), ca.SX(0))
         return rows, [r + defect / path.h for r in rates]
     size = sum((nd.b[i] * ca.dot(d[:, i], d[:, i]) for i in range(nd.k)), ca.SX(0))
-    beta = guarded(defect, size, JOINT_GUARD)
+    beta = guarded(defect, size, QUOTIENT_GUARD)
     return [rows[i] + beta * d[:, i] for i in range(nd.k)], rates
 
 

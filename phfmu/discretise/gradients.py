@@ -19,10 +19,10 @@ from phfmu.discretise.quadrature import Nodes, gauss
 #: Below this squared relative increment a corrected gradient drops its correction: the quadrature defect is then
 #: smaller than the round-off of the quotient.
 GUARD = 1e-6
-#: The threshold of the joint Gonzalez quotient on |dx|^2 (Kinon, Morandin, Schulze 2026, section 6.3).
-JOINT_GUARD = 1e-12
-#: The same for polynomials, whose numerator has no cancellation: only 0/0 and its underflow are kept out.
-POLYNOMIAL_GUARD = 1e-100
+#: Threshold on |dx|^2 of quotients with a plain difference as numerator.
+QUOTIENT_GUARD = 1e-12
+#: The same of the joint Gonzalez quotient, whose numerator has no cancellation: only 0/0 and its underflow are kept out.
+JOINT_GUARD = 1e-100
 
 Gradient = tuple[ca.SX, ca.SX]
 
@@ -153,20 +153,23 @@ def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes) -> Gradient:
 def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     """The seed's gradient over all of x (k = 1): W = grad H(m) + (dH - grad H(m)^T D)/|D|^2 D.
 
-    For polynomial H the numerator is the exact odd Taylor remainder sum_j D^jH(m)[D..D]/(2^(j-1) j!), j = 3, 5, ..,
-    which has no cancellation near x' = x.
+    The numerator has no cancellation near x' = x.  Polynomial H: the exact odd Taylor remainder
+    sum_j D^jH(m)[D..D]/(2^(j-1) j!), j = 3, 5, ..; else, for |D|^2 <= GUARD, the integral of (grad H(x + s D) - grad H(m))^T D
+    by 4 Gauss points, whose error there is far below rounding.
     """
     if nd.k != 1:
         raise ValueError(
             "the joint Gonzalez gradient exists for order 2 only; use the per-term gradient for order 4 or 6"
         )
-    m = x + d / 2
-    grad = at(ca.gradient(h, x), x, m)
-    p = degree(h, x)
-    direct = at(h, x, x + d) - h
-    num = direct - ca.dot(grad, d) if p is None else _taylor_remainder(h, x, d, m, p)
-    dh = direct if p is None else num + ca.dot(grad, d)
-    return grad + guarded(num, ca.dot(d, d), JOINT_GUARD if p is None else POLYNOMIAL_GUARD) * d, dh
+    m, length2 = x + d / 2, ca.dot(d, d)
+    slope = ca.gradient(h, x)
+    grad, p = at(slope, x, m), degree(h, x)
+    if p is not None:
+        num = _taylor_remainder(h, x, d, m, p)
+    else:
+        near = sum((w * (at(slope, x, x + t * d) - grad) for t, w in zip(*gauss(4), strict=True)), ca.SX(0))
+        num = ca.if_else(length2 > GUARD, at(h, x, x + d) - h - ca.dot(grad, d), ca.dot(near, d))
+    return grad + guarded(num, length2, JOINT_GUARD) * d, num + ca.dot(grad, d)
 
 
 def _taylor_remainder(h: ca.SX, x: ca.SX, d: ca.SX, m: ca.SX, p: int) -> ca.SX:

@@ -364,6 +364,8 @@ class PythonInstance:
             if plan.nw:
                 outcome = self._solver.attempt(w, fixed, False)
                 if outcome.status is not Status.OK:
+                    outcome = self._solver.attempt(w, fixed, True)
+                if outcome.status is not Status.OK:
                     name = self.model.instant_names[outcome.row] if outcome.row >= 0 else ""
                     raise StepFailure(outcome.status, self.model.name, s.t, 0.0, equation=name,
                                       residual=outcome.residual, iterations=outcome.iterations)  # fmt: skip
