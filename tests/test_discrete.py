@@ -279,7 +279,7 @@ def rows(name: str, k: int):
         structure=(skew(q, v, 1.0),), constraints=(Holonomic(lam, g),),
     )  # fmt: skip
     (term,) = (t for t in extract(model).terms if t.kind == "constraint")
-    (spec,) = constraints.collocated(term, k)
+    (spec,) = constraints.collocated(term, nodes(k))
     symbols, expr = dict(spec.y), {address: e for address, _, e in spec.out}
     place = {j: i for i, j in enumerate(term.index["x"])}
     z, d = (ca.SX(N, k) for _ in range(2))

@@ -178,8 +178,8 @@ def _nodes(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
     plan = model.step
     if plan.k == 1:
         raise FMUError(
-            f"{declaration.name}: a step of order 2 has one node, its inputs are the held ones; inputs at the nodes need "
-            "order 4 or 6"
+            f"{declaration.name}: a step of order {model.scheme.order} has one node, its inputs are the held ones; inputs at "
+            "the nodes need order 4 or 6"
         )
     free = [(p, first) for p, first in ordered_ports(declaration) if p.external]
     for port, first in free:
