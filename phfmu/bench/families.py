@@ -6,17 +6,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.network.scene import Scene
 
 
 @dataclass(frozen=True)
 class Family:
-    """`build(n)` with the step [s] it is stepped with; `parts`: what n counts, `count(n)`: how many of them."""
+    """`build(n)` with the step and stop time [s] of its run; `parts`: what n counts, `count(n)`: how many of them."""
 
     name: str
     parts: str
     build: Callable[[int], PHDAE]
     step: float
     sizes: tuple[int, ...]
+    stop: float
     count: Callable[[int], int] = lambda n: n
 
 
@@ -47,7 +49,19 @@ def ladder(n: int) -> PHDAE:
 
 
 FAMILIES: dict[str, Family] = {
-    "chain": Family("chain", "links", chain, 1e-2, (10, 30, 100, 300, 1000)),
-    "net": Family("net", "particles", net, 1e-3, (4, 8, 16, 32), lambda n: n * n),
-    "ladder": Family("ladder", "machines", ladder, 1e-4, (3, 10, 30, 100)),
+    "chain": Family("chain", "links", chain, 1e-2, (10, 30, 100, 300, 1000), 10.0),
+    "net": Family("net", "particles", net, 1e-3, (4, 8, 16, 32), 1.0, lambda n: n * n),
+    "ladder": Family("ladder", "machines", ladder, 1e-4, (3, 10, 30, 100), 0.1),
 }
+
+
+def member(target: str) -> Scene | None:
+    """The member `NAME:N` of a family as a scene; None if `target` is something else, ValueError for a bad N."""
+    name, colon, number = target.partition(":")
+    if name not in FAMILIES or not colon:
+        return None
+    if not number.isdigit() or not int(number):
+        raise ValueError(f"{target}: expected a number of {FAMILIES[name].parts}, e.g. {name}:10")
+    family = FAMILIES[name]
+    declaration = family.build(int(number))
+    return Scene(declaration.name, declaration, family.stop, family.step, description=declaration.description)

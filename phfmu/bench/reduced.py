@@ -15,12 +15,13 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.phdae import PHDAE, _starts
+from phfmu.declare.phdae import PHDAE, _starts, stacked
 from phfmu.declare.variable import _sx, time
 from phfmu.discretise.extract import extract
 from phfmu.discretise.hidden import Hidden, hidden_rows
@@ -34,7 +35,8 @@ class Reduced:
     """An index-1 system  x' = rate(t, x, w, live),  0 = rows(t, x, w, live)  as CasADi expressions.
 
     x (n1): states;  w: algebraic variables, then rates of those among them that hidden rows contain;  live: parameters and
-    inputs that events change, all others are numbers.  `checks`: hidden constraints [g' or h | g];  H: the Hamiltonian.
+    inputs that events change, all others are numbers.  `checks`: hidden constraints [g' or h | g];  H: the Hamiltonian;
+    `position_rows`: the rows of holonomic constraints.
     """
 
     t: ca.SX
@@ -48,6 +50,7 @@ class Reduced:
     rows: ca.SX
     checks: ca.SX
     H: ca.SX
+    position_rows: tuple[int, ...] = ()
 
     @cached_property
     def matrix(self) -> ca.SX:
@@ -74,15 +77,20 @@ class Reduced:
         w = _solve(self.matrix, -offset, self._is_definite())
         return ca.Function("ode", self.arguments, [ca.substitute(self.rate, self.w, w)])
 
-    @cached_property
+    @property
     def w0(self) -> Array:
-        """Algebraic variables at the start (Newton from zero, or from the closed form)."""
-        if not self.w.numel():
-            return np.zeros(0)
-        residual = ca.Function("h", [self.w, *self.arguments], [self.rows, self.matrix])
+        """Algebraic variables at the start."""
+        return self.solve_w(0.0, self.x0, self.live_start)
+
+    @cached_property
+    def _newton(self) -> ca.Function:
+        return ca.Function("h", [self.w, *self.arguments], [self.rows, self.matrix])
+
+    def solve_w(self, t: float, x: Array, live: Array) -> Array:
+        """Algebraic variables at a state, by Newton's method from zero."""
         w = np.zeros(self.w.numel())
-        for _ in range(50):
-            h, a = residual(w, 0.0, self.x0, self.live_start)
+        for _ in range(50 if w.size else 0):
+            h, a = self._newton(w, t, x, live)
             d = np.linalg.lstsq(np.array(a), np.array(h).ravel(), rcond=None)[0]
             w = w - d
             if np.linalg.norm(d) <= 1e-13 * (1.0 + np.linalg.norm(w)):
@@ -123,7 +131,8 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
     out = [rate, ca.vertcat(*rows) if rows else ca.SX(0, 1), checks, declaration.hamiltonian]
     out = ca.substitute(out, [fixed], [values]) if fixed.numel() else out
     x0 = np.array([s for v in declaration.states for s in v.start], float)
-    return Reduced(time, system.x, w, live_symbols, names, start, x0, *out)
+    _require_inertia(declaration, _numbers(declaration, fixed, values)[0])
+    return Reduced(time, system.x, w, live_symbols, names, start, x0, *out, tuple(system.constraint_rows))
 
 
 def _algebraic_rows(
@@ -154,6 +163,24 @@ def _algebraic_rows(
     return rows + originals, velocity + positions, b
 
 
+def stabilised(system: Reduced) -> tuple[ca.SX, ca.SX]:
+    """y = (x, w, mu) and (x', 0) of the form with both levels of holonomic constraints:
+
+        x' = rate(x, w) - Dg^T mu,   0 = Dg z_v,   0 = g        (multipliers mu vanish on solutions; index 2)
+
+    Source: Gear, Gupta, Leimkuhler 1985.  Systems with other hidden rows, or none, keep their index-1 form and y = (x, w).
+    """
+    m = len(system.position_rows)
+    if not m or system.checks.numel() != 2 * m:
+        return ca.vertcat(system.x, system.w), ca.vertcat(system.rate, system.rows)
+    velocity, g, mu = system.checks[:m], system.checks[m:], ca.SX.sym("mu", m)
+    rows = ca.SX(system.rows)
+    for j, i in enumerate(sorted(system.position_rows)):
+        rows[i] = velocity[j]
+    rate = system.rate - ca.mtimes(ca.jacobian(g, system.x).T, mu)
+    return ca.vertcat(system.x, system.w, mu), ca.vertcat(rate, rows, g)
+
+
 class _Flat:
     """A declaration as one flat system of expressions."""
 
@@ -166,7 +193,7 @@ class _Flat:
         z, gradient = ca.SX(self.x.numel(), 1), ca.gradient(declaration.hamiltonian, self.x)
         for where, e, given in self._mass:
             z[where] = given if given is not None else _divide(e.T, gradient[where])
-        self._z = ca.vertcat(*(v.z for v in declaration.states)), z
+        self._z = ca.vertcat(*(v.z for v in declaration.states)), ca.densify(z)
         self.constraint_rows = [i for c in declaration.constraints for i in self._where(c.multiplier, "a")]
         self.constraints = [c.g[j] for c in declaration.constraints for j in range(c.g.numel())]
 
@@ -180,15 +207,18 @@ class _Flat:
             where = [i for v in pair.variables for i in self._where(v, "x")]
             out.append((where, ca.SX(pair.E), ca.SX(pair.z)))
             done.update(id(v) for v in pair.variables)
-        for v in d.states:
-            if id(v) in done:
-                continue
-            e = ca.SX(_sx(d.E[v])) if v in d.E else ca.SX(1)
+        for key, value in d.E.items():
+            variables = stacked(key)
+            where, e = [i for v in variables for i in self._where(v, "x")], ca.SX(_sx(value))
             if e.numel() == 1:
-                e = e * ca.SX.eye(v.n)
-            elif e.shape == (v.n, 1):
+                e = e * ca.SX.eye(len(where))
+            elif e.shape == (len(where), 1):
                 e = ca.diag(e)
-            out.append((self._where(v, "x"), e, None))
+            out.append((where, e, None))
+            done.update(id(v) for v in variables)
+        for v in d.states:
+            if id(v) not in done:
+                out.append((self._where(v, "x"), ca.SX.eye(v.n), None))
         return out
 
     def rates(self, f: ca.SX) -> ca.SX:
@@ -208,12 +238,13 @@ class _Flat:
 
         for sign, blocks in ((1.0, d.structure), (-1.0, d.dissipation)):
             for block in blocks:
-                rows, z = at(block.variables), ca.vertcat(*(v.z for v in block.variables))
+                rows, z = at(block.variables), ca.vertcat(*(d.effort(v) for v in block.variables))
                 f[rows] += sign * ca.mtimes(block.matrix, z)
         for port in d.ports:
             self._add_port(f, port, at)
         for row, g in zip(self.constraint_rows, self.constraints, strict=True):
             jac = ca.jacobian(g, self.x)
+            f[n1 + row] += ca.jacobian(g, time)
             for q in sorted(set(jac.sparsity().get_triplet()[1])):
                 v = self.terms.velocity_of[q]
                 f[v] -= jac[0, q] * self.a[row]
@@ -232,9 +263,31 @@ class _Flat:
                 b = b * ca.SX.eye(v.n)
             f[at([v])] += ca.mtimes(b, u)
             if port.bound is not None:
-                y = ca.mtimes(b.T, v.z)
+                y = ca.mtimes(b.T, self.declaration.effort(v))
                 for j, s in enumerate(port.bound):
                     f[n1 + self._locator.find(s, port.name)[1]] -= y[j]
+
+
+def _diagonal(e: Any) -> ca.SX:
+    """Diagonal of a block of E, which may be a number, a column or a matrix."""
+    matrix = ca.SX(_sx(e))
+    return ca.densify(ca.diag(matrix)) if matrix.shape[0] == matrix.shape[1] > 1 else ca.densify(matrix)
+
+
+def _numbers(declaration: PHDAE, fixed: ca.SX, values: ca.SX) -> list[ca.SX]:
+    """The diagonal of E with parameters as numbers."""
+    diagonal = ca.vertcat(*map(_diagonal, declaration.E.values())) if declaration.E else ca.SX(0, 1)
+    return ca.substitute([diagonal], [fixed], [values]) if fixed.numel() else [diagonal]
+
+
+def _require_inertia(declaration: PHDAE, diagonal: ca.SX) -> None:
+    """ValueError where a state has no inertia of its own: its rate does not follow from E x' = f."""
+    entries = ca.vertsplit(diagonal) if diagonal.numel() else []
+    if any(e.is_constant() and float(e) == 0 for e in entries):
+        raise ValueError(
+            f"{declaration.name}: E has zeros on its diagonal, so there is no ordinary differential equation x' = E^-1 f to "
+            "compare with; give the states mass, or take them out with reduce_descriptor"
+        )
 
 
 def _divide(e: ca.SX, right: ca.SX) -> ca.SX:
@@ -263,7 +316,7 @@ def _fixed(declaration: PHDAE, live: Collection[str]) -> tuple[ca.SX, ca.SX, ca.
     keep = [e for e in named if e[0] in live or e[0].partition("[")[0] in live]
     rest = [e for e in named if e not in keep]
     fixed = ca.vertcat(*(s for _, s, _ in rest)) if rest else ca.SX(0, 1)
-    values = ca.SX(ca.DM([v for *_, v in rest])) if rest else ca.SX(0, 1)
+    values = ca.densify(ca.SX(ca.DM([v for *_, v in rest]))) if rest else ca.SX(0, 1)
     symbols = ca.vertcat(*(s for _, s, _ in keep)) if keep else ca.SX(0, 1)
     return fixed, values, symbols, tuple(n for n, *_ in keep), np.array([v for *_, v in keep], float)
 

@@ -39,9 +39,14 @@ class Size:
     step: float
     iterations: float
 
+    @property
+    def iteration(self) -> float:
+        """CPU seconds per Newton iteration."""
+        return self.step / self.iterations
+
 
 #: columns whose growth is fitted
-GROWTH = ("declare", "plan", "code", "compile", "memory", "step")
+GROWTH = ("declare", "plan", "code", "compile", "memory", "step", "iteration")
 
 
 def measure(family: Family, n: int) -> Size:
@@ -107,14 +112,28 @@ def exponent(sizes: Sequence[Size], column: str) -> float:
 
 def table_text(sizes: Sequence[Size]) -> str:
     """Sizes in aligned columns, exponents below."""
-    head = ["n", "unknowns", "declare s", "plan s", "C kB", "compile s", "memory MB", "nonzeros", "us/step", "its"]
+    head = [
+        "n",
+        "unknowns",
+        "declare s",
+        "plan s",
+        "C kB",
+        "compile s",
+        "memory MB",
+        "nonzeros",
+        "us/step",
+        "its",
+        "us/it",
+    ]
     lines = [head] + [
         [str(s.n), str(s.unknowns), f"{s.declare:.3g}", f"{s.plan:.3g}", f"{s.code / 1e3:.1f}", f"{s.compile:.2f}",
-         f"{s.memory / 1e6:.3g}", str(s.nonzeros), f"{1e6 * s.step:.4g}", f"{s.iterations:.1f}"]
+         f"{s.memory / 1e6:.3g}", str(s.nonzeros), f"{1e6 * s.step:.4g}", f"{s.iterations:.1f}", f"{1e6 * s.iteration:.4g}"]
         for s in sizes
     ]  # fmt: skip
     p = {c: f"{exponent(sizes, c):.2f}" for c in GROWTH}
-    lines.append(["~ n^", "", p["declare"], p["plan"], p["code"], p["compile"], p["memory"], "", p["step"], ""])
+    lines.append(
+        ["~ n^", "", p["declare"], p["plan"], p["code"], p["compile"], p["memory"], "", p["step"], "", p["iteration"]]
+    )
     width = [max(len(line[i]) for line in lines) for i in range(len(head))]
     return "\n".join("  ".join(c.rjust(w) for c, w in zip(line, width, strict=True)) for line in lines)
 

@@ -12,7 +12,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.options import add_settings
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
-    parser.add_argument("target", help=f"{TARGET} | scaling | orders")
+    parser.add_argument("target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders")
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument("--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT],... (default: what fits the target)")
     parser.add_argument("--engines", metavar="LIST", default="native", help="native, python (default native)")
@@ -83,15 +83,16 @@ def _compare(args: argparse.Namespace) -> int:
     from dataclasses import replace
     from pathlib import Path
 
+    from phfmu.bench.families import member
     from phfmu.bench.problem import problem_of
-    from phfmu.bench.run import TOLERANCES, Choice, compare, known_peers
+    from phfmu.bench.run import TOLERANCES, Choice, compare, known_peers, write
     from phfmu.cli import FINE
     from phfmu.cli.options import settings
     from phfmu.cli.target import scene
 
     if args.repeat < 1:
         raise ValueError(f"--repeat {args.repeat}: at least one timed run is needed")
-    found = scene(args.target)
+    found = member(args.target) or scene(args.target)
     choice = Choice(
         schemes=_names(args.schemes), engines=_names(args.engines), steps=_numbers("--steps", args.steps),
         tolerances=_numbers("--tolerances", args.tolerances) or TOLERANCES, peers=known_peers(_names(args.peers)),
@@ -105,8 +106,8 @@ def _compare(args: argparse.Namespace) -> int:
     if args.reference:
         problem.read_reference(args.reference)
     with _Progress() as progress:
-        lines = compare(problem, choice, Path(args.output), progress)
-    print("\n".join(lines))
+        found = compare(problem, choice, progress)
+    print("\n".join(write(found, Path(args.output))))
     return FINE
 
 

@@ -1,0 +1,72 @@
+"""MuJoCo on pendulum chains: hinge coordinates, so that no constraint can drift.
+
+Best practice: a tree of hinges (minimal coordinates), contacts and constraints disabled, RK4 with small steps (the most accurate
+integrator it has) beside `implicitfast` (its own recommendation for robots).  Point masses need a tiny inertia (1e-9 kg m2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from phfmu.bench.candidate import Candidate, NotAvailable, Run
+from phfmu.bench.problem import Problem
+
+STEPS = (0.02, 0.01, 0.005, 0.002)
+
+
+def candidates(problem: Problem, links: int) -> Iterator[Candidate]:
+    for integrator in ("RK4", "implicitfast"):
+        for h in STEPS:
+            yield Candidate(
+                f"MuJoCo {integrator}", f"h={h:g}", h, lambda i=integrator, h=h: _MuJoCo(problem, links, i, h)
+            )
+
+
+def _xml(links: int, h: float, integrator: str) -> str:
+    """Unit point masses at the ends of unit links along x from the origin, hinges about y."""
+    bodies = "".join(
+        f'<body pos="{min(i, 1)} 0 0"><joint type="hinge" axis="0 1 0"/>'
+        '<inertial pos="1 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/>'
+        for i in range(links)
+    )
+    return (
+        f'<mujoco><option timestep="{h}" integrator="{integrator}" gravity="0 0 -9.81">'
+        '<flag contact="disable" constraint="disable"/></option>'
+        f"<worldbody>{bodies}{'</body>' * links}</worldbody></mujoco>"
+    )
+
+
+class _MuJoCo:
+    def __init__(self, problem: Problem, links: int, integrator: str, h: float):
+        if find_spec("mujoco") is None:
+            raise NotAvailable("not installed; pip install mujoco")
+        import mujoco
+
+        self._lib, self._h, self._links = mujoco, h, links
+        for t in problem.grid:
+            if abs(t / h - round(t / h)) > 1e-9:
+                raise RuntimeError(f"t = {t:g} s is no multiple of the step")
+        self._model: Any = mujoco.MjModel.from_xml_string(_xml(links, h, integrator))
+        self._data: Any = mujoco.MjData(self._model)
+
+    def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
+        self._lib.mj_resetData(self._model, self._data)
+        done, rows = 0, []
+        for t in times:
+            n = round(t / self._h)
+            self._lib.mj_step(self._model, self._data, nstep=n - done)
+            done = n
+            rows.append(self._state())
+        return Run(np.array(rows), done)
+
+    def _state(self) -> np.ndarray:
+        """Positions and velocities of the masses, as the declaration orders them."""
+        self._lib.mj_forward(self._model, self._data)
+        velocity = np.zeros((self._links, 6))
+        for i in range(self._links):
+            self._lib.mj_objectVelocity(self._model, self._data, self._lib.mjtObj.mjOBJ_BODY, i + 1, velocity[i], 0)
+        return np.concatenate([self._data.xipos[1:].ravel(), velocity[:, 3:].ravel()])
