@@ -80,8 +80,8 @@ class _Solver:
             instance.set_input(self._model.u0)
         instance.reset()
         inputs = Inputs(instance, self._model)
-        x, steps, iterations, worst = [], 0, 0, 0.0
-        record = ("counts", "energy", "stored", "dissipated", "numerical", "supplied") if watch else ()
+        x, steps, worst, before = [], 0, 0.0, solver_iterations(instance)
+        record = ("energy", "stored", "dissipated", "numerical", "supplied") if watch else ()
         for piece in self._problem.pieces(times):
             for name, value in piece.changes.items():
                 inputs.set(name, value)
@@ -91,12 +91,18 @@ class _Solver:
                 rows = instance.run(start, (end - start) / n, n, record=record)
                 steps += n
                 if watch:
-                    iterations += int(rows["counts"][:, 0].sum())
                     worst = max(worst, _ledger(rows))
                 if end in piece.times:
                     x.append(instance.x)
                 start = end
-        return Run(np.array(x), steps, iterations if watch else None, worst if watch else None)
+        done = solver_iterations(instance) - before
+        return Run(np.array(x), steps, done if watch else None, worst if watch else None)
+
+
+def solver_iterations(instance: Any) -> int:
+    """Newton iterations and chord sweeps that an instance counted so far."""
+    counts = instance.counts
+    return counts["iterations"] + counts.get("sweeps", 0)
 
 
 def _ledger(rows: dict[str, Array]) -> float:

@@ -13,7 +13,7 @@ from phfmu.bench.candidate import Candidate
 from phfmu.bench.problem import Problem
 from phfmu.bench.work_precision import Table, measure
 
-TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
+TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 #: default steps in multiples of the scene's step
 MULTIPLES = (8.0, 4.0, 2.0, 1.0, 0.5)
 PEERS = ("scipy", "casadi", "sundae", "mujoco")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from phfmu.bench.families import FAMILIES, Family
+from phfmu.bench.own import solver_iterations
 
 STEPS_TIME = 0.3  # CPU seconds behind one value of the time per step
 PARTS = 5  # values whose median counts
@@ -24,7 +25,7 @@ class Size:
     n: parts;  unknowns of a step;  declare, plan: CPU seconds from nothing to the declaration and on to the model
     code: bytes of generated C;  compile: CPU seconds of the compiler, nothing reused
     memory: bytes of an instance, its tables included;  fill: nonzeros of the Newton matrix
-    step: CPU seconds per step;  iterations: of Newton per step
+    step: CPU seconds per step;  iterations: Newton iterations and chord sweeps per step
     """
 
     family: str
@@ -41,7 +42,7 @@ class Size:
 
     @property
     def iteration(self) -> float:
-        """CPU seconds per Newton iteration."""
+        """CPU seconds per iteration."""
         return self.step / self.iterations
 
 
@@ -87,18 +88,18 @@ def compile_time(text: str) -> float:
 
 
 def step_time(instance: Any, h: float) -> tuple[float, float]:
-    """CPU seconds per step (median of PARTS) and Newton iterations per step; the first step is not counted."""
+    """CPU seconds per step (median of PARTS) and iterations per step (Newton's, chord sweeps); the first is left out."""
     instance.run(0.0, h, 1)
     start = process_time()
     instance.run(h, h, 1)
     n = max(1, min(10_000, int(STEPS_TIME / PARTS / max(process_time() - start, 1e-6))))
-    spent, done, iterations = [], 2, 0
+    spent, done, before = [], 2, solver_iterations(instance)
     for _ in range(PARTS):
         start = process_time()
-        counts = instance.run(done * h, h, n, record=("counts",))["counts"]
+        instance.run(done * h, h, n)
         spent.append((process_time() - start) / n)
-        iterations, done = iterations + int(counts[:, 0].sum()), done + n
-    return float(np.median(spent)), iterations / (PARTS * n)
+        done += n
+    return float(np.median(spent)), (solver_iterations(instance) - before) / (PARTS * n)
 
 
 def exponent(sizes: Sequence[Size], column: str) -> float:

@@ -12,10 +12,14 @@ from phfmu.bench.candidate import Candidate, NotAvailable
 from phfmu.bench.problem import Judged, Problem
 from phfmu.engine.status import StepFailure
 
+#: CPU seconds after which a row is not timed again
+LONG = 3.0
+
 
 @dataclass(frozen=True)
 class Row:
-    """One candidate measured.  cpu: process CPU seconds per simulated second, median of the repeats; spread: (max-min)/median."""
+    """One candidate measured.  cpu: process CPU seconds per simulated second, median of the repeats (fewer
+    for rows that take longer than LONG); spread: (max-min)/median."""
 
     method: str
     setting: str
@@ -64,6 +68,8 @@ def measure(
     for turn in range(repeat):
         progress(f"timing {turn + 1} of {repeat}")
         for (_, solve, _, _), times in zip(ready, spent, strict=True):
+            if sum(times) * problem.stop > LONG:
+                continue
             start = process_time()
             solve([problem.stop])
             times.append((process_time() - start) / problem.stop)

@@ -17,7 +17,7 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT],... (default: what fits the target)")
     parser.add_argument("--engines", metavar="LIST", default="native", help="native, python (default native)")
     parser.add_argument("--steps", metavar="LIST", help="steps in s, with commas (default: 8 to 1/2 of the scene's)")
-    parser.add_argument("--tolerances", metavar="LIST", help="relative tolerances of peers (default 1e-4 ... 1e-10)")
+    parser.add_argument("--tolerances", metavar="LIST", help="relative tolerances of peers (default 1e-3 ... 1e-10)")
     parser.add_argument(
         "--times", metavar="LIST", help="times in s at which states are compared (default: stop/10, stop)"
     )

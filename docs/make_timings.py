@@ -1,0 +1,137 @@
+"""Prints the tables of times: `python docs/make_timings.py [--write] [NAME ...]` (a few minutes; needs a C compiler).
+
+NAME is a table of `TABLES`; without a name all are made.  `--write` puts them into docs/results below the line with their
+command, and the pictures into docs/results/img.  Times change with the machine and its load, which stand below each table.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from phfmu.bench import machine
+from phfmu.bench.families import FAMILIES, member
+from phfmu.cli.target import scene
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A Markdown table; floats with three digits."""
+    text = [[f"{x:.3g}" if isinstance(x, float) else str(x) for x in row] for row in rows]
+    return "\n".join("| " + " | ".join(r) + " |" for r in [head, ["---"] * len(head), *text])
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    return tuple(float(t) for t in text.split(","))
+
+
+def work_precision(target: str, steps: str, errors: str, stop: float, repeat: int, peers: tuple[str, ...]) -> str:
+    """One comparison of `phfmu bench`: rows, ratios at equal errors, machine; its picture in img."""
+    from phfmu.bench.problem import problem_of
+    from phfmu.bench.report import write_png
+    from phfmu.bench.run import Choice, compare
+
+    problem = problem_of(member(target) or scene(target), times=(1.0,), stop=stop, judged=("q",))
+    choice = Choice(steps=numbers(steps), errors=numbers(errors), repeat=repeat, peers=peers)
+    found = compare(problem, choice)
+    picture = RESULTS / "img" / f"work_precision_{problem.name}.png"
+    write_png(picture, problem, found.table, f"{found.caption}\n{machine.versions()}")
+    rows = [
+        [r.method, r.setting, 1e3 * r.cpu, r.judged.errors[-1], r.judged.energy, r.judged.drift, r.ledger or "",
+         r.steps or "", r.iterations or ""]
+        for r in found.table.rows
+    ]  # fmt: skip
+    head = [
+        "method",
+        "setting",
+        "ms/s",
+        "error of q(1 s)",
+        "energy error in J",
+        "drift",
+        "ledger",
+        "steps",
+        "iterations",
+    ]
+    notes = [*found.ratios, *found.table.remarks, *found.about]
+    return table(head, rows) + "\n\n" + "\n".join(f"- {n}" for n in notes)
+
+
+def four_particle() -> str:
+    """Four particles, damped, timed over 10 s."""
+    return work_precision(
+        "four_particle", "0.08,0.04,0.02,0.01,0.005,0.0025", "2e-4,1e-6,5e-9", 10.0, 5, ("scipy", "casadi", "sundae")
+    )
+
+
+def chain_10() -> str:
+    """Ten unit links let go from the horizontal, timed over 2 s."""
+    return work_precision("chain:10", "0.04,0.02,0.01,0.005", "1e-4,1e-6,1e-8", 2.0, 5, ("casadi", "mujoco"))
+
+
+def chain_50() -> str:
+    """The same with fifty links."""
+    return work_precision("chain:50", "0.04,0.02,0.01", "1e-5,1e-7,3e-9", 2.0, 3, ("casadi", "mujoco"))
+
+
+def scaling(name: str, sizes: Sequence[int]) -> str:
+    """Sizes of a family with fitted exponents."""
+    from phfmu.bench.scaling import GROWTH, exponent, run
+
+    before, found = machine.load(), list(run(FAMILIES[name], sizes))
+    rows: list[list[Any]] = [
+        [s.n, s.unknowns, s.declare, s.plan, s.code / 1e3, s.compile, s.memory / 1e6, f"{1e6 * s.step:.0f}", s.iterations,
+         f"{1e6 * s.iteration:.0f}"]
+        for s in found
+    ]  # fmt: skip
+    p = {c: f"{exponent(found, c):.2f}" for c in GROWTH}
+    rows.append(["~ n^", "", *(p[c] for c in GROWTH[:-1]), "", p["iteration"]])
+    parts = FAMILIES[name].parts
+    head = [parts, "unknowns", "declare s", "plan s", "C kB", "compile s", "memory MB", "µs/step", "its", "µs/it"]
+    return (
+        table(head, rows)
+        + f"\n\n- {machine.processor()}; load {before} before, {machine.load()} after; process CPU time"
+    )
+
+
+def scaling_chain() -> str:
+    """Pendulum chains, two-level of order 2, h = 10 ms."""
+    return scaling("chain", (10, 100, 1000, 3000, 10_000))
+
+
+def scaling_net() -> str:
+    """Square sheets of masses and springs, h = 1 ms."""
+    return scaling("net", (4, 8, 16, 32))
+
+
+def scaling_ladder() -> str:
+    """Machines along a line, h = 0.1 ms."""
+    return scaling("ladder", (3, 10, 30, 100, 300))
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    f.__name__: f for f in (four_particle, chain_10, chain_50, scaling_chain, scaling_net, scaling_ladder)
+}
+
+
+def write(name: str, text: str) -> None:
+    """Replace table and notes below the command `python docs/make_timings.py <name>`."""
+    below = re.compile(rf"(^    python docs/make_timings\.py {name}\n\n)(?:\|.*\n)*(?:\n(?:- .*\n)*)?", re.MULTILINE)
+    for page in RESULTS.glob("*.md"):
+        old = page.read_text(encoding="utf-8")
+        page.write_text(below.sub(lambda m: f"{m[1]}{text}\n", old), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    machine.one_thread()
+    names = [a for a in sys.argv[1:] if a != "--write"] or list(TABLES)
+    for name in names:
+        if name not in TABLES:
+            sys.exit(f"no table '{name}'; there are: {', '.join(TABLES)}")
+        text = TABLES[name]()
+        print(f"### {name}\n\n{TABLES[name].__doc__}\n\n{text}\n", flush=True)
+        if "--write" in sys.argv:
+            write(name, text)
