@@ -33,13 +33,23 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 
 def add_steps(parser: argparse.ArgumentParser) -> None:
-    """--rtol, --atol, --min-step, --max-step, --restart."""
+    """--rtol, --atol, --min-step, --max-step, --restart, --dense."""
     parser.add_argument("--rtol", type=float, help="adapt the step: allowed error of a step relative to each state")
     parser.add_argument("--atol", type=float, help="the same relative to each state's nominal value (default: --rtol)")
     parser.add_argument("--min-step", type=float, help="smallest adaptive step in s (default: none)")
     parser.add_argument("--max-step", type=float, help="largest adaptive step in s (default: none)")
     parser.add_argument("--restart", type=int, metavar="N",
                         help="take N damping steps (Radau) after each event, loss booked (default: the scene's)")  # fmt: skip
+    parser.add_argument("--dense", type=int, metavar="N",
+                        help="write N interpolated rows within each step too, marked in the column `interpolated`")  # fmt: skip
+
+
+def _dense(args: argparse.Namespace) -> dict[str, Any]:
+    if args.dense is None:
+        return {}
+    if args.dense < 1:
+        raise ValueError(f"--dense {args.dense}: expected a number of rows per step from 1")
+    return {"dense": args.dense}
 
 
 def steps(args: argparse.Namespace, scene: Scene, *, monolithic: bool) -> dict[str, Any]:
@@ -53,8 +63,8 @@ def steps(args: argparse.Namespace, scene: Scene, *, monolithic: bool) -> dict[s
         if given:
             option = "--" + next(iter(given)).replace("_", "-")
             raise ValueError(f"{option} is for adaptive steps; give --rtol too, or leave it out")
-        return {"restart": restart}
-    return {"restart": restart, "rtol": args.rtol, "landing": args.step or float("inf")} | given
+        return {"restart": restart} | _dense(args)
+    return {"restart": restart, "rtol": args.rtol, "landing": args.step or float("inf")} | given | _dense(args)
 
 
 def tolerance(rtol: float, option: str = "--rtol") -> float:

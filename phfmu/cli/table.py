@@ -27,15 +27,16 @@ def write_table(path: str, result: Result) -> None:
     """Write `time` and all signals as CSV (%.17g) or Parquet, by the file's ending."""
     check_table(path)
     target = Path(path)
+    marks = {} if result.interpolated is None else {"interpolated": result.interpolated}
     if target.suffix == ".parquet":
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        columns = {"time": result.time} | {n: result.values[:, i] for i, n in enumerate(result.names)}
+        columns = {"time": result.time} | marks | {n: result.values[:, i] for i, n in enumerate(result.names)}
         pq.write_table(pa.table(columns), target)
         return
-    header = ",".join(["time", *(_quoted(n) for n in result.names)])
-    table = np.column_stack([result.time, result.values])
+    header = ",".join(["time", *marks, *(_quoted(n) for n in result.names)])
+    table = np.column_stack([result.time, *marks.values(), result.values])
     np.savetxt(target, table, "%.17g", ",", header=header, comments="")
 
 

@@ -13,10 +13,16 @@ from phfmu.discretise.spec import Spec
 from phfmu.discretise.terms import Term, Terms
 
 
+def step_layout(terms: Terms, scheme: Scheme) -> Layout:
+    """Where the unknowns of a step of `scheme` are."""
+    terms = scheme.prepare(terms)
+    return Layout(terms, scheme.nodes.k, scheme.unknowns(terms))
+
+
 def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
     """The plan of one step of `scheme` for the extracted `terms`."""
-    terms = scheme.prepare(terms)
-    layout = Layout(terms, scheme.nodes.k, scheme.unknowns(terms))
+    layout = step_layout(terms, scheme)
+    terms = layout.terms
     cache: dict[tuple, list[Spec]] = {}
     work: list[tuple[Term, list[Spec]]] = []
     for term in terms.terms:

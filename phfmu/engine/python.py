@@ -288,7 +288,7 @@ class PythonInstance:
         """A step and what is recorded of it; one whose end values are read and do not exist is not taken."""
         before, spent = self.get_state() if reads else self._s, self.counts["iterations"]
         self.do_step(t, h, parts)
-        now = self.ledger() | {"counts": np.array([self.counts["iterations"] - spent, parts], float)}
+        now = self.ledger() | {"counts": np.array([self.counts["iterations"] - spent, self._s.solved], float)}
         if not reads:
             return now
         try:

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from phfmu.network.adaptive import Control
 
 Array = NDArray[Any]
-Rows = Iterator[tuple[Array, Array]]
+#: (times, values, whether each row is interpolated)
+Row = tuple[Array, Array, Array]
+Rows = Iterator[Row]
 
 BLOCK = 4096  # steps between progress reports and audit flushes
 
@@ -43,11 +45,11 @@ class FixedSteps:
         if restart:
             from phfmu.network.restart import Restart
 
-            self._damped = Restart(_monolithic(stepper, "--restart"))
+            self._damped = Restart(monolithic(stepper, "--restart"))
         self._restarted = 0
 
     def over(self, start: float, end: float, event: bool) -> Rows:
-        """(times, values) of the rows in (start, end]; `event`: something changed at the start."""
+        """The rows in (start, end]; `event`: something changed at the start."""
         left = self.restart if event else 0
         for t, h, n in pieces(start, end, self.step):
             first = 0
@@ -61,7 +63,7 @@ class FixedSteps:
         """What the result says about the steps."""
         return {"restarted": self._restarted - (self._damped.refused if self._damped else 0)}
 
-    def _booked(self, t: float, h: float, n: int, damped: bool = False) -> tuple[Array, Array]:
+    def _booked(self, t: float, h: float, n: int, damped: bool = False) -> Row:
         try:
             if damped and self._damped is not None:
                 steps = self._damped.advance(t, h)
@@ -75,7 +77,7 @@ class FixedSteps:
             self.book.failed(failure)
             raise
         self.book.add(t + h * np.arange(n), np.full(n, h), steps)
-        return t + h * np.arange(1, n + 1), steps.signals
+        return _rows(t + h * np.arange(n), t + h * np.arange(1, n + 1), steps)
 
 
 class AdaptiveSteps:
@@ -85,11 +87,11 @@ class AdaptiveSteps:
         from phfmu.network.adaptive import Adaptive
 
         self.book, self.restart, self.landing = book, restart, landing
-        self.adaptive = Adaptive(_monolithic(stepper, "--rtol"), control)
+        self.adaptive = Adaptive(monolithic(stepper, "--rtol"), control)
         self._restarted = 0
 
     def over(self, start: float, end: float, event: bool) -> Rows:
-        """(times, values) of the rows in (start, end]; `event`: something changed at the start."""
+        """The rows in (start, end]; `event`: something changed at the start."""
         self.adaptive.after_event()
         times, rows, left, t = [start], [], self.restart if event else 0, start
         try:
@@ -124,15 +126,29 @@ class AdaptiveSteps:
                 goal = t + i * h
                 yield end if abs(goal - end) <= 1e-9 * h else goal
 
-    def _booked(self, times: list[float], rows: list[Steps]) -> tuple[Array, Array]:
+    def _booked(self, times: list[float], rows: list[Steps]) -> Row:
         if not rows:
-            return np.zeros(0), np.zeros((0, 0))
+            return np.zeros(0), np.zeros((0, 0)), np.zeros(0, bool)
         steps, t = Steps.joined(rows), np.array(times)
         self.book.add(t[:-1], np.diff(t), steps)
-        return t[1:], steps.signals
+        return _rows(t[:-1], t[1:], steps)
 
 
-def _monolithic(stepper: Stepper, option: str) -> Monolithic:
+def _rows(start: Array, end: Array, steps: Steps) -> Row:
+    """Rows at the step ends, with those within the steps before them."""
+    if steps.between is None:
+        return end, steps.signals, np.zeros(len(end), bool)
+    m = steps.between.shape[1]
+    part = np.arange(1, m + 2) / (m + 1)
+    times = start[:, None] + (end - start)[:, None] * part
+    times[:, -1] = end
+    values = np.concatenate([steps.between, steps.signals[:, None]], axis=1)
+    inside = np.tile(part < 1.0, (len(end), 1))
+    kept = ~(inside & np.isnan(values).all(axis=2))
+    return times[kept], values[kept], inside[kept]
+
+
+def monolithic(stepper: Stepper, option: str) -> Monolithic:
     if isinstance(stepper, Monolithic):
         return stepper
     raise ValueError(

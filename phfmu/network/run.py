@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.network.book import Book
-from phfmu.network.march import AdaptiveSteps, FixedSteps
+from phfmu.network.march import AdaptiveSteps, FixedSteps, monolithic
 from phfmu.network.scene import Event
 from phfmu.network.stepper import Stepper
 
@@ -39,6 +39,8 @@ class Result:
     rejected: int = 0
     smallest: float = 0.0
     largest: float = 0.0
+    #: whether a row lies within a step (rows), None for a run without such rows
+    interpolated: Array | None = None
 
     def column(self, name: str) -> Array:
         """One signal over time; KeyError lists close names."""
@@ -98,6 +100,7 @@ def run(
     landing: float = np.inf,
     min_step: float = 0.0,
     max_step: float = np.inf,
+    dense: int = 0,
 ) -> Result:
     """Run from t0 to stop; returns all rows (first row: the start).
 
@@ -105,6 +108,7 @@ def run(
     [min_step, max_step]; `step` is the first trial, and multiples of `landing` after t0 and each event are landed on.
 
     restart:  damping steps (Radau IIA) after each event
+    dense:  rows within each step, interpolated (see `dense.py`)
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
     keep:  receives (time, values) blocks instead of collecting them
     project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
@@ -122,8 +126,14 @@ def run(
         march: Any = FixedSteps(stepper, book, step, restart)
     else:
         march = AdaptiveSteps(stepper, book, restart, landing, _control(rtol, atol, step, min_step, max_step))
+    if dense:
+        from phfmu.network.dense import Dense
+
+        whole = monolithic(stepper, "--dense")
+        whole.dense = Dense(whole.instance, dense)
     times: list[Array] = []
     rows: list[Array] = []
+    inside: list[Array] = [np.zeros(1, bool)]
 
     def take(t: Array, v: Array) -> None:
         if keep is not None:
@@ -149,14 +159,16 @@ def run(
             book.start()
             take(np.array([t0]), stepper.read()[None])
             first = False
-        for ends, values in march.over(start, end, start > t0):
+        for ends, values, interpolated in march.over(start, end, start > t0):
             take(ends, values)
+            inside.append(interpolated)
             if progress is not None:
                 progress(float(ends[-1]))
     ledger.flush()
     time = np.concatenate(times) if times else np.zeros(0)
     values = np.concatenate(rows) if rows else np.zeros((0, len(stepper.names)))
     worst, facts = book.worst(), march.facts()
+    facts |= {"interpolated": np.concatenate(inside)} if dense else {}
     return Result(stepper.names, time, values, ledger, book.steps, book.iterations, worst, projection, **facts)
 
 

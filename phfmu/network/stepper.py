@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -17,6 +17,7 @@ from phfmu.network.columns import Columns
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
+    from phfmu.network.dense import Dense
 
 Array = NDArray[np.float64]
 
@@ -34,6 +35,8 @@ class Steps:
     iterations: Array
     #: lost by a damping scheme (n x components), None where there is none
     numerical: Array | None = None
+    #: rows within each step (n x rows x names), None unless asked for
+    between: Array | None = None
 
     @classmethod
     def stacked(cls, rows: list[tuple[Array, ...]]) -> Steps:
@@ -47,7 +50,10 @@ class Steps:
         arrays = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
         lossy = any(p.numerical is not None for p in parts)
         lost = [np.zeros_like(p.H) if p.numerical is None else p.numerical for p in parts]
-        return cls(**arrays, numerical=np.concatenate(lost) if lossy else None)
+        between = (
+            None if parts[0].between is None else np.concatenate([p.between for p in parts if p.between is not None])
+        )
+        return cls(**arrays, numerical=np.concatenate(lost) if lossy else None, between=between)
 
 
 @dataclass(frozen=True)
@@ -144,6 +150,8 @@ class Monolithic:
         self._inputs = Inputs(instance, model)
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names
+        #: makes rows within the steps, if asked for
+        self.dense: Dense | None = None
 
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]
@@ -195,7 +203,13 @@ class Monolithic:
         wanted = ("signals", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
         if instance.model.loses_energy:
             wanted += ("numerical",)
-        return self._steps(instance.run(t0, h, n, record=wanted))
+        if self.dense is None:
+            return self._steps(instance.run(t0, h, n, record=wanted))
+        before = np.concatenate(list(instance.signals().values()))
+        r = instance.run(t0, h, n, record=(*wanted, "unknowns"))
+        rows = self.dense.between(instance, before, r, t0, h)
+        picked = self._columns.pick(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], -1)
+        return replace(self._steps(r), between=picked)
 
     def _steps(self, r: dict[str, Array]) -> Steps:
         return Steps(

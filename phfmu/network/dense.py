@@ -1,0 +1,87 @@
+"""Values between step ends, for plots: the collocation polynomial of the states.
+
+    x(t + tau h) = x + s0 + sum_j (int_0^tau l_j) D_j,     s0: impulses at bare nodes at the start of the step,
+
+of degree k, exact at the step ends, with an error of order k + 1 between them.  What follows from the states (algebraic
+values, outputs, observables, energy) is solved at x(t + tau h); step means are those of the step, and cumulative
+energies a straight line.  Between the ends nothing is conserved: balance and constraints hold at the step ends.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.discretise.extract import extract
+from phfmu.discretise.model import Model
+from phfmu.discretise.onestep import step_layout
+
+Array = NDArray[np.float64]
+
+#: blocks that belong to an instant; the others to a step or to all steps before
+INSTANT = ("x", "time", "a_end", "y_end", "observables", "H")
+SUMS = ("energy", "supplied", "dissipated", "residual")
+
+
+class Polynomial:
+    """The states within a step of a model as a linear map of its unknowns."""
+
+    def __init__(self, model: Model):
+        scheme = model.scheme
+        layout = step_layout(extract(model.declaration, joint=scheme.joint), scheme)
+        self._nodes, self._nx = scheme.nodes, model.step.nx
+        found = [(i, w, node) for (kind, i, node), w in layout.w_of.items() if kind == "D"]
+        self._state, self._w, self._node = (np.array([f[j] for f in found], int) for j in range(3))
+        self._starts = [(i, w) for (kind, i, _), w in layout.w_of.items() if kind == "s0"]
+
+    def __call__(self, x: Array, unknowns: Array, tau: float) -> Array:
+        """States at the fraction tau of a step from x (nx) with the unknowns w (nw)."""
+        weights = self._nodes.integral(tau)[self._node]
+        out = x + np.bincount(self._state, weights * unknowns[self._w], self._nx)
+        for i, w in self._starts:
+            out[i] += unknowns[w]
+        return out
+
+
+class Dense:
+    """Rows of the signal table at `rows` equal distances within each step."""
+
+    def __init__(self, instance: Any, rows: int):
+        if rows < 1:
+            raise ValueError(f"--dense {rows}: expected a number of rows per step from 1")
+        self.tau = np.arange(1, rows + 1) / (rows + 1)
+        self._kind = type(instance)
+        self._viewers: dict[int, tuple[Polynomial, Any]] = {}
+
+    def between(self, instance: Any, before: Array, r: dict[str, Array], t0: float, h: float) -> Array:
+        """Table rows (n x rows x width) within the n recorded steps from t0 of size h; nan in steps that were divided.
+
+        `before`: the table row at t0;  r: signals, unknowns, counts of the steps.
+        """
+        ends, layout = np.vstack([before[None], r["signals"]]), instance.layout
+        out = np.full((len(ends) - 1, len(self.tau), ends.shape[1]), np.nan)
+        polynomial, viewer = self._viewer(instance)
+        for k in np.flatnonzero(r["counts"][:, 1] == 1):
+            for j, tau in enumerate(self.tau):
+                row = out[k, j]
+                row[:] = ends[k + 1]
+                for name in SUMS:
+                    row[layout[name]] = (1 - tau) * ends[k, layout[name]] + tau * ends[k + 1, layout[name]]
+                x = polynomial(ends[k, layout["x"]], r["unknowns"][k], float(tau))
+                viewer.set_x(t0 + (k + tau) * h, x)
+                viewer.initialise()
+                now = viewer.signals()
+                for name in INSTANT:
+                    row[layout[name]] = now[name]
+        return out
+
+    def _viewer(self, instance: Any) -> tuple[Polynomial, Any]:
+        """The polynomial of the instance's scheme and a second instance with its inputs and parameters."""
+        key = id(instance)
+        if key not in self._viewers:
+            self._viewers[key] = Polynomial(instance.model), self._kind(instance.model)
+        polynomial, viewer = self._viewers[key]
+        viewer.continue_from(instance)
+        return polynomial, viewer
