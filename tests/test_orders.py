@@ -168,7 +168,11 @@ def test_end_values_see_the_polynomial_through_the_node_inputs(engine):
 # -- linear drive against the matrix exponential ------------------------------------------------------------
 
 
-DRIVE_STEPS = {1: (1e-4, 5e-5, 4e-5, 2.5e-5, 2e-5), 2: (2e-4, 1.25e-4, 1e-4, 5e-5)}
+DRIVE_STEPS = {
+    1: (1e-4, 5e-5, 4e-5, 2.5e-5, 2e-5),
+    2: (2e-4, 1.25e-4, 1e-4, 5e-5),
+    3: (5e-4, 3.125e-4, 2.5e-4, 2e-4),
+}
 
 
 @pytest.mark.parametrize(("k", "steps"), DRIVE_STEPS.items())
