@@ -16,9 +16,11 @@ from phfmu import (
     ROTATIONAL,
     Collocated,
     DeclarationError,
+    Holonomic,
     NativeInstance,
     Port,
     PythonInstance,
+    algebraic,
     block,
     build_model,
     check,
@@ -212,3 +214,47 @@ def test_a_regular_model_is_returned_as_it_is():
     model = PHDAE("plain", (x,), energies=(energy(ca.dot(x.sx, x.sx)),), E={x: [[2.0, 1.0], [1.0, 2.0]]},
                   structure=(skew(x, x, ca.SX(2, 2)),), dissipation=(damping(x, 1.0),))  # fmt: skip
     assert reduce_descriptor(model) is model
+
+
+def test_a_singular_model_is_refused_before_it_is_stepped():
+    with pytest.raises(DeclarationError, match=r"E of 'v' is singular.* reduce_descriptor\(model\)"):
+        build_model(mass_spring(reduced=False), Collocated(1))
+
+
+# -- a nonlinear constraint that leaves index 2 -----------------------------------------------------------------
+
+
+def split_pendulum() -> PHDAE:
+    """A pendulum of length 1 in x and y = y1 + y2, mass matrix [[1, 0, 0], [0, 1, 1], [0, 1, 1]], y2 = x^2/2 - 1/2."""
+    q, v = state("q", 3, start=(0.6, -0.8 + 0.32, -0.32)), state("v", 3)
+    force = algebraic("lambda", 2)
+    return PHDAE(
+        "split",
+        states=(q, v),
+        algebraics=(force,),
+        energies=(energy(0.5 * v[0] ** 2 + 0.5 * (v[1] + v[2]) ** 2), energy(9.81 * (q[1] + q[2]))),
+        E={v: [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, 1.0]]},
+        z={v: v.sx},
+        structure=(skew(q, v, 1.0),),
+        constraints=(
+            Holonomic(force, ca.vertcat((q[0] ** 2 + (q[1] + q[2]) ** 2 - 1) / 2, q[2] - q[0] ** 2 / 2 + 0.5)),
+        ),
+    )
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_quadratic_constraints_stay_exact(k):
+    """g is quadratic, so its velocity form keeps it; the rod remains an index-2 constraint; H is constant."""
+    declaration = reduce_descriptor(split_pendulum())
+    assert check(declaration) == []
+    swing = lambda t, y: [y[1], -9.81 * np.sin(y[0])]  # noqa: E731
+    end = solve_ivp(swing, (0, 0.5), [np.arcsin(0.6), 0.0], method="DOP853", rtol=1e-13, atol=1e-14).y[0, -1]
+    steps, errors = {1: (20, 40, 80), 3: (5, 10, 20)}[k], []
+    for n in steps:
+        rows = PythonInstance(build_model(declaration, Collocated(k))).run(0.0, 0.5 / n, n, ("x", "stored"))
+        x, y1, y2 = rows["x"][:, :3].T
+        assert np.abs(x**2 + (y1 + y2) ** 2 - 1).max() <= 1e-13
+        assert np.abs(y2 - x**2 / 2 + 0.5).max() <= 1e-13
+        assert np.abs(np.cumsum(rows["stored"])).max() <= 1e-13
+        errors.append(abs(x[-1] - np.sin(end)))
+    assert slope([0.5 / n for n in steps], errors) == pytest.approx(2 * k, abs=0.3)

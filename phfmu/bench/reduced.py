@@ -21,7 +21,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.phdae import PHDAE, _starts, stacked
+from phfmu.declare.dense import coefficient, square, stacked
+from phfmu.declare.phdae import PHDAE, _starts
 from phfmu.declare.variable import _sx, time
 from phfmu.discretise.extract import extract
 from phfmu.discretise.hidden import Hidden, hidden_rows
@@ -208,17 +209,10 @@ class _Flat:
             out.append((where, ca.SX(pair.E), ca.SX(pair.z)))
             done.update(id(v) for v in pair.variables)
         for key, value in d.E.items():
-            variables = stacked(key)
-            where, e = [i for v in variables for i in self._where(v, "x")], ca.SX(_sx(value))
-            if e.numel() == 1:
-                e = e * ca.SX.eye(len(where))
-            elif e.shape == (len(where), 1):
-                e = ca.diag(e)
-            out.append((where, e, None))
-            done.update(id(v) for v in variables)
-        for v in d.states:
-            if id(v) not in done:
-                out.append((self._where(v, "x"), ca.SX.eye(v.n), None))
+            where = [i for v in stacked(key) for i in self._where(v, "x")]
+            out.append((where, square(value, len(where)), None))
+            done.update(id(v) for v in stacked(key))
+        out += [(self._where(v, "x"), ca.SX.eye(v.n), None) for v in d.states if id(v) not in done]
         return out
 
     def rates(self, f: ca.SX) -> ca.SX:
@@ -257,10 +251,8 @@ class _Flat:
             u = ca.SX(_sx(port.source))
         else:
             u = port.u if port.bound is None else ca.vertcat(*port.bound)
-        for v, coefficient in port.on.items():
-            b = ca.SX(_sx(coefficient))
-            if b.numel() == 1 and v.n == port.n > 1:
-                b = b * ca.SX.eye(v.n)
+        for v, value in port.on.items():
+            b = coefficient(value, v.n, port.n)
             f[at([v])] += ca.mtimes(b, u)
             if port.bound is not None:
                 y = ca.mtimes(b.T, self.declaration.effort(v))

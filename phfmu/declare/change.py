@@ -10,19 +10,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.dense import stacked
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, stacked
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transformation import SystemTransformation, inverted, solved_starts
-from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.variable import Variable, _sx, key, slices
 
 Array = NDArray[Any]
 
 POINTS = 5
-
-
-def key(v: Variable) -> int:
-    """What tells variables apart: their symbols."""
-    return v.sx[0].element_hash()
+#: of the sum of absolute values of its parts: an entry below this at every sampled point is zero
+ZERO = 1e-12
 
 
 class Change:
@@ -124,20 +122,22 @@ class Change:
             k += e.numel()
         return out
 
+    def product(self, left: ca.SX, middle: ca.SX, right: ca.SX) -> tuple[ca.SX, Array]:
+        """left middle right without the entries that cancel to zero at every sampled point; and its values there."""
+        size = ca.mtimes([ca.fabs(left), ca.fabs(middle), ca.fabs(right)])
+        out = ca.mtimes([left, middle, right])
+        value, scale = self.sampled([out, size])
+        zero = np.asarray((np.abs(value) <= ZERO * scale).all(axis=0))
+        for i, j in np.argwhere(zero):
+            out[int(i), int(j)] = 0
+        return ca.sparsify(out), np.where(zero, 0.0, value)
+
     def listed(self, variables: tuple[Variable, ...], role: str) -> tuple[Variable, ...]:
         """The variables of one role, the new ones where the first old one was."""
         new = [v for v in self.new if v.role == role]
         at = next((i for i, v in enumerate(variables) if key(v) in self.row), len(variables))
         kept = [v for v in variables[at:] if key(v) not in self.row]
         return (*variables[:at], *new, *kept)
-
-
-def slices(variables: Sequence[Variable]) -> dict[int, slice]:
-    out, at = {}, 0
-    for v in variables:
-        out[key(v)] = slice(at, at + v.n)
-        at += v.n
-    return out
 
 
 def _hashes(v: Variable) -> list[int]:

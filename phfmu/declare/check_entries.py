@@ -10,10 +10,11 @@ from typing import Any
 import casadi as ca
 
 from phfmu.declare.check_problem import Problem
+from phfmu.declare.dense import stacked
 from phfmu.declare.energy import ClosedPair
-from phfmu.declare.phdae import PHDAE, stacked
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Variable, _sx, time
+from phfmu.declare.variable import Variable, _sx, key, time
 
 #: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
 #: (z2: the given effort of an algebraic variable)
@@ -171,11 +172,6 @@ class Entries:
 
     def _problem(self, rule: str, label: str, message: str, remedy: str) -> None:
         self.problems.append(Problem(rule, label, message, remedy))
-
-
-def key(v: Variable | Port) -> int:
-    """What tells variables apart: their symbols."""
-    return v.sx[0].element_hash()
 
 
 def as_matrix(value: Any, shape: tuple[int, int] | None = None) -> ca.SX | None:

@@ -6,9 +6,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_entries import Entries, Entry, key
+from phfmu.declare.check_entries import Entries, Entry
 from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample, places, singular_row
+from phfmu.declare.check_sample import Sample, places
+from phfmu.declare.regular import undetermined
+from phfmu.declare.variable import key
 
 RELATIVE = 1e-9  # of the numbers compared
 FLOOR = 1e-12  # of the largest entry of a block: rounding of entries that cancel to zero
@@ -143,7 +145,7 @@ def masses(entries: Entries, sample: Sample) -> list[Problem]:
     found = []
     for (label, expr, names), value in zip(chosen, sample.values([c[1] for c in chosen]), strict=True):
         for i, E in enumerate(value):
-            row = singular_row(E) if np.isfinite(E).all() else -1
+            row = undetermined(E) if np.isfinite(E).all() else -1
             if row >= 0 and entries.of("g") and expr.sparsity().is_diag() and expr[row, row].is_symbolic():
                 break  # z = v whatever the parameter m: the constraints decide
             if row >= 0:

@@ -8,14 +8,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_entries import Entries, key
+from phfmu.declare.check_entries import Entries
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Variable, time
+from phfmu.declare.regular import undetermined
+from phfmu.declare.variable import Variable, key, time
 
 Array = NDArray[np.float64]
-
-#: smallest over largest singular value of a singular matrix with balanced rows and columns
-SINGULAR = 1e-13
 
 #: the start itself, then fractions of the nominal size, drawn with a fixed seed
 FRACTIONS = (0.0, 0.01, 0.1, 0.5, 0.5, 0.9)
@@ -158,22 +156,7 @@ def places(variables: tuple[Variable, ...]) -> dict[int, int]:
     return {s.element_hash(): i for i, s in enumerate(symbols)}
 
 
-def singular_row(E: Array) -> int:
-    """The row that is undetermined if E is singular, else -1."""
-    for axis in (1, 0):
-        zero = np.flatnonzero(np.abs(E).max(axis=axis) == 0)
-        if zero.size:
-            return int(zero[0])
-    if np.count_nonzero(E - np.diag(np.diag(E))) == 0:
-        return -1
-    for _ in range(3):
-        E = E / np.sqrt(np.abs(E).max(axis=1, keepdims=True))
-        E = E / np.sqrt(np.abs(E).max(axis=0, keepdims=True))
-    _, s, right = np.linalg.svd(E)
-    return int(np.argmax(np.abs(right[-1]))) if s[-1] <= SINGULAR * s[0] else -1
-
-
 def _solved(matrix: Array, right: Array) -> Array:
-    if not np.isfinite(matrix).all() or singular_row(matrix) >= 0:
+    if undetermined(matrix) >= 0:
         return np.full(len(right), np.nan)
     return np.asarray(np.linalg.solve(matrix, right), np.float64)

@@ -16,12 +16,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.dense import square, stacked
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, stacked
-from phfmu.declare.transformation import REGULAR, SystemTransformation, blocks, singular_column
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.regular import undetermined
+from phfmu.declare.transformation import SystemTransformation, blocks
 from phfmu.declare.variable import Variable, _sx, algebraic, state
 
 Array = NDArray[np.float64]
+
+#: singular values below this fraction of the largest one are zero
+REGULAR = 1e-10
 
 
 def reduce_descriptor(model: PHDAE) -> PHDAE:
@@ -36,18 +41,11 @@ def reduce_descriptor(model: PHDAE) -> PHDAE:
     """
     for key, value in model.E.items():
         variables = stacked(key)
-        matrix = _full(value, sum(v.n for v in variables))
+        matrix = square(value, sum(v.n for v in variables))
         pair = _decomposed(model, variables, matrix)
         if pair is not None:
             model = _transformation(variables, *pair)(model)
     return model
-
-
-def _full(value: object, n: int) -> ca.SX:
-    matrix = ca.SX(_sx(value))
-    if matrix.numel() == 1:
-        return matrix * ca.SX.eye(n)
-    return ca.diag(matrix) if matrix.shape == (n, 1) else matrix
 
 
 def _decomposed(model: PHDAE, variables: Sequence[Variable], matrix: ca.SX) -> tuple[Array, Array, Array, Array] | None:
@@ -58,7 +56,7 @@ def _decomposed(model: PHDAE, variables: Sequence[Variable], matrix: ca.SX) -> t
     if ca.depends_on(ca.vec(matrix), model.x):
         x = np.array([s for v in model.states for s in v.start])
         E = np.array(ca.Function("E", [model.x, parameters], [ca.densify(matrix)])(x, start))
-        if singular_column(E) >= 0:
+        if undetermined(E) >= 0:
             raise DeclarationError(
                 f"{label} is singular and depends on the state; the decomposition needs a constant E: use a "
                 "SystemTransformation to semi-explicit form, or Parametrised for E of constant rank"

@@ -21,11 +21,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.change import key, slices
+from phfmu.declare.dense import matrices
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, skew, stacked
-from phfmu.declare.transformation import inverted, singular_column
-from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.phdae import PHDAE, skew
+from phfmu.declare.regular import undetermined
+from phfmu.declare.transformation import inverted
+from phfmu.declare.variable import Variable, _sx, key, slices, time
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,37 +123,11 @@ class Parametrised:
             parts.append(matrix)
         return ca.horzcat(ca.SX(self.n, 0), *parts)
 
-    def _matrices(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """E11, J - R on (x1, x2) and B of the part, each as one matrix."""
-        part = self.part
-        place = slices((*part.states, *part.algebraics))
-        n, n1 = sum(v.n for v in (*part.states, *part.algebraics)), part.x.numel()
-        E, JR, B = ca.SX.eye(n1), ca.SX(n, n), ca.SX(n, sum(p.n for p in part.ports))
-        for where, value in part.E.items():
-            index, matrix = [i for v in stacked(where) for i in range(*_ends(place[key(v)]))], ca.SX(_sx(value))
-            full = ca.diag(matrix) if matrix.shape == (len(index), 1) else matrix
-            E[index, index] = full * ca.SX.eye(len(index)) if full.numel() == 1 else full
-        for sign, blocks in ((1, part.structure), (-1, part.dissipation)):
-            for b in blocks:
-                if any(v.role == "port" for v in b.variables):
-                    raise DeclarationError(f"{part.name}: the part has feedthrough ({', '.join(v.name for v in b.variables)} "
-                                           "in one block); let its ports act by `on` only")  # fmt: skip
-                index = [i for v in b.variables for i in range(*_ends(place[key(v)]))]
-                JR[index, index] += sign * b.matrix
-        at = 0
-        for port in part.ports:
-            for v, value in port.on.items():
-                matrix = ca.SX(_sx(value))
-                scaled = matrix * ca.SX.eye(v.n) if matrix.numel() == 1 and v.n == port.n > 1 else matrix
-                B[place[key(v)], at : at + port.n] = scaled
-            at += port.n
-        return E, ca.sparsify(JR), ca.sparsify(B)
-
     def _eliminated(self) -> tuple[ca.SX, ca.SX]:
         """A~ = [A31~, A32~] and B3~ with x2' eliminated."""
         part, n1 = self.part, self.part.x.numel()
-        E, JR, B = self._matrices()
-        back = inverted(E)
+        whole = matrices(part)
+        back, JR, B = inverted(whole.E), whole.J - whole.R, whole.B
         z1 = ca.mtimes(back.T, ca.gradient(part.hamiltonian, part.x))
         z2 = ca.vertcat(*(part.effort(v) for v in part.algebraics))
         f2 = ca.mtimes(JR[n1:, :], ca.vertcat(z1, z2))
@@ -185,8 +160,6 @@ class Parametrised:
             raise DeclarationError(f"{name}: the part has constraints or closed-form pairs; write it without them")
 
     def _require_held(self, f2: ca.SX, B2: ca.SX) -> None:
-        from phfmu.declare.variable import time
-
         u = ca.vertcat(ca.SX(0, 1), *(p.u for p in self.part.ports))
         what = (
             "a port acts on them" if B2.nnz() else "they depend on inputs" if u.numel() and ca.depends_on(f2, u) else ""
@@ -203,12 +176,8 @@ class Parametrised:
         start = np.array([s for v in variables for s in v.start])
         f = ca.Function("m", [ca.vertcat(*(v.sx for v in variables))], [ca.densify(matrix)])
         value = np.array(f(start))
-        if singular_column(value) >= 0:
+        if undetermined(value) >= 0:
             raise DeclarationError(
                 f"{self.part.name}: {what} is singular at the start ({np.array2string(value, precision=3)}); the form "
                 "(38) needs algebraic variables of index 1"
             )
-
-
-def _ends(s: slice) -> tuple[int, int]:
-    return s.start, s.stop

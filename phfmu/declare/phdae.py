@@ -220,11 +220,6 @@ class PHDAE:
         return f"{self.name} has no parameter, state or input '{name}'{hint}"
 
 
-def stacked(key: Variable | tuple[Variable, ...]) -> tuple[Variable, ...]:
-    """The variables a block of E stands on."""
-    return (key,) if isinstance(key, Variable) else tuple(key)
-
-
 def _driven(c: Holonomic) -> Holonomic:
     """`c` with a drive if it moves."""
     if c.drive is not None or not ca.depends_on(ca.SX(c.g), time):

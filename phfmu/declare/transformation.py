@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.regular import undetermined
 from phfmu.declare.variable import Variable, _sx, time
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 ITERATIONS = 50
-#: smallest over largest singular value of a balanced matrix that counts as regular
-REGULAR = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,29 +246,12 @@ def solved_starts(T: SystemTransformation, old: Array, p: Array, parameters: ca.
 
 def _require_regular(matrices: Mapping[str, Array], x: Array, names: list[str], model: str) -> None:
     for what, matrix in matrices.items():
-        column = singular_column(matrix)
+        column = undetermined(matrix)
         if column >= 0:
             raise DeclarationError(
                 f"{model}: {what} is singular at {names[column]} = {x[column]:.6g} (singular values {_values(matrix)}); a "
                 "transformation is invertible near regular points only: start elsewhere or use other coordinates"
             )
-
-
-def singular_column(matrix: Array) -> int:
-    """The column with the largest part in the kernel of a singular matrix (balanced), -1 if it is regular."""
-    if not np.isfinite(matrix).all():
-        return int(np.argmax(~np.isfinite(matrix).all(axis=0)))
-    for axis in (0, 1):
-        size = np.abs(matrix).max(axis=axis, keepdims=True)
-        if (size == 0).any():
-            return int(np.argmax(size.ravel() == 0)) if axis == 0 else int(np.argmax(np.abs(_kernel(matrix))))
-        matrix = matrix / size
-    values = np.linalg.svd(matrix, compute_uv=False)
-    return -1 if values[-1] > REGULAR * values[0] else int(np.argmax(np.abs(_kernel(matrix))))
-
-
-def _kernel(matrix: Array) -> Array:
-    return np.linalg.svd(matrix)[2][-1]
 
 
 def _values(matrix: Array) -> str:

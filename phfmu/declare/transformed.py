@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.change import Change, key
+from phfmu.declare.change import Change
+from phfmu.declare.dense import coefficient
 from phfmu.declare.energy import Energy, energy
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, Block, Observable
@@ -17,7 +17,7 @@ from phfmu.declare.port import Port
 from phfmu.declare.transformation import SystemTransformation
 from phfmu.declare.transformed_constraints import velocity_form
 from phfmu.declare.transformed_pair import costates, descriptor, singular_costates
-from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.variable import Variable, key
 
 
 def transformed(model: PHDAE, T: SystemTransformation) -> PHDAE:
@@ -106,7 +106,7 @@ def _block(change: Change, b: Block, sign: int) -> Block:
     if not any(key(v) in change.row for v in b.variables):
         return replace(b, matrix=matrix)
     variables, P = _projection(change, b.variables)
-    matrix = ca.sparsify(ca.mtimes([P.T, matrix, P]))
+    matrix, _ = change.product(P.T, matrix, P)
     upper = ca.triu(matrix, sign > 0)
     return replace(b, variables=tuple(variables), matrix=ca.sparsify(upper + sign * ca.triu(matrix, False).T))
 
@@ -117,8 +117,8 @@ def _port(change: Change, p: Port) -> Port:
     touched = [v for v in p.on if key(v) in change.row]
     if touched:
         variables, P = _projection(change, touched)
-        stack = ca.vertcat(*(_coefficient(p.on[v], v.n, p.n) for v in touched))
-        B, at = ca.sparsify(ca.mtimes(P.T, change.expr(stack))), 0
+        stack = ca.vertcat(*(coefficient(p.on[v], v.n, p.n) for v in touched))
+        (B, _), at = change.product(P.T, change.expr(stack), ca.SX.eye(p.n)), 0
         for v in variables:
             part = B[at : at + v.n, :]
             at += v.n
@@ -135,8 +135,3 @@ def _reported(change: Change) -> tuple[Observable, ...]:
         for v in change.old
         if key(v) not in new
     )
-
-
-def _coefficient(value: Any, rows: int, cols: int) -> ca.SX:
-    matrix = ca.SX(_sx(value))
-    return matrix * ca.SX.eye(rows) if matrix.numel() == 1 and rows == cols > 1 else matrix

@@ -28,6 +28,11 @@ def velocity_form(model: PHDAE, T: SystemTransformation) -> PHDAE:
         if not own & touched:
             kept.append(c)
             continue
+        if c.drive is not None:
+            raise DeclarationError(
+                f"{model.name}: constraint '{c.multiplier.name}' moves (it depends on time) and its velocities are replaced; "
+                "feed the motion by a port, or leave these variables as they are"
+            )
         _require_consistent(model, c, q)
         blocks.append(_block(c, q, velocity))
         reported.append(observable(f"g.{c.multiplier.name}", c.g, description="constraint, kept by its velocity form"))

@@ -11,17 +11,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.change import Change, key, span
+from phfmu.declare.change import ZERO, Change, span
+from phfmu.declare.dense import square, stacked
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import stacked
-from phfmu.declare.transformation import blocks, singular_column
-from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.regular import undetermined
+from phfmu.declare.transformation import blocks
+from phfmu.declare.variable import Variable, key
 
 Array = NDArray[Any]
 Key = Variable | tuple[Variable, ...]
-
-#: of the sum of absolute values of its parts: an entry below this at every sampled point is zero
-ZERO = 1e-12
 
 
 def costates(change: Change) -> dict[Variable, Any]:
@@ -70,7 +68,6 @@ def _old_costates(change: Change, rows: ca.SX) -> ca.SX:
 
 def descriptor(change: Change) -> dict[Key, Any]:
     """E~ in blocks, without the identity ones; DeclarationError unless algebraic rows and columns vanish."""
-    n = sum(v.n for v in change.old)
     E = ca.diag(ca.vertcat(*(ca.SX.ones(v.n) if v.role == "state" else ca.SX(v.n, 1) for v in change.old)))
     out: dict[Key, Any] = {}
     for where, value in change.model.E.items():
@@ -78,27 +75,16 @@ def descriptor(change: Change) -> dict[Key, Any]:
         if not rows:
             out[where] = change.at_old(value)
             continue
-        matrix = ca.SX(_sx(value))
-        E[rows, rows] = ca.diag(matrix) if matrix.shape == (len(rows), 1) else matrix * ca.SX.eye(len(rows)) if (
-            matrix.numel() == 1) else matrix  # fmt: skip
+        E[rows, rows] = square(value, len(rows))
     E = change.at_old(ca.sparsify(E))
-    new, size = ca.mtimes([change.U.T, E, change.T.jacobian]), ca.mtimes(
-        [ca.fabs(change.U).T, ca.fabs(E), ca.fabs(change.T.jacobian)]
-    )  # fmt: skip
-    value, scale = change.sampled([ca.densify(new), ca.densify(size)])
-    zero = np.asarray((np.abs(value) <= ZERO * scale).all(axis=0))
-    _require_semi_explicit(change, zero, value)
-    for i in range(n):
-        for j in range(n):
-            if zero[i, j]:
-                new[i, j] = 0
-    new = ca.sparsify(new)
+    new, value = change.product(change.U.T, E, change.T.jacobian)
+    _require_semi_explicit(change, value)
     return out | _grouped([v for v in change.new if v.role == "state"], change.column, new, value)
 
 
-def _require_semi_explicit(change: Change, zero: Array, value: Array) -> None:
+def _require_semi_explicit(change: Change, value: Array) -> None:
     names = [n for v in change.new for n in v.names()]
-    for i, j in np.argwhere(~zero):
+    for i, j in np.argwhere((value != 0).any(axis=0)):
         if i in change.algebraics or j in change.algebraics:
             a, what = (i, "row") if i in change.algebraics else (j, "column")
             raise DeclarationError(
@@ -115,7 +101,7 @@ def singular_costates(change: Change, E: dict[Key, Any]) -> dict[Variable, Any]:
         variables = stacked(where)
         if (
             not any(key(v) in change.column for v in variables)
-            or singular_column(change.sampled([ca.SX(matrix)])[0][0]) < 0
+            or undetermined(change.sampled([ca.SX(matrix)])[0][0]) < 0
         ):
             continue
         given = {key(v) for v in change.model.z}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import casadi as ca
 import numpy as np
@@ -113,6 +113,27 @@ class Variable(_Arithmetic):
             self, size=n, start=self.start[rows], nominal=self.nominal[rows], sx=self.sx[rows], z=self.z[rows],
             offset=self.offset + first,
         )  # fmt: skip
+
+
+class HasSymbols(Protocol):
+    """A variable, or a port by its inputs."""
+
+    @property
+    def sx(self) -> ca.SX: ...
+
+
+def key(v: HasSymbols) -> int:
+    """What tells variables (and ports) apart: their symbols."""
+    return v.sx[0].element_hash()
+
+
+def slices(variables: Sequence[Variable]) -> dict[int, slice]:
+    """Where each variable, by its key, lies in the stack of all."""
+    out, at = {}, 0
+    for v in variables:
+        out[key(v)] = slice(at, at + v.n)
+        at += v.n
+    return out
 
 
 def make_variable(

@@ -19,11 +19,12 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from phfmu.declare.change import Change
+from phfmu.declare.dense import matrices, square, stacked
 from phfmu.declare.energy import ClosedPair
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, stacked
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transformation import SystemTransformation, inverted
-from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.variable import Variable, key, slices
 from phfmu.discretise.discrete import discrete_gradient, discrete_jacobian
 
 TwoPointMatrix = Callable[[ca.SX, ca.SX], ca.SX]
@@ -85,28 +86,10 @@ def discrete_pair(model: PHDAE, method: str = "per-term") -> DiscretePair:
     p = ca.vertcat(*(v.sx for v in model.parameters))
     values = ca.DM([s for v in model.parameters for s in v.start])
     middle = (x + x1) / 2
-    place, at = {}, 0
-    for v in variables:
-        place[v.sx[0].element_hash()] = list(range(at, at + v.n))
-        at += v.n
-    rows = lambda vs: [i for v in vs for i in place[v.sx[0].element_hash()]]  # noqa: E731
-    E, J, R = ca.SX.eye(n1), ca.SX(n, n), ca.SX(n, n)
-    for where, value in model.E.items():
-        matrix, index = ca.SX(_sx(value)), rows(stacked(where))
-        E[index, index] = matrix * ca.SX.eye(len(index)) if matrix.numel() == 1 else matrix
-    for total, blocks in ((J, model.structure), (R, model.dissipation)):
-        for b in blocks:
-            index = rows(b.variables)
-            total[index, index] += b.matrix
-    B = ca.SX(n, sum(port.n for port in model.ports))
-    at = 0
-    for port in model.ports:
-        for v, m in port.on.items():
-            B[rows([v]), list(range(at, at + port.n))] = ca.SX(_sx(m))
-        at += port.n
+    whole = matrices(model)
     z2 = ca.vertcat(ca.SX(0, 1), *(model.effort(v) for v in model.algebraics))
     symbols = ca.vertcat(x, p)
-    E, J, R, B, z2 = ca.substitute([E, J, R, B, z2], [symbols], [ca.vertcat(middle, values)])
+    E, J, R, B, z2 = ca.substitute([whole.E, whole.J, whole.R, whole.B, z2], [symbols], [ca.vertcat(middle, values)])
     z1 = ca.solve(E.T, grad(x[:n1], x1[:n1], values))
     costates = ca.vertcat(ca.SX(0, 1), *(v.z for v in model.states))
     J, R, B, z2 = ca.substitute([J, R, B, z2], [costates], [z1]) if n1 else [J, R, B, z2]
@@ -168,8 +151,8 @@ def with_closed_pair(model: PHDAE, T: SystemTransformation, method: str = "per-t
     )
     new = {id(v) for v in pair.variables}
     kept = {k: m for k, m in result.E.items() if not any(id(v) in new for v in stacked(k))}
-    gone = {v.sx[0].element_hash() for v in old}
-    given = {v: e for v, e in model.z.items() if v.sx[0].element_hash() not in gone}
+    gone = {key(v) for v in old}
+    given = {v: e for v, e in model.z.items() if key(v) not in gone}
     return replace(result, closed=(*result.closed, pair), E=kept, z=given)
 
 
@@ -178,16 +161,12 @@ def _constant_descriptor(model: PHDAE, T: SystemTransformation, old: tuple[Varia
     if bad or ca.depends_on(ca.vec(T.U), T.x):
         what = f"{', '.join(bad)} is algebraic" if bad else "U depends on the state"
         raise DeclarationError(f"{model.name}: a closed-form pair is for states and constant U; {what}")
-    place, at = {}, 0
-    for v in old:
-        place[v.sx[0].element_hash()] = list(range(at, at + v.n))
-        at += v.n
-    E = ca.SX.eye(at)
+    place = slices(old)
+    E = ca.SX.eye(sum(v.n for v in old))
     for where, value in model.E.items():
-        index = [i for v in stacked(where) for i in place.get(v.sx[0].element_hash(), [])]
+        index = [i for v in stacked(where) if key(v) in place for i in range(place[key(v)].start, place[key(v)].stop)]
         if index:
-            matrix = ca.SX(_sx(value))
-            E[index, index] = matrix * ca.SX.eye(len(index)) if matrix.numel() == 1 else matrix
+            E[index, index] = square(value, len(index))
     if ca.depends_on(ca.vec(E), model.x):
         raise DeclarationError(
             f"{model.name}: a closed-form pair needs a constant E of {', '.join(v.name for v in old)}"

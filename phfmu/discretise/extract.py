@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import casadi as ca
+import numpy as np
 
-from phfmu.declare.phdae import PHDAE, Block, stacked
+from phfmu.declare.dense import coefficient, square, stacked
+from phfmu.declare.phdae import PHDAE, Block
 from phfmu.declare.port import Port
+from phfmu.declare.regular import undetermined
 from phfmu.declare.variable import Variable, _sx, time
 from phfmu.discretise.extract_energy import energies
 from phfmu.discretise.terms import (
@@ -70,11 +73,8 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
             raise DeclarationError(f"{label}: E acts on states; an algebraic variable has zero rows of E")
         where = [i for v in variables for _, i in locator.of(v)]
         x, z = ca.vertcat(*(v.sx for v in variables)), ca.vertcat(*(v.z for v in variables))
-        matrix, n = ca.SX(_sx(value)), x.numel()
-        if matrix.numel() == 1 and n > 1:
-            matrix = matrix * ca.SX.eye(n)
-        elif matrix.shape == (n, 1) and n > 1:
-            matrix = ca.diag(matrix)
+        n = x.numel()
+        matrix = square(value, n)
         if matrix.shape != (n, n):
             raise DeclarationError(f"{label} is {matrix.shape[0]} x {matrix.shape[1]}, expected {n} x {n}")
         kinds = {locator.find(s, label)[0] for s in ca.symvar(matrix)}
@@ -83,6 +83,8 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
                 diagonal[i] = m
                 out.terms.append(make_term("mass", {"m": m}, locator, label, rows=[("x", i)], extra=[s]))
         else:
+            if kinds <= {"p"}:
+                _require_regular(label, model, matrix)
             solved += where
             exprs = {"E": matrix, "z": z}
             out.terms.append(
@@ -91,6 +93,16 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
             )  # fmt: skip
     out.solved_costates = tuple(solved)
     return diagonal
+
+
+def _require_regular(label: str, model: PHDAE, matrix: ca.SX) -> None:
+    p = ca.vertcat(ca.SX(0, 1), *(q.sx for q in model.parameters))
+    value = ca.Function("E", [p], [ca.densify(matrix)])([s for q in model.parameters for s in q.start])
+    if undetermined(np.array(value)) >= 0:
+        raise DeclarationError(
+            f"{model.name}: {label} is singular, so z and the rates do not follow from it; give z of its variables and use "
+            "reduce_descriptor(model)"
+        )
 
 
 def _closed(model: PHDAE, out: Terms, locator: Locator) -> None:
@@ -222,10 +234,8 @@ def _ports(out: Terms, locator: Locator) -> None:
 
 def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
     varying_f: dict[tuple[str, int], ca.SX] = {}
-    for v, coefficient in port.on.items():
-        b = ca.SX(_sx(coefficient))
-        if b.numel() == 1 and v.n == port.n > 1:
-            b = b * ca.SX.eye(v.n)
+    for v, value in port.on.items():
+        b = coefficient(value, v.n, port.n)
         if b.shape != (v.n, port.n):
             raise DeclarationError(f"port '{port.name}': B on '{v.name}' is {b.shape[0]} x {b.shape[1]}, "
                                    f"expected {v.n} x {port.n}")  # fmt: skip
