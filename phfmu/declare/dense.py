@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import Variable, _sx, key, slices
 
 if TYPE_CHECKING:
+    from phfmu.declare.port import Port
     from phfmu.declare.phdae import PHDAE
 
 
@@ -47,7 +50,11 @@ def matrices(model: PHDAE) -> Matrices:
     variables = (*model.states, *model.algebraics)
     place, n, n1 = slices(variables), sum(v.n for v in variables), model.x.numel()
 
-    def rows(vs: tuple[Variable, ...]) -> list[int]:
+    def rows(vs: Sequence[Variable | Port]) -> list[int]:
+        if any(key(v) not in place for v in vs):
+            raise DeclarationError(
+                f"{model.name}: a block joins a port to variables; whole matrices have no row for it"
+            )
         return [i for v in vs for i in range(place[key(v)].start, place[key(v)].stop)]
 
     E, J, R, B = ca.SX.eye(n1), ca.SX(n, n), ca.SX(n, n), ca.SX(n, sum(p.n for p in model.ports))

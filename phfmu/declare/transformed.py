@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -81,7 +82,7 @@ def _require_independent(change: Change, e: Energy, h: ca.SX, a: ca.SX) -> None:
         )
 
 
-def _projection(change: Change, variables: Sequence[Variable]) -> tuple[list[Variable], ca.SX]:
+def _projection(change: Change, variables: Sequence[Any]) -> tuple[list[Any], ca.SX]:
     """New rows of a block and P with z_old = P z_new on the rows of `variables`."""
     kept = [v for v in variables if key(v) not in change.row]
     rows = sum(v.n for v in variables)

@@ -54,8 +54,9 @@ def _velocities(model: PHDAE) -> dict[int, tuple[Variable, int]]:
         for r, c in zip(*b.matrix.sparsity().get_triplet(), strict=True):
             entry = b.matrix[r, c]
             if entry.is_constant() and float(entry) == 1.0:
-                v, j = place[r]
-                out[v.sx[j].element_hash()] = place[c]
+                (v, j), (w, i) = place[r], place[c]
+                if isinstance(w, Variable):
+                    out[v.sx[j].element_hash()] = w, i
     return out
 
 
