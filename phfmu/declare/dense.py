@@ -12,8 +12,8 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import Variable, _sx, key, slices
 
 if TYPE_CHECKING:
-    from phfmu.declare.port import Port
     from phfmu.declare.phdae import PHDAE
+    from phfmu.declare.port import Port
 
 
 def stacked(where: Variable | tuple[Variable, ...]) -> tuple[Variable, ...]:

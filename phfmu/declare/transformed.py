@@ -18,7 +18,7 @@ from phfmu.declare.port import Port
 from phfmu.declare.transformation import SystemTransformation
 from phfmu.declare.transformed_constraints import velocity_form
 from phfmu.declare.transformed_pair import costates, descriptor, singular_costates
-from phfmu.declare.variable import Variable, key
+from phfmu.declare.variable import key
 
 
 def transformed(model: PHDAE, T: SystemTransformation) -> PHDAE:
