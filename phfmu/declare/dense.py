@@ -53,7 +53,8 @@ def matrices(model: PHDAE) -> Matrices:
     def rows(vs: Sequence[Variable | Port]) -> list[int]:
         if any(key(v) not in place for v in vs):
             raise DeclarationError(
-                f"{model.name}: a block joins a port to variables; whole matrices have no row for it"
+                f"{model.name}: the model has feedthrough ({', '.join(v.name for v in vs)} in one block); let its ports act "
+                "by `on` only"
             )
         return [i for v in vs for i in range(place[key(v)].start, place[key(v)].stop)]
 
