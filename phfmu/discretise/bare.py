@@ -10,6 +10,7 @@ The row of such a node, c(x) = -L(x)^T z = 0, contains no algebraic variable (in
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import casadi as ca
@@ -20,6 +21,7 @@ from phfmu.discretise.rows import costate_symbols, costates, row_expressions
 from phfmu.discretise.terms import Locator, Term, Terms, components, make_term
 
 Remedy = Literal["pair", "projection", "none"]
+ENERGIES = ("energy", "joint", "closed")
 
 
 @dataclass(frozen=True)
@@ -54,81 +56,89 @@ class Finder:
         self.x, self.z = model.x, costate_symbols(model)
         self.expr = row_expressions(terms, rows, self.z)
         self.L = {r: -ca.jacobian(self.expr[r], self.z) for r in rows}
-        self.owner = _state_owners(terms)
-        names = [n for v in model.algebraics for n in v.names()]
-        self.hessian = ca.hessian(model.hamiltonian, self.x)[0]
-        z = costates(terms)
-        linear = {r for r in rows if self._linear(r, z)}
+        self.place = {r: i for i, r in enumerate(rows)}
+        L = ca.vertcat(*self.L.values())
+        self.S = ca.mtimes([L, ca.hessian(model.hamiltonian, self.x)[0], L.T])
+        self.states = {r: set(self.L[r].sparsity().get_triplet()[1]) for r in rows}
+        self.owner = {i: t.owner for t in terms.terms if t.kind in ENERGIES for _, i in t.rows}
+        linear = self._linear(L, rows)
         for cluster in self._clusters(rows):
             if not linear.issuperset(cluster):
-                remedy, reason = self._remedy(cluster, names)
+                remedy, reason = self._remedy(cluster)
+                names = [n for v in model.algebraics for n in v.names()]
                 self.nodes += [BareNode(r, names[r], remedy, reason) for r in cluster]
 
-    def _states(self, r: int) -> set[int]:
-        return set(self.L[r].sparsity().get_triplet()[1])
+    def _linear(self, L: ca.SX, rows: list[int]) -> set[int]:
+        """Rows whose c is linear in the state."""
+        slope = ca.simplify(ca.jacobian(ca.mtimes(L, costates(self.terms)), self.x))
+        row_of = slope.sparsity().get_triplet()[0]
+        varying = ca.jacobian_sparsity(ca.vertcat(*slope.nonzeros()), self.x).get_triplet()[0]
+        return set(rows) - {rows[row_of[i]] for i in varying}
 
     def _clusters(self, rows: list[int]) -> list[list[int]]:
         """Rows that S = L^T H'' L couples: they share branches or mutual inductances."""
-        L = ca.vertcat(*(self.L[r] for r in rows))
-        pattern = ca.mtimes([L, self.hessian, L.T]) + ca.SX.eye(len(rows))
-        return [[rows[i] for i in part] for part in components(pattern)]
+        at = [self.place[r] for r in rows]
+        return [[rows[i] for i in part] for part in components(self.S[at, at] + ca.SX.eye(len(rows)))]
 
-    def _linear(self, r: int, z: ca.SX) -> bool:
-        c = ca.mtimes(self.L[r], z)
-        return not ca.depends_on(ca.simplify(ca.jacobian(c, self.x)), self.x)
+    def _states(self, cluster: list[int]) -> list[int]:
+        return sorted(set().union(*(self.states[r] for r in cluster)))
 
-    def _remedy(self, cluster: list[int], names: list[str]) -> tuple[Remedy, str]:
-        terms, states = self.terms, sorted(set().union(*(self._states(r) for r in cluster)))
-        state_names = [n for v in terms.model.states for n in v.names()]
-        special = {i for t in terms.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
+    def _remedy(self, cluster: list[int]) -> tuple[Remedy, str]:
+        model, states = self.terms.model, self._states(cluster)
+        names = [n for v in model.states for n in v.names()]
+        nodes = [n for v in model.algebraics for n in v.names()]
         for i in states:
-            if i in special:
-                return "none", f"the row of {state_names[i]} has E other than identity"
+            if i in self._special:
+                return "none", f"the row of {names[i]} has E other than identity"
             if i not in self.owner:
-                return "none", f"{state_names[i]} stores no energy"
+                return "none", f"{names[i]} stores no energy"
         psi = ca.vertcat(*(self.x[i] for i in states))
-        algebraics = ca.vertcat(*(v.sx for v in terms.model.algebraics))
+        algebraics = ca.vertcat(*(v.sx for v in model.algebraics))
         for r in cluster:
             if ca.depends_on(self.expr[r], algebraics) or ca.depends_on(self.L[r], self.z):
-                return "none", f"the row of {names[r]} contains other algebraic variables"
+                return "none", f"the row of {nodes[r]} contains other algebraic variables"
             if _depends(self.L[r], psi):
-                return "none", f"the coefficients of {names[r]} depend on the states they act on"
-        L = ca.vertcat(*(self.L[r] for r in cluster))
-        S = ca.mtimes([L, self.hessian, L.T])
-        if self._singular(S):
+                return "none", f"the coefficients of {nodes[r]} depend on the states they act on"
+        at = [self.place[r] for r in cluster]
+        values = np.linalg.eigvalsh(self._at_start(self.S[at, at]))
+        if not values[0] > 1e-12 * values[-1]:
             return "none", "its inductance matrix is singular (isolated neutral)"
-        if _depends(S, psi):
+        if _depends(self.S[at, at], psi):
             return "projection", "the stored energy is not quadratic in the states of its branches (saturation)"
         return "pair", ""
 
-    def _singular(self, S: ca.SX) -> bool:
-        """At the start values."""
-        model = self.terms.model
-        function = ca.Function("S", [self.x, *(p.sx for p in model.parameters)], [S])
-        start = [np.array([s for v in model.states for s in v.start]), *(p.start for p in model.parameters)]
-        values = np.linalg.eigvalsh(np.array(function(*start)))
-        return not values[0] > 1e-12 * values[-1]
+    @cached_property
+    def _special(self) -> set[int]:
+        """States with E other than identity."""
+        return {i for t in self.terms.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
+
+    @cached_property
+    def _starts(self) -> dict[int, float]:
+        variables = (*self.terms.model.states, *self.terms.model.parameters)
+        return {s.element_hash(): x for v in variables for s, x in zip(ca.vertsplit(v.sx), v.start, strict=True)}
+
+    def _at_start(self, expr: ca.SX) -> np.ndarray:
+        symbols = ca.symvar(expr)
+        values = [self._starts[s.element_hash()] for s in symbols]
+        return np.array(ca.Function("S", symbols, [ca.densify(expr)])(*values))
 
     def impulse_terms(self, remedy: Remedy) -> list[Term]:
         """One term per member and cluster with this remedy: L, its part c of the rows, and S, in the member's states."""
         rows = [n.row for n in self.nodes if n.remedy == remedy]
         if not rows:
             return []
-        terms, model = self.terms, self.terms.model
-        locator = Locator(model, terms.pairs)
+        locator = Locator(self.terms.model, self.terms.pairs)
+        energies = self._energies()
         out = []
         for cluster in self._clusters(rows):
-            states = sorted(set().union(*(self._states(r) for r in cluster)))
+            states = self._states(cluster)
             for owner in dict.fromkeys(self.owner[i] for i in states):
                 own = [i for i in states if self.owner[i] == owner]
-                touched = [r for r in cluster if self._states(r) & set(own)]
+                touched = [r for r in cluster if not self.states[r].isdisjoint(own)]
                 psi = ca.vertcat(*(self.x[i] for i in own))
-                energy = ca.SX(0)
-                for e in model.energies:
-                    energy += e.expr if terms.members[owner] == e.owner or len(terms.members) == 1 else 0
                 L = ca.vertcat(*(self.L[r][0, own] for r in touched)).T
-                hessian, gradient = ca.hessian(energy, psi)
-                exprs = {"L": ca.densify(L), "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
+                hessian, gradient = ca.hessian(energies[owner], psi)
+                exprs = {"L": L, "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
                 out.append(
                     make_term("impulse", {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
                               rows=[("x", i) for i in own] + [("a", r) for r in touched], owner=owner,
@@ -136,12 +146,16 @@ class Finder:
                 )  # fmt: skip
         return out
 
+    def _energies(self) -> dict[int, ca.SX]:
+        """H of every member."""
+        members = {name: i for i, name in enumerate(self.terms.members)}
+        out: dict[int, ca.SX] = {}
+        for e in self.terms.model.energies:
+            owner = members.get(e.owner, 0)
+            out[owner] = out.get(owner, ca.SX(0)) + e.expr
+        return out
+
 
 def _depends(expr: ca.SX, on: ca.SX) -> bool:
     """Structural dependence after cancelling what differentiates to zero."""
     return ca.simplify(ca.jacobian(ca.densify(expr), on)).nnz() > 0 and ca.depends_on(expr, on)
-
-
-def _state_owners(terms: Terms) -> dict[int, int]:
-    """State -> the member whose energy contains it."""
-    return {i: t.owner for t in terms.terms if t.kind in ("energy", "joint", "closed") for _, i in t.rows}

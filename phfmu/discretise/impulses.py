@@ -179,11 +179,8 @@ def mean(layout: Layout) -> list[tuple[int, int, float, int]]:
 
 def work(layout: Layout) -> list[tuple[int, int]]:
     """(pair, row of R) of the energy that impulses carry through a port of a composed network."""
-    terms, out = layout.terms, []
-    for t in terms.terms:
-        if t.kind == "impulse":
-            for j, (kind, r) in enumerate(t.rows):
-                pairs = [i for i, p in enumerate(terms.pairs) if terms.bound.get(i) == r and p.owner == t.owner]
-                if kind == "a" and pairs:
-                    out.append((pairs[0], layout.result(t, ("work", j, 0))))
-    return out
+    terms = layout.terms
+    if terms.impulses is None:
+        return []
+    pairs = {(terms.bound[i], p.owner): i for i, p in reversed(list(enumerate(terms.pairs))) if i in terms.bound}
+    return [(pairs[key], row) for key, row in layout.work.items() if key in pairs]
