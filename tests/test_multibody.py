@@ -282,3 +282,20 @@ def test_declaration_time_grows_linearly():
 
     seconds(5)
     assert seconds(160) <= 8.0 * seconds(40)  # 4 if linear, 16 if quadratic
+
+
+def test_parallel_links_pass_the_flat_position_on_their_branch():
+    """Three cranks and two rods turn for 20 s: at the flat position, twice a turn, the rank of Dg drops."""
+    body, n, rate, angle = Multibody("cranks", 2), 3, 3.0, 1.0
+    arm, speed = np.array([np.cos(angle), np.sin(angle)]), rate * np.array([-np.sin(angle), np.cos(angle)])
+    body.gravity((0.0, -1.0))
+    pins = [body.particle(1.0, arm + [i, 0.0], speed) for i in range(n)]
+    for i, p in enumerate(pins):
+        body.bar(body.support((float(i), 0.0)), p)
+    for a, b in zip(pins, pins[1:], strict=False):
+        body.bar(a, b)
+    instance = NativeInstance(build_model(body.build()))
+    rows = instance.run(0.0, 0.01, 2000, ("x", "energy"))
+    q = rows["x"][:, : 2 * n].reshape(-1, n, 2)
+    assert np.max(np.abs(np.diff(q, axis=1) - [1.0, 0.0])) <= 1e-6
+    assert np.ptp(rows["energy"]) <= 1e-9 and instance.counts["substeps"] == 0

@@ -57,10 +57,14 @@ class Declaration:
             return ca.vertcat(*map(ca.SX, point.position(time)))
         return self.s[point].sx if isinstance(point, DrivenPoint) else self.q[self.body._rows(point)]
 
+    def part(self, particle: Particle) -> Variable:
+        """Its velocity."""
+        return self.v.part(particle.number * self.body.dim, self.body.dim)
+
     def velocity(self, point: Point) -> Variable | None:
         """The variable a damper acts on, None for supports."""
         if isinstance(point, Particle):
-            return self.v.part(point.number * self.body.dim, self.body.dim)
+            return self.part(point)
         return self.w[point] if isinstance(point, DrivenPoint) else None
 
     def phdae(self) -> PHDAE:
@@ -105,7 +109,7 @@ class Declaration:
         dim = self.body.dim
         one = ca.SX.eye(dim)
         for name, p, base in self.body._ports:
-            on = {self.velocity(p): one} | ({} if base is None else {self.velocity(base): -one})
+            on = {self.part(p): one} | ({} if base is None else {self.part(base): -one})
             whom = f"particle {p.number + 1}" + ("" if base is None else f", reaction on particle {base.number + 1}")
             yield Port(name, TRANSLATIONAL, "effort", on, dim, description=f"force on {whom}")
         for p in self.body._driven:

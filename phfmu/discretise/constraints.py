@@ -40,7 +40,7 @@ class _Path:
     def at(self, exprs: list[ca.SX], tau: float, also: list[tuple[ca.SX, ca.SX]] | None = None) -> list[ca.SX]:
         """Expressions of q and t at the fraction tau of the step; `also`: more symbols and their values there."""
         pairs = [(self.q, self.q + ca.mtimes(self.d, ca.DM(self.nd.integral(tau))))]
-        if self.t is not None:
+        if self.t is not None and self.h is not None:
             pairs.append((self.t, self.t + tau * self.h))
         return substituted(exprs, [*pairs, *(also or [])])
 

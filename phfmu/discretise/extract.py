@@ -22,6 +22,7 @@ from phfmu.discretise.terms import (
     components,
     make_term,
     member,
+    scalars,
 )
 
 
@@ -79,7 +80,7 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
             raise DeclarationError(f"{label} is {matrix.shape[0]} x {matrix.shape[1]}, expected {n} x {n}")
         kinds = {locator.find(s, label)[0] for s in ca.symvar(matrix)}
         if matrix.sparsity().is_diag() and kinds <= {"p"}:
-            for i, m, s in zip(where, map(ca.SX, matrix.nonzeros()), ca.vertsplit(x), strict=True):
+            for i, m, s in zip(where, scalars(matrix), ca.vertsplit(x), strict=True):
                 diagonal[i] = m
                 out.terms.append(make_term("mass", {"m": m}, locator, label, rows=[("x", i)], extra=[s]))
         else:
@@ -199,7 +200,7 @@ def _interconnection(
 ) -> None:
     varying: list[tuple[int, int, ca.SX]] = []
     i_row, i_col = b.matrix.sparsity().get_triplet()
-    for r, c, entry in zip(i_row, i_col, map(ca.SX, b.matrix.nonzeros()), strict=True):
+    for r, c, entry in zip(i_row, i_col, scalars(b.matrix), strict=True):
         value, source = _constant(entry), sources[c]
         if value is None or (source is None and value):
             varying.append((r, c, entry))

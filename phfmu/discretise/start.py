@@ -100,16 +100,15 @@ class _Rows:
         rows = ca.vertcat(*check_rows(extract(d), list(model.checks))) if model.checks else ca.SX(0, 1)
         symbols = [d.x, ca.vertcat(*(p.sx for p in d.parameters)), time]
         hessian = ca.hessian(d.hamiltonian, d.x)[0]
-        self._functions = [
-            ca.Function("f", symbols, [ca.densify(e)]) for e in (rows, ca.jacobian(rows, d.x), d.hamiltonian, hessian)
-        ]
+        exprs = (rows, ca.jacobian(rows, d.x), d.hamiltonian, hessian)
+        self._functions = [ca.Function("f", symbols, [e]) for e in exprs]
         self._fixed = (p, t)
         self.labels = [f"{c.name} ({c.level})" for c in model.checks]
         self.names = [c.name for c in model.checks]
         self.size, self.model = model.check_scale, model.name
 
     def _at(self, i: int, x: Array) -> Array:
-        return np.array(self._functions[i](x, *self._fixed))
+        return self._functions[i](x, *self._fixed).full()
 
     def values(self, x: Array) -> Array:
         return self._at(0, x).ravel()

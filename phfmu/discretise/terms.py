@@ -192,3 +192,8 @@ class WithIncrement(Locator):
 def member(members: Sequence[str], owner: str) -> int:
     """Place of the member `owner`, 0 for none."""
     return members.index(owner) if owner in members else 0
+
+
+def scalars(matrix: ca.SX) -> list[ca.SX]:
+    """The structural nonzeros of a matrix, column by column."""
+    return [ca.SX(e) for e in matrix.nonzeros()]
