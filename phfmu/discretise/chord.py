@@ -57,7 +57,8 @@ class Chord:
     Coordinates are differences of the degrees of freedom point_plus - point_minus (index ndof: nothing).  Rows are
     constraints, then strains; those of row r are row_ptr[r] .. row_ptr[r + 1], further ones belong to forces.
     `load`: constant entries (kind 0: times an input, 1: times a velocity) of the force on load_dof.
-    w_position, w_velocity (dof x k), w_lambda (constraint x k), w_mu: places among the unknowns of the plan.
+    w_position, w_velocity (dof x k), w_lambda (constraint x k), w_mu: places among the unknowns of the plan; `costate`
+    (dof x k): Y index of z_v, the only part of Z that dissipation and outputs read in such a model.
     `hard`: elimination of the constraints, `soft`: of all rows.
     `extended`: A with the row b below it (k+1 x k);  `multiplier`: inverse of [A, -1; b^T, 0];  `spectrum`, `modes`,
     `to_modes`: A^-2 in real block-diagonal form.
@@ -72,6 +73,7 @@ class Chord:
     nominal: Floats
     w_position: Ints
     w_velocity: Ints
+    costate: Ints
     w_lambda: Ints
     w_mu: Ints
     row_ptr: Ints
@@ -286,6 +288,7 @@ class _Builder:
             nominal=np.array([nominal[w[("D", v, 0)]] for v in self.velocity]),
             w_position=_ints(w[("D", q, i)] for q in self.position for i in range(k)),
             w_velocity=_ints(w[("D", v, i)] for v in self.velocity for i in range(k)),
+            costate=_ints(layout.nv + layout.slot(v, i) for v in self.velocity for i in range(k)),
             w_lambda=_ints(w[("a", a, i)] for a in multipliers for i in range(k)),
             w_mu=_ints(w[("m", a, 0)] for a in multipliers),
             row_ptr=_ints(ends), point_plus=_ints(p for p, _ in points), point_minus=_ints(q for _, q in points),

@@ -180,12 +180,22 @@ def _blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
 
 
 def _dissipation(out: Terms, locator: Locator, b: Block, rows: list, z: ca.SX, owner: int, label: str) -> None:
-    for part in components(b.matrix):
+    for part in _sharing(b.matrix, locator):
         zp = ca.vertcat(*(z[i] for i in part))
         f = -ca.mtimes(b.matrix[part, part], zp)
         where, values = _flow(out, [rows[i] for i in part], f)
         exprs = {"f": values, "loss": -ca.dot(zp, f)}
         out.terms.append(make_term("flow", exprs, locator, label, rows=where, owner=owner))
+
+
+def _sharing(matrix: ca.SX, locator: Locator) -> list[list[int]]:
+    """Components of a matrix; those that depend on the same states are one, which evaluates what they share once."""
+    merged: dict[tuple, list[int]] = {}
+    for i, part in enumerate(components(matrix)):
+        symbols = ca.symvar(ca.vec(matrix[part, part]))
+        states = tuple(sorted(s.element_hash() for s in symbols if locator.find(s, "a block of R")[0] == "x"))
+        merged.setdefault(states or (i,), []).extend(part)
+    return [sorted(part) for part in merged.values()]
 
 
 def _interconnection(

@@ -154,7 +154,7 @@ def kernel_table(kernels: Iterable[Kernel], chord: Chord | None = None) -> Kerne
     text += "\n" + "\n".join(entries[n][0] for n in order)
     rows = "".join(entries[n][1] for n in order) or "    {0, 0, 0, 0, 0, 0, 0, 0},\n"
     text += f"\nconst ph_kernel ph_kernels[] = {{\n{rows}}};\nconst int ph_nkernel = {len(order)};\n"
-    text += NO_CHORD if chord is None else chord_text(chord.k, chord.groups)
+    text += NO_CHORD if chord is None else chord_text(chord)
     token = int(hashlib.sha256(text.encode()).hexdigest()[:16], 16)
     text += f"const uint64_t ph_kernel_token = {token:#x}ULL;\n"
     places = tuple(order.index(name_of[key]) for key in unique)

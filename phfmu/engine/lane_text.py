@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from phfmu.discretise.chord import LaneGroup
+from phfmu.discretise.chord import Chord, LaneGroup
 from phfmu.discretise.lanes import LaneKernel
+from phfmu.engine.unroll import unrolled
 
 BINARY = {
     ca.OP_ADD: "{a} + {b}", ca.OP_SUB: "{a} - {b}", ca.OP_MUL: "{a} * {b}", ca.OP_DIV: "{a} / {b}",
@@ -93,8 +94,9 @@ def loop_name(group: LaneGroup) -> str:
     return "_".join(["loop", group.kernel.name, *([group.stress.name] if group.stress else [])])
 
 
-def chord_text(k: int, groups: Sequence[LaneGroup]) -> str:
-    """Functions, their loops, and the solver for k nodes."""
+def chord_text(chord: Chord) -> str:
+    """Functions, their loops, and the solver for the nodes of a step."""
+    k, groups = chord.k, chord.groups
     functions = {kernel.name: kernel for g in groups for kernel in (g.kernel, g.stress) if kernel}
     bodies = "".join(function_text(functions[name]) for name in sorted(functions))
     used = sorted(set(re.findall(r"\blane_(\w+)\(", bodies)))
@@ -110,7 +112,7 @@ def chord_text(k: int, groups: Sequence[LaneGroup]) -> str:
         text += "".join(f"#define PH_{m} {v}".rstrip() + "\n" for m, v in macros.items()) + '#include "lane.inc"\n\n'
         rows.append(f"{{{name}, {f'{name}_relax' if stress else 0}}}")
     text += f"static const ph_lane_loop ph_lane_loops[] = {{{', '.join(rows)}}};\n\n"
-    return text + f'#include "chord.inc"\n#else\n{NO_CHORD}#endif\n'
+    return text + f'{unrolled(chord)}#include "chord.inc"\n#else\n{NO_CHORD}#endif\n'
 
 
 def loop_index(groups: Sequence[LaneGroup]) -> dict[str, int]:

@@ -137,20 +137,9 @@ def _split(products: Products, slots: Floats) -> tuple[_Fixed, _Varying]:
     )
 
 
-def _late(g: Group, plan: Plan) -> bool:
-    return g.stage == 1 and bool(np.all(np.asarray(g.oi) >= plan.nw))
-
-
-def _reported(plan: Plan) -> set[int]:
-    """Entries of Z that the ledger, pair outputs and observables read."""
-    read = [g.yi for g in plan.groups if g.kernel.ledger is not None or _late(g, plan)]
-    read.append(plan.const_src[plan.const_row >= plan.nw])
-    return {int(i) - plan.nv for a in read for i in np.unique(a) if i >= plan.nv}
-
-
-def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int], reported: set[int]) -> dict[str, Any]:
+def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     k = g.kernel
-    late = _late(g, plan) or g.stage == 0 and not reported.isdisjoint(np.unique(g.oi).tolist())
+    late = g.stage == 1 and bool(np.all(np.asarray(g.oi) >= plan.nw))
     sizes = {name: getattr(k, name) for name in ("nx", "ny", "np", "no", "nj")}
     return sizes | {"late": int(late), "kernel": index(k)}
 
@@ -160,7 +149,7 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     by_row = np.argsort(late, kind="stable")
     const = {n: getattr(plan, n)[by_row] for n in ("const_row", "const_src", "const_val", "const_pow")}
     groups = sorted(plan.groups, key=lambda g: g.stage)
-    reported, by_state = _reported(plan), np.argsort(plan.update_x, kind="stable")
+    by_state = np.argsort(plan.update_x, kind="stable")
     update = {n: getattr(plan, n)[by_state] for n in ("update_x", "update_w", "update_c")}
     fixed, varying = _split(plan.matrix, _constant_slots(plan))
     return (
@@ -181,7 +170,7 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
             "nmean": len(plan.mean_a),
             "nwork": len(plan.work_pair),
             "lucap": capacity(plan),
-            "groups": [(g, _group_values(g, plan, index, reported)) for g in groups],
+            "groups": [(g, _group_values(g, plan, index)) for g in groups],
         }
     )
 

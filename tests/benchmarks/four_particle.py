@@ -15,7 +15,7 @@ from phfmu.components.mechanical.four_particle import four_particle
 
 STOP = 10.0
 TARGETS = {2e-4: 6.0, 5e-9: 8.0}
-STEPS = {2: (0.0113, 0.01, 0.005), 6: (0.1, 0.07, 0.05, 0.035, 0.025, 0.02, 0.0143, 0.0125, 0.01)}
+STEPS = {2: (0.0113, 0.01, 0.005), 6: (0.1, 0.07, 0.05, 0.035, 0.025, 0.02, 0.0146, 0.0143, 0.0125, 0.01)}
 TOLERANCES = (1e-3, 3e-4, 1e-4, 1e-6, 1e-7, 1e-8, 1e-9)
 REFERENCE = Path(__file__).parent.parent / "reference" / "four_particle.csv"
 
@@ -70,7 +70,8 @@ def main() -> None:
         print(f"{name:18} error {errors[name]:8.1e}   {t:7.4f} ms/s")
     for target, asked in TARGETS.items():
         peer = at_error([(errors[n], cost[n]) for n in cost if n.startswith("cvodes")], target)
-        ours = min(at_error([(errors[n], cost[n]) for n in cost if n.startswith(f"order {k}")], target) for k in STEPS)
+        lines = [[(errors[n], cost[n]) for n in cost if n.startswith(f"order {k}")] for k in STEPS]
+        ours = float(np.nanmin([at_error(line, target) for line in lines]))
         print(f"error {target:g}: {ours:.4f} against {peer:.4f} ms/s, ratio {peer / ours:.1f} (asked {asked:g})")
 
 

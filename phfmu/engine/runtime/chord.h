@@ -53,7 +53,8 @@ typedef struct ph_work {
     const double *q, *p;  /* states at the start of the step; parameters */
     double *inverse_mass; /* ndof+1 */
     double *constant;     /* ndof+1: forces that depend on parameters only */
-    double *per_nominal;  /* ndof: 1 / nominal velocity */
+    double *weight;       /* ndof: 1 / nominal velocity^2 */
+    double *velocity;     /* ndof: v at the start of the step */
     double *parameters;   /* np: those the two were computed for */
     double *point;        /* npoint: coordinates at the start of the step */
     ph_lane *u;           /* nu */

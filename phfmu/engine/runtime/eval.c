@@ -40,7 +40,7 @@ void ph_eval(ph_system *s, int slots, int late) {
             const ph_group *g = &p->groups[i];
             const ph_kernel *kernel = &ph_kernels[g->kernel];
             double *target = stage ? r : z;
-            if (stage && g->late && !late)
+            if (g->late && !late)
                 continue;
             if (slots)
                 kernel->full(g, &at, target, s->v);
@@ -53,16 +53,15 @@ void ph_eval(ph_system *s, int slots, int late) {
     }
 }
 
-/* Z and the rows after the residual: what is booked and reported, at a solution found elsewhere. */
+/* The rows after the residual, at a w and a Z found elsewhere. */
 void ph_eval_late(ph_system *s) {
     const ph_plan *p = s->plan;
     const ph_point at = {s->x, s->y, s->p, s->hp};
-    memset(s->y + p->nv, 0, sizeof(double) * (size_t)p->nz);
     memset(s->r + p->nw, 0, sizeof(double) * (size_t)(p->nrow - p->nw));
     for (int i = 0; i < p->ngroup; i++) {
         const ph_group *g = &p->groups[i];
         if (g->late)
-            ph_kernels[g->kernel].value(g, &at, g->stage ? s->r : s->y + p->nv);
+            ph_kernels[g->kernel].value(g, &at, s->r);
     }
     for (int l = p->nconst_early; l < p->nconst; l++)
         s->r[p->const_row[l]] += s->constants[l] * s->y[p->const_src[l]];

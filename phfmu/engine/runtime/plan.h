@@ -18,8 +18,7 @@
 typedef struct ph_group {
     int n;                    /* instances */
     int stage;                /* 0: outputs go to Z, 1: outputs go to rows */
-    int late;                 /* stage 1: touches no residual row, skipped during the iteration;
-                               * stage 0: read by what is booked and reported */
+    int late;                 /* 1: touches no residual row, skipped during the iteration */
     int slot;                 /* first Jacobian entry in V */
     int kernel;               /* index into ph_kernels */
     int nx, ny, np, no, nj;   /* local sizes, checked against the kernel table */
@@ -85,6 +84,7 @@ typedef struct ph_chord {
     const double *nominal;      /* ndof: of the velocities */
     const int *w_position;      /* ndof*k: unknowns of the plan */
     const int *w_velocity;      /* ndof*k */
+    const int *costate;         /* ndof*k: Y index of the velocity's costate, the one Z is read of */
     const int *w_lambda;        /* nconstraint*k */
     const int *w_mu;            /* nconstraint */
     const int *row_ptr;         /* nconstraint+nstrain+1 */

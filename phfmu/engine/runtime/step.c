@@ -13,6 +13,24 @@ static void add(double *sum, double *rest, double term) {
     *sum = t;
 }
 
+/* x += update of the plan at the unknowns w, compensated. */
+static void move(const ph_plan *p, const double *restrict w, double *restrict x, double *restrict rest) {
+    const int *restrict state = p->update_x;
+    const int *restrict source = p->update_w;
+    const double *restrict weight = p->update_c;
+    const int n = p->nupdate;
+    for (int l = 0; l < n;) {
+        const int i = state[l];
+        double change = 0.0, sum, term;
+        for (; l < n && state[l] == i; l++)
+            change += weight[l] * w[source[l]];
+        term = change - rest[i];
+        sum = x[i] + term;
+        rest[i] = (sum - x[i]) - term;
+        x[i] = sum;
+    }
+}
+
 /* Ledger, means and state after a converged solve of the part [from, from + weight] of the communication
  * step. */
 static void accept(ph_instance *in, double h, double from, double weight) {
@@ -49,13 +67,7 @@ static void accept(ph_instance *in, double h, double from, double weight) {
         a[p->mean_a[l]] += p->mean_pow[l] < 0 ? part / h : part;
     }
     ph_book_nodes(in, from, weight);
-    for (int l = 0; l < p->nupdate;) {
-        int state = p->update_x[l];
-        double change = 0.0;
-        for (; l < p->nupdate && p->update_x[l] == state; l++)
-            change += p->update_c[l] * s->y[p->update_w[l]];
-        add(&x[state], &in->rest[state], change);
-    }
+    move(p, s->y, x, in->rest);
     memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
     *s->last_h = h;
 }

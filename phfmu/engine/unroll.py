@@ -1,0 +1,149 @@
+"""A small model's evaluation of the Schur chord as straight-line C text: the loops of lane.inc and chord.inc written out.
+
+Displacements, shifts and forces of the degrees of freedom are local variables instead of arrays; every operation is
+the same and in the same order, so that the results are the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from phfmu.discretise.chord import Chord, LaneGroup
+
+#: a model with more degrees of freedom, or instances, keeps the loops
+MOST = 40
+
+ORDER = ("constraint", "strain", "force")
+
+
+def unrolled(chord: Chord) -> str:
+    """Definitions of `evaluate` and `project` for this model, or nothing if it is too large."""
+    groups = sorted((g for g in chord.groups if g.kernel.kind in ORDER), key=lambda g: ORDER.index(g.kernel.kind))
+    if chord.ndof > MOST or sum(g.n for g in groups) > MOST or len(chord.load_kind) and chord.load_kind.any():
+        return ""
+    lines = [
+        *_start(chord),
+        *(line for g in groups for i in range(g.n) for line in _instance(chord, g, i)),
+        *_end(chord),
+    ]
+    text = '#define PH_UNROLLED\n#include "chord_factor.inc"\n\n'
+    for name, body in (("evaluate", lines), ("project", _project(chord))):
+        text += f"static void {name}(ph_work *w) {{\n" + "".join(f"    {line}\n" for line in body) + "}\n\n"
+    return text
+
+
+def _start(chord: Chord) -> Iterator[str]:
+    k = chord.k
+    yield "const ph_lane zero = PH_SPREAD(0.0);"
+    yield "const double *restrict point = w->point, *restrict parameters = w->p;"
+    yield "ph_lane *restrict slot = w->slot;"
+    for j in range(k):
+        yield f"const ph_lane c{j} = w->column[{j}];"
+    for d in range(chord.ndof):
+        yield f"const ph_lane f{d} = w->f[{d}], v{d} = f{d} - w->n[{d}];"
+        yield f"const ph_lane x{d} = {' + '.join(f'c{j} * f{d}[{j}]' for j in range(k))};"
+        yield f"ph_lane n{d} = zero, g{d} = w->base[{d}];"
+
+
+def _difference(chord: Chord, name: str, plus: int, minus: int) -> str:
+    return f"{name}{plus}" if minus == chord.ndof else f"({name}{plus} - {name}{minus})"
+
+
+def _array(ctype: str, name: str, values: Sequence[str]) -> str:
+    return f"const {ctype} {name}[] = {{{', '.join(values) or '0.0'}}};"
+
+
+def _instance(chord: Chord, g: LaneGroup, i: int) -> Iterator[str]:
+    nx = g.kernel.nx
+    points = range(g.point + i * nx, g.point + (i + 1) * nx)
+    ends = [(int(chord.point_plus[e]), int(chord.point_minus[e])) for e in points]
+    yield "{"
+    yield _array("double", "p", [f"parameters[{int(q)}]" for q in g.pi[i]])
+    d = [f"point[{e}] + {_difference(chord, 'x', a, b)}" for e, (a, b) in zip(points, ends, strict=True)]
+    yield _array("ph_lane", "d", d) if d else "const ph_lane d[1] = {zero};"
+    yield from {"constraint": _constraint, "strain": _strain, "force": _force}[g.kernel.kind](chord, g, i, points, ends)
+    yield "}"
+
+
+def _constraint(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[int, int]]) -> Iterator[str]:
+    n = len(points)
+    yield _array("ph_lane", "e", [_difference(chord, "v", a, b) for a, b in ends])
+    yield f"const ph_lane lambda = w->multiplier[{g.first + i}], mu = lambda[PH_K] * PH_NODES;"
+    yield f"ph_lane gradient[{n}], turn[{n}];"
+    yield f"{g.kernel.name}(d, e, p, gradient, turn);"
+    for j, (e, (a, b)) in enumerate(zip(points, ends, strict=True)):
+        yield f"const ph_lane shift{j} = gradient[{j}] * mu, pull{j} = gradient[{j}] * lambda + turn[{j}] * mu;"
+        yield f"slot[{e}] = gradient[{j}], n{a} += shift{j}, g{a} -= pull{j};"
+        if b < chord.ndof:
+            yield f"n{b} -= shift{j}, g{b} += pull{j};"
+
+
+def _strain(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[int, int]]) -> Iterator[str]:
+    assert g.stress is not None
+    s, n = g.first + i - chord.nconstraint, len(points)
+    yield f"ph_lane gradient[{n}];"
+    yield f"{g.kernel.name}(d, p, gradient);"
+    yield "if (!w->carry) {"
+    rate = [f"gradient[{j}] * {_difference(chord, 'f', a, b)}" for j, (a, b) in enumerate(ends)]
+    yield f"    const ph_lane sum = zero + {' + '.join(rate)};"
+    if g.stress.kind == "pointwise":
+        chat = " + ".join([f"PH_SPREAD(w->start[{s}])", *(f"c{j} * sum[{j}]" for j in range(chord.k))])
+        yield f"    const ph_lane c = {chat};"
+        yield "    ph_lane slopes;"
+        yield f"    {g.stress.name}(&c, p, w->stress + {s}, &slopes);"
+        yield f"    w->slope[{s}] = slopes[PH_K / 2];"
+    else:
+        yield f"    const double rate[] = {{{', '.join(f'w->h * sum[{j}]' for j in range(chord.k))}}};"
+        yield "    double values[PH_K];"
+        yield f"    {g.stress.name}(w->start + {s}, rate, p, values, w->slope + {s});"
+        for j in range(chord.k):
+            yield f"    w->stress[{s}][{j}] = values[{j}];"
+    yield "}"
+    yield f"const ph_lane stress = w->stress[{s}];"
+    for j, (e, (a, b)) in enumerate(zip(points, ends, strict=True)):
+        yield f"const ph_lane pull{j} = gradient[{j}] * stress;"
+        yield f"slot[{e}] = gradient[{j}], g{a} -= pull{j};" + (f" g{b} += pull{j};" if b < chord.ndof else "")
+
+
+def _force(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[int, int]]) -> Iterator[str]:
+    rates = [_difference(chord, "f", int(a), int(b)) for a, b in zip(g.zp[i], g.zm[i], strict=True)]
+    yield _array("ph_lane", "e", rates) if rates else "const ph_lane e[1] = {zero};"
+    inputs = [f"w->u[{int(u)}]" for u in g.ui[i]]
+    yield _array("ph_lane", "u", inputs) if inputs else "const ph_lane u[1] = {zero};"
+    yield f"ph_lane out[{g.kernel.no}];"
+    yield f"{g.kernel.name}(d, e, u, p, out);"
+    for j, (a, b) in enumerate(zip(g.op[i], g.om[i], strict=True)):
+        yield f"g{a} += out[{j}];" + (f" g{b} -= out[{j}];" if b < chord.ndof else "")
+
+
+def _end(chord: Chord) -> Iterator[str]:
+    for d in range(chord.ndof):
+        terms = " + ".join(f"c{j} * a{d}[{j}]" for j in range(chord.k))
+        yield f"const ph_lane a{d} = w->inverse_mass[{d}] * g{d}, m{d} = w->inverse_mass[{d}] * n{d};"
+        yield f"w->force[{d}] = a{d}, w->n[{d}] = m{d}, w->next[{d}] = (w->velocity[{d}] + m{d}) + ({terms});"
+
+
+def _project(chord: Chord) -> Iterator[str]:
+    rows = [range(chord.row_ptr[r], chord.row_ptr[r + 1]) for r in range(chord.nconstraint)]
+    ends = [(int(a), int(b)) for a, b in zip(chord.point_plus, chord.point_minus, strict=True)]
+    yield "const double *restrict m = w->inverse_mass;"
+    yield "const ph_lane *restrict slot = w->slot;"
+    yield "ph_lane *restrict next = w->next;"
+    for r, row in enumerate(rows):
+        terms = (f"slot[{e}] * {_at(chord, *ends[e])}" for e in row)
+        yield f"w->row[{r}] = PH_SPREAD(0.0) + {' + '.join(terms)};"
+    yield "solve_hard(w->c->hard, w->hard, w->row);"
+    for r, row in enumerate(rows):
+        yield "{"
+        added = " + ".join(["PH_SPREAD(0.0)", *(f"w->multiply[{j}] * sigma[{j}]" for j in range(chord.k + 1))])
+        yield f"const ph_lane sigma = w->row[{r}], added = {added};"
+        for e in row:
+            a, b = ends[e]
+            yield f"const ph_lane pull{e} = slot[{e}] * sigma;"
+            yield f"next[{a}] -= m[{a}] * pull{e};" + (f" next[{b}] += m[{b}] * pull{e};" if b < chord.ndof else "")
+        yield f"w->multiplier[{r}] += added, w->row[{r}] = added;"
+        yield "}"
+
+
+def _at(chord: Chord, plus: int, minus: int) -> str:
+    return f"next[{plus}]" if minus == chord.ndof else f"(next[{plus}] - next[{minus}])"
