@@ -131,9 +131,9 @@ class _Instances:
 
 def find_chord(layout: Layout, scheme: Scheme) -> Chord | None:
     """The chord tables of a step plan, or None where its conditions do not hold."""
-    terms = layout.terms
-    fits = isinstance(scheme, Collocated) and scheme.two_level and scheme.gradient == "per-term" and scheme.k in (1, 3)
-    if not fits or not terms.na:
+    if not isinstance(scheme, Collocated) or scheme.k not in (1, 3) or not layout.terms.na:
+        return None
+    if not scheme.two_level or scheme.gradient != "per-term" or scheme.radau or scheme.closure != "mean":
         return None
     try:
         return _Builder(layout).build()
