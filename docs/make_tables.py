@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from multibody_tables import chain, top
 from numpy.typing import NDArray
+from transform_tables import mass_spring_orders
 
 from phfmu import Collocated, NativeInstance, Scene, build_model, run
 from phfmu.components.mechanical.four_particle import four_particle
@@ -305,6 +306,7 @@ TABLES: dict[str, Callable[[], str]] = {
         chain,
         top,
         orders,
+        mass_spring_orders,
     )
 }
 
