@@ -74,7 +74,7 @@ def chain_10() -> str:
 
 def chain_50() -> str:
     """The same with fifty links."""
-    return work_precision("chain:50", "0.04,0.02,0.01", "1e-5,1e-7,3e-9", 2.0, 3, ("casadi", "mujoco"))
+    return work_precision("chain:50", "0.04,0.02,0.01", "1e-5,1e-7,3e-9", 2.0, 3, ("mujoco",))
 
 
 def scaling(name: str, sizes: Sequence[int]) -> str:
@@ -119,10 +119,10 @@ TABLES: dict[str, Callable[[], str]] = {
 
 def write(name: str, text: str) -> None:
     """Replace table and notes below the command `python docs/make_timings.py <name>`."""
-    below = re.compile(rf"(^    python docs/make_timings\.py {name}\n\n)(?:\|.*\n)*(?:\n(?:- .*\n)*)?", re.MULTILINE)
+    below = re.compile(rf"(^    python docs/make_timings\.py {name}\n\n)(?:\|.*\n)*(?:\n(?:- .*\n)+)?\n?", re.MULTILINE)
     for page in RESULTS.glob("*.md"):
         old = page.read_text(encoding="utf-8")
-        page.write_text(below.sub(lambda m: f"{m[1]}{text}\n", old), encoding="utf-8")
+        page.write_text(below.sub(lambda m: f"{m[1]}{text}\n\n", old).rstrip() + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

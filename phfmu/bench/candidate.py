@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Run:
-    """States at the times asked for (times x n1); steps, iterations and the worst ledger residual where they are known."""
+    """States at the times asked for (times x n1); steps, iterations and the worst ledger residual [J] where they are known."""
 
     x: Array
     steps: int | None = None

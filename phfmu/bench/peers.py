@@ -17,6 +17,8 @@ from phfmu.bench.problem import Problem
 Array = NDArray[np.float64]
 
 SCIPY = ("DOP853", "LSODA", "Radau")
+#: instructions of x' up to which its derivatives are compiled
+LARGE = 4000
 #: label -> (kind, options): as it comes; the fastest found for systems without stiffness; stiff; without elimination
 CASADI: dict[str, tuple[str, dict[str, Any]]] = {
     "cvodes Adams": ("eliminated", {"linear_multistep_method": "adams"}),
@@ -43,14 +45,17 @@ class Functions:
 
     @cached_property
     def with_derivatives(self) -> ca.Function:
-        """The same as a function that CasADi can differentiate."""
-        return compiled(self.problem.system.ode, jacobians=True)
+        """The same as a function that CasADi can differentiate; NotAvailable where its derivatives are too large."""
+        ode = self.problem.system.ode
+        if ode.n_instructions() > LARGE:
+            raise NotAvailable(f"x' has {ode.n_instructions()} instructions, its derivatives would compile for minutes")
+        return compiled(ode, jacobians=True)
 
     @cached_property
     def jacobian(self) -> Callable[[float, Array, Array], Array] | None:
-        """(t, x, live) -> d x'/dx (n x n) for SciPy's implicit methods; None where there is no closed form."""
+        """(t, x, live) -> d x'/dx (n x n) for SciPy's implicit methods; None where there is no closed form of moderate size."""
         s, n = self.problem.system, self.problem.system.x.numel()
-        if not s.linear:
+        if not s.linear or s.ode.n_instructions() > LARGE:
             return None
         matrix = ca.densify(ca.jacobian(s.ode(*s.arguments), s.x))
         f = Buffered(compiled(ca.Function("jacobian", s.arguments, [matrix])))

@@ -16,7 +16,7 @@ FLOOR = 1e-17  # zero on a logarithmic axis
 def columns(problem: Problem) -> list[str]:
     return [
         "method", "setting", "cpu_ms_per_s", "spread", *(f"error_{t:g}s" for t in problem.times), "energy_error_J", "drift",
-        "ledger", "steps", "iterations",
+        "ledger_J", "steps", "iterations",
     ]  # fmt: skip
 
 

@@ -19,7 +19,7 @@ LONG = 3.0
 @dataclass(frozen=True)
 class Row:
     """One candidate measured.  cpu: process CPU seconds per simulated second, median of the repeats (fewer
-    for rows that take longer than LONG); spread: (max-min)/median."""
+    for rows that take longer than LONG); spread: (max-min)/median;  ledger: worst residual of a step [J]."""
 
     method: str
     setting: str
