@@ -52,7 +52,7 @@ def work_precision(target: str, steps: str, errors: str, stop: float, repeat: in
         "error of q(1 s)",
         "energy error in J",
         "drift",
-        "ledger",
+        "ledger in J",
         "steps",
         "iterations",
     ]
