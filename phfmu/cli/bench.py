@@ -12,7 +12,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.options import add_settings
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
-    parser.add_argument("target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders")
+    parser.add_argument("target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out")
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument("--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT],... (default: what fits the target)")
     parser.add_argument("--engines", metavar="LIST", default="native", help="native, python (default native)")
@@ -34,7 +34,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--sizes", metavar="LIST", help="scaling: sizes n (default: those of the family)")
     parser.add_argument("--reference", metavar="CSV", help="states at the times: column time and one per state")
     add_settings(parser)
-    parser.add_argument("-o", "--output", metavar="DIR", help="folder of the files (default: bench); orders: a file")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", help="folder of the files (default: bench); orders, leave-out: a file"
+    )
     parser.set_defaults(call=call)
 
 
@@ -44,6 +46,8 @@ def call(args: argparse.Namespace) -> int:
     one_thread()
     if args.target == "orders":
         return _orders(args)
+    if args.target == "leave-out":
+        return _leave_out(args)
     args.output = args.output or "bench"
     if args.target == "scaling":
         return _scaling(args)
@@ -62,6 +66,20 @@ def _scaling(args: argparse.Namespace) -> int:
     with _Progress() as progress:
         lines = report(_names(args.families), [int(n) for n in sizes], Path(args.output), progress)
     print("\n".join(lines))
+    return FINE
+
+
+def _leave_out(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.bench.leave_out import page, table
+    from phfmu.cli import FINE
+
+    if args.output:
+        Path(args.output).write_text(page())
+        print(f"page: {args.output}")
+    else:
+        print(table())
     return FINE
 
 

@@ -54,7 +54,13 @@ def instance_of(model: Any, engine: str) -> Any:
         return PythonInstance(model)
     from phfmu.engine.native import NativeInstance
 
-    return NativeInstance(model)
+    return NativeInstance(model, _announce)
+
+
+def _announce() -> None:
+    """The first run of a set of equations on a machine waits for the compiler; say so on a terminal."""
+    if sys.stderr.isatty():
+        print("phfmu: compiling the equations for this machine, once (--engine python runs without)", file=sys.stderr)
 
 
 def _with_settings(system: Any, values: dict[str, float]) -> Any:

@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -176,11 +176,13 @@ def compile(
     *,
     flags: Sequence[str] = (),
     compiler: str | None = None,
+    announce: Callable[[], None] | None = None,
 ) -> Build:
     """Shared library of C sources for a target (default: this machine), from the cache if it is there.
 
     `sources`: file name -> text or path; names not ending in .c are only included. `out`: copy of the result.
-    `flags`: further compiler flags. `compiler`: "zig" or "cc" to insist on one.
+    `flags`: further compiler flags. `compiler`: "zig" or "cc" to insist on one. `announce`: called before
+    the compiler runs, not when the cache has the library.
     Errors: CompilerMissing, CompileError.
     """
     target = target or host_target()
@@ -190,6 +192,8 @@ def compile(
     path = cache_folder() / "lib" / f"{key}{suffix(target)}"
     reused = path.exists()
     if not reused:
+        if announce is not None:
+            announce()
         _build(sources, found, options, path)
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)

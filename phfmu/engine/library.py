@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -111,9 +112,9 @@ def runtime_sources() -> dict[str, Path]:
     return {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h", ".inc")}
 
 
-def build(table: KernelTable) -> Build:
+def build(table: KernelTable, announce: Callable[[], None] | None = None) -> Build:
     """Library of runtime and kernels for this machine; models with the same kernels share it."""
-    return compile({**runtime_sources(), "kernels.c": table.text}, flags=host_flags())
+    return compile({**runtime_sources(), "kernels.c": table.text}, flags=host_flags(), announce=announce)
 
 
 def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,13 +23,13 @@ class NativeInstance:
 
     Inputs u (nu) are held over a step, or given at its k quadrature nodes.  `output()` gives step-conjugate
     means, so that h u^T y is the supplied energy exactly.  Units SI, power into the component.
-    StepFailure leaves the instance at its last accepted step.
+    StepFailure leaves the instance at its last accepted step.  `announce` is called before a compiler runs.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, announce: Callable[[], None] | None = None) -> None:
         self.model = model
         table = kernel_table(kernels(model), model.step.chord)
-        self.build = build(table)
+        self.build = build(table, announce)
         self._tables = CTables(model, table.index, table.token)
         self._lib = load(self.build.path)
         size = self._lib.ph_size(self._tables.pointer)

@@ -129,7 +129,9 @@ def main() -> None:
             print(f"PythonFMU is not installed or did not build the unit: {done.stderr.strip()[-200:]}")
             return
         ours, other = through_fmpy(unit, 20_000), through_fmpy(folder / "FourParticles.fmu", 2_000)
-        print(f"through FMPy a step: {1e6 * ours:.1f} us, PythonFMU {1e6 * other:.0f} us, ratio {other / ours:.0f} (asked 20)")
+        print(
+            f"through FMPy a step: {1e6 * ours:.1f} us, PythonFMU {1e6 * other:.0f} us, ratio {other / ours:.0f} (asked 20)"
+        )
 
 
 if __name__ == "__main__":

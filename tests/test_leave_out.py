@@ -1,0 +1,102 @@
+"""What a scene does not need costs nothing: modules, files, unknowns, factors."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from phfmu import NativeInstance, build_model
+from phfmu.components.mechanical.multibody import Multibody
+from phfmu.components.mechanical.translational import mass
+from phfmu.engine.library import build as build_library
+
+HEAVY = ("numpy", "casadi", "scipy", "fmpy", "lxml", "pyarrow", "matplotlib", "rich", "ziglang")
+LOADED = "import sys; print(*sorted(m for m in %r if m in sys.modules))"
+CPU = "import time; t = time.process_time(); %s; print(time.process_time() - t)"
+
+
+def python(code: str, *options: str) -> str:
+    done = subprocess.run([sys.executable, *options, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+def test_import_loads_no_library():
+    assert python("import phfmu, phfmu.cli, phfmu.components.library; " + LOADED % (HEAVY,)).split() == []
+
+
+def test_import_costs_next_to_nothing():
+    """0.05 s beyond the interpreter; numpy alone takes more."""
+    assert min(float(python(CPU % "import phfmu")) for _ in range(3)) <= 0.05
+
+
+def test_help_loads_no_library_and_costs_little():
+    code = "import phfmu.cli\ntry: phfmu.cli.main(['--help'])\nexcept SystemExit: pass\n" + LOADED % (HEAVY,)
+    assert python(code).splitlines()[-1].split() == []
+    timed = "import time\nt = time.process_time()\nimport phfmu.cli\ntry: phfmu.cli.main(['--help'])\n"
+    timed += "except SystemExit: print(time.process_time() - t)"
+    assert min(float(python(timed).splitlines()[-1]) for _ in range(3)) <= 0.3
+
+
+RUN = """
+import sys
+from phfmu.cli import main
+written = []
+def hook(event, arguments):
+    if event == "open" and isinstance(arguments[0], str) and set(str(arguments[1] or "r")) & set("wax+"):
+        written.append(arguments[0])
+main(["run", "oscillator", "--stop", "0.1", "--quiet", "--engine", ENGINE])
+sys.addaudithook(hook)
+main(["run", "oscillator", "--stop", "0.1", "--quiet", "--engine", ENGINE])
+print("written", *written)
+print("loaded", *[m for m in ("fmpy", "lxml", "pyarrow", "matplotlib", "rich") if m in sys.modules])
+"""
+
+
+@pytest.mark.parametrize("engine", ["native", "python"])
+def test_a_run_without_audit_writes_no_file_and_loads_no_table_library(engine):
+    lines = python(RUN.replace("ENGINE", repr(engine)), "-B").splitlines()
+    assert lines[-2:] == ["written", "loaded"]
+
+
+def test_an_ode_has_no_multipliers_and_no_instant_system():
+    model = build_model(mass(1.0, k=2.0, d=0.1))
+    assert model.step.nw == model.step.nx == 2 and model.step.na == 0
+    assert len(model.step.regularised) == len(model.step.mean_a) == 0
+    assert model.instant.nw == 0 and model.instant.matrix.nnz == 0 and not model.checks
+    unit = NativeInstance(model)
+    unit.run(0.0, 0.01, 5, ("signals",))
+    assert unit.counts["factored"] == 1  # linear: the step matrix once, nothing for the values at an instant
+
+
+def pendulums(barred: bool):
+    body = Multibody("pair", dim=2)
+    one = body.particle(1.0, (1.0, 0.0))
+    body.quartic_spring(body.support((0.0, 0.0)), one, 10.0)
+    if barred:
+        body.bar(body.support((0.0, 0.5)), one)
+    return build_model(body.build())
+
+
+def test_constraints_bring_their_columns_and_nothing_else_does():
+    free, bound = pendulums(False), pendulums(True)
+    assert len(free.step.regularised) == 0 and free.instant.nw == 0
+    assert bound.step.nw == free.step.nw + 2 and len(bound.step.regularised) > 0  # lambda and its velocity twin
+    assert free.step.nw == free.step.nx
+
+
+def test_the_compiler_is_announced_only_when_it_runs(tmp_path, monkeypatch):
+    from phfmu.engine import compile as compiling
+    from phfmu.engine.codegen import kernel_table
+    from phfmu.engine.model import kernels
+
+    model, said = build_model(mass()), []
+    table = kernel_table(kernels(model), model.step.chord)
+    build_library(table)
+    build_library(table, lambda: said.append("compiles"))
+    assert said == []
+    monkeypatch.setenv("PHFMU_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiling, "_build", lambda *a: None)
+    build_library(table, lambda: said.append("compiles"))
+    assert said == ["compiles"]
