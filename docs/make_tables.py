@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from multibody_tables import chain, top
 from numpy.typing import NDArray
+from step_tables import between, restart, tolerance
 from transform_tables import mass_spring_orders
 
 from phfmu import Collocated, NativeInstance, Scene, build_model, run
@@ -305,6 +306,9 @@ TABLES: dict[str, Callable[[], str]] = {
         two_machine_order,
         chain,
         top,
+        restart,
+        tolerance,
+        between,
         orders,
         mass_spring_orders,
     )

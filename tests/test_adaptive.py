@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -187,3 +188,21 @@ def test_what_does_not_fit_says_what_does():
     ):
         with pytest.raises(ValueError, match="--"):
             run(stepper(circuit(), Collocated(1), PythonInstance), stop=1.0, step=0.01, **arguments)
+
+
+def test_the_error_of_a_machine_at_a_grid_is_proportional_to_the_tolerance():
+    """smib at its 60 Hz against the independent reference; landed on 0.1 s."""
+    scene, tolerances, errors = build("smib"), (1e-4, 1e-5, 1e-6, 1e-7), []
+    text = (Path(__file__).parent / "reference" / "smib.csv").read_text().splitlines()
+    header, *rows = (line.split(",") for line in text if not line.startswith("#"))
+    row = next(dict(zip(header, map(float, r), strict=True)) for r in rows if abs(float(r[0]) - 0.2) < 1e-9)
+    model = build_model(scene.declaration(), Collocated(3))
+    for rtol in tolerances:
+        s = Monolithic(model, NativeInstance(model))
+        result = run(s, stop=0.2, step=1e-4, rtol=rtol, landing=0.1)
+        currents = [result.column(f"gen.I[{i}]")[-1] - row[f"I[{i}]"] for i in (1, 2, 3)]
+        errors.append(np.max(np.abs(currents)) / 15e3)
+        assert max(c.worst_relative for c in result.ledger.summary().components) < 1e-13
+        assert 0.1 in result.time
+    assert np.polyfit(np.log(tolerances), np.log(errors), 1)[0] == pytest.approx(1.0, abs=0.15)
+    assert max(np.array(errors) / tolerances) < 0.5
