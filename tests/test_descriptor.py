@@ -258,3 +258,37 @@ def test_quadratic_constraints_stay_exact(k):
         assert np.abs(np.cumsum(rows["stored"])).max() <= 1e-13
         errors.append(abs(x[-1] - np.sin(end)))
     assert slope([0.5 / n for n in steps], errors) == pytest.approx(2 * k, abs=0.3)
+
+
+def test_a_given_effort_composes():
+    """The reduced model in a network, its port bound: the shaft of E [x; x]' turns an inertia; equal to the closed form."""
+    from phfmu import Network
+    from phfmu.components.mechanical.rotational import rotational_inertia
+
+    x = state("x", 2, start=(0.9, -0.2))
+    s = x[0] + x[1]
+    unit = PHDAE(
+        "unit",
+        states=(x,),
+        energies=(energy(s**2 / 2),),
+        E={x: [[1.0, 1.0], [0.0, 0.0]]},
+        z={x: ca.vertcat(s, x[1] + x[1] ** 3)},
+        dissipation=(block([x], [[0.0, 0.0], [0.0, G]]),),
+        ports=(Port("shaft", ROTATIONAL, "flow", {x: [1.0, 0.5]}),),
+    )
+    net = Network("pair")
+    net.add("unit", reduce_descriptor(unit))
+    net.add("rotor", rotational_inertia(2.0, speed=0.3))
+    net.connect("unit.shaft", "rotor.a")
+    model = build_model(net.compose(), Collocated(3))
+    assert check(model.declaration) == []
+    instance = PythonInstance(model)
+    rows = instance.run(0.0, 0.05, 20, ("stored", "dissipated"), inputs=np.zeros((20, model.step.nu)))
+    # s' = -w... the shaft is given w = rotor speed: s' = w, 0 = -G z2 + w/2, torque on the rotor = -(s + z2/2)
+    rate = lambda t, y: [y[1], -(y[0] + 0.25 * y[1] / G) / 2.0]  # noqa: E731
+    end = solve_ivp(rate, (0, 1), [0.7, 0.3], method="DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
+    signals = dict(zip(model.observable_names, instance.signals()["observables"], strict=True))
+    total = signals["unit.x[1]"] + signals["unit.x[2]"]
+    assert total == pytest.approx(end[0], abs=1e-9)
+    assert signals["unit.x[2]"] + signals["unit.x[2]"] ** 3 == pytest.approx(0.5 * end[1] / G, abs=1e-9)
+    assert np.abs(rows["stored"].sum(axis=1) + rows["dissipated"].sum(axis=1)).max() <= 1e-15

@@ -65,9 +65,6 @@ class SystemTransformation:
                 f"U is {U.shape[0]} x {U.shape[1]}, expected {n} x {n}: old rows x new columns {names}"
             )
         object.__setattr__(self, "U", ca.sparsify(U))
-        own = {s.element_hash() for v in self.new for s in ca.vertsplit(v.sx)}
-        foreign = {s.element_hash(): s for s in ca.symvar(ca.vertcat(ca.vec(self.image), ca.vec(U)))}
-        object.__setattr__(self, "_foreign", tuple(s for h, s in foreign.items() if h not in own))
         if any(s.element_hash() == time.element_hash() for s in self.foreign):
             raise DeclarationError("phi or U depends on time; a system transformation is a function of the state only")
 
@@ -99,7 +96,9 @@ class SystemTransformation:
     @property
     def foreign(self) -> tuple[ca.SX, ...]:
         """Symbols in phi and U that are not new variables: parameters of the model."""
-        return getattr(self, "_foreign")  # noqa: B009  (set in __post_init__ of a frozen class)
+        own = {s.element_hash() for s in ca.vertsplit(self.x)}
+        found = ca.symvar(ca.vertcat(ca.vec(self.image), ca.vec(ca.SX(self.U))))
+        return tuple(s for s in found if s.element_hash() not in own)
 
     def __call__(self, model: PHDAE) -> PHDAE:
         """The transformed declaration; starts of the new variables solve phi(x~) = x."""
