@@ -7,6 +7,7 @@ integrator it has) beside `implicitfast` (its own recommendation for robots).  P
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -44,8 +45,7 @@ class _MuJoCo:
     def __init__(self, problem: Problem, links: int, integrator: str, h: float):
         if find_spec("mujoco") is None:
             raise NotAvailable("not installed; pip install mujoco")
-        import mujoco
-
+        mujoco: Any = import_module("mujoco")
         self._lib, self._h, self._links = mujoco, h, links
         for t in problem.grid:
             if abs(t / h - round(t / h)) > 1e-9:

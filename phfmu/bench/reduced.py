@@ -133,7 +133,10 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
     out = ca.substitute(out, [fixed], [values]) if fixed.numel() else out
     x0 = np.array([s for v in declaration.states for s in v.start], float)
     _require_inertia(declaration, _numbers(declaration, fixed, values)[0])
-    return Reduced(time, system.x, w, live_symbols, names, start, x0, *out, tuple(system.constraint_rows))
+    rate, rows, checks, H = out
+    return Reduced(
+        time, system.x, w, live_symbols, names, start, x0, rate, rows, checks, H, tuple(system.constraint_rows)
+    )
 
 
 def _algebraic_rows(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +116,7 @@ def write_png(path: Path, problem: Problem, table: Table, caption: str) -> None:
 
 def write_html(path: Path, problem: Problem, table: Table, caption: str) -> None:
     """The same picture for a browser, settings at the marks; needs plotly."""
-    import plotly.graph_objects as go
-
+    go: Any = import_module("plotly.graph_objects")
     figure = go.Figure()
     for method, mine, points in _lines(problem, table):
         figure.add_scatter(

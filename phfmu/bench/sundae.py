@@ -8,7 +8,9 @@ Models without constraints: the index-1 form.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -78,8 +80,7 @@ class _Ida:
         self._atol[: functions.n] = absolute(problem, rtol)
 
     def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
-        from sksundae.ida import IDA
-
+        IDA: Any = import_module("sksundae.ida").IDA
         f, system = self._f, self._problem.system
         x, live, out = system.x0, system.live_start, []
         for piece in self._problem.pieces(times):
