@@ -103,8 +103,8 @@ typedef struct ph_chord {
     const double *to_modes;     /* k*k */
 } ph_chord;
 
-/* Spaces: x = [old state nx | time | old algebraic variables na], v = [w nw | u nu*k | h], Y = [v | Z nz], rows R =
- * [residual nw | pair outputs nq*k | observables nobs]. */
+/* Spaces: x = [old state nx | time | old algebraic variables na], v = [w nw | u nu*k | h], Y = [v | Z nz],
+ * rows R = [residual nw | pair outputs nq*k | observables nobs]. */
 typedef struct ph_plan {
     int nx, nw, nu, k, nz, np, nq, nobs, na, ncomp, nv, nrow;
     int nslot;                        /* length of V, V[0] = 1 */
