@@ -71,7 +71,7 @@ def variables(declaration: PHDAE, model: Model, node_inputs: bool = False) -> tu
         *_ports(declaration, model),
         *_totals(model),
         *_starts(declaration.states, "local", "PH_X", list(model.x0)),
-        *_algebraics(declaration),
+        *_algebraics(declaration, model),
         *_observables(declaration, model),
         *_checks(model),
         *(_nodes(declaration, model) if node_inputs else ()),
@@ -114,9 +114,10 @@ def _nominal(v: Variable, entry: int) -> float | None:
     return None if v.role == "parameter" or not v.nominal[entry] else abs(v.nominal[entry])
 
 
-def _algebraics(declaration: PHDAE) -> Iterator[FMUVariable]:
+def _algebraics(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
+    what = "carried on by the scheme" if model.step.carries else "mean of the last step"
     for i, name, text, v, j in _scalars(declaration.algebraics):
-        yield FMUVariable(name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, mean of the last step")
+        yield FMUVariable(name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, {what}")
     for i, name, text, v, j in _scalars(declaration.algebraics):
         yield FMUVariable(
             end_name(name),
