@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from phfmu.declare.check_entries import Entries
 from phfmu.declare.port import Port
 from phfmu.declare.regular import undetermined
-from phfmu.declare.variable import Variable, key, time
+from phfmu.declare.variable import HasSymbols, Variable, key, time
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Sample:
             self.known_z = np.isfinite(derived)
             self._values[1] = np.where(self.known_z, derived, z)
 
-    def rows(self, v: Variable) -> range:
+    def rows(self, v: HasSymbols) -> range:
         """Rows of a state in x and z."""
         return range(self.place[key(v)], self.place[key(v)] + v.n)
 
@@ -150,7 +150,7 @@ def _fitted(values: Sequence[float], n: int) -> list[float]:
     return [*values, *[0.0] * n][:n]
 
 
-def places(variables: tuple[Variable, ...]) -> dict[int, int]:
+def places(variables: Sequence[HasSymbols]) -> dict[int, int]:
     """Place of every scalar symbol among the stacked variables."""
     symbols = (s for v in variables for s in ca.vertsplit(v.sx))
     return {s.element_hash(): i for i, s in enumerate(symbols)}

@@ -143,7 +143,7 @@ class PHDAE:
 
     def effort(self, v: Variable | Port) -> ca.SX:
         """The costate of `v`: the symbol of a state's z; of an algebraic variable its given z, else itself."""
-        given = self.z.get(v) if v.role == "algebraic" else None
+        given = self.z.get(v) if isinstance(v, Variable) and v.role == "algebraic" else None
         return v.z if given is None else ca.SX(_sx(given))
 
     def port(self, name: str) -> Port:

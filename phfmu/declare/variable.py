@@ -120,6 +120,8 @@ class HasSymbols(Protocol):
 
     @property
     def sx(self) -> ca.SX: ...
+    @property
+    def n(self) -> int: ...
 
 
 def key(v: HasSymbols) -> int:
