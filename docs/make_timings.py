@@ -119,10 +119,12 @@ TABLES: dict[str, Callable[[], str]] = {
 
 def write(name: str, text: str) -> None:
     """Replace table and notes below the command `python docs/make_timings.py <name>`."""
-    below = re.compile(rf"(^    python docs/make_timings\.py {name}\n\n)(?:\|.*\n)*(?:\n(?:- .*\n)+)?\n?", re.MULTILINE)
+    below = re.compile(
+        rf"(^    python docs/make_timings\.py {name}\n)\n?(?:\|.*\n)*(?:\n(?:- .*\n)+)?\n?", re.MULTILINE
+    )
     for page in RESULTS.glob("*.md"):
         old = page.read_text(encoding="utf-8")
-        page.write_text(below.sub(lambda m: f"{m[1]}{text}\n\n", old).rstrip() + "\n", encoding="utf-8")
+        page.write_text(below.sub(lambda m: f"{m[1]}\n{text}\n\n", old).rstrip() + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
