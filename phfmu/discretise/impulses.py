@@ -55,7 +55,7 @@ def _states(terms: list[Term]) -> tuple[int, ...]:
 def _marked(t: Term, shifted: set[int]) -> Term:
     """A term with the local places of shifted states as data; they are part of its key."""
     where = tuple(j for j, i in enumerate(t.index.get("x", ())) if i in shifted)
-    return replace(t, key=("shifted", where, t.key), data=t.data | {"shifted": where}) if where else t
+    return replace(t, key=(*t.key, ("shifted", where)), data=t.data | {"shifted": where}) if where else t
 
 
 def shifted(spec: Spec, term: Term) -> Spec:
