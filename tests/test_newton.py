@@ -19,13 +19,16 @@ def four(**starts):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_slow_progress_is_not_taken_for_rounding(engine):
-    """117 rad a step: the constraint is nearly singular and Newton shrinks by half; every step must still balance."""
+    """117 rad a step: the constraint is nearly singular and Newton shrinks by half; every step must still balance.
+
+    Steps are cut into up to 16 parts; taking slow progress for rounding would leave 6e-8 of H.
+    """
     instance = engine(four(v_12=1.18e4))
     for k in range(4 if engine is NativeInstance else 3):
         instance.do_step(0.01 * k, 0.01)
         row = instance.ledger()
         H = instance.signals()["H"][0]
-        assert abs(row["stored"][0] + row["dissipated"][0] - row["supplied"][0]) <= 1e-13 * H
+        assert abs(row["stored"][0] + row["dissipated"][0] - row["supplied"][0]) <= 1e-12 * H
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -17,7 +17,9 @@ ROUNDING = 1e-15  # what the polish may leave, judged by the last two updates
 STAGNATION = 1e-4  # an update below this that stays is rounding, if the residual is; multipliers feel it over h
 CRAWLING = 1e-2  # up to here it crawls where constraints lose rank, if it shrinks slower than CRAWL
 CRAWL = 0.9
-FLOOR = 1024.0  # units of rounding in a row that cannot be told from zero
+FLOOR = 64.0  # units of rounding in a row that cannot be told from zero
+SUMS = 16.0  # more of it in constraint rows: sums of values that are themselves computed with cancellation
+STALLS = 2  # updates in a row that hardly shrink
 ITERATIONS = 30
 DELTA = 1e-10  # on multiplier diagonals of the factor only: minimum-norm multipliers for redundant rows
 SMALLEST = 1.0 / 64.0  # line search
@@ -78,7 +80,7 @@ class Newton:
     def attempt(self, w: Array, fixed: tuple[Array, Array, Array, float], damped: bool) -> Outcome:
         """Iterate from w until rounding, then polish once with the old factor."""
         plan, h = self.plan, fixed[3]
-        w, last = w.copy(), np.inf
+        w, last, stalls = w.copy(), np.inf, 0
         out = Outcome(Status.NO_CONVERGENCE, w)
         r = self.residual(w, fixed)
         for i in range(ITERATIONS):
@@ -96,7 +98,8 @@ class Newton:
             w = w + damping * dw
             r = self.residual(w, fixed)
             out.w, out.update = w, float(np.max(np.abs(dw) / (plan.nominal + np.abs(w)), initial=0.0))
-            if damping == 1.0 and self._solved(out, last, before, fixed):
+            stalls = stalls + 1 if out.update > 0.5 * last else 0
+            if damping == 1.0 and self._solved(out, last, stalls, before, fixed):
                 if not np.isfinite(r).all():
                     return self._failed(out, Status.NOT_FINITE, r, fixed)
                 out.w = w + self.solve(r)
@@ -105,11 +108,11 @@ class Newton:
             last = out.update
         return self._failed(out, Status.NO_CONVERGENCE, r, fixed)
 
-    def _solved(self, out: Outcome, last: float, r: Array, fixed: tuple) -> bool:
+    def _solved(self, out: Outcome, last: float, stalls: int, r: Array, fixed: tuple) -> bool:
         """Whether one polish reaches rounding.
 
-        Two updates tell what is left after it.  One that hardly shrinks is at the floor if the residual r before it is
-        rounding, or if it is tiny and only noise is left.
+        Two updates tell what is left after it.  Two in a row that hardly shrink (stalls) are at the floor if the residual r
+        before the last is rounding, or if they are tiny and only noise is left.
         """
         ratio = out.update / last
         if out.update <= TOLERANCE and ratio**2 * out.update <= ROUNDING:
@@ -117,11 +120,14 @@ class Newton:
         crawls = CRAWL < ratio < 1.0
         if out.update > (CRAWLING if crawls else STAGNATION) or ratio <= 0.5:
             return False
-        return (ratio >= 1.0 and out.update <= TOLERANCE) or self._at_floor(out.w, r, fixed, float(crawls))
+        noise = ratio >= 1.0 and out.update <= TOLERANCE
+        return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls)))
 
     def _at_floor(self, w: Array, r: Array, fixed: tuple, nominal: float = 0.0) -> bool:
         """All rows are rounding."""
-        return bool((np.abs(r) <= FLOOR * self._rounding(w, fixed, nominal)).all())
+        size = self._rounding(w, fixed, nominal)
+        size[self.plan.matrix.row[self.plan.regularised]] *= SUMS
+        return bool((np.abs(r) <= FLOOR * size).all())
 
     def _rounding(self, w: Array, fixed: tuple, nominal: float = 0.0) -> Array:
         """What rounding leaves in each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is.

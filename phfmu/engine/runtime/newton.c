@@ -16,7 +16,10 @@
 #define STAGNATION 1e-4
 #define CRAWLING 1e-2
 #define CRAWL 0.9
-#define FLOOR 1024.0 /* units of rounding in a row that cannot be told from zero */
+#define FLOOR 64.0 /* units of rounding in a row that cannot be told from zero */
+#define SUMS                                                                                                 \
+    16.0 /* more of it in constraint rows: sums of values that are themselves computed with cancellation */
+#define STALLS 2 /* updates in a row that hardly shrink */
 /* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
  * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
 #define CHORD 1e-1
@@ -111,8 +114,11 @@ static void rounding(const ph_system *s, double nominal, double *size) {
 
 /* All rows are rounding. */
 static int at_floor(const ph_system *s, double nominal, double *size) {
+    const ph_plan *p = s->plan;
     rounding(s, nominal, size);
-    for (int i = 0; i < s->plan->nw; i++)
+    for (int l = 0; l < p->nreg; l++)
+        size[p->matrix_row[p->regularised[l]]] *= SUMS;
+    for (int i = 0; i < p->nw; i++)
         if (fabs(s->r[i]) > FLOOR * size[i])
             return 0;
     return 1;
@@ -161,14 +167,17 @@ static int polish(ph_system *s) {
 }
 
 /* Update small enough that one polish reaches rounding. Two updates tell what is left after it, whether they
- * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares. One that hardly
- * shrinks is at the floor if the residual before it is rounding, or if it is tiny and only noise is left. */
-static int solved(const ph_system *s, int kept, double previous) {
+ * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares. Two in a row that
+ * hardly shrink are at the floor if the residual before the last is rounding, or if they are tiny and only
+ * noise is left. */
+static int solved(const ph_system *s, int kept, int stalls, double previous) {
     double ratio = s->update / previous;
     int crawls = ratio > CRAWL && ratio < 1.0;
     if (s->update <= TOLERANCE && ratio * ratio * s->update <= ROUNDING)
         return 1;
     if (kept || s->update > (crawls ? CRAWLING : STAGNATION) || ratio <= 0.5)
+        return 0;
+    if (stalls < STALLS)
         return 0;
     return (ratio >= 1.0 && s->update <= TOLERANCE) || at_floor(s, crawls, s->base);
 }
@@ -176,7 +185,7 @@ static int solved(const ph_system *s, int kept, double previous) {
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
 int ph_newton(ph_system *s, int damped) {
     double previous = INFINITY;
-    int chord = 0;
+    int chord = 0, stalls = 0;
     s->update = INFINITY;
     for (s->iterations = 1; s->iterations <= MAX_ITERATIONS; s->iterations++) {
         double norm, damping = 1.0;
@@ -195,7 +204,8 @@ int ph_newton(ph_system *s, int damped) {
             if (!isfinite(s->update))
                 return PH_NOT_FINITE;
         }
-        if (damping == 1.0 && solved(s, kept, previous))
+        stalls = s->update > 0.5 * previous ? stalls + 1 : 0;
+        if (damping == 1.0 && solved(s, kept, stalls, previous))
             return polish(s);
         chord = 0;
         if (kept && s->update > previous) { /* the old matrix led astray: take it back, use a new one */
