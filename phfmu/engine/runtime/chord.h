@@ -47,6 +47,7 @@ typedef struct ph_mode {
 typedef struct ph_work {
     const ph_chord *c;
     int ready;            /* masses and loads belong to parameters */
+    int uneven;           /* masses are too far apart for the chord */
     int carry;            /* stresses are unknowns of their own: some spring is stiff at this step size */
     double h;             /* of this step */
     double ratio;         /* of h to the last h, for the predictor */
