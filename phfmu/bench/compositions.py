@@ -8,6 +8,7 @@ what R would dissipate.  So R = 0 is required; with dissipation use collocation,
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +45,9 @@ KAHAN_LI = Composition(
 )
 
 
+COMPOSITIONS = {c.name: c for c in (SUZUKI, KAHAN_LI)}
+
+
 class Composed:
     """Steps of an instance (Python or native) composed of substeps.  DeclarationError if the model dissipates."""
 
@@ -59,11 +63,17 @@ class Composed:
     def order(self) -> int:
         return self.composition.order
 
-    def do_step(self, t: float, h: float) -> None:
-        """One step over [t, t + h]; substeps may leave the interval and come back."""
+    def substeps(self, t: float, h: float) -> Iterator[tuple[float, float]]:
+        """(start, length) of the substeps of [t, t + h], taken one after the other; they may leave it and come back."""
         at, g = np.concatenate([[0.0], np.cumsum(self.composition.substeps)]), self.composition.substeps
         for i in range(len(g)):
             self.instance.do_step(t + at[i] * h, g[i] * h)
+            yield t + at[i] * h, g[i] * h
+
+    def do_step(self, t: float, h: float) -> None:
+        """One step over [t, t + h]."""
+        for _ in self.substeps(t, h):
+            pass
 
     def run(self, t0: float, h: float, n: int) -> Array:
         """States after each of n steps (n x states)."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.bench.candidate import Candidate, Run
+from phfmu.bench.compositions import COMPOSITIONS, Composed, Composition
 from phfmu.bench.problem import Problem
 from phfmu.discretise.model import Model, build_model
 from phfmu.discretise.schemes import named_scheme
@@ -33,10 +34,13 @@ def default_schemes(problem: Problem) -> list[str]:
 def candidates(
     problem: Problem, schemes: Sequence[str], engines: Sequence[str], steps: Sequence[float]
 ) -> Iterator[Candidate]:
-    """One candidate per scheme (`NAME:ORDER[:GRADIENT]`), engine and step [s]."""
+    """One candidate per scheme (`NAME:ORDER[:GRADIENT]`, `suzuki`, `kahan-li`), engine and step [s]."""
     for text in schemes:
         name, order, gradient = _parts(text)
-        scheme = named_scheme(problem.declaration, name, order, gradient)
+        composition = COMPOSITIONS.get(name)
+        scheme = named_scheme(
+            problem.declaration, "auto" if composition else name, 2 if composition else order, gradient
+        )
         model = build_model(problem.declaration, scheme)
         for engine in engines:
             if engine not in ENGINES:
@@ -44,7 +48,11 @@ def candidates(
             label = f"{text}" if engine == "native" else f"{text} ({engine})"
             for h in steps:
                 yield Candidate(
-                    label, f"h={h:g}", h, lambda e=engine, h=h, m=model: _Solver(problem, m, e, h), own=True
+                    label,
+                    f"h={h:g}",
+                    h,
+                    lambda e=engine, h=h, m=model, c=composition: _Solver(problem, m, e, h, c),
+                    own=True,
                 )
 
 
@@ -60,7 +68,7 @@ def _parts(text: str) -> tuple[str, int | None, str]:
 class _Solver:
     """An instance stepped with a fixed step; intervals are divided into equal steps that land on their end."""
 
-    def __init__(self, problem: Problem, model: Model, engine: str, h: float):
+    def __init__(self, problem: Problem, model: Model, engine: str, h: float, composition: Composition | None = None):
         self._problem, self._h, self._model = problem, h, model
         self._instance: Any
         if engine == "native":
@@ -72,6 +80,7 @@ class _Solver:
 
             self._instance = PythonInstance(model)
         self._p0 = self._instance.parameters.copy()
+        self._composed = None if composition is None else Composed(self._instance, composition)
 
     def __call__(self, times: Sequence[float], watch: bool = False) -> Run:
         instance = self._instance
@@ -88,7 +97,7 @@ class _Solver:
             start = piece.start
             for end in piece.stops:
                 n = max(1, round((end - start) / self._h))
-                rows = instance.run(start, (end - start) / n, n, record=record)
+                rows = self._run(start, (end - start) / n, n, record)
                 steps += n
                 if watch:
                     worst = max(worst, _ledger(rows))
@@ -97,6 +106,17 @@ class _Solver:
                 start = end
         done = solver_iterations(instance) - before
         return Run(np.array(x), steps, done if watch else None, worst if watch else None)
+
+    def _run(self, t: float, h: float, n: int, record: Sequence[str]) -> dict[str, Array]:
+        """n steps; the ledger of each step, of each substep where steps are composed."""
+        if self._composed is None:
+            return self._instance.run(t, h, n, record=record)
+        rows: dict[str, list[Array]] = {name: [] for name in record}
+        for k in range(n):
+            for _ in self._composed.substeps(t + k * h, h):
+                for name in record:
+                    rows[name].append(self._instance.ledger()[name])
+        return {name: np.array(kept) for name, kept in rows.items()}
 
 
 def solver_iterations(instance: Any) -> int:
