@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from phfmu import PHDAE
 from phfmu.components.mechanical.multibody import Multibody
 
@@ -32,7 +34,7 @@ def chain(
         raise ValueError(f"chain: n = {n}, dim = {dim}; it needs at least one link and 2 or 3 dimensions")
     body = Multibody("chain", dim, description=f"chain of {n} rigid links")
     body.gravity([0.0] * (dim - 1) + [-9.81])
-    points = [body.support([0.0] * dim)]
+    points: list[Any] = [body.support([0.0] * dim)]
     for i in range(n):
         q = [(i + 1) * length] + [0.0] * (dim - 1)
         v = [0.0, speed * (i + 1) / n] + [0.0] * (dim - 2)

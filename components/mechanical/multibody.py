@@ -130,7 +130,7 @@ class Multibody:
         It acts on the full relative velocity, or, `axial`, on its part along the line from a to b.
         """
         self._at_rest("damper", a, b)
-        of_s = value if callable(value) else lambda s: ca.SX(getattr(value, "sx", value))
+        of_s: Any = value if callable(value) else lambda s: ca.SX(getattr(value, "sx", value))
         self._dampers.append(Damper(a, b, of_s, axial))
 
     def gravity(self, acceleration: Sequence[float]) -> None:
@@ -173,7 +173,7 @@ class Multibody:
         """The declaration, with states q and v, multipliers lambda in the order bars, constraints."""
         from phfmu.components.mechanical.multibody_declaration import Declaration
 
-        return Declaration(self).phdae()
+        return Declaration(self).phdae()  # type: ignore[arg-type]
 
     def _sized(self, what: str, values: Sequence[Any]) -> None:
         if len(values) != self.dim:

@@ -14,7 +14,9 @@ def add_parser(verbs: Any) -> None:
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
     parser.add_argument("target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out")
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
-    parser.add_argument("--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT], suzuki, kahan-li (default: what fits the target)")
+    parser.add_argument(
+        "--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT], suzuki, kahan-li (default: what fits the target)"
+    )
     parser.add_argument("--engines", metavar="LIST", default="native", help="native, python (default native)")
     parser.add_argument("--steps", metavar="LIST", help="steps in s, with commas (default: 8 to 1/2 of the scene's)")
     parser.add_argument("--tolerances", metavar="LIST", help="relative tolerances of peers (default 1e-3 ... 1e-10)")

@@ -18,7 +18,7 @@ import numpy as np
 
 from phfmu.discretise.hidden import hidden_rows
 from phfmu.discretise.rows import costate_symbols, costates, row_expressions
-from phfmu.discretise.terms import Locator, Term, Terms, components, make_term
+from phfmu.discretise.terms import Locator, Term, Terms, components, make_term, scalars
 
 Remedy = Literal["pair", "projection", "none"]
 ENERGIES = ("energy", "joint", "closed")
@@ -72,7 +72,7 @@ class Finder:
         """Rows whose c is linear in the state."""
         slope = ca.simplify(ca.jacobian(ca.mtimes(L, costates(self.terms)), self.x))
         row_of = slope.sparsity().get_triplet()[0]
-        varying = ca.jacobian_sparsity(ca.vertcat(ca.SX(0, 1), *slope.nonzeros()), self.x).get_triplet()[0]
+        varying = ca.jacobian_sparsity(ca.vertcat(ca.SX(0, 1), *scalars(slope)), self.x).get_triplet()[0]
         return set(rows) - {rows[row_of[i]] for i in varying}
 
     def _clusters(self, rows: list[int]) -> list[list[int]]:

@@ -96,7 +96,9 @@ def _transposed(term: Term, spec: Spec) -> list[Spec]:
                 out.append(((f"stat.{kind}", j, node), q, slope))
     if not out:
         return []
-    arguments = [(("mu." + a[0], a[1], a[2]), mu[a]) for a in mu]
+    arguments: list[tuple[Address, ca.SX]] = [
+        ((f"mu.{a[0]}", a[1], a[2]), symbol) for a, symbol in mu.items() if a is not None
+    ]
     return [Spec(1, spec.x, spec.p, [*spec.y, *arguments], out)]
 
 

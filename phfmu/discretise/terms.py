@@ -196,4 +196,5 @@ def member(members: Sequence[str], owner: str) -> int:
 
 def scalars(matrix: ca.SX) -> list[ca.SX]:
     """The structural nonzeros of a matrix, column by column."""
-    return [ca.SX(e) for e in matrix.nonzeros()]
+    entries: list[Any] = matrix.nonzeros()
+    return [ca.SX(e) for e in entries]
