@@ -142,7 +142,11 @@ def _key(sources: Mapping[str, str | Path], command: Sequence[str], version: str
 
 
 def _build(sources: Mapping[str, str | Path], compiler: _Compiler, flags: Sequence[str], out: Path) -> None:
-    """Compiles in a private folder and moves the result into place: nobody sees half a file."""
+    """Compiles in a private folder and moves the result into place: nobody sees half a file.
+
+    The private folder is searched for headers only if it has some: its name would be part of what zig's own cache
+    knows an object by, and the runtime, the same for every model, would be compiled anew for each.
+    """
     cache = cache_folder()
     env = os.environ | {
         "ZIG_GLOBAL_CACHE_DIR": str(cache / "zig"),
@@ -151,15 +155,15 @@ def _build(sources: Mapping[str, str | Path], compiler: _Compiler, flags: Sequen
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent) as folder:
         work = Path(folder)
-        files, folders = [], [work]
+        files, folders = [], []
         for name, source in sorted(sources.items()):
             path = source if isinstance(source, Path) else work / name
             if isinstance(source, str):
                 path.write_text(source)
-            elif path.parent not in folders:
-                folders.append(path.parent)
             if name.endswith(".c"):
                 files.append(str(path))
+            if path.parent not in folders and (isinstance(source, Path) or not name.endswith(".c")):
+                folders.append(path.parent)
         includes = [f"-I{f}" for f in folders]
         result = work / ("library" + out.suffix)
         command = [*compiler.command, *flags, *includes, *files, "-o", str(result), "-lm"]
