@@ -25,8 +25,7 @@ from phfmu.declare.dense import coefficient, square, stacked
 from phfmu.declare.phdae import PHDAE, _starts
 from phfmu.declare.variable import _sx, time
 from phfmu.discretise.extract import extract
-from phfmu.discretise.hidden import Hidden, hidden_rows
-from phfmu.discretise.terms import Locator, Terms
+from phfmu.discretise.terms import Hidden, Locator, Terms
 
 Array = NDArray[np.float64]
 
@@ -121,7 +120,7 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
     gamma: Baumgarte stabilisation [1/s].  Errors: DeclarationError of the extraction.
     """
     terms = extract(declaration)
-    hidden = hidden_rows(terms)
+    hidden = terms.hidden
     system = _Flat(declaration, terms)
     f, a = system.right_hand_side(), system.a
     rate = system.rates(f[: terms.n1])

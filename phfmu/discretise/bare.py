@@ -16,7 +16,6 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise.hidden import hidden_rows
 from phfmu.discretise.rows import costate_symbols, costates, row_expressions
 from phfmu.discretise.terms import Locator, Term, Terms, components, make_term, scalars
 
@@ -47,9 +46,8 @@ class Finder:
 
     def __init__(self, terms: Terms):
         self.terms, self.nodes = terms, []
-        hidden = hidden_rows(terms)
         holonomic = {t.rows[0][1] for t in terms.terms if t.kind == "constraint"}
-        rows = [r for r in hidden.checks if r not in holonomic]
+        rows = [r for r in terms.hidden.checks if r not in holonomic]
         if not rows:
             return
         model = terms.model

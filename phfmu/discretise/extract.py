@@ -13,6 +13,7 @@ from phfmu.declare.port import Port
 from phfmu.declare.regular import undetermined
 from phfmu.declare.variable import Variable, _sx, time
 from phfmu.discretise.extract_energy import energies
+from phfmu.discretise.hidden import hidden_rows
 from phfmu.discretise.terms import (
     DeclarationError,
     Locator,
@@ -60,6 +61,7 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
         out.observable_names += [o.name] if n == 1 else [f"{o.name}[{j + 1}]" for j in range(n)]
         out.terms.append(make_term("observable", {"f": ca.vec(o.expr)}, locator, f"observable '{o.name}'", rows=rows))
         row += n
+    out.hidden = hidden_rows(out)
     return out
 
 

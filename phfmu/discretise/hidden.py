@@ -8,24 +8,9 @@ Source: the structural step of Pantelides, SIAM J. Sci. Stat. Comput. 9 (1988).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import casadi as ca
 
-from phfmu.discretise.terms import Term, Terms
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """`rows`: algebraic rows to differentiate;  `solved_by`: such a row -> the variable its own form determines."""
-
-    rows: frozenset[int] = frozenset()
-    solved_by: dict[int, int] = field(default_factory=dict)
-
-    @property
-    def checks(self) -> list[int]:
-        """Rows that hold for consistent states only."""
-        return sorted(self.rows - self.solved_by.keys())
+from phfmu.discretise.terms import Hidden, Term, Terms
 
 
 def contained(term: Term, j: int, bound: dict[int, int]) -> dict[tuple[str, int], int]:
@@ -40,7 +25,7 @@ def contained(term: Term, j: int, bound: dict[int, int]) -> dict[tuple[str, int]
 
 
 def hidden_rows(terms: Terms) -> Hidden:
-    """The over-determined algebraic rows of a model."""
+    """The over-determined algebraic rows of a model; `extract` has done this for its terms."""
     import numpy as np
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import maximum_bipartite_matching

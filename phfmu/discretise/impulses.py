@@ -78,77 +78,74 @@ def shifted(spec: Spec, term: Term) -> Spec:
 
 def specs(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the impulses and shifts, and their work."""
-    return _pair(term, nd) if "pair" in term.key else _projection(term, nd)
+    return _pair(_Member(term, nd)) if term.key[1] == "pair" else _projection(_Member(term, nd))
 
 
-def _pair(term: Term, nd: Nodes) -> list[Spec]:
-    args = Arguments(term, nd.k)
-    x, n = term.local["x"], term.local["x"].numel()
-    n_psi = sum(kind == "x" for kind, _ in term.rows)
-    places = range(n_psi, len(term.rows))
-    d = args.matrix("D", n)
-    s0, s1 = (ca.vertcat(*(args.symbol(kind, j, 0) for j in range(n_psi))) for kind in ("s0", "s1"))
-    m = ca.vertcat(*(args.symbol("i0", j, 0) for j in places))
-    roots = [ca.vertcat(*(args.symbol("i1", j, i) for j in places)) for i in range(POINTS)]
-    end = _sum(roots) * ((-1.0) ** nd.k / POINTS)
-    rest = ca.SX(n - n_psi, 1)
-    x_start = x + ca.vertcat(s0, rest)
-    x_end = x_start + ca.mtimes(d, ca.DM(nd.b))
+class _Member:
+    """What a member adds to the rows of its bare nodes: psi (shifted states, the first of its `x`) and node rows."""
 
-    def at(name: str, value: ca.SX) -> ca.SX:
-        return ca.substitute(term.data[name], x, value)
+    def __init__(self, term: Term, nd: Nodes):
+        self.args, self.data, self.k = Arguments(term, nd.k), term.data, nd.k
+        self.x, n = term.local["x"], term.local["x"].numel()
+        self.psi = range(sum(kind == "x" for kind, _ in term.rows))
+        self.nodes = range(len(self.psi), len(term.rows))
+        self.rest = ca.SX(n - len(self.psi), 1)
+        self.increment = ca.mtimes(self.args.matrix("D", n), ca.DM(nd.b))
 
-    S0, S1 = at("S", x), at("S", x_end)
-    out: list[tuple[Address, int, ca.SX]] = []
-    for kind, s, shift in (("s0", s0, ca.mtimes(at("L", x), m)), ("s1", s1, ca.mtimes(at("L", x_end), end))):
-        out += [((kind, j, 0), 0, s[j] - shift[j]) for j in range(n_psi)]
+    def column(self, kind: str, places: range, i: int = 0) -> ca.SX:
+        return ca.vertcat(*(self.args.symbol(kind, j, i) for j in places))
+
+    def shifted(self, x: ca.SX, shift: ca.SX) -> ca.SX:
+        return x + ca.vertcat(shift, self.rest)
+
+    def at(self, name: str, x: ca.SX) -> ca.SX:
+        """L, S or c at a state."""
+        return ca.substitute(self.data[name], self.x, x)
+
+    def rows(self, kind: str, places: range, value: ca.SX, i: int = 0) -> list[tuple[Address, int, ca.SX]]:
+        return [((kind, j, i), 0, value[n]) for n, j in enumerate(places)]
+
+    def specs(self, out: list[tuple[Address, int, ca.SX]], work: ca.SX) -> list[Spec]:
+        """The rows `out`, and the report of the work (one value per node) that impulses do on the member."""
+        args = self.args
+        return [
+            Spec(1, args.x, args.p, args.y, out),
+            Spec(1, args.x, args.p, args.y, self.rows("work", self.nodes, work), stored=ca.sum1(work), report=True),
+        ]
+
+
+def _pair(own: _Member) -> list[Spec]:
+    s0, s1 = own.column("s0", own.psi), own.column("s1", own.psi)
+    m = own.column("i0", own.nodes)
+    roots = [own.column("i1", own.nodes, i) for i in range(POINTS)]
+    end = sum(roots[1:], roots[0]) * ((-1.0) ** own.k / POINTS)
+    x_start = own.shifted(own.x, s0)
+    x_end = x_start + own.increment
+    x_new = own.shifted(x_end, s1)
+    S0, S1 = own.at("S", own.x), own.at("S", x_end)
+    out = own.rows("s0", own.psi, s0 - ca.mtimes(own.at("L", own.x), m))
+    out += own.rows("s1", own.psi, s1 - ca.mtimes(own.at("L", x_end), end))
     for i, root in enumerate(roots):
         angle = (2 * i + 1) * np.pi / (4 * POINTS)
-        row = np.cos(angle) ** 2 * ca.mtimes(S1, root) + np.sin(angle) ** 2 * ca.mtimes(S0, root) - ca.mtimes(S0, m)
-        out += [(("i1", j, i), 0, row[j - n_psi]) for j in places]
-    x_new = x_end + ca.vertcat(s1, rest)
-    c = [at("c", v) for v in (x, x_start, x_end, x_new)]
-    out += [(("i0", j, 0), 0, c[3][j - n_psi]) for j in places]
+        mixed = np.cos(angle) ** 2 * ca.mtimes(S1, root) + np.sin(angle) ** 2 * ca.mtimes(S0, root)
+        out += own.rows("i1", own.nodes, mixed - ca.mtimes(S0, m), i)
+    c = [own.at("c", v) for v in (own.x, x_start, x_end, x_new)]
+    out += own.rows("i0", own.nodes, c[3])
     work = -(m * (c[0] + c[1]) + end * (c[2] + c[3])) / 2  # y = -c; exact, as H is quadratic along L
-    booked = [(("work", j, 0), 0, work[j - n_psi]) for j in places]
-    return [
-        Spec(1, args.x, args.p, args.y, out),
-        Spec(1, args.x, args.p, args.y, booked, stored=ca.sum1(work), report=True),
-    ]
+    return own.specs(out, work)
 
 
-def _projection(term: Term, nd: Nodes) -> list[Spec]:
+def _projection(own: _Member) -> list[Spec]:
     """One impulse at the end: x1 = x1* + L m, c(x1) = 0; its work is the path integral of -c along L m, a loss."""
-    args = Arguments(term, nd.k)
-    x, n = term.local["x"], term.local["x"].numel()
-    n_psi = sum(kind == "x" for kind, _ in term.rows)
-    places = range(n_psi, len(term.rows))
-    d = args.matrix("D", n)
-    s = ca.vertcat(*(args.symbol("s1", j, 0) for j in range(n_psi)))
-    m = ca.vertcat(*(args.symbol("i1", j, 0) for j in places))
-    x_end = x + ca.mtimes(d, ca.DM(nd.b))
+    s, m = own.column("s1", own.psi), own.column("i1", own.nodes)
+    x_end = own.x + own.increment
 
-    def at(name: str, part: float) -> ca.SX:
-        return ca.substitute(term.data[name], x, x_end + part * ca.vertcat(s, ca.SX(n - n_psi, 1)))
+    def c(part: float) -> ca.SX:
+        return own.at("c", own.shifted(x_end, part * s))
 
-    shift = ca.mtimes(at("L", 0.0), m)
-    c = at("c", 1.0)
-    out: list[tuple[Address, int, ca.SX]] = [(("s1", j, 0), 0, s[j] - shift[j]) for j in range(n_psi)]
-    out += [(("i1", j, 0), 0, c[j - n_psi]) for j in places]
-    t, w = gauss(WORK_POINTS)
-    work = -m * _sum([float(wq) * at("c", float(tq)) for tq, wq in zip(t, w, strict=True)])
-    booked = [(("work", j, 0), 0, work[j - n_psi]) for j in places]
-    return [
-        Spec(1, args.x, args.p, args.y, out),
-        Spec(1, args.x, args.p, args.y, booked, stored=ca.sum1(work), report=True),
-    ]
-
-
-def _sum(values: list[ca.SX]) -> ca.SX:
-    total = values[0]
-    for v in values[1:]:
-        total += v
-    return total
+    out = own.rows("s1", own.psi, s - ca.mtimes(own.at("L", x_end), m)) + own.rows("i1", own.nodes, c(1.0))
+    parts = [float(w) * c(float(t)) for t, w in zip(*gauss(WORK_POINTS), strict=True)]
+    return own.specs(out, -m * sum(parts[1:], parts[0]))
 
 
 def unknowns(terms: Terms) -> list[tuple[str, int, int]]:

@@ -13,12 +13,12 @@ import casadi as ca
 import numpy as np
 
 from phfmu.discretise.arguments import EMPTY, Arguments
-from phfmu.discretise.hidden import Hidden, hidden_rows, rates
+from phfmu.discretise.hidden import rates
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import Maps, make_plan
 from phfmu.discretise.spec import Address, Spec
-from phfmu.discretise.terms import DeclarationError, Term, Terms
+from phfmu.discretise.terms import DeclarationError, Hidden, Term, Terms
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Check:
 
 def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
     """The instant plan and its checks (reported as the last observables)."""
-    hidden = hidden_rows(terms)
+    hidden = terms.hidden
     if hidden.rows and terms.solved_costates:
         raise DeclarationError(
             f"{terms.model.name}: constraints together with a non-diagonal or state-dependent E are not supported yet; "

@@ -9,9 +9,8 @@ import casadi as ca
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import time
 from phfmu.discretise.extract_energy import divided
-from phfmu.discretise.hidden import Hidden, hidden_rows
 from phfmu.discretise.instant import Check
-from phfmu.discretise.terms import Term, Terms
+from phfmu.discretise.terms import Hidden, Term, Terms
 
 
 def costate_symbols(model: PHDAE) -> ca.SX:
@@ -46,7 +45,7 @@ def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
 
     Algebraic variables that over-determined rows give (the common velocity of a rigid joint) are eliminated.
     """
-    model, hidden, x = terms.model, hidden_rows(terms), terms.model.x
+    model, hidden, x = terms.model, terms.hidden, terms.model.x
     z, p = costates(terms), ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
     position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}

@@ -51,6 +51,19 @@ class Term:
 
 
 @dataclass(frozen=True)
+class Hidden:
+    """`rows`: algebraic rows to differentiate;  `solved_by`: such a row -> the variable its own form determines."""
+
+    rows: frozenset[int] = frozenset()
+    solved_by: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def checks(self) -> list[int]:
+        """Rows that hold for consistent states only."""
+        return sorted(self.rows - self.solved_by.keys())
+
+
+@dataclass(frozen=True)
 class Impulses:
     """Rows of bare nodes with an impulse pair and with a projecting end impulse; the states shifted at start and end."""
 
@@ -81,6 +94,7 @@ class Terms:
     light: tuple[int, ...] = ()
     closed_states: set[int] = field(default_factory=set)
     observable_names: list[str] = field(default_factory=list)
+    hidden: Hidden = field(default_factory=Hidden)
     impulses: Impulses | None = None
 
 

@@ -15,12 +15,11 @@ def node_kinds(declaration: PHDAE) -> dict[str, str]:
     """Junction -> index 1, or index 2 and what the steps do about it."""
     from phfmu.discretise.bare import bare_nodes
     from phfmu.discretise.extract import extract
-    from phfmu.discretise.hidden import hidden_rows
 
     terms = extract(declaration)
     names = [n for v in declaration.algebraics for n in v.names()]
     bare = {n.row: n for n in bare_nodes(terms)}
-    over = hidden_rows(terms).rows
+    over = terms.hidden.rows
     out = {}
     for junction, _ in declaration.junctions:
         rows = [i for i, n in enumerate(names) if n.startswith(f"{junction}.")]
