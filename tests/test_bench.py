@@ -21,7 +21,6 @@ from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.declare.phdae import PHDAE, block
-from phfmu.engine.compile import CompilerMissing, require_compiler
 from phfmu.network.network import Network
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -44,12 +43,8 @@ def rows(name: str) -> dict[float, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", list(LIBRARY))
-def test_rate_equals_that_of_a_small_step(name: str) -> None:
+def test_rate_equals_that_of_a_small_step(compiler: None, name: str) -> None:
     """x' of the reduced system at the middle of a step of the engine = its mean slope + O(h)."""
-    try:
-        require_compiler()
-    except CompilerMissing as error:
-        pytest.skip(str(error))
     d = declaration(name)
     if not d.states:
         pytest.skip("no states")
@@ -180,14 +175,6 @@ def test_what_fails_is_a_remark_and_no_row() -> None:
 
 
 # -- the command --------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def compiler() -> None:
-    try:
-        require_compiler()
-    except CompilerMissing as error:
-        pytest.skip(str(error))
 
 
 def test_bench_of_the_oscillator(compiler: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

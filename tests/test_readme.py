@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from phfmu.cli import main
-from phfmu.engine.compile import CompilerMissing, require_compiler
 
 ROOT = Path(__file__).parent.parent
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -40,12 +39,8 @@ def commands(body: str) -> list[str]:
 
 @pytest.mark.parametrize("page", RUN, ids=name)
 def test_blocks_run(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    compiler: None, page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    try:
-        require_compiler()
-    except CompilerMissing as error:
-        pytest.skip(str(error))
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {}
     for number, (language, body) in enumerate(blocks(page), 1):

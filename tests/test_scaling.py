@@ -15,16 +15,7 @@ from phfmu.cli import FINE, USAGE, main
 from phfmu.components.mechanical.net import net
 from phfmu.components.scenes.ladder import ladder
 from phfmu.engine.codegen import kernel_table
-from phfmu.engine.compile import CompilerMissing, require_compiler
 from phfmu.engine.model import kernels
-
-
-@pytest.fixture
-def compiler() -> None:
-    try:
-        require_compiler()
-    except CompilerMissing as error:
-        pytest.skip(str(error))
 
 
 def test_net_swings_and_keeps_its_energy(compiler: None) -> None:
