@@ -13,6 +13,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
+from phfmu.discretise.differences import Differences, differences
 from phfmu.discretise.gradients import degree, stress
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.terms import Term
@@ -72,49 +73,6 @@ class LaneKernel:
 
 class NoLanes(Exception):
     """A local function has an operation that lanes do not have."""
-
-
-@dataclass(frozen=True)
-class Differences:
-    """Coordinates of a local function: pairs (plus, minus) of places of a vector; minus = -1 for a single one."""
-
-    pairs: tuple[tuple[int, int], ...]
-
-    def substitution(self, x: ca.SX, name: str) -> tuple[ca.SX, ca.SX]:
-        """The coordinates d as symbols, and x in terms of them: x_plus = d, x_minus = 0."""
-        d, values = ca.SX.sym(name, len(self.pairs)), [ca.SX(0)] * x.numel()
-        for j, (plus, _) in enumerate(self.pairs):
-            values[plus] = d[j]
-        return d, ca.vertcat(*values) if values else EMPTY
-
-    def globally(self, index: Sequence[int]) -> tuple[list[int], list[int]]:
-        """Global indices of the plus and minus places; -1 where there is no minus."""
-        return [index[p] for p, _ in self.pairs], [index[m] if m >= 0 else -1 for _, m in self.pairs]
-
-
-def differences(f: ca.Function, which: int) -> Differences:
-    """Places of argument `which` that the function depends on through their difference only, found by sampling."""
-    rng = np.random.default_rng(1)
-    points = [[rng.uniform(0.5, 1.5, f.numel_in(i)) for i in range(f.n_in())] for _ in range(2)]
-    values = [np.concatenate([np.asarray(v).ravel() for v in f.call(point)]) for point in points]
-    free, pairs = list(range(f.numel_in(which))), []
-    while free:
-        a = free.pop(0)
-        b = next((b for b in free if _invariant(f, which, points, values, [a, b])), -1)
-        if b >= 0:
-            free.remove(b)
-        pairs.append((b, a) if b >= 0 else (a, -1))
-    return Differences(tuple(pairs))
-
-
-def _invariant(f: ca.Function, which: int, points: list, values: list, places: list[int]) -> bool:
-    for point, value in zip(points, values, strict=True):
-        moved = [v.copy() for v in point]
-        moved[which][places] += 0.734
-        other = np.concatenate([np.asarray(v).ravel() for v in f.call(moved)])
-        if not np.allclose(other, value, rtol=1e-12, atol=1e-12):
-            return False
-    return True
 
 
 _kernels: dict[str, LaneKernel] = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from phfmu.discretise.chord import find_chord
+from phfmu.discretise.differences import in_differences
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import make_plan
@@ -27,7 +28,7 @@ def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
     work: list[tuple[Term, list[Spec]]] = []
     for term in terms.terms:
         if term.key not in cache:
-            cache[term.key] = scheme.specs(term)
+            cache[term.key] = [in_differences(s) for s in scheme.specs(term)]
         work.append((term, cache[term.key]))
     plan = make_plan(layout, work, scheme.constants(layout), scheme.maps(layout), na=terms.na, nobs=len(layout.work))
     return replace(plan, chord=find_chord(layout, scheme)), layout

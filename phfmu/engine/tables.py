@@ -137,6 +137,31 @@ def _split(products: Products, slots: Floats) -> tuple[_Fixed, _Varying]:
     )
 
 
+def _update(plan: Plan) -> dict[str, Any]:
+    """The update by runs of neighbouring states whose unknowns are neighbours too, with the same weights: vectors."""
+    terms: dict[int, list[tuple[int, float]]] = {}
+    for state, w, c in zip(plan.update_x, plan.update_w, plan.update_c, strict=True):
+        terms.setdefault(int(state), []).append((int(w), float(c)))
+    runs: list[tuple[int, int]] = []
+    for state in sorted(terms):
+        if runs:
+            first, n = runs[-1]
+            if state == first + n and terms[state] == [(w + n, c) for w, c in terms[first]]:
+                runs[-1] = (first, n + 1)
+                continue
+        runs.append((state, 1))
+    flat = [term for first, _ in runs for term in terms[first]]
+    ptr = np.cumsum([0] + [len(terms[first]) for first, _ in runs])
+    return {
+        "nupdate": len(runs),
+        "update_x": [first for first, _ in runs],
+        "update_n": [n for _, n in runs],
+        "update_ptr": ptr,
+        "update_w": [w for w, _ in flat],
+        "update_c": [c for _, c in flat],
+    }
+
+
 def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     k = g.kernel
     late = g.stage == 1 and bool(np.all(np.asarray(g.oi) >= plan.nw))
@@ -149,12 +174,10 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     by_row = np.argsort(late, kind="stable")
     const = {n: getattr(plan, n)[by_row] for n in ("const_row", "const_src", "const_val", "const_pow")}
     groups = sorted(plan.groups, key=lambda g: g.stage)
-    by_state = np.argsort(plan.update_x, kind="stable")
-    update = {n: getattr(plan, n)[by_state] for n in ("update_x", "update_w", "update_c")}
     fixed, varying = _split(plan.matrix, _constant_slots(plan))
     return (
         const
-        | update
+        | _update(plan)
         | {
             "ngroup": len(groups),
             "nconst": len(by_row),
@@ -166,7 +189,6 @@ def _plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
             "varying": varying,
             "nderivative": plan.derivative.nnz,
             "nreg": len(plan.regularised),
-            "nupdate": len(plan.update_x),
             "nmean": len(plan.mean_a),
             "nwork": len(plan.work_pair),
             "lucap": capacity(plan),

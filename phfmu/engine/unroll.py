@@ -21,14 +21,19 @@ def unrolled(chord: Chord) -> str:
     groups = sorted((g for g in chord.groups if g.kernel.kind in ORDER), key=lambda g: ORDER.index(g.kernel.kind))
     if chord.ndof > MOST or sum(g.n for g in groups) > MOST or len(chord.load_kind) and chord.load_kind.any():
         return ""
-    lines = [
-        *_start(chord),
-        *(line for g in groups for i in range(g.n) for line in _instance(chord, g, i)),
-        *_end(chord),
-    ]
-    text = '#define PH_UNROLLED\n#include "chord_factor.inc"\n\n'
-    for name, body in (("evaluate", lines), ("project", _project(chord))):
-        text += f"static void {name}(ph_work *w) {{\n" + "".join(f"    {line}\n" for line in body) + "}\n\n"
+    bodies = {
+        "void evaluate(ph_work *w)": [
+            *_start(chord),
+            *(line for g in groups for i in range(g.n) for line in _instance(chord, g, i)),
+            *_end(chord),
+        ],
+        "int factor(ph_work *w)": _factor(chord),
+        "double project(ph_work *w)": _project(chord),
+        "void write_step(ph_work *w, double *restrict y)": _write(chord),
+    }
+    text = "#define PH_UNROLLED\n\n"
+    for head, body in bodies.items():
+        text += f"static {head} {{\n" + "".join(f"    {line}\n" for line in body) + "}\n\n"
     return text
 
 
@@ -123,27 +128,96 @@ def _end(chord: Chord) -> Iterator[str]:
         yield f"w->force[{d}] = a{d}, w->n[{d}] = m{d}, w->next[{d}] = (w->velocity[{d}] + m{d}) + ({terms});"
 
 
-def _project(chord: Chord) -> Iterator[str]:
-    rows = [range(chord.row_ptr[r], chord.row_ptr[r + 1]) for r in range(chord.nconstraint)]
-    ends = [(int(a), int(b)) for a, b in zip(chord.point_plus, chord.point_minus, strict=True)]
+def _rows(chord: Chord, first: int, last: int) -> list[list[tuple[int, int, int]]]:
+    """Per row (gradient slot, degree of freedom, the one subtracted)."""
+    spans = [range(chord.row_ptr[r], chord.row_ptr[r + 1]) for r in range(first, last)]
+    return [[(e, int(chord.point_plus[e]), int(chord.point_minus[e])) for e in span] for span in spans]
+
+
+def _factor(chord: Chord) -> Iterator[str]:
+    e, sign = chord.hard, {1.0: "", -1.0: "-"}
     yield "const double *restrict m = w->inverse_mass;"
     yield "const ph_lane *restrict slot = w->slot;"
+    for i in range(e.nentry):
+        span = range(e.product_ptr[i], e.product_ptr[i + 1])
+        products = [
+            f"{sign[float(e.product_sign[q])]}m[{e.product_dof[q]}] * slot[{e.product_a[q]}] * slot[{e.product_b[q]}]"
+            for q in span
+        ]
+        yield f"ph_lane e{i} = {' + '.join(['PH_SPREAD(0.0)', *products])};"
+    if e.n:
+        yield f"const ph_lane {', '.join(f'initial{j} = e{j}' for j in range(e.n))};"
+    for j in range(e.n):
+        yield f"if (lane_weak(e{j}, initial{j})) return 0;"
+        yield f"const ph_lane inverse{j} = 1.0 / e{j};"
+        for q in range(e.update_ptr[j], e.update_ptr[j + 1]):
+            left, right = e.update_left[q], e.update_right[q]
+            yield f"e{e.update_target[q]} = e{e.update_target[q]} - e{left} * (e{right} * inverse{j});"
+        yield from (f"e{i} = e{i} * inverse{j};" for i in range(e.column[j], e.column[j + 1]))
+        yield f"e{j} = inverse{j};"
+    yield from (f"w->hard[{i}] = e{i};" for i in range(e.nentry))
+    yield "return 1;"
+
+
+def _project(chord: Chord) -> Iterator[str]:
+    rows = _rows(chord, 0, chord.nconstraint)
+    yield "const double *restrict m = w->inverse_mass, *restrict weight = w->weight;"
+    yield "const ph_lane *restrict slot = w->slot, *restrict hard = w->hard, *restrict f = w->f;"
     yield "ph_lane *restrict next = w->next;"
+    for j in range(chord.k + 1):
+        yield f"const ph_lane p{j} = w->multiply[{j}];"
+    for d in range(chord.ndof):
+        yield f"ph_lane f{d} = next[{d}];"
     for r, row in enumerate(rows):
-        terms = (f"slot[{e}] * {_at(chord, *ends[e])}" for e in row)
-        yield f"w->row[{r}] = PH_SPREAD(0.0) + {' + '.join(terms)};"
-    yield "solve_hard(w->c->hard, w->hard, w->row);"
+        terms = (f"slot[{e}] * {_difference(chord, 'f', a, b)}" for e, a, b in row)
+        yield f"ph_lane r{r} = {' + '.join(['PH_SPREAD(0.0)', *terms])};"
+    yield from _solve(chord)
     for r, row in enumerate(rows):
         yield "{"
-        added = " + ".join(["PH_SPREAD(0.0)", *(f"w->multiply[{j}] * sigma[{j}]" for j in range(chord.k + 1))])
-        yield f"const ph_lane sigma = w->row[{r}], added = {added};"
-        for e in row:
-            a, b = ends[e]
-            yield f"const ph_lane pull{e} = slot[{e}] * sigma;"
-            yield f"next[{a}] -= m[{a}] * pull{e};" + (f" next[{b}] += m[{b}] * pull{e};" if b < chord.ndof else "")
+        added = " + ".join(["PH_SPREAD(0.0)", *(f"p{j} * r{r}[{j}]" for j in range(chord.k + 1))])
+        yield f"const ph_lane added = {added};"
+        for e, a, b in row:
+            yield f"const ph_lane pull{e} = slot[{e}] * r{r};"
+            yield f"f{a} -= m[{a}] * pull{e};" + (f" f{b} += m[{b}] * pull{e};" if b < chord.ndof else "")
         yield f"w->multiplier[{r}] += added, w->row[{r}] = added;"
         yield "}"
+    yield "ph_lane moved, all = PH_SPREAD(0.0);"
+    for d in range(chord.ndof):
+        yield f"next[{d}] = f{d}, moved = f{d} - f[{d}], all += moved * moved * weight[{d}];"
+    yield "return sum_of(all);"
 
 
-def _at(chord: Chord, plus: int, minus: int) -> str:
-    return f"next[{plus}]" if minus == chord.ndof else f"(next[{plus}] - next[{minus}])"
+def _solve(chord: Chord) -> Iterator[str]:
+    """elimination.inc on the local right-hand sides r."""
+    e = chord.hard
+    below = {entry: int(e.below[entry - e.n]) for entry in range(e.n, e.nentry)}
+    columns = [(j, int(e.order[j]), range(e.column[j], e.column[j + 1])) for j in range(e.n)]
+    for _, row, column in columns:
+        yield from (f"r{below[i]} = r{below[i]} - hard[{i}] * r{row};" for i in column)
+    for j, row, column in reversed(columns):
+        yield f"r{row} = r{row} * hard[{j}];"
+        yield from (f"r{row} = r{row} - hard[{i}] * r{below[i]};" for i in column)
+
+
+def _write(chord: Chord) -> Iterator[str]:
+    k, m = chord.k, chord.nconstraint
+    yield "const double *restrict m = w->inverse_mass;"
+    yield "const ph_lane *restrict slot = w->slot, *restrict f = w->f, *restrict row = w->row;"
+    yield from (f"ph_lane a{d} = w->force[{d}];" for d in range(chord.ndof))
+    for first, last, open_, close in ((0, m, "", ""), (m, m + chord.nstrain, "if (w->carry) {", "}")):
+        yield from [open_] * bool(open_)
+        for r, entries in enumerate(_rows(chord, first, last), first):
+            for e, a, b in entries:
+                yield f"a{a} -= m[{a}] * slot[{e}] * row[{r}];"
+                if b < chord.ndof:
+                    yield f"a{b} += m[{b}] * slot[{e}] * row[{r}];"
+        yield from [close] * bool(close)
+    for d in range(chord.ndof):
+        yield f"const ph_lane q{d} = w->h * f[{d}], v{d} = w->h * a{d};"
+    for i in range(k):
+        yield from (f"y[{chord.w_position[d * k + i]}] = q{d}[{i}];" for d in range(chord.ndof))
+        yield from (f"y[{chord.w_velocity[d * k + i]}] = v{d}[{i}];" for d in range(chord.ndof))
+        yield from (f"y[{chord.costate[d * k + i]}] = f[{d}][{i}];" for d in range(chord.ndof))
+    for r in range(m):
+        yield f"y[{chord.w_mu[r]}] = w->multiplier[{r}][PH_K];"
+        yield from (f"y[{chord.w_lambda[r * k + i]}] = w->multiplier[{r}][{i}];" for i in range(k))

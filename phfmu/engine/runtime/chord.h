@@ -34,6 +34,22 @@ typedef double ph_lane __attribute__((vector_size(8 * PH_LANES), aligned(8)));
         return a;                                                                                            \
     }
 
+#define WEAK 1e-4 /* a pivot this small beside its diagonal: rows are nearly dependent */
+
+static inline int lane_weak(ph_lane pivot, ph_lane initial) {
+    int result = 0;
+    for (int i = 0; i < PH_LANES; i++)
+        result |= !(pivot[i] > WEAK * initial[i]);
+    return result;
+}
+
+static inline double sum_of(ph_lane a) {
+    double sum = 0.0;
+    for (int i = 0; i < PH_LANES; i++)
+        sum += a[i];
+    return sum;
+}
+
 /* One mode of the coupling of the nodes in time: a real one, and for k = 3 a complex one. */
 typedef struct ph_mode {
     double real;

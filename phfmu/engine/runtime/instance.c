@@ -110,6 +110,7 @@ static size_t lay_out(ph_instance *in, block *b) {
     in->lost = doubles(b, in->model->step->ncomp);
     in->numerical = doubles(b, in->model->step->ncomp);
     in->basis = doubles(b, in->model->step->k);
+    in->change = doubles(b, in->model->step->nx);
     return b->used;
 }
 

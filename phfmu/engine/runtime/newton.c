@@ -100,11 +100,13 @@ static void rounding(const ph_system *s, double nominal, double *size) {
     }
     for (int l = 0; l < p->nreg; l++)
         constraint[p->matrix_row[p->regularised[l]]] = nominal;
-    for (int l = 0; l < p->nupdate; l++) {
-        int j = p->update_w[l];
-        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
-            size[p->matrix_row[e]] += DBL_EPSILON * fabs(s->a[e] * s->x[p->update_x[l]]);
-    }
+    for (int u = 0; u < p->nupdate; u++)
+        for (int l = p->update_ptr[u]; l < p->update_ptr[u + 1]; l++)
+            for (int i = 0; i < p->update_n[u]; i++) {
+                int j = p->update_w[l] + i;
+                for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
+                    size[p->matrix_row[e]] += DBL_EPSILON * fabs(s->a[e] * s->x[p->update_x[u] + i]);
+            }
     for (int j = 0; j < p->nw; j++)
         for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++) {
             int i = p->matrix_row[e];

@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define PH_VERSION 2
+#define PH_VERSION 3
 #define PH_STAMP                                                                                             \
     (((uint64_t)PH_VERSION << 48) | ((uint64_t)sizeof(ph_model) << 32) | ((uint64_t)sizeof(ph_plan) << 16) | \
      (uint64_t)sizeof(ph_group))
@@ -115,7 +115,7 @@ typedef struct ph_plan {
     int nfixed, nvarying;             /* constant and varying parts of A */
     int nderivative;                  /* entries of the other derivative blocks */
     int nreg;                         /* regularised diagonal entries */
-    int nupdate, nmean;               /* entries of the update and of the algebraic report */
+    int nupdate, nmean;               /* runs of the update, entries of the algebraic report */
     int nwork;                        /* rows with the work of impulses */
     int carries;                      /* 1: algebraic variables of the step's end enter the next; 0: means */
     int lucap;                        /* room for the entries of L + U */
@@ -145,9 +145,11 @@ typedef struct ph_plan {
     const int *derivative_t;
     const double *derivative_value;
     const signed char *derivative_power;
-    const int *update_x;           /* nupdate, ascending: x[update_x] += update_c w[update_w] */
-    const int *update_w;           /* nupdate */
-    const double *update_c;        /* nupdate */
+    const int *update_x;           /* nupdate: first state of a run */
+    const int *update_n;           /* nupdate: its length; x[update_x + i] += sum c w[update_w + i] */
+    const int *update_ptr;         /* nupdate+1: terms of each run */
+    const int *update_w;           /* update_ptr[nupdate] */
+    const double *update_c;        /* update_ptr[nupdate] */
     const int *mean_a;             /* nmean: a[mean_a] = sum mean_c h^mean_pow w[mean_w] */
     const int *mean_w;             /* nmean */
     const double *mean_c;          /* nmean */

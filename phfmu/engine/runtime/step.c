@@ -13,21 +13,30 @@ static void add(double *sum, double *rest, double term) {
     *sum = t;
 }
 
-/* x += update of the plan at the unknowns w, compensated. */
-static void move(const ph_plan *p, const double *restrict w, double *restrict x, double *restrict rest) {
-    const int *restrict state = p->update_x;
-    const int *restrict source = p->update_w;
-    const double *restrict weight = p->update_c;
-    const int n = p->nupdate;
-    for (int l = 0; l < n;) {
-        const int i = state[l];
-        double change = 0.0, sum, term;
-        for (; l < n && state[l] == i; l++)
-            change += weight[l] * w[source[l]];
-        term = change - rest[i];
-        sum = x[i] + term;
+/* x += change, compensated. */
+static void add_all(double *restrict x, double *restrict rest, const double *restrict change, int n) {
+    for (int i = 0; i < n; i++) {
+        double term = change[i] - rest[i], sum = x[i] + term;
         rest[i] = (sum - x[i]) - term;
         x[i] = sum;
+    }
+}
+
+/* x += update of the plan at the unknowns. */
+static void move(ph_instance *in) {
+    const ph_plan *p = in->step.plan;
+    for (int u = 0; u < p->nupdate; u++) {
+        const int first = p->update_x[u], n = p->update_n[u];
+        double *restrict change = in->change;
+        for (int i = 0; i < n; i++)
+            change[i] = 0.0;
+        for (int l = p->update_ptr[u]; l < p->update_ptr[u + 1]; l++) {
+            const double *restrict w = in->step.y + p->update_w[l];
+            const double c = p->update_c[l];
+            for (int i = 0; i < n; i++)
+                change[i] += c * w[i];
+        }
+        add_all(in->table + first, in->rest + first, change, n);
     }
 }
 
@@ -36,7 +45,7 @@ static void move(const ph_plan *p, const double *restrict w, double *restrict x,
 static void accept(ph_instance *in, double h, double from, double weight) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
-    double *x = in->table, *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
+    double *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
     ph_eval_ledger(s, in->stored, in->lost, in->numerical);
     for (int c = 0; c < p->ncomp; c++) {
         in->row[PH_ROW_STORED][c] += in->stored[c];
@@ -67,7 +76,7 @@ static void accept(ph_instance *in, double h, double from, double weight) {
         a[p->mean_a[l]] += p->mean_pow[l] < 0 ? part / h : part;
     }
     ph_book_nodes(in, from, weight);
-    move(p, s->y, x, in->rest);
+    move(in);
     memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
     *s->last_h = h;
 }

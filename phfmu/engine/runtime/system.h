@@ -111,6 +111,7 @@ struct ph_instance {
     double *lost;      /* ncomp */
     double *numerical; /* ncomp */
     double *basis;     /* k */
+    double *change;    /* nx */
     long long count[PH_NCOUNT];
     ph_report report;
 };

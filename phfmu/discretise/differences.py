@@ -1,0 +1,110 @@
+"""Coordinates that enter a function through their differences only: springs, dampers and bars between two bodies.
+
+A function of x_a - x_b is worked out in d = x_a - x_b: half the arithmetic, and as exact far from the origin as near it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from phfmu.discretise.spec import Spec
+
+#: operations of analytic functions: what holds at points chosen at random holds everywhere
+ANALYTIC = frozenset(
+    {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ,
+     ca.OP_TWICE, ca.OP_INV, ca.OP_SQRT, ca.OP_EXP, ca.OP_LOG, ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_TANH,
+     ca.OP_POW, ca.OP_CONSTPOW, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN, ca.OP_SINH, ca.OP_COSH, ca.OP_LOG1P, ca.OP_EXPM1,
+     ca.OP_HYPOT}
+)  # fmt: skip
+
+#: more coordinates of a kind than this are left as they are
+MOST = 24
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Coordinates of a local function: pairs (plus, minus) of places of a vector; minus = -1 for a single one."""
+
+    pairs: tuple[tuple[int, int], ...]
+
+    def substitution(self, x: ca.SX, name: str) -> tuple[ca.SX, ca.SX]:
+        """The coordinates d as symbols, and x in terms of them: x_plus = d, x_minus = 0."""
+        d, values = ca.SX.sym(name, len(self.pairs)), [ca.SX(0)] * x.numel()
+        for j, (plus, _) in enumerate(self.pairs):
+            values[plus] = d[j]
+        return d, ca.vertcat(*values) if values else ca.SX(0, 1)
+
+    def globally(self, index: Sequence[int]) -> tuple[list[int], list[int]]:
+        """Global indices of the plus and minus places; -1 where there is no minus."""
+        return [index[p] for p, _ in self.pairs], [index[m] if m >= 0 else -1 for _, m in self.pairs]
+
+
+def differences(f: ca.Function, which: int, places: Sequence[Sequence[int]] | None = None) -> Differences:
+    """Places of argument `which` that the function depends on through their difference only, found by sampling.
+
+    `places`: indices that belong together, shifted each by an amount of its own; default: every index by itself.
+    """
+    rng = np.random.default_rng(1)
+    together = [[j] for j in range(f.numel_in(which))] if places is None else places
+    points = [[rng.uniform(0.5, 1.5, f.numel_in(i)) for i in range(f.n_in())] for _ in range(2)]
+    values = [_call(f, point) for point in points]
+    free, pairs = list(range(len(together))), []
+    while free:
+        a = free.pop(0)
+        b = next((b for b in free if _invariant(f, which, points, values, [together[a], together[b]])), -1)
+        if b >= 0:
+            free.remove(b)
+        pairs.append((b, a) if b >= 0 else (a, -1))
+    return Differences(tuple(pairs))
+
+
+def _call(f: ca.Function, point: list) -> np.ndarray:
+    return np.concatenate([np.asarray(v).ravel() for v in f.call(point)])
+
+
+def _invariant(f: ca.Function, which: int, points: list, values: list, places: list[Sequence[int]]) -> bool:
+    for point, value in zip(points, values, strict=True):
+        moved = [v.copy() for v in point]
+        for group in places:
+            moved[which][list(group)] += 0.734 + 0.319 * np.arange(len(group))
+        if not np.allclose(_call(f, moved), value, rtol=1e-12, atol=1e-12):
+            return False
+    return True
+
+
+def in_differences(spec: Spec) -> Spec:
+    """The same kernel with all arguments that matter through differences only replaced by these."""
+    y = ca.vertcat(*(s for _, s in spec.y)) if spec.y else ca.SX(0, 1)
+    exprs = [e for e in (ca.vertcat(*(e for _, _, e in spec.out)), spec.stored, spec.lost, spec.numerical) if e is not None]
+    f = ca.Function("f", [spec.x, y, spec.p], [ca.densify(ca.SX(e)) for e in exprs])
+    if not {f.instruction_id(i) for i in range(f.n_instructions())} <= ANALYTIC:
+        return spec
+    old, new = [], []
+    kinds: list[tuple[int, list[list[int]]]] = [(0, [[j] for j in range(spec.x.numel())])]
+    for kind in dict.fromkeys(kind for (kind, _, _), _ in spec.y):
+        found: dict[int, list[int]] = {}
+        for n, ((k, j, _), _) in enumerate(spec.y):
+            if k == kind:
+                found.setdefault(j, []).append(n)
+        kinds.append((1, list(found.values())))
+    for which, places in kinds:
+        if len(places) > MOST or len({len(p) for p in places}) > 1:
+            continue
+        symbols = (spec.x, y)[which]
+        for plus, minus in differences(f, which, places).pairs:
+            if minus >= 0:
+                for a, b in zip(places[plus], places[minus], strict=True):
+                    old += [symbols[a], symbols[b]]
+                    new += [symbols[a] - symbols[b], ca.SX(0)]
+    if not old:
+        return spec
+
+    def moved(e: ca.SX | None) -> ca.SX | None:
+        return None if e is None else ca.substitute(ca.SX(e), ca.vertcat(*old), ca.vertcat(*new))
+
+    out = [(address, power, moved(e)) for address, power, e in spec.out]
+    return replace(spec, out=out, stored=moved(spec.stored), lost=moved(spec.lost), numerical=moved(spec.numerical))
