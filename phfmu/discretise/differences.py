@@ -79,7 +79,9 @@ def _invariant(f: ca.Function, which: int, points: list, values: list, places: l
 def in_differences(spec: Spec) -> Spec:
     """The same kernel with all arguments that matter through differences only replaced by these."""
     y = ca.vertcat(*(s for _, s in spec.y)) if spec.y else ca.SX(0, 1)
-    exprs = [e for e in (ca.vertcat(*(e for _, _, e in spec.out)), spec.stored, spec.lost, spec.numerical) if e is not None]
+    exprs = [
+        e for e in (ca.vertcat(*(e for _, _, e in spec.out)), spec.stored, spec.lost, spec.numerical) if e is not None
+    ]
     f = ca.Function("f", [spec.x, y, spec.p], [ca.densify(ca.SX(e)) for e in exprs])
     if not {f.instruction_id(i) for i in range(f.n_instructions())} <= ANALYTIC:
         return spec

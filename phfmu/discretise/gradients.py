@@ -130,13 +130,17 @@ def strain(c: ca.SX, phi: ca.SX, s: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gra
     grad_c = ca.gradient(c, x)
     g = [at(grad_c, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
     cd = ca.horzcat(*(ca.dot(g[i], d[:, i]) for i in range(nd.k)))
-    node, dh = stress(phi, s, c, cd, nd)
+    step = ca.mtimes(d, ca.DM(nd.b))
+    node, dh = stress(phi, s, c, cd, nd, ca.dot(at(grad_c, x, x + step / 2), step))
     return ca.horzcat(*(node[i] * g[i] for i in range(nd.k))), dh
 
 
-def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes) -> Gradient:
-    """Node stresses S_i (1 x k) of phi(C) along the path with C = c at its start and increments cd (1 x k); dH."""
-    dphi = ca.gradient(phi, s)
+def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes, change: ca.SX | None = None) -> Gradient:
+    """Node stresses S_i (1 x k) of phi(C) along the path with C = c at its start and increments cd (1 x k); dH.
+
+    `change`: C(x') - C(x), default sum b_i cd_i.  Polynomial phi: dH by its Taylor series, without cancellation.
+    """
+    dphi, change = ca.gradient(phi, s), ca.mtimes(cd, ca.DM(nd.b)) if change is None else change
 
     def chat(t: float) -> ca.SX:
         return c + ca.mtimes(cd, ca.DM(nd.integral(t)))
@@ -145,9 +149,21 @@ def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes) -> Gradient:
     m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
     node = projected([at(dphi, s, chat(t)) for t in gauss(m)[0]], m, nd)
     if p is not None:
-        return node, sum((nd.b[i] * cd[i] * node[i] for i in range(nd.k)), ca.SX(0))
-    dh = at(phi, s, c + ca.mtimes(cd, ca.DM(nd.b))) - at(phi, s, c)
+        return node, _difference(phi, s, c, change, p)
+    dh = at(phi, s, c + change) - at(phi, s, c)
     return _corrected(node, dh, cd, nd, np.ones(1)), dh
+
+
+def _difference(phi: ca.SX, s: ca.SX, c: ca.SX, change: ca.SX, p: int) -> ca.SX:
+    """phi(c + change) - phi(c) of a polynomial of degree p, by Horner's scheme on its Taylor coefficients."""
+    coefficients, g = [], phi
+    for n in range(1, p + 1):
+        g = ca.gradient(g, s) / n
+        coefficients.append(at(g, s, c))
+    total = ca.SX(0)
+    for coefficient in reversed(coefficients):
+        total = (coefficient + total) * change
+    return total
 
 
 def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:

@@ -6,6 +6,7 @@ the same and in the same order, so that the results are the same bits.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 from phfmu.discretise.chord import Chord, LaneGroup
@@ -21,12 +22,13 @@ def unrolled(chord: Chord) -> str:
     groups = sorted((g for g in chord.groups if g.kernel.kind in ORDER), key=lambda g: ORDER.index(g.kernel.kind))
     if chord.ndof > MOST or sum(g.n for g in groups) > MOST or len(chord.load_kind) and chord.load_kind.any():
         return ""
+    lines = [
+        *_start(chord),
+        *(line for g in groups for i in range(g.n) for line in _instance(chord, g, i)),
+        *_end(chord),
+    ]
     bodies = {
-        "void evaluate(ph_work *w)": [
-            *_start(chord),
-            *(line for g in groups for i in range(g.n) for line in _instance(chord, g, i)),
-            *_end(chord),
-        ],
+        "void evaluate(ph_work *w)": [*_pointers(lines), *lines],
         "int factor(ph_work *w)": _factor(chord),
         "double project(ph_work *w)": _project(chord),
         "void write_step(ph_work *w, double *restrict y)": _write(chord),
@@ -37,17 +39,32 @@ def unrolled(chord: Chord) -> str:
     return text
 
 
+#: arrays of the work space that `evaluate` uses by a name of its own, so that the compiler knows them apart
+ARRAYS = {
+    "const double": ("point", "parameters = p", "start", "velocity", "inverse_mass"),
+    "double": ("slope",),
+    "const ph_lane": ("f", "base", "multiplier", "input = u"),
+    "ph_lane": ("slot", "n", "force", "next", "stresses = stress"),
+}
+
+
+def _pointers(lines: Sequence[str]) -> Iterator[str]:
+    words = set(re.findall(r"\w+", " ".join(lines)))
+    for ctype, names in ARRAYS.items():
+        for name, _, member in (n.partition(" = ") for n in names):
+            if name in words:
+                yield f"{ctype} *restrict {name} = w->{member or name};"
+
+
 def _start(chord: Chord) -> Iterator[str]:
     k = chord.k
     yield "const ph_lane zero = PH_SPREAD(0.0);"
-    yield "const double *restrict point = w->point, *restrict parameters = w->p;"
-    yield "ph_lane *restrict slot = w->slot;"
     for j in range(k):
         yield f"const ph_lane c{j} = w->column[{j}];"
     for d in range(chord.ndof):
-        yield f"const ph_lane f{d} = w->f[{d}], v{d} = f{d} - w->n[{d}];"
+        yield f"const ph_lane f{d} = f[{d}], v{d} = f{d} - n[{d}];"
         yield f"const ph_lane x{d} = {' + '.join(f'c{j} * f{d}[{j}]' for j in range(k))};"
-        yield f"ph_lane n{d} = zero, g{d} = w->base[{d}];"
+        yield f"ph_lane n{d} = zero, g{d} = base[{d}];"
 
 
 def _difference(chord: Chord, name: str, plus: int, minus: int) -> str:
@@ -73,7 +90,7 @@ def _instance(chord: Chord, g: LaneGroup, i: int) -> Iterator[str]:
 def _constraint(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[int, int]]) -> Iterator[str]:
     n = len(points)
     yield _array("ph_lane", "e", [_difference(chord, "v", a, b) for a, b in ends])
-    yield f"const ph_lane lambda = w->multiplier[{g.first + i}], mu = lambda[PH_K] * PH_NODES;"
+    yield f"const ph_lane lambda = multiplier[{g.first + i}], mu = lambda[PH_K] * PH_NODES;"
     yield f"ph_lane gradient[{n}], turn[{n}];"
     yield f"{g.kernel.name}(d, e, p, gradient, turn);"
     for j, (e, (a, b)) in enumerate(zip(points, ends, strict=True)):
@@ -92,19 +109,19 @@ def _strain(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[
     rate = [f"gradient[{j}] * {_difference(chord, 'f', a, b)}" for j, (a, b) in enumerate(ends)]
     yield f"    const ph_lane sum = zero + {' + '.join(rate)};"
     if g.stress.kind == "pointwise":
-        chat = " + ".join([f"PH_SPREAD(w->start[{s}])", *(f"c{j} * sum[{j}]" for j in range(chord.k))])
+        chat = " + ".join([f"PH_SPREAD(start[{s}])", *(f"c{j} * sum[{j}]" for j in range(chord.k))])
         yield f"    const ph_lane c = {chat};"
         yield "    ph_lane slopes;"
-        yield f"    {g.stress.name}(&c, p, w->stress + {s}, &slopes);"
-        yield f"    w->slope[{s}] = slopes[PH_K / 2];"
+        yield f"    {g.stress.name}(&c, p, stresses + {s}, &slopes);"
+        yield f"    slope[{s}] = slopes[PH_K / 2];"
     else:
         yield f"    const double rate[] = {{{', '.join(f'w->h * sum[{j}]' for j in range(chord.k))}}};"
         yield "    double values[PH_K];"
-        yield f"    {g.stress.name}(w->start + {s}, rate, p, values, w->slope + {s});"
+        yield f"    {g.stress.name}(start + {s}, rate, p, values, slope + {s});"
         for j in range(chord.k):
-            yield f"    w->stress[{s}][{j}] = values[{j}];"
+            yield f"    stresses[{s}][{j}] = values[{j}];"
     yield "}"
-    yield f"const ph_lane stress = w->stress[{s}];"
+    yield f"const ph_lane stress = stresses[{s}];"
     for j, (e, (a, b)) in enumerate(zip(points, ends, strict=True)):
         yield f"const ph_lane pull{j} = gradient[{j}] * stress;"
         yield f"slot[{e}] = gradient[{j}], g{a} -= pull{j};" + (f" g{b} += pull{j};" if b < chord.ndof else "")
@@ -113,7 +130,7 @@ def _strain(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[
 def _force(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[int, int]]) -> Iterator[str]:
     rates = [_difference(chord, "f", int(a), int(b)) for a, b in zip(g.zp[i], g.zm[i], strict=True)]
     yield _array("ph_lane", "e", rates) if rates else "const ph_lane e[1] = {zero};"
-    inputs = [f"w->u[{int(u)}]" for u in g.ui[i]]
+    inputs = [f"input[{int(u)}]" for u in g.ui[i]]
     yield _array("ph_lane", "u", inputs) if inputs else "const ph_lane u[1] = {zero};"
     yield f"ph_lane out[{g.kernel.no}];"
     yield f"{g.kernel.name}(d, e, u, p, out);"
@@ -124,8 +141,8 @@ def _force(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[i
 def _end(chord: Chord) -> Iterator[str]:
     for d in range(chord.ndof):
         terms = " + ".join(f"c{j} * a{d}[{j}]" for j in range(chord.k))
-        yield f"const ph_lane a{d} = w->inverse_mass[{d}] * g{d}, m{d} = w->inverse_mass[{d}] * n{d};"
-        yield f"w->force[{d}] = a{d}, w->n[{d}] = m{d}, w->next[{d}] = (w->velocity[{d}] + m{d}) + ({terms});"
+        yield f"const ph_lane a{d} = inverse_mass[{d}] * g{d}, m{d} = inverse_mass[{d}] * n{d};"
+        yield f"force[{d}] = a{d}, n[{d}] = m{d}, next[{d}] = (velocity[{d}] + m{d}) + ({terms});"
 
 
 def _rows(chord: Chord, first: int, last: int) -> list[list[tuple[int, int, int]]]:
