@@ -63,18 +63,23 @@ def work_precision(target: str, steps: str, errors: str, stop: float, repeat: in
 def four_particle() -> str:
     """Four particles, damped, timed over 10 s."""
     return work_precision(
-        "four_particle", "0.08,0.04,0.02,0.01,0.005,0.0025", "2e-4,1e-6,5e-9", 10.0, 5, ("scipy", "casadi", "sundae")
+        "four_particle",
+        "0.08,0.04,0.02,0.01,0.005,0.0025",
+        "2e-4,1e-6,5e-9",
+        10.0,
+        5,
+        ("scipy", "casadi", "sundae", "exudyn"),
     )
 
 
 def chain_10() -> str:
     """Ten unit links let go from the horizontal, timed over 2 s."""
-    return work_precision("chain:10", "0.04,0.02,0.01,0.005", "1e-4,1e-6,1e-8", 2.0, 5, ("casadi", "mujoco"))
+    return work_precision("chain:10", "0.04,0.02,0.01,0.005", "1e-4,1e-6,1e-8", 2.0, 5, ("casadi", "mujoco", "exudyn"))
 
 
 def chain_50() -> str:
     """The same with fifty links."""
-    return work_precision("chain:50", "0.04,0.02,0.01", "1e-5,1e-7,3e-9", 2.0, 3, ("mujoco",))
+    return work_precision("chain:50", "0.04,0.02,0.01", "1e-5,1e-7,3e-9", 2.0, 3, ("mujoco", "exudyn"))
 
 
 def scaling(name: str, sizes: Sequence[int]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
@@ -217,7 +218,7 @@ def test_bench_with_a_reference_of_the_user(compiler: None, tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--peers", "matlab"], "choose from all, none, scipy, casadi, sundae, mujoco"),
+        (["--peers", "matlab"], "choose from all, none, scipy, casadi, sundae, mujoco, exudyn"),
         (["--steps", "0.1,x"], "positive numbers with commas"),
         (["--schemes", "two-level:x"], "NAME:ORDER"),
         (["--engines", "fast"], "native, python"),
@@ -265,6 +266,72 @@ def test_mujoco_converges_to_the_chain_of_the_declaration(compiler: None) -> Non
     found = {c.value: c.prepare()([0.4]).x for c in mujoco_chain.candidates(p, 2) if c.method.endswith("RK4")}
     errors = [p.judge(found[h]).errors[0] for h in (0.02, 0.01)]
     assert errors[0] < 1e-6 and np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.4)
+
+
+def exudyn_errors(p: Problem, steps: tuple[float, ...]) -> dict[str, list[float]]:
+    """Errors of q at the stop time by method, the largest step first; every run is repeated and must not change."""
+    if find_spec("exudyn") is None:
+        pytest.skip("exudyn is not installed: pip install exudyn")
+    from phfmu.bench import exudyn_particles
+
+    errors: dict[str, list[float]] = {}
+    for c in exudyn_particles.candidates(p):
+        if c.value in steps:
+            solve = c.prepare()
+            run = solve(list(p.grid), watch=True)
+            assert run.steps == round(p.stop / c.value) and run.iterations is not None and run.iterations >= run.steps
+            assert np.array_equal(solve([p.stop]).x[0], run.x[-1])
+            errors.setdefault(c.method, []).append(p.judge(run.x).errors[-1])
+    return errors
+
+
+def test_exudyn_converges_to_the_four_particles_of_the_declaration() -> None:
+    """Bars, springs and the damper as it has them: order 2 against the independent solution, 1.6e-4 at h = 10 ms."""
+    p = problem_of(Scene("four_particle", four_particle(), 1.0, 0.01), times=(1.0,), judged=("q",))
+    p.reference = rows("four_particle")[1.0][None, :24]
+    errors = exudyn_errors(p, (0.01, 0.005))
+    assert list(errors) == ["exudyn generalized-alpha 1", "exudyn trapezoidal index 2"]
+    for coarse, fine in errors.values():
+        assert coarse == pytest.approx(1.58e-4, rel=0.05)
+        assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("links", [2, 15])
+def test_exudyn_converges_to_the_chain_of_the_declaration(links: int, compiler: None) -> None:
+    """Order 2 at 0.4 s, with dense matrices (8 unknowns) and sparse ones (60 unknowns)."""
+    p = solved(problem_of(member(f"chain:{links}"), times=(0.2, 0.4), stop=0.4, judged=("q",)))  # type: ignore[arg-type]
+    errors = exudyn_errors(p, (0.01, 0.005))
+    assert list(errors) == ["exudyn generalized-alpha 0.9", "exudyn trapezoidal index 2"]
+    for coarse, fine in errors.values():
+        assert coarse < 1e-3 and np.log2(coarse / fine) == pytest.approx(2.0, abs=0.2)
+
+
+def test_a_peer_that_is_not_installed_is_one_line(
+    compiler: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from phfmu.bench import exudyn_particles, mujoco_chain, sundae
+
+    for module in (exudyn_particles, mujoco_chain, sundae):
+        monkeypatch.setattr(module, "find_spec", lambda name: None)
+    words = ["bench", "chain:2", "--peers", "exudyn,mujoco,sundae", "--schemes", "two-level:2", "--steps", "0.05"]
+    assert main([*words, "--stop", "0.1", "--times", "0.1", "--repeat", "1", "-o", str(tmp_path)]) == FINE
+    lines = [t for t in capsys.readouterr().out.splitlines() if "not installed" in t]
+    assert lines == [
+        "SUNDIALS IDA: not installed; pip install scikit-sundae",
+        "MuJoCo: not installed; pip install mujoco",
+        "exudyn: not installed; pip install exudyn",
+    ]
+
+
+def test_an_exudyn_with_other_names_of_settings_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    from phfmu.bench import exudyn_particles
+
+    monkeypatch.setattr(exudyn_particles, "find_spec", lambda name: object())
+    monkeypatch.setattr(exudyn_particles.metadata, "version", lambda name: "1.9.83")
+    p = problem_of(Scene("four_particle", four_particle(), 1.0, 0.01))
+    (only,) = exudyn_particles.candidates(p)
+    with pytest.raises(NotAvailable, match=r"version 1\.9\.83 is older than 1\.13; pip install -U exudyn"):
+        only.prepare()
 
 
 def test_members_of_families() -> None:

@@ -44,3 +44,12 @@ class Candidate:
 
 class NotAvailable(Exception):
     """The peer is not installed or cannot take this problem; the message says why."""
+
+
+def missing(peer: str, why: str) -> Candidate:
+    """In place of the candidates of a peer that is not there: one line in the remarks, with the remedy in `why`."""
+
+    def prepare() -> Solve:
+        raise NotAvailable(why)
+
+    return Candidate(peer, "", 0.0, prepare)

@@ -13,13 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.bench.candidate import Candidate, NotAvailable, Run
+from phfmu.bench.candidate import Candidate, Run, missing
 from phfmu.bench.problem import Problem
 
 STEPS = (0.02, 0.01, 0.005, 0.002)
 
 
 def candidates(problem: Problem, links: int) -> Iterator[Candidate]:
+    if find_spec("mujoco") is None:
+        yield missing("MuJoCo", "not installed; pip install mujoco")
+        return
     for integrator in ("RK4", "implicitfast"):
         for h in STEPS:
             yield Candidate(
@@ -43,13 +46,9 @@ def _xml(links: int, h: float, integrator: str) -> str:
 
 class _MuJoCo:
     def __init__(self, problem: Problem, links: int, integrator: str, h: float):
-        if find_spec("mujoco") is None:
-            raise NotAvailable("not installed; pip install mujoco")
+        problem.require_step(h)
         mujoco: Any = import_module("mujoco")
         self._lib, self._h, self._links = mujoco, h, links
-        for t in problem.grid:
-            if abs(t / h - round(t / h)) > 1e-9:
-                raise RuntimeError(f"t = {t:g} s is no multiple of the step")
         self._model: Any = mujoco.MjModel.from_xml_string(_xml(links, h, integrator))
         self._data: Any = mujoco.MjData(self._model)
 

@@ -94,6 +94,12 @@ class Problem:
         """Live values of the reduced system after the changes of a piece."""
         return live_values(self.system, before, changes)
 
+    def require_step(self, h: float) -> None:
+        """RuntimeError if a time of comparison or the stop time is no multiple of a fixed step h [s]."""
+        for t in self.grid:
+            if abs(t / h - round(t / h)) > 1e-9:
+                raise RuntimeError(f"t = {t:g} s is no multiple of the step")
+
     # -- judging ----------------------------------------------------------------------------------------------------
 
     @cached_property

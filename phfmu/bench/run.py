@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from phfmu.bench import machine, mujoco_chain, own, peers, report, sundae
+from phfmu.bench import exudyn_particles, machine, mujoco_chain, own, peers, report, sundae
 from phfmu.bench.candidate import Candidate
 from phfmu.bench.problem import Problem
 from phfmu.bench.work_precision import Table, measure
@@ -16,7 +16,7 @@ from phfmu.bench.work_precision import Table, measure
 TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 #: default steps in multiples of the scene's step
 MULTIPLES = (8.0, 4.0, 2.0, 1.0, 0.5)
-PEERS = ("scipy", "casadi", "sundae", "mujoco")
+PEERS = ("scipy", "casadi", "sundae", "mujoco", "exudyn")
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,8 @@ def candidates(problem: Problem, choice: Choice, functions: peers.Functions) -> 
     links = re.fullmatch(r"chain_(\d+)", problem.name)
     if "mujoco" in choice.peers and links:
         yield from mujoco_chain.candidates(problem, int(links[1]))
+    if "exudyn" in choice.peers:
+        yield from exudyn_particles.candidates(problem)
 
 
 def default_errors(table: Table) -> tuple[float, ...]:

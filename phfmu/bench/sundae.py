@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.bench.candidate import Candidate, NotAvailable, Run
+from phfmu.bench.candidate import Candidate, Run, missing
 from phfmu.bench.compiled import Buffered, compiled
 from phfmu.bench.peers import absolute
 from phfmu.bench.problem import Problem
@@ -26,11 +26,12 @@ Array = NDArray[np.float64]
 
 
 def candidates(problem: Problem, tolerances: Sequence[float]) -> Iterator[Candidate]:
+    if find_spec("sksundae") is None:
+        yield missing("SUNDIALS IDA", "not installed; pip install scikit-sundae")
+        return
     made: list[_Functions] = []
 
     def functions() -> _Functions:
-        if find_spec("sksundae") is None:
-            raise NotAvailable("not installed; pip install scikit-sundae")
         if not made:
             made.append(_Functions(problem))
         return made[0]
