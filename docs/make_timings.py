@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,16 @@ def numbers(text: str) -> tuple[float, ...]:
     return tuple(float(t) for t in text.split(","))
 
 
-def work_precision(target: str, steps: str, errors: str, stop: float, repeat: int, peers: tuple[str, ...]) -> str:
-    """One comparison of `phfmu bench`: rows, ratios at equal errors, machine; its picture in img."""
+@dataclass(frozen=True)
+class Made:
+    """Table and notes as Markdown; `draw` puts a picture into a folder."""
+
+    text: str
+    draw: Callable[[Path], None] = lambda folder: None
+
+
+def work_precision(target: str, steps: str, errors: str, stop: float, repeat: int, peers: tuple[str, ...]) -> Made:
+    """One comparison of `phfmu bench`: rows, ratios at equal errors, machine; its picture."""
     from phfmu.bench.problem import problem_of
     from phfmu.bench.report import write_png
     from phfmu.bench.run import Choice, compare
@@ -38,8 +47,11 @@ def work_precision(target: str, steps: str, errors: str, stop: float, repeat: in
     problem = problem_of(member(target) or scene(target), times=(1.0,), stop=stop, judged=("q",))
     choice = Choice(steps=numbers(steps), errors=numbers(errors), repeat=repeat, peers=peers)
     found = compare(problem, choice)
-    picture = RESULTS / "img" / f"work_precision_{problem.name}.png"
-    write_png(picture, problem, found.table, f"{found.caption}\n{machine.versions()}")
+
+    def draw(folder: Path) -> None:
+        picture = folder / f"work_precision_{problem.name}.png"
+        write_png(picture, problem, found.table, f"{found.caption}\n{machine.versions()}")
+
     rows = [
         [r.method, r.setting, 1e3 * r.cpu, r.judged.errors[-1], r.judged.energy, r.judged.drift, r.ledger or "",
          r.steps or "", r.iterations or ""]
@@ -57,10 +69,10 @@ def work_precision(target: str, steps: str, errors: str, stop: float, repeat: in
         "iterations",
     ]
     notes = [*found.ratios, *found.table.remarks, *found.about]
-    return table(head, rows) + "\n\n" + "\n".join(f"- {n}" for n in notes)
+    return Made(table(head, rows) + "\n\n" + "\n".join(f"- {n}" for n in notes), draw)
 
 
-def four_particle() -> str:
+def four_particle() -> Made:
     """Four particles, damped, timed over 10 s."""
     return work_precision(
         "four_particle",
@@ -72,17 +84,17 @@ def four_particle() -> str:
     )
 
 
-def chain_10() -> str:
+def chain_10() -> Made:
     """Ten unit links let go from the horizontal, timed over 2 s."""
     return work_precision("chain:10", "0.04,0.02,0.01,0.005", "1e-4,1e-6,1e-8", 2.0, 5, ("casadi", "mujoco", "exudyn"))
 
 
-def chain_50() -> str:
+def chain_50() -> Made:
     """The same with fifty links."""
     return work_precision("chain:50", "0.04,0.02,0.01", "1e-5,1e-7,3e-9", 2.0, 3, ("mujoco", "exudyn"))
 
 
-def scaling(name: str, sizes: Sequence[int]) -> str:
+def scaling(name: str, sizes: Sequence[int]) -> Made:
     """Sizes of a family with fitted exponents."""
     from phfmu.bench.scaling import GROWTH, exponent, run
 
@@ -96,28 +108,26 @@ def scaling(name: str, sizes: Sequence[int]) -> str:
     rows.append(["~ n^", "", *(p[c] for c in GROWTH[:-1]), "", p["iteration"]])
     parts = FAMILIES[name].parts
     head = [parts, "unknowns", "declare s", "plan s", "C kB", "compile s", "memory MB", "µs/step", "its", "µs/it"]
-    return (
-        table(head, rows)
-        + f"\n\n- {machine.processor()}; load {before} before, {machine.load()} after; process CPU time"
-    )
+    about = f"{machine.processor()}; load {before} before, {machine.load()} after; process CPU time"
+    return Made(f"{table(head, rows)}\n\n- {about}")
 
 
-def scaling_chain() -> str:
+def scaling_chain() -> Made:
     """Pendulum chains, two-level of order 2, h = 10 ms."""
     return scaling("chain", (10, 100, 1000, 3000, 10_000))
 
 
-def scaling_net() -> str:
+def scaling_net() -> Made:
     """Square sheets of masses and springs, h = 1 ms."""
     return scaling("net", (4, 8, 16, 32))
 
 
-def scaling_ladder() -> str:
+def scaling_ladder() -> Made:
     """Machines along a line, h = 0.1 ms."""
     return scaling("ladder", (3, 10, 30, 100, 300))
 
 
-TABLES: dict[str, Callable[[], str]] = {
+TABLES: dict[str, Callable[[], Made]] = {
     f.__name__: f for f in (four_particle, chain_10, chain_50, scaling_chain, scaling_net, scaling_ladder)
 }
 
@@ -138,7 +148,8 @@ if __name__ == "__main__":
     for name in names:
         if name not in TABLES:
             sys.exit(f"no table '{name}'; there are: {', '.join(TABLES)}")
-        text = TABLES[name]()
-        print(f"### {name}\n\n{TABLES[name].__doc__}\n\n{text}\n", flush=True)
+        made = TABLES[name]()
+        print(f"### {name}\n\n{TABLES[name].__doc__}\n\n{made.text}\n", flush=True)
         if "--write" in sys.argv:
-            write(name, text)
+            write(name, made.text)
+            made.draw(RESULTS / "img")
