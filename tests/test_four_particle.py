@@ -175,7 +175,7 @@ def well(q: float):
 
 FALLBACKS = {
     "restarts": [(lambda: model(JOINT), 0.25, 40), (lambda: well(0.01), 3.0, 30)],
-    "line_searches": [(lambda: model(JOINT), 0.1, 100), (lambda: model(JOINT), 0.4, 25)],
+    "line_searches": [(lambda: model(JOINT), 0.6, 25), (lambda: model(JOINT), 1.0, 25)],
     "substeps": [(lambda: well(0.01), 5.0, 30), (lambda: model(JOINT, k24=5e6), 0.4, 20)],
 }
 CASES = [(counter, i) for counter, cases in FALLBACKS.items() for i in range(len(cases))]

@@ -224,7 +224,7 @@ class NativeInstance:
         names = self.model.instant_names if r.instant else self.model.row_names
         index = r.row if r.row >= 0 else r.column
         equation = names[index] if 0 <= index < len(names) else (f"row {index}" if index >= 0 else "")
-        tried = "two starts, with and without line search" + ("" if r.instant else ", 64 substeps")
+        tried = "two starts, " + ("line search" if r.instant else "shorter steps, line search and 64 substeps")
         raise StepFailure(
             status, name, r.time, r.h, equation=equation, residual=r.residual, floor=r.floor,
             update=r.update, iterations=r.iterations, tried=tried,

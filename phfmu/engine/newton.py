@@ -1,4 +1,4 @@
-"""Newton's method of a plan in Python: the readable twin of runtime/newton.c, with the same attempts and tests."""
+"""Newton's method of a plan from a given start in Python: the readable twin of runtime/newton.c, with the same tests."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.status import Status
 
 Array = NDArray[np.float64]
+Fixed = tuple[Array, Array, Array, float]  # what is fixed in a solve: x, [u | h], p, h
 
 TOLERANCE = 1e-9  # scaled update after which one polish reaches round-off
 ROUNDING = 1e-15  # what the polish may leave, judged by the last two updates
@@ -20,6 +21,7 @@ CRAWL = 0.9
 FLOOR = 64.0  # units of rounding in a row that cannot be told from zero
 SUMS = 16.0  # more of it in constraint rows: sums of values that are themselves computed with cancellation
 STALLS = 2  # updates in a row that hardly shrink
+GROWN = 4.0  # an update that has grown by more does not stall
 ITERATIONS = 30
 DELTA = 1e-10  # on multiplier diagonals of the factor only: minimum-norm multipliers for redundant rows
 SMALLEST = 1.0 / 64.0  # line search
@@ -47,7 +49,7 @@ class Newton:
         self._lu = None
         self._scale = np.ones(self.plan.nw)
 
-    def residual(self, w: Array, fixed: tuple[Array, Array, Array, float]) -> Array:
+    def residual(self, w: Array, fixed: Fixed) -> Array:
         """Rows [0, nw) at w; `fixed` = (x, [u | h], p, h)."""
         x, tail, p, h = fixed
         return self.evaluator.residual(x, np.concatenate([w, tail]), p, h)[: self.plan.nw]
@@ -77,10 +79,10 @@ class Newton:
         assert self._lu is not None
         return -self._lu.solve(self._scale * r)
 
-    def attempt(self, w: Array, fixed: tuple[Array, Array, Array, float], damped: bool) -> Outcome:
+    def attempt(self, w: Array, fixed: Fixed, damped: bool) -> Outcome:
         """Iterate from w until rounding, then polish once with the old factor."""
         plan, h = self.plan, fixed[3]
-        w, last, stalls = w.copy(), np.inf, 0
+        w, last, stalls, grew = w.copy(), np.inf, 0, False
         out = Outcome(Status.NO_CONVERGENCE, w)
         r = self.residual(w, fixed)
         for i in range(ITERATIONS):
@@ -98,8 +100,9 @@ class Newton:
             w = w + damping * dw
             r = self.residual(w, fixed)
             out.w, out.update = w, float(np.max(np.abs(dw) / (plan.nominal + np.abs(w)), initial=0.0))
-            stalls = stalls + 1 if out.update > 0.5 * last else 0
-            if damping == 1.0 and self._solved(out, last, stalls, before, fixed):
+            grew |= last < out.update > TOLERANCE
+            stalls = stalls + 1 if 0.5 * last < out.update <= GROWN * last else 0
+            if damping == 1.0 and self._solved(out, last, grew, stalls, before, fixed):
                 if not np.isfinite(r).all():
                     return self._failed(out, Status.NOT_FINITE, r, fixed)
                 out.w = w + self.solve(r)
@@ -108,14 +111,15 @@ class Newton:
             last = out.update
         return self._failed(out, Status.NO_CONVERGENCE, r, fixed)
 
-    def _solved(self, out: Outcome, last: float, stalls: int, r: Array, fixed: tuple) -> bool:
+    def _solved(self, out: Outcome, last: float, grew: bool, stalls: int, r: Array, fixed: Fixed) -> bool:
         """Whether one polish reaches rounding.
 
-        Two updates tell what is left after it.  Two in a row that hardly shrink (stalls) are at the floor if the residual r
-        before the last is rounding, or if they are tiny and only noise is left.
+        Two updates tell what is left after it;  once one grew, as stiff and free directions take turns, both must be small.
+        Two in a row that hardly shrink (stalls) are at the floor if the residual r before the last is rounding, or if they
+        are tiny and only noise is left.
         """
         ratio = out.update / last
-        if out.update <= TOLERANCE and ratio**2 * out.update <= ROUNDING:
+        if out.update <= TOLERANCE and (not grew or last <= TOLERANCE) and ratio**2 * out.update <= ROUNDING:
             return True
         crawls = CRAWL < ratio < 1.0
         if out.update > (CRAWLING if crawls else STAGNATION) or ratio <= 0.5:
@@ -123,13 +127,13 @@ class Newton:
         noise = ratio >= 1.0 and out.update <= TOLERANCE
         return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls)))
 
-    def _at_floor(self, w: Array, r: Array, fixed: tuple, nominal: float = 0.0) -> bool:
+    def _at_floor(self, w: Array, r: Array, fixed: Fixed, nominal: float = 0.0) -> bool:
         """All rows are rounding."""
         size = self._rounding(w, fixed, nominal)
         size[self.plan.matrix.row[self.plan.regularised]] *= SUMS
         return bool((np.abs(r) <= FLOOR * size).all())
 
-    def _rounding(self, w: Array, fixed: tuple, nominal: float = 0.0) -> Array:
+    def _rounding(self, w: Array, fixed: Fixed, nominal: float = 0.0) -> Array:
         """What rounding leaves in each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is.
 
         nominal = 1 judges constraint rows by the nominal size of their unknowns: where they lose rank, their multipliers
@@ -144,7 +148,7 @@ class Newton:
         terms = a * (size[column] + constraint[plan.matrix.row] * plan.nominal[column])
         return np.finfo(float).eps * np.bincount(plan.matrix.row, terms, plan.nw)
 
-    def _damping(self, w: Array, dw: Array, r: Array, fixed: tuple) -> float:
+    def _damping(self, w: Array, dw: Array, r: Array, fixed: Fixed) -> float:
         """The longest of the steps 1, 1/2, .. 1/64 that reduces the scaled residual, at rounding the full one; 0 if none does."""
         if self._at_floor(w, r, fixed):
             return 1.0
@@ -156,7 +160,7 @@ class Newton:
             step /= 2
         return 0.0
 
-    def _failed(self, out: Outcome, status: Status, r: Array, fixed: tuple) -> Outcome:
+    def _failed(self, out: Outcome, status: Status, r: Array, fixed: Fixed) -> Outcome:
         scaled = np.abs(self._scale * r)
         out.status = status
         out.row = int(np.argmax(np.where(np.isfinite(scaled), scaled, np.inf))) if scaled.size else -1

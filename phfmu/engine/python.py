@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.engine.attempts import Attempts
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.newton import Newton, Outcome
 from phfmu.engine.state import State
@@ -172,7 +173,7 @@ class PythonInstance:
         s = self._s
         s.x[-1] = t + h * start
         u = self._inputs(start + part * self.model.nodes)
-        outcome = self._attempts(h * part, u)
+        outcome = self._solve(h * part, u)
         if outcome.status is Status.OK:
             return [(*self._accept(outcome, h * part, u), start, part)]
         if depth == DEPTH:
@@ -180,7 +181,7 @@ class PythonInstance:
             raise StepFailure(
                 outcome.status, self.model.name, t + h * start, h * part, equation=name, residual=outcome.residual,
                 floor=outcome.floor, update=outcome.update, iterations=outcome.iterations,
-                tried=f"two starts, line search and {2**DEPTH} substeps",
+                tried=f"two starts, shorter steps, line search and {2**DEPTH} substeps",
             )  # fmt: skip
         s.counts["substeps"] += 1
         first = self._advance(t, h, start, part / 2, depth + 1)
@@ -200,24 +201,13 @@ class PythonInstance:
             return np.tile(values[0], len(at))
         return np.concatenate([basis.value(float(c)) @ values for c in at])
 
-    def _attempts(self, h: float, u: Array) -> Outcome:
-        """Newton from the extrapolated last step, from zero increments, then both with line search."""
-        s, plan = self._s, self.model.step
-        rest = np.where(plan.increments == 1, 0.0, s.w)
-        starts = [rest]
-        if s.h_last != 0:
-            ratio = (h / s.h_last) ** plan.guess_pow
-            starts.insert(0, np.add.reduceat(plan.guess_val * ratio * s.w[plan.guess_idx], plan.guess_ptr[:-1]))
-        fixed = (self._old(), np.append(u, h), s.p, h)
-        outcome = Outcome(Status.NO_CONVERGENCE, rest)
-        for damped in (False, True):
-            for start in starts:
-                outcome = self._newton.attempt(start, fixed, damped)
-                s.counts["iterations"] += outcome.iterations
-                if outcome.status is Status.OK:
-                    s.counts["line_searches"] += damped
-                    s.counts["restarts"] += start is rest and len(starts) == 2
-                    return outcome
+    def _solve(self, h: float, u: Array) -> Outcome:
+        """Unknowns of a step of length h."""
+        s, x = self._s, self._old()
+        attempts = Attempts(self._newton, s.w, s.h_last, lambda length: (x, np.append(u, length), s.p, length))
+        outcome = attempts.solve(h)
+        for name in ("iterations", "restarts", "line_searches"):
+            s.counts[name] += getattr(attempts, name)
         return outcome
 
     def _accept(self, outcome: Outcome, h: float, u: Array) -> tuple[Array, Array]:

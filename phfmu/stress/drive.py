@@ -13,13 +13,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+#: what a step may need beyond its first start
+BEYOND = {"restarts": "restart", "line_searches": "line search", "substeps": "substep"}
+
 
 @dataclass(frozen=True)
 class Record:
-    """n steps: x (n x nx), a, H (n x members), position and velocity constraints, worst balance, iterations a step.
+    """n steps: x (n x nx), a, H (n x members), position and velocity constraints, worst balance, work a step.
 
     `balance`: largest |stored + dissipated - supplied| of a member and step over the energy in play (H of all members,
-    what was supplied and dissipated);  `solved`: what the solver needed beyond Newton from the first start.
+    what was supplied and dissipated);  `iterations`, `sweeps`: of Newton's method and of the Schur chord, a step;
+    `solved`: what the solver needed beyond the first start.
     """
 
     x: Array
@@ -29,6 +33,7 @@ class Record:
     velocity: float
     balance: float
     iterations: float
+    sweeps: float
     solved: str
 
     @property
@@ -79,17 +84,27 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
     play = np.abs(r["energy"]).sum(axis=1) + np.abs(r["dissipated"]).sum(axis=1) + np.abs(r["pairs"]).sum(axis=1)
     gap = np.abs(r["stored"] + r["dissipated"] - r["supplied"]).max(axis=1, initial=0.0)
     after = unit.counts
-    extra = {k: after[k] - before[k] for k in ("restarts", "line_searches", "substeps")}
+    extra = [counted(after[k] - before[k], word) for k, word in BEYOND.items() if after[k] != before[k]]
+    sweeps = after.get("sweeps", 0) - before.get("sweeps", 0)  # none in the Python engine
     return Record(
         r["x"], r["a"], np.vstack([start["H"], r["energy"]]),
         float(checks[:, levels == "position"].max(initial=0.0)),
         float(checks[:, levels == "velocity"].max(initial=0.0)),
         float((gap / np.maximum(play, 1e-300)).max(initial=0.0)),
         float(r["counts"][:, 0].sum()) / n,
-        ", ".join(f"{v} {k.replace('_', ' ')}" for k, v in extra.items() if v),
+        sweeps / n,
+        ", ".join(extra),
     )  # fmt: skip
 
 
+def counted(n: int, word: str) -> str:
+    """A number of things: 1 restart, 2 restarts, 3 line searches."""
+    return f"{n} {word}" if n == 1 else f"{n} {word}{'es' if word.endswith('ch') else 's'}"
+
+
 def effort(r: Record) -> str:
-    """Iterations a step and what was needed beyond."""
-    return f"{r.iterations:.1f} iterations a step" + (f", {r.solved}" if r.solved else "")
+    """Sweeps of the Schur chord and iterations of Newton's method a step, those that occur, and what was needed beyond."""
+    work = [f"{v:.1f} {name}" for v, name in ((r.sweeps, "sweeps"), (r.iterations, "iterations")) if v] or [
+        "0 iterations"
+    ]
+    return f"{' and '.join(work)} a step" + (f", {r.solved}" if r.solved else "")

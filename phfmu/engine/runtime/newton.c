@@ -1,4 +1,4 @@
-/* Newton's method for one system: start values, row scaling, damping, polish, attempts.
+/* Newton's method for one system from a given start: row scaling, damping, polish.
  *
  * The row-scaled matrix is factored, delta on the multiplier diagonals in the factor only; the residual
  * is exact, so redundant constraints get their minimum-norm multipliers. */
@@ -19,7 +19,8 @@
 #define FLOOR 64.0 /* units of rounding in a row that cannot be told from zero */
 #define SUMS                                                                                                 \
     16.0 /* more of it in constraint rows: sums of values that are themselves computed with cancellation */
-#define STALLS 2 /* updates in a row that hardly shrink */
+#define STALLS 2  /* updates in a row that hardly shrink */
+#define GROWN 4.0 /* an update that has grown by more does not stall */
 /* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
  * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
 #define CHORD 1e-1
@@ -169,13 +170,13 @@ static int polish(ph_system *s) {
 }
 
 /* Update small enough that one polish reaches rounding. Two updates tell what is left after it, whether they
- * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares. Two in a row that
- * hardly shrink are at the floor if the residual before the last is rounding, or if they are tiny and only
- * noise is left. */
-static int solved(const ph_system *s, int kept, int stalls, double previous) {
+ * shrink linearly (a kept factor, delta against a nearly singular matrix) or by squares; once one grew, as
+ * stiff and free directions take turns, both must be small. Two in a row that hardly shrink are at the floor
+ * if the residual before the last is rounding, or if they are tiny and only noise is left. */
+static int solved(const ph_system *s, int kept, int grew, int stalls, double previous) {
     double ratio = s->update / previous;
     int crawls = ratio > CRAWL && ratio < 1.0;
-    if (s->update <= TOLERANCE && ratio * ratio * s->update <= ROUNDING)
+    if (s->update <= TOLERANCE && (!grew || previous <= TOLERANCE) && ratio * ratio * s->update <= ROUNDING)
         return 1;
     if (kept || s->update > (crawls ? CRAWLING : STAGNATION) || ratio <= 0.5)
         return 0;
@@ -185,9 +186,10 @@ static int solved(const ph_system *s, int kept, int stalls, double previous) {
 }
 
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
-int ph_newton(ph_system *s, int damped) {
+int ph_newton(ph_system *s, ph_newton_kind kind) {
+    const int damped = kind == PH_DAMPED;
     double previous = INFINITY;
-    int chord = 0, stalls = 0;
+    int chord = 0, grew = 0, stalls = 0;
     s->update = INFINITY;
     for (s->iterations = 1; s->iterations <= MAX_ITERATIONS; s->iterations++) {
         double norm, damping = 1.0;
@@ -206,75 +208,20 @@ int ph_newton(ph_system *s, int damped) {
             if (!isfinite(s->update))
                 return PH_NOT_FINITE;
         }
-        stalls = s->update > 0.5 * previous ? stalls + 1 : 0;
-        if (damping == 1.0 && solved(s, kept, stalls, previous))
+        grew |= s->update > previous && s->update > TOLERANCE;
+        stalls = s->update > 0.5 * previous && s->update <= GROWN * previous ? stalls + 1 : 0;
+        if (damping == 1.0 && solved(s, kept, grew, stalls, previous))
             return polish(s);
         chord = 0;
         if (kept && s->update > previous) { /* the old matrix led astray: take it back, use a new one */
             move(s, s->y, -1.0);
             continue;
         }
-        chord = !damped && s->update <= CHORD && s->update <= CONTRACTION * previous;
+        chord = kind == PH_CHORD && !grew && s->update <= CHORD && s->update <= CONTRACTION * previous;
         previous = s->update;
     }
     s->iterations = MAX_ITERATIONS;
     return PH_NO_CONVERGENCE;
-}
-
-static double power(double base, int n) {
-    double result = 1.0;
-    for (; n > 0; n--)
-        result *= base;
-    for (; n < 0; n++)
-        result /= base;
-    return result;
-}
-
-/* Start from the last step, carried over to the new step size. */
-static void start_guess(ph_system *s, double h) {
-    const ph_plan *p = s->plan;
-    double ratio = h / *s->last_h;
-    for (int i = 0; i < p->nw; i++) {
-        double sum = 0.0;
-        for (int l = p->guess_ptr[i]; l < p->guess_ptr[i + 1]; l++)
-            sum += p->guess_val[l] * s->last[p->guess_idx[l]] * power(ratio, p->guess_pow[l]);
-        s->y[i] = sum;
-    }
-}
-
-/* Start from rest: increments zero, algebraic values as they were. */
-static void start_rest(ph_system *s) {
-    for (int i = 0; i < s->plan->nw; i++)
-        s->y[i] = s->plan->increments[i] ? 0.0 : s->last[i];
-}
-
-/* Solves for step size h at the x, u and p in place: plain from the guess, plain from rest, damped
- * from the guess, damped from rest. Nothing but Y, R and work space is written. */
-int ph_solve(ph_system *s, double h) {
-    int status = PH_OK, guessed = *s->last_h != 0.0;
-    ph_eval_h(s, h);
-    if (s->plan->nw == 0) {
-        s->iterations = 0;
-        s->update = 0.0;
-        ph_eval(s, 0, 1);
-        return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
-    }
-    for (int attempt = 0; attempt < 4; attempt++) {
-        int damped = attempt >= 2, rest = attempt % 2;
-        if (!rest && !guessed)
-            continue;
-        if (rest)
-            start_rest(s);
-        else
-            start_guess(s, h);
-        status = ph_newton(s, damped);
-        if (status)
-            continue;
-        s->count[PH_RESTARTS] += rest && guessed;
-        s->count[PH_LINE_SEARCHES] += damped;
-        return PH_OK;
-    }
-    return status;
 }
 
 /* Why a solve failed: the row with the largest scaled residual (the first one that is not finite), and

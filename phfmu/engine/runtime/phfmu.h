@@ -67,7 +67,7 @@ typedef enum ph_count {
     PH_ITERATIONS,    /* Newton iterations of steps and end values, polish not counted */
     PH_FACTORED,      /* factorisations of the Newton matrix */
     PH_PIVOTED,       /* those with a new pivot search */
-    PH_RESTARTS,      /* solved from the second start */
+    PH_RESTARTS,      /* solved from rest or from shorter steps */
     PH_LINE_SEARCHES, /* solved with line search */
     PH_SUBSTEPS,      /* halvings of a step */
     PH_FAILED,        /* communication steps refused */

@@ -69,7 +69,13 @@ void ph_eval_matrix(ph_system *s);
 void ph_eval_derivatives(ph_system *s, double *out);
 void ph_eval_ledger(ph_system *s, double *stored, double *lost, double *numerical);
 
-int ph_newton(ph_system *s, int damped);
+typedef enum ph_newton_kind {
+    PH_CHORD,  /* keeps the matrix while that contracts */
+    PH_FRESH,  /* a new matrix every iteration */
+    PH_DAMPED, /* that and a line search */
+} ph_newton_kind;
+
+int ph_newton(ph_system *s, ph_newton_kind kind);
 int ph_solve(ph_system *s, double h);
 int ph_newton_factor(ph_system *s);
 void ph_explain(const ph_system *s, int status, ph_report *report);

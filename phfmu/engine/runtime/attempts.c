@@ -1,0 +1,94 @@
+/* The attempts at one system: where Newton's method starts, and with what safeguards. */
+#include <math.h>
+#include <string.h>
+
+#include "system.h"
+
+#define SHORTEST 0.125 /* part of a step whose solution may lead to that of the whole */
+
+static double power(double base, int n) {
+    double result = 1.0;
+    for (; n > 0; n--)
+        result *= base;
+    for (; n < 0; n++)
+        result /= base;
+    return result;
+}
+
+/* Start from the solution `known` (nw, not in Y) of another step; ratio = this step size / its step size. */
+static void start_guess(ph_system *s, const double *known, double ratio) {
+    const ph_plan *p = s->plan;
+    for (int i = 0; i < p->nw; i++) {
+        double sum = 0.0;
+        for (int l = p->guess_ptr[i]; l < p->guess_ptr[i + 1]; l++)
+            sum += p->guess_val[l] * known[p->guess_idx[l]] * power(ratio, p->guess_pow[l]);
+        s->y[i] = sum;
+    }
+}
+
+/* Start from rest: increments zero, algebraic values as they were. */
+static void start_rest(ph_system *s) {
+    for (int i = 0; i < s->plan->nw; i++)
+        s->y[i] = s->plan->increments[i] ? 0.0 : s->last[i];
+}
+
+/* Newton's method for a step h, from the last step or from rest. */
+static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
+    if (rest)
+        start_rest(s);
+    else
+        start_guess(s, s->last, h / *s->last_h);
+    return ph_newton(s, kind);
+}
+
+/* From the solution of a shorter step, h/2, h/4 or h/8, by doubling. It stays on the branch that starts at h
+ * = 0, and it enters the small region of convergence where a light mass moves fast on the curve that stiff
+ * springs and bars leave it. */
+static int grow(ph_system *s, double h) {
+    const size_t bytes = sizeof(double) * (size_t)s->plan->nw;
+    double part = 1.0;
+    int status;
+    do {
+        part *= 0.5;
+        ph_eval_h(s, part * h);
+        status = attempt(s, part * h, *s->last_h == 0.0, PH_FRESH);
+    } while (status && part > SHORTEST);
+    while (status == PH_OK && part < 1.0) {
+        part *= 2.0;
+        ph_eval_h(s, part * h);
+        memcpy(s->base, s->y, bytes);
+        start_guess(s, s->base, 2.0);
+        status = ph_newton(s, PH_FRESH);
+    }
+    ph_eval_h(s, h);
+    return status;
+}
+
+/* Solves for step size h at the x, u and p in place: plain from the guess, plain from rest, from shorter
+ * steps, damped from the guess, damped from rest. Nothing but Y, R and work space is written. */
+int ph_solve(ph_system *s, double h) {
+    const int guessed = *s->last_h != 0.0;
+    int status = PH_OK;
+    ph_eval_h(s, h);
+    if (s->plan->nw == 0) {
+        s->iterations = 0;
+        s->update = 0.0;
+        ph_eval(s, 0, 1);
+        return ph_finite(s->r, s->plan->nrow) ? PH_OK : PH_NOT_FINITE;
+    }
+    for (int damped = 0; damped < 2; damped++) {
+        for (int rest = !guessed; rest < 2; rest++) {
+            status = attempt(s, h, rest, damped ? PH_DAMPED : PH_CHORD);
+            if (status)
+                continue;
+            s->count[PH_RESTARTS] += rest && guessed;
+            s->count[PH_LINE_SEARCHES] += damped;
+            return PH_OK;
+        }
+        if (!damped && s->plan->nupdate > 0 && grow(s, h) == PH_OK) {
+            s->count[PH_RESTARTS]++;
+            return PH_OK;
+        }
+    }
+    return status;
+}
