@@ -14,8 +14,9 @@ import numpy as np
 from phfmu.bench.families import FAMILIES, Family
 from phfmu.bench.own import solver_iterations
 
-STEPS_TIME = 0.3  # CPU seconds behind one value of the time per step
-PARTS = 5  # values whose median counts
+STEPS = 20  # every size is timed over these first steps: a later part of the motion may take more iterations
+STEPS_TIME = 0.3  # CPU seconds all repetitions take at least
+PARTS = 5  # repetitions at least; their median counts
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def measure(family: Family, n: int) -> Size:
     declared = process_time()
     model = build_model(declaration)
     planned = process_time()
-    text = kernel_table(kernels(model)).text
+    text = kernel_table(kernels(model), model.step.chord).text
     seconds = compile_time(text)
     instance = NativeInstance(model)
     step, iterations = step_time(instance, family.step)
@@ -88,18 +89,16 @@ def compile_time(text: str) -> float:
 
 
 def step_time(instance: Any, h: float) -> tuple[float, float]:
-    """CPU seconds per step (median of PARTS) and iterations per step (Newton's, chord sweeps); the first is left out."""
-    instance.run(0.0, h, 1)
-    start = process_time()
-    instance.run(h, h, 1)
-    n = max(1, min(10_000, int(STEPS_TIME / PARTS / max(process_time() - start, 1e-6))))
-    spent, done, before = [], 2, solver_iterations(instance)
-    for _ in range(PARTS):
+    """CPU seconds per step (median) and iterations per step (Newton's, chord sweeps) of the first STEPS steps."""
+    instance.run(0.0, h, STEPS)
+    iterations, spent = solver_iterations(instance), []
+    while len(spent) < PARTS or sum(spent) < STEPS_TIME:
+        instance.reset()
         start = process_time()
-        instance.run(done * h, h, n)
-        spent.append((process_time() - start) / n)
-        done += n
-    return float(np.median(spent)), (solver_iterations(instance) - before) / (PARTS * n)
+        instance.run(0.0, h, STEPS)
+        spent.append(process_time() - start)
+    each = (solver_iterations(instance) - iterations) / len(spent)
+    return float(np.median(spent)) / STEPS, each / STEPS
 
 
 def exponent(sizes: Sequence[Size], column: str) -> float:

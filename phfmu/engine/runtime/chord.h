@@ -34,7 +34,7 @@ typedef double ph_lane __attribute__((vector_size(8 * PH_LANES), aligned(8)));
         return a;                                                                                            \
     }
 
-#define WEAK 1e-4 /* a pivot this small beside its diagonal: rows are nearly dependent */
+#define WEAK 1e-6 /* a pivot this small beside its diagonal: rows are nearly dependent */
 
 static inline int lane_weak(ph_lane pivot, ph_lane initial) {
     int result = 0;

@@ -77,6 +77,7 @@ static void accept(ph_instance *in, double h, double from, double weight) {
     }
     ph_book_nodes(in, from, weight);
     move(in);
+    in->head->parts++;
     memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
     *s->last_h = h;
 }
@@ -91,8 +92,9 @@ static int solve(ph_instance *in, double h) {
     return PH_OK;
 }
 
-/* The part [from, from + weight] of the communication step [t, t+h]. */
-static int advance(ph_instance *in, double t, double h, double from, double weight) {
+/* Solves the part [from, from + weight] of the communication step [t, t+h]; of the state only the time
+ * changes. */
+static int try_part(ph_instance *in, double t, double h, double from, double weight) {
     ph_system *s = &in->step;
     int status;
     in->table[s->plan->nx] = t + h * from;
@@ -104,25 +106,25 @@ static int advance(ph_instance *in, double t, double h, double from, double weig
         in->report.instant = 0;
         in->report.time = t + h * from;
         in->report.h = h * weight;
-        return status;
     }
-    accept(in, h * weight, from, weight);
-    in->head->parts++;
-    return PH_OK;
+    return status;
 }
 
 /* Internal step i of n; on failure it is halved, and its halves again, down to DEPTH. The place is
- * counted in smallest substeps; its alignment tells how long the next substep may be. */
-static int walk(ph_instance *in, double t, double h, int i, int n) {
+ * counted in smallest substeps; its alignment tells how long the next substep may be. refused: the step as a
+ * whole has been tried. */
+static int walk(ph_instance *in, double t, double h, int i, int n, int refused) {
     const int all = 1 << DEPTH;
     for (int at = 0, length; at < all; at += length) {
-        for (length = all; at % length; length /= 2) {
+        for (length = refused && at == 0 ? all / 2 : all; at % length; length /= 2) {
         }
         for (;; length /= 2) {
             double from = (i + (double)at / all) / n, weight = (double)length / all / n;
-            int status = advance(in, t, h, from, weight);
-            if (status == PH_OK)
+            int status = try_part(in, t, h, from, weight);
+            if (status == PH_OK) {
+                accept(in, h * weight, from, weight);
                 break;
+            }
             if (length == 1)
                 return status;
             in->count[PH_SUBSTEPS]++;
@@ -192,9 +194,31 @@ static int stay(ph_instance *in, double t) {
     return PH_OK;
 }
 
+/* The step as one part, which is what nearly all steps are: solved before anything of the state changes, it
+ * needs no copy to come back to. */
+static int whole(ph_instance *in, double t, double h) {
+    double *time = in->table + in->step.plan->nx, before = *time;
+    int status = try_part(in, t, h, 0.0, 1.0);
+    *time = before;
+    if (status)
+        return status;
+    begin(in, h);
+    *time = t;
+    accept(in, h, 0.0, 1.0);
+    finish(in, t + h);
+    return PH_OK;
+}
+
 int ph_step_parts(ph_instance *in, double t, double h, int n) {
+    int refused = 0;
     if (!isfinite(h) || !isfinite(t) || n < 1)
         return PH_ARGUMENT;
+    if (n == 1 && h != 0.0) {
+        if (whole(in, t, h) == PH_OK)
+            return PH_OK;
+        in->count[PH_SUBSTEPS]++;
+        refused = 1;
+    }
     ph_save(in, in->backup);
     if (h == 0.0) {
         int status = stay(in, t);
@@ -206,7 +230,7 @@ int ph_step_parts(ph_instance *in, double t, double h, int n) {
     }
     begin(in, h);
     for (int i = 0; i < n; i++) {
-        int status = walk(in, t, h, i, n);
+        int status = walk(in, t, h, i, n, refused);
         if (status == PH_OK)
             continue;
         in->count[PH_FAILED]++;
@@ -245,6 +269,7 @@ static void write_row(ph_instance *in, const ph_record *r, int row) {
 int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record, int *done) {
     const ph_record nothing = {.parts = 1};
     const ph_record *r = record ? record : &nothing;
+    const int refresh = r->signals.data || r->energy.data;
     for (*done = 0; *done < n; ++*done) {
         double before[2] = {(double)in->count[PH_ITERATIONS], (double)in->count[PH_SOLVES]}, spent[2];
         int status;
@@ -253,13 +278,15 @@ int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record,
             if (status)
                 return status;
         }
+        if (refresh)
+            ph_save(in, in->backup);
         status = ph_step_parts(in, t0 + *done * h, h, r->parts);
         if (status)
             return status;
         spent[0] = (double)in->count[PH_ITERATIONS] - before[0];
         spent[1] = (double)in->count[PH_SOLVES] - before[1];
         put(&r->counts, *done, spent, 2);
-        if (r->signals.data || r->energy.data)
+        if (refresh)
             status = ph_refresh(in);
         if (status) { /* a step whose end values are asked for and do not exist is not taken */
             ph_load(in, in->backup);
