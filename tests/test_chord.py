@@ -10,6 +10,7 @@ import pytest
 
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.multibody import Multibody
+from phfmu.discretise import lane_groups
 from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.elimination import eliminate
 from phfmu.discretise.lanes import spectrum
@@ -199,3 +200,42 @@ def test_wider_vectors_give_the_same_bits(order: int) -> None:
     saved = ctypes.create_string_buffer(portable.ph_state_size(address))
     portable.ph_save(address, saved)
     assert saved.raw == instance.get_state()
+
+
+def tangle(n: int) -> Multibody:
+    """A chain numbered at random with springs and dampers across, driven at its tip: tiles reach into each other."""
+    rng = np.random.default_rng(7)
+    place = rng.permutation(n)
+    body = Multibody(f"tangle_{n}")
+    body.gravity((0.0, 0.0, -9.81))
+    where = rng.uniform(-0.2, 0.2, (n, 3)) + np.arange(1, n + 1)[:, None] * np.array([0.9, 0.3, 0.1])
+    made = {int(i): body.particle(float(rng.uniform(0.5, 2.0)), tuple(where[i])) for i in place}
+    points = [body.support((0.0, 0.0, 0.0)), *(made[i] for i in range(n))]
+    for i, (a, b) in enumerate(zip(points, points[1:], strict=False)):
+        if i % 5 == 4:
+            body.linear_spring(a, b, 60.0, 1.0)
+        else:
+            body.bar(a, b)
+        if i > 3:
+            body.damper(points[i - 3], b, 0.3)
+    body.port("tip", made[n - 1])
+    return body
+
+
+@pytest.mark.parametrize("order", [2, 6])
+def test_tiles_change_nothing_but_the_order_of_sums(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sweeps over small tiles find the solution of one over all, in as many sweeps; every instance is in one tile."""
+    found = []
+    for size in (7, 10**6):
+        monkeypatch.setattr(lane_groups, "TILE", size)
+        m = model(tangle(40), order)
+        chord = m.step.chord
+        assert chord is not None and len(chord.tile.dof) - 1 == -(-120 // size)
+        assert all(g.until[-1] == g.n and (np.diff(g.until) >= 0).all() for g in chord.groups)
+        instance = NativeInstance(m)
+        instance.set_input([0.3, -0.2, 0.5])
+        instance.run(0.0, 0.005, 20)
+        assert instance.counts["chords"] == 20
+        found.append((instance.x.copy(), instance.counts["sweeps"]))
+    assert found[0][0] == pytest.approx(found[1][0], rel=1e-11, abs=1e-11)
+    assert abs(found[0][1] - found[1][1]) <= 1

@@ -9,7 +9,7 @@ is described in docs/concepts/native-engine.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -18,7 +18,8 @@ from phfmu.discretise import lanes
 from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.elimination import Elimination, eliminate
 from phfmu.discretise.gradients import degree
-from phfmu.discretise.lanes import LaneKernel, Lanes, NoLanes
+from phfmu.discretise.lane_groups import Instances, LaneGroup, Tiles, tiled
+from phfmu.discretise.lanes import Lanes, NoLanes
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Floats, Ints
 from phfmu.discretise.quadrature import nodes
@@ -27,27 +28,6 @@ from phfmu.discretise.terms import Term
 
 #: a model whose factor needs more updates than this per row is better served by the sparse Newton
 DENSE = 200
-
-
-@dataclass(frozen=True)
-class LaneGroup:
-    """All instances of one lane kernel; tables are instance-major, `stress`: kernel of a strain's stresses.
-
-    `first`: first row (constraint, strain) of the group;  `point`: first of its coordinates;  zp, zm: degrees of freedom
-    of rates, op, om: of results, m subtracted (index ndof: nothing);  ui: inputs;  pi: parameters.
-    """
-
-    kernel: LaneKernel
-    stress: LaneKernel | None
-    n: int
-    first: int
-    point: int
-    zp: Ints
-    zm: Ints
-    ui: Ints
-    pi: Ints
-    op: Ints
-    om: Ints
 
 
 @dataclass(frozen=True)
@@ -66,6 +46,7 @@ class Chord:
 
     k: int
     groups: tuple[LaneGroup, ...]
+    tile: Tiles
     nconstraint: int
     nstrain: int
     position: Ints
@@ -98,35 +79,6 @@ class Chord:
 
 class _Unfit(Exception):
     """The model is not of the form the chord solves."""
-
-
-@dataclass
-class _Instances:
-    """Instances of terms that share their kernels; x, z, o: degrees of freedom (plus, minus) of their coordinates."""
-
-    kernels: tuple[LaneKernel, ...]
-    x: list[tuple[list[int], list[int]]] = field(default_factory=list)
-    z: list[tuple[list[int], list[int]]] = field(default_factory=list)
-    o: list[tuple[list[int], list[int]]] = field(default_factory=list)
-    u: list[list[int]] = field(default_factory=list)
-    p: list[list[int]] = field(default_factory=list)
-    multiplier: list[int] = field(default_factory=list)
-
-    def groups(self, first: int, point: int, ndof: int) -> list[LaneGroup]:
-        n = len(self.x)
-
-        def table(values: list) -> Ints:
-            array = np.array(values, np.int32).reshape(n, -1)
-            return np.where(array < 0, np.int32(ndof), array)
-
-        ends = [table([v[i] for v in values]) for values in (self.z, self.o) for i in (0, 1)]
-        inputs = [table(self.u), table(self.p)]
-        stress = next((k for k in self.kernels if k.kind in ("stress", "pointwise")), None)
-        kernels = [k for k in self.kernels if k is not stress]
-        return [
-            LaneGroup(k, stress if k.kind == "strain" else None, n, first, point, *ends[:2], *inputs, *ends[2:])
-            for k in kernels
-        ]
 
 
 def find_chord(layout: Layout, scheme: Scheme) -> Chord | None:
@@ -162,7 +114,7 @@ class _Builder:
         _require(len(t.pairs) == t.nu)
         self.dof = {q: d for d, q in enumerate(self.position)}
         self.dof_v = {v: d for d, v in enumerate(self.velocity)}
-        self.groups: dict[tuple[str, ...], _Instances] = {}
+        self.groups: dict[tuple[str, ...], Instances] = {}
         self.kinetic: set[int] = set()
         self.load: list[tuple[int, int, int, float]] = []
         self.known: dict[tuple, Lanes] = {}
@@ -258,19 +210,15 @@ class _Builder:
         return self.known[term.key]
 
     def _add(self, made: Lanes, term: Term, *, x=(), z=(), u=(), o=(), multiplier: int = -1) -> None:
-        g = self.groups.setdefault(tuple(k.name for k in made.kernels), _Instances(made.kernels))
-        g.x.append(made.x.globally(x))
-        g.z.append(made.z.globally(z))
-        g.o.append(made.o.globally(o))
-        g.u.append(list(u))
-        g.p.append(list(term.index.get("p", ())))
-        g.multiplier.append(multiplier)
+        g = self.groups.setdefault(tuple(k.name for k in made.kernels), Instances(made.kernels))
+        ends = (made.x.globally(x), made.z.globally(z), made.o.globally(o))
+        g.add(*ends, list(u), list(term.index.get("p", ())), multiplier)
 
     # -- tables -----------------------------------------------------------------------------------------------------
 
     def _tables(self) -> Chord:
         layout, nd, k, ndof = self.layout, nodes(self.layout.k), self.layout.k, len(self.position)
-        groups, points, ends, multipliers = self._groups()
+        groups, kinds, points, ends, multipliers = self._groups()
         rows = [
             [(d, j, sign) for j in range(*span) for d, sign in zip(points[j], (1.0, -1.0), strict=True) if d < ndof]
             for span in zip(ends, ends[1:], strict=False)
@@ -281,9 +229,11 @@ class _Builder:
         hard, soft = eliminate(rows[:m]), eliminate(rows)
         _require(len(soft.update_target) <= DENSE * max(len(rows), 1))
         nominal = layout.nominals()
+        self.load.sort()
         load = np.array([(d, kind, s) for d, kind, s, _ in self.load], np.int32).reshape(-1, 3)
+        tiled_groups, tile = tiled(groups, kinds, ndof, load[:, 0])
         return Chord(
-            k=k, groups=groups, nconstraint=m, nstrain=len(rows) - m,
+            k=k, groups=tiled_groups, tile=tile, nconstraint=m, nstrain=len(rows) - m,
             position=_ints(self.position), velocity=_ints(self.velocity),
             nominal=np.array([nominal[w[("D", v, 0)]] for v in self.velocity]),
             w_position=_ints(w[("D", q, i)] for q in self.position for i in range(k)),
@@ -298,20 +248,23 @@ class _Builder:
             spectrum=spectrum, modes=modes, to_modes=to_modes,
         )  # fmt: skip
 
-    def _groups(self) -> tuple[tuple[LaneGroup, ...], list[tuple[int, int]], list[int], list[int]]:
-        """Groups; the coordinates; where those of each row end; the algebraic variable of each constraint row."""
+    def _groups(self) -> tuple[list[LaneGroup], list[Instances], list[tuple[int, int]], list[int], list[int]]:
+        """Groups, their instances; the coordinates; where those of each row end; the multiplier of each constraint."""
         out: list[LaneGroup] = []
+        kinds: list[Instances] = []
         points: list[tuple[int, int]] = []
         ends, multipliers, ndof = [0], [], len(self.position)
         order = ("constraint", "strain", "mass", "load", "force")
         for _, g in sorted(self.groups.items(), key=lambda item: (order.index(item[1].kernels[0].kind), item[0])):
-            out += g.groups(len(ends) - 1, len(points), ndof)
+            g.sort()
+            found = g.groups(len(ends) - 1, len(points), ndof)
+            out, kinds = out + found, kinds + [g] * len(found)
             for plus, minus in g.x:
                 points += [(p, m if m >= 0 else ndof) for p, m in zip(plus, minus, strict=True)]
                 if g.kernels[0].kind in ("constraint", "strain"):
                     ends.append(len(points))
             multipliers += [a for a in g.multiplier if a >= 0]
-        return tuple(out), points, ends, multipliers
+        return out, kinds, points, ends, multipliers
 
 
 def _ints(values: Iterable[int]) -> Ints:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from phfmu.discretise.chord import Chord, LaneGroup
+from phfmu.discretise.chord import Chord
+from phfmu.discretise.lane_groups import LaneGroup
 from phfmu.discretise.lanes import LaneKernel
 from phfmu.engine.unroll import unrolled
 

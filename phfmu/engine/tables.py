@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from phfmu.discretise.chord import Chord, LaneGroup
+from phfmu.discretise.chord import Chord
+from phfmu.discretise.lane_groups import LaneGroup
 from phfmu.discretise.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
 from phfmu.engine.lane_text import loop_index, loop_name
 from phfmu.engine.model import Model
@@ -209,7 +210,12 @@ def _lane_groups(chord: Chord) -> list[tuple[LaneGroup, dict[str, Any]]]:
 
 
 def _chord_sizes(chord: Chord) -> dict[str, Any]:
-    return {"npoint": len(chord.point_plus), "ngroup": len(chord.groups), "nload": len(chord.load_dof)}
+    return {
+        "npoint": len(chord.point_plus),
+        "ngroup": len(chord.groups),
+        "nload": len(chord.load_dof),
+        "ntile": len(chord.tile.dof) - 1,
+    }
 
 
 def _value(source: Any, derived: dict[str, Any], name: str) -> Any:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-from phfmu.discretise.chord import Chord, LaneGroup
+from phfmu.discretise.chord import Chord
+from phfmu.discretise.lane_groups import LaneGroup
 
 #: a model with more degrees of freedom, or instances, keeps the loops
 MOST = 40

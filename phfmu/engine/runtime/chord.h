@@ -99,9 +99,9 @@ typedef struct ph_work {
     ph_lane multiply[PH_LANES];
 } ph_work;
 
-/* A group of the chord: its loop, and for strains the one of their defects. */
+/* A group of the chord: its loop over some instances, and for strains the one of all their defects. */
 typedef struct ph_lane_loop {
-    void (*evaluate)(const ph_lane_group *, ph_work *);
+    void (*evaluate)(const ph_lane_group *, ph_work *, int from, int to);
     void (*relax)(const ph_lane_group *, ph_work *);
 } ph_lane_loop;
 

@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define PH_VERSION 3
+#define PH_VERSION 4
 #define PH_STAMP                                                                                             \
     (((uint64_t)PH_VERSION << 48) | ((uint64_t)sizeof(ph_model) << 32) | ((uint64_t)sizeof(ph_plan) << 16) | \
      (uint64_t)sizeof(ph_group))
@@ -71,13 +71,16 @@ typedef struct ph_lane_group {
     const int *pi; /* parameters */
     const int *op; /* results: degrees of freedom, om gets the opposite */
     const int *om;
+    const int *until;   /* ntile+1: instances that are evaluated with each tile */
+    const int *settled; /* ntile+1: rows whose degrees of freedom are done with it */
 } ph_lane_group;
 
 /* What the Schur chord needs beside the plan: degree of freedom d has the states position[d] and
  * velocity[d]; a coordinate is the difference of two of them. Rows are constraints, then strains, with the
- * coordinates row_ptr[r].., and one gradient slot for each of them. */
+ * coordinates row_ptr[r].., and one gradient slot for each of them. A tile is a stretch of degrees of freedom
+ * that goes through all loops of a sweep while it is in the cache. */
 typedef struct ph_chord {
-    int k, ndof, nconstraint, nstrain, npoint, ngroup, nload;
+    int k, ndof, nconstraint, nstrain, npoint, ngroup, nload, ntile;
     const ph_lane_group *groups;
     const int *position;        /* ndof */
     const int *velocity;        /* ndof */
@@ -94,6 +97,10 @@ typedef struct ph_chord {
     const int *load_kind;       /* nload: input (0) or velocity (1) */
     const int *load_source;     /* nload */
     const double *load_value;   /* nload */
+    const int *tile_dof;        /* ntile+1: degrees of freedom that begin with each tile */
+    const int *tile_done;       /* ntile+1: those whose forces are complete after it */
+    const int *tile_final;      /* ntile+1: those whose rows are */
+    const int *tile_load;       /* ntile+1: loads on those that begin with it */
     const ph_elimination *hard; /* constraints */
     const ph_elimination *soft; /* all rows */
     const double *extended;     /* (k+1)*k: A, then b */
