@@ -176,6 +176,16 @@ def test_what_fails_is_a_remark_and_no_row() -> None:
     assert table.remarks == ["bad h=2: diverged at 0.3 s", "far: not installed"]
 
 
+@pytest.mark.parametrize(("name", "rtol"), [("oscillator", "2.5e-14"), ("smib", "1e-12")])
+def test_the_reference_stops_at_rounding(name: str, rtol: str, compiler: None) -> None:
+    """smib: from a tolerance of 1e-13 on the error estimate is rounding of x', and steps would shrink without end."""
+    item = build(name)
+    scene = item if isinstance(item, Scene) else Scene(name, declaration(name), 1.0, 0.01)
+    p = solved(problem_of(scene, times=(0.01,), stop=0.02))
+    assert p.reference_name == f"DOP853 rtol {rtol} on the reduced system"
+    assert p.reference.shape[0] == 2 and p.uncertainty < 1e-7
+
+
 def test_chord_sweeps_are_iterations(compiler: None) -> None:
     """Constrained particles are solved by the Schur chord, without Newton's iterations: its sweeps are what a row shows."""
     p = problem_of(Scene("four_particle", four_particle(), 1.0, 0.02), times=(1.0,))

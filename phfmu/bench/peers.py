@@ -17,6 +17,9 @@ from phfmu.bench.problem import Problem
 Array = NDArray[np.float64]
 
 SCIPY = ("DOP853", "LSODA", "Radau")
+#: relative tolerances of the reference, and how many times the evaluations of one the next may take
+REFERENCE = (1e-10, 1e-11, 1e-12, 2.5e-14)
+PATIENCE = 4
 #: instructions of x' up to which its derivatives are compiled
 LARGE = 4000
 #: label -> (kind, options): as it comes; the fastest found for systems without stiffness; stiff; without elimination
@@ -83,7 +86,8 @@ def scipy_candidates(problem: Problem, tolerances: Sequence[float], functions: F
 
 class _Scipy:
     def __init__(self, problem: Problem, functions: Functions, method: str, rtol: float):
-        self._problem, self._f, self._method, self._rtol = problem, functions.rate, method, rtol
+        self._problem, self._method, self._rtol = problem, method, rtol
+        self.rate: Callable[..., Array] = functions.rate
         self._jac = functions.jacobian if method != "DOP853" else None
         self._atol = absolute(problem, rtol)
 
@@ -97,7 +101,7 @@ class _Scipy:
             jac = self._jac
             extra: dict[str, Any] = {} if jac is None else {"jac": lambda t, y, p=live, j=jac: j(t, y, p)}
             s = solve_ivp(
-                lambda t, y, p=live: self._f(t, y, p), (piece.start, piece.end), x, method=self._method, rtol=self._rtol,
+                lambda t, y, p=live: self.rate(t, y, p), (piece.start, piece.end), x, method=self._method, rtol=self._rtol,
                 atol=self._atol, t_eval=piece.stops, **extra,
             )  # fmt: skip
             if not s.success:
@@ -107,12 +111,42 @@ class _Scipy:
         return Run(np.array(out))
 
 
+class _Stalled(Exception):
+    """Rounding of x' keeps the step size small: a tolerance cannot be reached in reasonable time."""
+
+
+class _Counted:
+    """A rate that counts its evaluations and raises _Stalled beyond a limit."""
+
+    def __init__(self, rate: Callable[..., Array], limit: float):
+        self._rate, self._limit, self.count = rate, limit, 0
+
+    def __call__(self, *args: Any) -> Array:
+        self.count += 1
+        if self.count > self._limit:
+            raise _Stalled
+        return self._rate(*args)
+
+
 def solve_reference(problem: Problem, functions: Functions) -> None:
-    """DOP853 at a relative tolerance of 2.5e-14; `uncertainty`: its distance from the same at 1e-12."""
-    fine = _Scipy(problem, functions, "DOP853", 2.5e-14)(list(problem.grid)).x
-    problem.reference, problem.reference_name = fine, "DOP853 rtol 2.5e-14 on the reduced system"
-    coarse = _Scipy(problem, functions, "DOP853", 1e-12)(list(problem.grid)).x
-    problem.uncertainty = max(problem.distance(a, b) for a, b in zip(coarse, fine, strict=True))
+    """DOP853 at falling relative tolerances, the last that rounding lets it reach; `uncertainty`: distance from the one before.
+
+    At order 8 the next tolerance costs less than twice as much; PATIENCE times is a standstill.
+    """
+    grid, limit = list(problem.grid), float("inf")
+    found: list[Array] = []
+    for rtol in REFERENCE:
+        solver = _Scipy(problem, functions, "DOP853", rtol)
+        solver.rate = rate = _Counted(functions.rate, limit)
+        try:
+            found.append(solver(grid).x)
+        except _Stalled:
+            break
+        limit = PATIENCE * rate.count
+        problem.reference_name = f"DOP853 rtol {rtol:g} on the reduced system"
+    problem.reference = found[-1]
+    if len(found) > 1:
+        problem.uncertainty = max(problem.distance(a, b) for a, b in zip(*found[-2:], strict=True))
 
 
 def casadi_candidates(problem: Problem, tolerances: Sequence[float], functions: Functions) -> Iterator[Candidate]:
