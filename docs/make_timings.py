@@ -109,11 +109,26 @@ def scaling(name: str, sizes: Sequence[int]) -> Made:
     parts = FAMILIES[name].parts
     head = [parts, "unknowns", "declare s", "plan s", "C kB", "compile s", "memory MB", "µs/step", "its", "µs/it"]
     about = f"{machine.processor()}; load {before} before, {machine.load()} after; process CPU time"
-    return Made(f"{table(head, rows)}\n\n- {about}")
+    return Made(f"{table(head, rows)}\n\n- {about}", draw_scaling)
+
+
+def draw_scaling(folder: Path) -> None:
+    """The tables on the page about scaling as one picture."""
+    from phfmu.bench.scaling import Size, write_png
+
+    page, sizes = (RESULTS / "scaling.md").read_text(encoding="utf-8"), []
+    for name, body in re.findall(r"make_timings\.py scaling_(\w+)\n\n((?:\|.*\n)+)", page):
+        for line in body.splitlines()[2:-1]:
+            n, unknowns, declare, plan, code, compiled, memory, step, iterations, _ = (
+                float(cell) for cell in line.strip("| ").split("|")
+            )
+            sizes.append(Size(name, int(n), int(unknowns), declare, plan, int(1e3 * code), compiled, int(1e6 * memory), 0,
+                              1e-6 * step, iterations))  # fmt: skip
+    write_png(folder / "scaling.png", sizes, f"{machine.processor()}; {machine.versions()}")
 
 
 def scaling_chain() -> Made:
-    """Pendulum chains, two-level of order 2, h = 10 ms."""
+    """Pendulum chains, two-level of order 2, h = 2 ms."""
     return scaling("chain", (10, 100, 1000, 3000, 10_000))
 
 

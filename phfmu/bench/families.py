@@ -49,7 +49,7 @@ def ladder(n: int) -> PHDAE:
 
 
 FAMILIES: dict[str, Family] = {
-    "chain": Family("chain", "links", chain, 1e-2, (10, 30, 100, 300, 1000), 10.0),
+    "chain": Family("chain", "links", chain, 2e-3, (10, 30, 100, 300, 1000), 10.0),
     "net": Family("net", "particles", net, 1e-3, (4, 8, 16, 32), 1.0, lambda n: n * n),
     "ladder": Family("ladder", "machines", ladder, 1e-4, (3, 10, 30, 100), 0.1),
 }
