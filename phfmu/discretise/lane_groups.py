@@ -59,9 +59,12 @@ class Instances:
     multiplier: list[int] = field(default_factory=list)
 
     def add(self, x: Ends, z: Ends, o: Ends, u: list[int], p: list[int], multiplier: int) -> None:
-        for values, value in zip((self.x, self.z, self.o, self.u, self.p, self.multiplier), (x, z, o, u, p, multiplier),
-                                 strict=True):  # fmt: skip
-            values.append(value)
+        self.x.append(x)
+        self.z.append(z)
+        self.o.append(o)
+        self.u.append(u)
+        self.p.append(p)
+        self.multiplier.append(multiplier)
 
     def sort(self) -> None:
         """By the last degree of freedom."""
@@ -70,7 +73,7 @@ class Instances:
             values = getattr(self, name)
             setattr(self, name, [values[i] for i in order])
 
-    def reach(self, of: Callable[[list[int]], int], nothing: int) -> Ints:
+    def reach(self, of: Callable[[list[int]], int], nothing: int) -> np.ndarray:
         """First or last degree of freedom of every instance."""
         found = (
             [d for ends in each for side in ends for d in side if d >= 0]

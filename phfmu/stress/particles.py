@@ -47,7 +47,7 @@ def limit(m: float) -> Outcome:
     """The error against the exact motion of the limit has order 2."""
     from phfmu.stress.massless import motion
 
-    exact, errors = motion(H * np.arange(1, 201)), []
+    exact, errors = motion(H * np.arange(1.0, 201.0)), []
     for parts in (1, 2, 4):
         r = record(instance(four(m_1=m, eta0=0.0)), H / parts, 200 * parts)
         errors.append(float(np.abs(r.x[parts - 1 :: parts, :12] - exact).max()))
