@@ -12,7 +12,7 @@ def add_parser(verbs: Any) -> None:
 
     parser = verbs.add_parser("stress", help="stiff and extreme cases; exit 1 if a criterion is not met")
     parser.add_argument("target", nargs="?", help=f"{TARGET}; default: the whole matrix")
-    parser.add_argument("--long", action="store_true", help="also what takes minutes: 1e6 steps, 40 windows, 60 s")
+    parser.add_argument("--long", action="store_true", help="also what takes some seconds each: 1e6 steps")
     parser.add_argument("-o", "--output", metavar="DIR", help="folder for stress.md")
     parser.set_defaults(call=call)
 

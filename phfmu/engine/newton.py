@@ -24,6 +24,7 @@ STALLS = 2  # updates in a row that hardly shrink
 GROWN = 4.0  # an update that has grown by more does not stall
 ITERATIONS = 30
 DELTA = 1e-10  # on multiplier diagonals of the factor only: minimum-norm multipliers for redundant rows
+COLUMN = 1e-8  # no more than this of its column
 SMALLEST = 1.0 / 64.0  # line search
 
 
@@ -67,7 +68,9 @@ class Newton:
             return False
         self._scale = 1.0 / np.where(biggest > 0, biggest, 1.0)
         a = a * self._scale[plan.matrix.row]
-        a[plan.regularised] += DELTA
+        # lambda enters as h: beside the Schur complement delta must not grow as steps become shorter
+        columns = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])
+        a[plan.regularised] += np.minimum(DELTA, COLUMN * columns[plan.matrix.row[plan.regularised]])
         try:
             self._lu = splu(csc_matrix((a, plan.matrix.row, plan.colptr), shape=(plan.nw, plan.nw)))
         except RuntimeError:
@@ -118,6 +121,8 @@ class Newton:
         Two in a row that hardly shrink (stalls) are at the floor if the residual r before the last is rounding, or if they
         are tiny and only noise is left.
         """
+        if out.update == 0.0:
+            return True
         ratio = out.update / last
         if out.update <= TOLERANCE and (not grew or last <= TOLERANCE) and ratio**2 * out.update <= ROUNDING:
             return True

@@ -89,7 +89,7 @@ CASES = (
          lambda: driven(starts={f"psi[{i}]": 0.0 for i in range(1, 7)} | {"field.v": 0.0})),
     *(Case("two_machine", f"fault of {r:g} ohm, {n} phase{'s' if n > 1 else ''}", "ledger <= 1e-11, finite",
            lambda r=r, n=n: switched(r, n)) for r, n in ((0.05, 3), (0.005, 3), (1e-6, 3), (0.05, 1))),
-    Case(TARGET, "60 s at 0.1 ms", BALANCE, wide, long=True),
+    Case(TARGET, "60 s at 0.1 ms", BALANCE, wide),
     Case(TARGET, "open phase", "index change handled", not_supported(
         "opening a phase changes the index; model the switch as a conductance (fault_resistor)")),
 )  # fmt: skip

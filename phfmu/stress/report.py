@@ -12,10 +12,11 @@ HEAD = """# Stiff and extreme cases
 
 Every case is a question with a criterion; what happened stands beside it. Energies are relative to the start (`H0`) or,
 as `balance`, the largest |stored + dissipated - supplied| of a member and step over the energy in play. `g` is the
-largest position constraint. "Not supported" says why a case cannot be posed. Cases that take more than some seconds run
-with `--long`.
+largest position constraint. A step is solved by sweeps of the Schur chord or by iterations of Newton's method; both
+where the first left it to the second. Restarts began from rest or from shorter steps. "Not supported" says why a case
+cannot be posed. A run of 1e6 steps (some 10 s) waits for `--long`.
 
-    phfmu stress {arguments}
+    {command}
 
 {counts}.
 """
@@ -34,7 +35,7 @@ def tally(lines: Sequence[Line]) -> str:
 
 def page(lines: Sequence[Line], arguments: str) -> str:
     """The page in Markdown, a table per target."""
-    text = [HEAD.format(arguments=arguments, counts=tally(lines))]
+    text = [HEAD.format(command=f"phfmu stress {arguments}".rstrip(), counts=tally(lines))]
     for target in dict.fromkeys(line.case.target for line in lines):
         text += [f"## {target}", "", "| case | what happened | criterion | verdict |", "| --- | --- | --- | --- |"]
         for line in (x for x in lines if x.case.target == target):

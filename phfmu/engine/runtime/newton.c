@@ -26,7 +26,20 @@
 #define CHORD 1e-1
 #define CONTRACTION 0.1
 #define DELTA 1e-10
+#define COLUMN 1e-8 /* no more than this of its column */
 #define MIN_DAMPING (1.0 / 64.0)
+
+/* delta on the diagonals of multipliers, small in units of their columns too: lambda enters as h, and beside
+ * the Schur complement delta must not grow as steps become shorter. */
+static void regularise(const ph_plan *p, double *scaled) {
+    for (int l = 0; l < p->nreg; l++) {
+        int j = p->matrix_row[p->regularised[l]];
+        double most = 0.0;
+        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
+            most = fabs(scaled[e]) > most ? fabs(scaled[e]) : most;
+        scaled[p->regularised[l]] += fmin(DELTA, COLUMN * most);
+    }
+}
 
 /* Scale of every row = 1 / its largest entry, scaled matrix, factors. A matrix that has not changed since
  * (a linear model) is not factored again. */
@@ -57,8 +70,7 @@ int ph_newton_factor(ph_system *s) {
         return PH_SINGULAR;
     for (int e = 0; e < p->nnz; e++)
         scaled[e] = a[e] * scale[p->matrix_row[e]];
-    for (int i = 0; i < p->nreg; i++)
-        scaled[p->regularised[i]] += DELTA;
+    regularise(p, scaled);
     status = ph_lu_factor(&s->lu, scaled, s->count);
     if (status == PH_OK)
         memcpy(s->factored, s->a, bytes);
@@ -176,6 +188,8 @@ static int polish(ph_system *s) {
 static int solved(const ph_system *s, int kept, int grew, int stalls, double previous) {
     double ratio = s->update / previous;
     int crawls = ratio > CRAWL && ratio < 1.0;
+    if (s->update == 0.0)
+        return 1;
     if (s->update <= TOLERANCE && (!grew || previous <= TOLERANCE) && ratio * ratio * s->update <= ROUNDING)
         return 1;
     if (kept || s->update > (crawls ? CRAWLING : STAGNATION) || ratio <= 0.5)
@@ -226,7 +240,7 @@ int ph_newton(ph_system *s, ph_newton_kind kind) {
 
 /* Why a solve failed: the row with the largest scaled residual (the first one that is not finite), and
  * for a singular matrix the empty row and the unknown without a pivot. */
-void ph_explain(const ph_system *s, int status, ph_report *report) {
+void ph_explain(ph_system *s, int status, ph_report *report) {
     *report = (ph_report){.status = status, .row = -1, .column = -1};
     report->update = s->update;
     report->iterations = s->iterations;
@@ -235,6 +249,8 @@ void ph_explain(const ph_system *s, int status, ph_report *report) {
         report->column = s->empty < 0 ? s->lu.failed : -1;
         return;
     }
+    ph_eval(s, 1, 0); /* the matrix is that of the last start of an iteration */
+    ph_eval_matrix(s);
     rounding(s, 0.0, s->base);
     for (int i = 0; i < s->plan->nw; i++) {
         double size = fabs(s->scale[i] * s->r[i]);

@@ -78,7 +78,7 @@ typedef enum ph_newton_kind {
 int ph_newton(ph_system *s, ph_newton_kind kind);
 int ph_solve(ph_system *s, double h);
 int ph_newton_factor(ph_system *s);
-void ph_explain(const ph_system *s, int status, ph_report *report);
+void ph_explain(ph_system *s, int status, ph_report *report);
 
 /* Counters and switches of the state; doubles and pivots follow it. */
 typedef struct ph_head {
