@@ -29,6 +29,8 @@ def unrolled(chord: Chord) -> str:
         *_end(chord),
     ]
     bodies = {
+        "void take_state(ph_work *w, const double *restrict x, const double *restrict rest)": _state(chord),
+        "void look_from(ph_work *w, const double *restrict last, const ph_lane *restrict ahead)": _look(chord),
         "void evaluate(ph_work *w)": [*_pointers(lines), *lines],
         "int factor(ph_work *w)": _factor(chord),
         "double project(ph_work *w)": _project(chord),
@@ -38,6 +40,32 @@ def unrolled(chord: Chord) -> str:
     for head, body in bodies.items():
         text += f"static {head} {{\n" + "".join(f"    {line}\n" for line in body) + "}\n\n"
     return text
+
+
+def _state(chord: Chord) -> Iterator[str]:
+    yield "const double *restrict constant = w->constant;"
+    yield "double *restrict velocity = w->velocity, *restrict point = w->point;"
+    yield "ph_lane *restrict base = w->base;"
+    for d, v in enumerate(chord.velocity):
+        yield f"base[{d}] = PH_SPREAD(constant[{d}]), velocity[{d}] = x[{v}];"
+    for e, (plus, minus) in enumerate(zip(chord.point_plus, chord.point_minus, strict=True)):
+        a = chord.position[plus]
+        if minus == chord.ndof:
+            yield f"point[{e}] = x[{a}] - rest[{a}];"
+        else:
+            b = chord.position[minus]
+            yield f"point[{e}] = (x[{a}] - x[{b}]) + (rest[{b}] - rest[{a}]);"
+
+
+def _look(chord: Chord) -> Iterator[str]:
+    k = chord.k
+    yield "const double *restrict velocity = w->velocity;"
+    yield "ph_lane *restrict f = w->f;"
+    for j in range(k + 1):
+        yield f"const ph_lane a{j} = ahead[{j}];"
+    for d in range(chord.ndof):
+        terms = "".join(f" + last[{chord.w_position[d * k + j]}] * a{j + 1}" for j in range(k))
+        yield f"f[{d}] = velocity[{d}] * a0{terms};"
 
 
 #: arrays of the work space that `evaluate` uses by a name of its own, so that the compiler knows them apart
