@@ -67,3 +67,11 @@ def test_runs_of_the_update(order: int) -> None:
     w = np.random.default_rng(1).uniform(-1, 1, plan.nw)
     change = sum(c * w[first : first + 24] for first, c in zip(runs["update_w"], runs["update_c"], strict=True))
     assert change == pytest.approx(np.bincount(plan.update_x, plan.update_c * w[plan.update_w], plan.nx), rel=1e-14)
+
+
+def test_what_cancels_is_no_difference() -> None:
+    """x1/|x| squared and added up is 1 everywhere; in differences it would be 0/0."""
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    r = ca.sqrt(ca.sumsqr(x))
+    one = Spec(0, x, ca.SX(0, 1), [(("D", 0, 0), y)], [(("W", 0, 0), 0, ((x[0] / r) ** 2 + (x[1] / r) ** 2) * y)])
+    assert in_differences(one) is one
