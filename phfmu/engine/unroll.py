@@ -1,19 +1,24 @@
 """A small model's evaluation of the Schur chord as straight-line C text: the loops of lane.inc and chord.inc written out.
 
 Displacements, shifts and forces of the degrees of freedom are local variables instead of arrays; every operation is
-the same and in the same order, so that the results are the same bits.
+the same and in the same order but for sums that begin with zero, and for the size of an update, which has several sums.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
 
 from phfmu.discretise.chord import Chord
 from phfmu.discretise.lane_groups import LaneGroup
 
 #: a model with more degrees of freedom, or instances, keeps the loops
 MOST = 40
+
+#: partial sums of the size of an update: one sum would be a chain of dependent additions at the end of every sweep
+SUMS = 4
 
 ORDER = ("constraint", "strain", "force")
 
@@ -124,9 +129,20 @@ def _constraint(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tu
     yield f"{g.kernel.name}(d, e, p, gradient, turn);"
     for j, (e, (a, b)) in enumerate(zip(points, ends, strict=True)):
         yield f"const ph_lane shift{j} = gradient[{j}] * mu, pull{j} = gradient[{j}] * lambda + turn[{j}] * mu;"
-        yield f"slot[{e}] = gradient[{j}], n{a} += shift{j}, g{a} -= pull{j};"
+        begins = [_first_slot(chord, d) == e for d in (a, b)]
+        yield f"slot[{e}] = gradient[{j}], n{a} {'=' if begins[0] else '+='} shift{j}, g{a} -= pull{j};"
         if b < chord.ndof:
-            yield f"n{b} -= shift{j}, g{b} += pull{j};"
+            yield f"n{b} {'= -' if begins[1] else '-= '}shift{j}, g{b} += pull{j};"
+
+
+def _first_slot(chord: Chord, dof: int) -> int:
+    """The first gradient of a constraint with respect to a degree of freedom."""
+    last = chord.row_ptr[chord.nconstraint]
+    return int(np.argmax((chord.point_plus[:last] == dof) | (chord.point_minus[:last] == dof)))
+
+
+def _sum(terms: Iterable[str]) -> str:
+    return " + ".join(terms) or "PH_SPREAD(0.0)"
 
 
 def _strain(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[int, int]]) -> Iterator[str]:
@@ -136,7 +152,7 @@ def _strain(chord: Chord, g: LaneGroup, i: int, points: range, ends: list[tuple[
     yield f"{g.kernel.name}(d, p, gradient);"
     yield "if (!w->carry) {"
     rate = [f"gradient[{j}] * {_difference(chord, 'f', a, b)}" for j, (a, b) in enumerate(ends)]
-    yield f"    const ph_lane sum = zero + {' + '.join(rate)};"
+    yield f"    const ph_lane sum = {_sum(rate)};"
     if g.stress.kind == "pointwise":
         chat = " + ".join([f"PH_SPREAD(start[{s}])", *(f"c{j} * sum[{j}]" for j in range(chord.k))])
         yield f"    const ph_lane c = {chat};"
@@ -190,7 +206,7 @@ def _factor(chord: Chord) -> Iterator[str]:
             f"{sign[float(e.product_sign[q])]}m[{e.product_dof[q]}] * slot[{e.product_a[q]}] * slot[{e.product_b[q]}]"
             for q in span
         ]
-        yield f"ph_lane e{i} = {' + '.join(['PH_SPREAD(0.0)', *products])};"
+        yield f"ph_lane e{i} = {_sum(products)};"
     if e.n:
         yield f"const ph_lane {', '.join(f'initial{j} = e{j}' for j in range(e.n))};"
     for j in range(e.n):
@@ -216,21 +232,23 @@ def _project(chord: Chord) -> Iterator[str]:
         yield f"ph_lane f{d} = next[{d}];"
     for r, row in enumerate(rows):
         terms = (f"slot[{e}] * {_difference(chord, 'f', a, b)}" for e, a, b in row)
-        yield f"ph_lane r{r} = {' + '.join(['PH_SPREAD(0.0)', *terms])};"
+        yield f"ph_lane r{r} = {_sum(terms)};"
     yield from _solve(chord)
     for r, row in enumerate(rows):
         yield "{"
-        added = " + ".join(["PH_SPREAD(0.0)", *(f"p{j} * r{r}[{j}]" for j in range(chord.k + 1))])
+        added = _sum(f"p{j} * r{r}[{j}]" for j in range(chord.k + 1))
         yield f"const ph_lane added = {added};"
         for e, a, b in row:
             yield f"const ph_lane pull{e} = slot[{e}] * r{r};"
             yield f"f{a} -= m[{a}] * pull{e};" + (f" f{b} += m[{b}] * pull{e};" if b < chord.ndof else "")
         yield f"w->multiplier[{r}] += added, w->row[{r}] = added;"
         yield "}"
-    yield "ph_lane moved, all = PH_SPREAD(0.0);"
+    sums = min(SUMS, chord.ndof)
     for d in range(chord.ndof):
-        yield f"next[{d}] = f{d}, moved = f{d} - f[{d}], all += moved * moved * weight[{d}];"
-    yield "return sum_of(all);"
+        yield f"const ph_lane moved{d} = f{d} - f[{d}];"
+        begins = f"ph_lane all{d} =" if d < sums else f"all{d % sums} +="
+        yield f"next[{d}] = f{d}; {begins} moved{d} * moved{d} * weight[{d}];"
+    yield f"return sum_of({_sum(f'all{i}' for i in range(sums))});"
 
 
 def _solve(chord: Chord) -> Iterator[str]:

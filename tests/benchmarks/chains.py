@@ -5,8 +5,10 @@ n links of 1 m on a support, point masses of 1 kg, gravity 9.81 m/s2.  Errors at
 
 from __future__ import annotations
 
+import statistics
+
 import numpy as np
-from common import Run, at_error, medians, relative
+from common import Run, at_error, medians, quartiles, relative, rounds
 from scipy.integrate import solve_ivp
 
 from phfmu import PHDAE
@@ -92,12 +94,15 @@ def main() -> None:
             count = run.instance.counts
             print(f"n {n} h {h:.4f}: {count['sweeps'] / count['steps']:.1f} sweeps, {count['restarts']} restarts, "
                   f"{count['iterations']} Newton iterations")  # fmt: skip
-        cost = {name: 1e3 * t / stop for name, t in medians(jobs, 7).items()}
-        for name, t in cost.items():
-            print(f"n {n} {name:18} error {errors[name]:8.1e}   {t:8.4f} ms/s")
-        lines = [[(errors[k], cost[k]) for k in cost if k.startswith(kind)] for kind in ("mujoco", "order")]
-        peer, ours = (at_error(line, target) for line in lines)
-        print(f"n {n} error {target:g}: {ours:.4f} against {peer:.4f} ms/s, ratio {peer / ours:.1f} (asked {asked:g})")
+        found, costs = rounds(jobs, 11), []
+        for name, t in medians(found).items():
+            print(f"n {n} {name:18} error {errors[name]:8.1e}   {1e3 * t / stop:8.4f} ms/s")
+        for cost in found:
+            lines = [[(errors[k], cost[k]) for k in cost if k.startswith(kind)] for kind in ("mujoco", "order")]
+            costs.append([at_error(line, target) for line in lines])
+        peer, ours = (1e3 * statistics.median(c) / stop for c in zip(*costs, strict=True))
+        ratio = quartiles([p / o for p, o in costs])
+        print(f"n {n} error {target:g}: {ours:.4f} against {peer:.4f} ms/s, ratio {ratio} (asked {asked:g})")
 
 
 if __name__ == "__main__":

@@ -14,15 +14,31 @@ from phfmu.discretise.model import build_model, default_scheme
 from phfmu.engine.native import NativeInstance
 
 
-def medians(jobs: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median process CPU time [s] of every job; all jobs are run in turn, `repeats` times."""
-    spent: dict[str, list[float]] = {name: [] for name in jobs}
+def rounds(jobs: Mapping[str, Callable[[], object]], repeats: int) -> list[dict[str, float]]:
+    """Process CPU time [s] of every job; all jobs are run in turn, `repeats` times.
+
+    A ratio is taken in each round, which is short beside the changes of a shared machine's speed.
+    """
+    found = []
     for _ in range(repeats):
+        spent = {}
         for name, job in jobs.items():
             start = time.process_time()
             job()
-            spent[name].append(time.process_time() - start)
-    return {name: statistics.median(values) for name, values in spent.items()}
+            spent[name] = time.process_time() - start
+        found.append(spent)
+    return found
+
+
+def medians(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Median over all rounds."""
+    return {name: statistics.median(spent[name] for spent in found) for name in found[0]}
+
+
+def quartiles(values: Sequence[float]) -> str:
+    """Median and quartiles."""
+    low, middle, high = statistics.quantiles(values, n=4)
+    return f"{middle:.2f} (half of the rounds between {low:.2f} and {high:.2f})"
 
 
 def at_error(points: Sequence[tuple[float, float]], error: float) -> float:

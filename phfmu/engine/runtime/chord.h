@@ -44,10 +44,11 @@ static inline int lane_weak(ph_lane pivot, ph_lane initial) {
 }
 
 static inline double sum_of(ph_lane a) {
-    double sum = 0.0;
-    for (int i = 0; i < PH_LANES; i++)
-        sum += a[i];
-    return sum;
+#if PH_K == 3
+    return (a[0] + a[2]) + (a[1] + a[3]);
+#else
+    return a[0] + a[1];
+#endif
 }
 
 /* One mode of the coupling of the nodes in time: a real one, and for k = 3 a complex one. */
