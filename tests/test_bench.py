@@ -358,7 +358,7 @@ def test_an_exudyn_with_other_names_of_settings_is_not_used(monkeypatch: pytest.
 
 def test_members_of_families() -> None:
     scene = member("chain:3")
-    assert scene is not None and scene.name == "chain_3" and scene.declaration().states[0].n == 9
+    assert scene is not None and scene.name == "chain_3" and scene.declaration().states[0].n == 6
     assert member("four_particle") is None
     with pytest.raises(ValueError, match="number of links"):
         member("chain:x")

@@ -45,10 +45,11 @@ class Particles:
     dampers: tuple[tuple[int, int, float, float], ...] = ()
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     fresh: bool = False
+    dim: int = 3
 
     @property
     def unknowns(self) -> int:
-        return 3 * len(self.masses) + len(self.bars)
+        return self.dim * len(self.masses) + len(self.bars)
 
 
 def particles(problem: Problem) -> Particles | None:
@@ -61,7 +62,7 @@ def particles(problem: Problem) -> Particles | None:
     if re.fullmatch(r"chain_\d+", problem.name):
         n = len(values["m"])
         bars = tuple((i - 1 if i else ORIGIN, i) for i in range(n))
-        return Particles(values["m"], bars, gravity=(0.0, 0.0, -9.81), fresh=True)
+        return Particles(values["m"], bars, gravity=(0.0, -9.81, 0.0), fresh=True, dim=2)
     return None
 
 
@@ -106,9 +107,9 @@ class _System:
         self._symbolic: Any = import_module("exudyn.utilities").CreateSymbolicUserFunction
         self._kept: list[Any] = [library.SystemContainer()]
         self.mbs: Any = self._kept[0].AddSystem()
-        n = len(particles.masses)
-        self.q0 = x0[: 3 * n]
-        self._points(particles, self.q0.reshape(n, 3), x0[3 * n :].reshape(n, 3))
+        self.q0, v0 = np.split(x0, 2)
+        shape = (len(particles.masses), particles.dim)
+        self._points(particles, self.q0.reshape(shape), v0.reshape(shape))
         for i, j in particles.bars:
             length = float(np.linalg.norm(self._place[j] - self._place[i]))
             self.mbs.AddObject(self._items.ObjectConnectorDistance(markerNumbers=self._ends(i, j), distance=length))
@@ -120,11 +121,12 @@ class _System:
 
     def _points(self, particles: Particles, q: np.ndarray, v: np.ndarray) -> None:
         make, mbs = self._items, self.mbs
-        bodies = [mbs.AddObject(make.ObjectGround())]
+        bodies, plane = [mbs.AddObject(make.ObjectGround())], "2D" if particles.dim == 2 else ""
+        point, body = getattr(make, f"NodePoint{plane}"), getattr(make, f"ObjectMassPoint{plane}")
         for mass, place, velocity in zip(particles.masses, q, v, strict=True):
-            node = mbs.AddNode(make.NodePoint(referenceCoordinates=list(place), initialVelocities=list(velocity)))
-            bodies.append(mbs.AddObject(make.ObjectMassPoint(mass=mass, nodeNumber=node)))
-        self._place = np.vstack([q, np.zeros(3)])  # ORIGIN is the last one of places and of markers
+            node = mbs.AddNode(point(referenceCoordinates=list(place), initialVelocities=list(velocity)))
+            bodies.append(mbs.AddObject(body(mass=mass, nodeNumber=node)))
+        self._place = np.vstack([q, np.zeros(particles.dim)])  # ORIGIN is the last one of places and of markers
         self._markers = [mbs.AddMarker(make.MarkerBodyPosition(bodyNumber=b)) for b in (*bodies[1:], bodies[0])]
         if any(particles.gravity):
             for mass, marker in zip(particles.masses, self._markers, strict=False):

@@ -23,14 +23,14 @@ class Family:
 
 
 def chain(n: int) -> PHDAE:
-    """n unit masses on unit bars from the origin, let go from the horizontal."""
+    """n unit masses on unit bars from the origin, let go from the horizontal, in a vertical plane (x, z)."""
     from phfmu.components.mechanical.multibody import Multibody
 
-    body = Multibody(f"chain_{n}", description=f"pendulum chain of {n} links")
-    body.gravity((0.0, 0.0, -9.81))
-    last = body.support((0.0, 0.0, 0.0))
+    body = Multibody(f"chain_{n}", dim=2, description=f"pendulum chain of {n} links")
+    body.gravity((0.0, -9.81))
+    last = body.support((0.0, 0.0))
     for i in range(n):
-        particle = body.particle(1.0, (i + 1.0, 0.0, 0.0))
+        particle = body.particle(1.0, (i + 1.0, 0.0))
         body.bar(last, particle, 1.0)
         last = particle
     return body.build()

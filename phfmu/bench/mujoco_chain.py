@@ -63,9 +63,9 @@ class _MuJoCo:
         return Run(np.array(rows), done)
 
     def _state(self) -> np.ndarray:
-        """Positions and velocities of the masses, as the declaration orders them."""
+        """Positions and velocities of the masses in x and z, as the declaration orders them."""
         self._lib.mj_forward(self._model, self._data)
         velocity = np.zeros((self._links, 6))
         for i in range(self._links):
             self._lib.mj_objectVelocity(self._model, self._data, self._lib.mjtObj.mjOBJ_BODY, i + 1, velocity[i], 0)
-        return np.concatenate([self._data.xipos[1:].ravel(), velocity[:, 3:].ravel()])
+        return np.concatenate([self._data.xipos[1:, ::2].ravel(), velocity[:, 3::2].ravel()])
