@@ -10,7 +10,7 @@ from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.differences import differences, in_differences
 from phfmu.discretise.model import build_model, default_scheme
 from phfmu.discretise.spec import Spec
-from phfmu.engine.tables import _update
+from phfmu.engine.derived import update_runs
 
 
 def spring(energy: object) -> Spec:
@@ -62,7 +62,7 @@ def test_runs_of_the_update(order: int) -> None:
     """Four particles: one run over all 24 states; it gives what the table of the plan gives."""
     d = four_particle()
     plan = build_model(d, default_scheme(d, order)).step
-    runs = _update(plan)
+    runs = update_runs(plan)
     assert (runs["nupdate"], runs["update_x"], runs["update_n"]) == (1, [0], [24])
     w = np.random.default_rng(1).uniform(-1, 1, plan.nw)
     change = sum(c * w[first : first + 24] for first, c in zip(runs["update_w"], runs["update_c"], strict=True))

@@ -14,11 +14,12 @@ from scipy.optimize import brentq, fsolve
 
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.compile import CompileError, CompilerMissing, compile
+from phfmu.engine.derived import capacity
 from phfmu.engine.library import load, runtime_sources
 from phfmu.engine.model import kernels
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.status import Status, StepFailure
-from phfmu.engine.tables import c_text, capacity, ctypes_structures, stamp
+from phfmu.engine.tables import c_text, ctypes_structures, stamp
 from tests.hand_made import (
     A2,
     C2,

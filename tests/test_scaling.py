@@ -76,7 +76,7 @@ def test_code_is_the_same_and_memory_linear(name: str, compiler: None) -> None:
 
 def test_planned_pivots_are_distinct() -> None:
     """Also where two columns want one row (the bare bus of the grid): a trial factor with them stays sparse."""
-    from phfmu.engine.tables import capacity
+    from phfmu.engine.derived import capacity
 
     plans = [build_model(ladder(n).declaration()).step for n in (4, 12)]
     for p in plans:

@@ -1,0 +1,158 @@
+"""What the C tables of a plan hold beside its own arrays: sizes, sums of products multiplied out, runs, groups in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csc_matrix, diags
+from scipy.sparse.linalg import splu
+
+from phfmu.discretise.chord import Chord
+from phfmu.discretise.lane_groups import LaneGroup
+from phfmu.discretise.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
+from phfmu.engine.lane_text import loop_index, loop_name
+
+
+def capacity(plan: Plan) -> int:
+    """Room for the entries of L + U: all of them up to 64 unknowns, else 4 times a trial factorisation."""
+    n, nnz = plan.nw, plan.matrix.nnz
+    if n <= 64:
+        return n * n
+    values = np.random.default_rng(0).uniform(0.5, 1.5, nnz)
+    a = csc_matrix((values, plan.matrix.row, plan.colptr), shape=(n, n))[:, plan.order]
+    if np.array_equal(np.sort(plan.pivot_row), np.arange(n)):  # planned pivots on the diagonal
+        a = a[plan.pivot_row, :]
+    a = a + diags(np.full(n, 4.0))
+    trial = splu(csc_matrix(a), permc_spec="NATURAL", diag_pivot_thresh=0.0)
+    return int(min(4 * (trial.L.nnz + trial.U.nnz) + n, n * n))
+
+
+@dataclass(frozen=True)
+class _Fixed:
+    """Constant part of a sum of products: entry, value and power of h, one item per product."""
+
+    entry: Ints
+    value: Floats
+    power: Powers
+
+
+@dataclass(frozen=True)
+class _Varying:
+    """Entries with products that change from iteration to iteration, and those products."""
+
+    entry: Ints
+    ptr: Ints
+    s: Ints
+    t: Ints
+    value: Floats
+    power: Powers
+
+
+def _constant_slots(plan: Plan) -> Floats:
+    """Per slot its value if it is a number in the kernel, else nan."""
+    slots = np.full(plan.nslot, np.nan)
+    slots[0] = 1.0
+    for g in plan.groups:
+        jac = g.kernel.function.call(g.kernel.function.sx_in())[1]
+        entries = [jac.nz[i] for i in range(g.kernel.nj)]
+        row = [float(e) if e.is_constant() else np.nan for e in entries]
+        slots[g.slot : g.slot + g.n * g.kernel.nj] = np.tile(row, g.n)
+    return slots
+
+
+def _split(products: Products, slots: Floats) -> tuple[_Fixed, _Varying]:
+    """Products of numbers are multiplied out here, the rest is left to every iteration."""
+    entry = np.repeat(np.arange(products.nnz, dtype=np.int32), np.diff(products.ptr))
+    known_s, known_t = ~np.isnan(slots[products.s]), ~np.isnan(slots[products.t])
+    value = products.value * np.where(known_s, slots[products.s], 1.0) * np.where(known_t, slots[products.t], 1.0)
+    s, t = np.where(known_s, np.int32(0), products.s), np.where(known_t, np.int32(0), products.t)
+    fixed, rest = known_s & known_t, ~(known_s & known_t)
+    varying, first = np.unique(entry[rest], return_index=True)
+    ptr = np.append(first, rest.sum()).astype(np.int32)
+    return (
+        _Fixed(entry[fixed], value[fixed], products.power[fixed]),
+        _Varying(varying, ptr, s[rest], t[rest], value[rest], products.power[rest]),
+    )
+
+
+def update_runs(plan: Plan) -> dict[str, Any]:
+    """The update by runs of neighbouring states whose unknowns are neighbours too, with the same weights: vectors."""
+    terms: dict[int, list[tuple[int, float]]] = {}
+    for state, w, c in zip(plan.update_x, plan.update_w, plan.update_c, strict=True):
+        terms.setdefault(int(state), []).append((int(w), float(c)))
+    runs: list[tuple[int, int]] = []
+    for state in sorted(terms):
+        if runs:
+            first, n = runs[-1]
+            if state == first + n and terms[state] == [(w + n, c) for w, c in terms[first]]:
+                runs[-1] = (first, n + 1)
+                continue
+        runs.append((state, 1))
+    flat = [term for first, _ in runs for term in terms[first]]
+    ptr = np.cumsum([0] + [len(terms[first]) for first, _ in runs])
+    return {
+        "nupdate": len(runs),
+        "update_x": [first for first, _ in runs],
+        "update_n": [n for _, n in runs],
+        "update_ptr": ptr,
+        "update_w": [w for w, _ in flat],
+        "update_c": [c for _, c in flat],
+    }
+
+
+def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
+    k = g.kernel
+    late = g.stage == 1 and bool(np.all(np.asarray(g.oi) >= plan.nw))
+    sizes = {name: getattr(k, name) for name in ("nx", "ny", "np", "no", "nj")}
+    return sizes | {"late": int(late), "kernel": index(k)}
+
+
+def plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
+    late = plan.const_row >= plan.nw
+    by_row = np.argsort(late, kind="stable")
+    const = {n: getattr(plan, n)[by_row] for n in ("const_row", "const_src", "const_val", "const_pow")}
+    groups = sorted(plan.groups, key=lambda g: g.stage)
+    fixed, varying = _split(plan.matrix, _constant_slots(plan))
+    return (
+        const
+        | update_runs(plan)
+        | {
+            "ngroup": len(groups),
+            "nconst": len(by_row),
+            "nconst_early": int(np.sum(~late)),
+            "nnz": plan.matrix.nnz,
+            "nfixed": len(fixed.entry),
+            "nvarying": len(varying.entry),
+            "fixed": fixed,
+            "varying": varying,
+            "nderivative": plan.derivative.nnz,
+            "nreg": len(plan.regularised),
+            "nmean": len(plan.mean_a),
+            "nwork": len(plan.work_pair),
+            "lucap": capacity(plan),
+            "groups": [(g, _group_values(g, plan, index)) for g in groups],
+        }
+    )
+
+
+#: PH_LANE_* of plan.h
+LANE_KINDS = ("constraint", "strain", "force", "start", "mass", "load")
+
+
+def lane_groups(chord: Chord) -> list[tuple[LaneGroup, dict[str, Any]]]:
+    """The groups in order of evaluation, with their loops."""
+    loops = loop_index(chord.groups)
+    groups = sorted(chord.groups, key=lambda g: LANE_KINDS.index(g.kernel.kind))
+    return [(g, {"loop": loops[loop_name(g)], "kind": LANE_KINDS.index(g.kernel.kind)}) for g in groups]
+
+
+def chord_sizes(chord: Chord) -> dict[str, Any]:
+    return {
+        "npoint": len(chord.point_plus),
+        "ngroup": len(chord.groups),
+        "nload": len(chord.load_dof),
+        "ntile": len(chord.tile.dof) - 1,
+    }
