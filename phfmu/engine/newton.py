@@ -68,9 +68,10 @@ class Newton:
             return False
         self._scale = 1.0 / np.where(biggest > 0, biggest, 1.0)
         a = a * self._scale[plan.matrix.row]
-        # lambda enters as h: beside the Schur complement delta must not grow as steps become shorter
-        columns = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])
-        a[plan.regularised] += np.minimum(DELTA, COLUMN * columns[plan.matrix.row[plan.regularised]])
+        # lambda enters as h: beside the Schur complement delta must not grow as steps become shorter; a column
+        # without entries (Dg = 0) gets all of it
+        columns = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])[plan.matrix.row[plan.regularised]]
+        a[plan.regularised] += np.where(columns > 0, np.minimum(DELTA, COLUMN * columns), DELTA)
         try:
             self._lu = splu(csc_matrix((a, plan.matrix.row, plan.colptr), shape=(plan.nw, plan.nw)))
         except RuntimeError:

@@ -30,14 +30,15 @@
 #define MIN_DAMPING (1.0 / 64.0)
 
 /* delta on the diagonals of multipliers, small in units of their columns too: lambda enters as h, and beside
- * the Schur complement delta must not grow as steps become shorter. */
+ * the Schur complement delta must not grow as steps become shorter. A column without entries (Dg = 0) gets
+ * all of it. */
 static void regularise(const ph_plan *p, double *scaled) {
     for (int l = 0; l < p->nreg; l++) {
         int j = p->matrix_row[p->regularised[l]];
         double most = 0.0;
         for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
             most = fabs(scaled[e]) > most ? fabs(scaled[e]) : most;
-        scaled[p->regularised[l]] += fmin(DELTA, COLUMN * most);
+        scaled[p->regularised[l]] += most > 0.0 ? fmin(DELTA, COLUMN * most) : DELTA;
     }
 }
 
