@@ -93,11 +93,11 @@ def test_exponent_is_that_of_the_larger_half() -> None:
 
 @pytest.mark.slow
 def test_bench_scaling(compiler: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "scaling", "--families", "chain", "--sizes", "3,6", "-o", str(tmp_path)]) == FINE
+    assert main(["bench", "scaling", "--families", "chain", "--sizes", "30,60", "-o", str(tmp_path)]) == FINE
     out = capsys.readouterr().out
     assert "chain: n = links" in out and "~ n^" in out
     rows = list(csv.DictReader(t for t in (tmp_path / "scaling.csv").read_text().splitlines() if not t.startswith("#")))
-    assert [r["n"] for r in rows] == ["3", "6"] and rows[0]["code"] == rows[1]["code"]
+    assert [r["n"] for r in rows] == ["30", "60"] and rows[0]["code"] == rows[1]["code"]
     assert all(float(r[c]) > 0 for r in rows for c in ("declare", "plan", "compile", "memory", "step", "iterations"))
     assert (tmp_path / "scaling.png").stat().st_size > 10_000
 

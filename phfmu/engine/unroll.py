@@ -210,7 +210,7 @@ def _factor(chord: Chord) -> Iterator[str]:
     if e.n:
         yield f"const ph_lane {', '.join(f'initial{j} = e{j}' for j in range(e.n))};"
     for j in range(e.n):
-        yield f"if (lane_weak(e{j}, initial{j})) return 0;"
+        yield f"if (lane_weak(e{j}, initial{j}, {e.n})) return 0;"
         yield f"const ph_lane inverse{j} = 1.0 / e{j};"
         for q in range(e.update_ptr[j], e.update_ptr[j + 1]):
             left, right = e.update_left[q], e.update_right[q]

@@ -34,12 +34,14 @@ typedef double ph_lane __attribute__((vector_size(8 * PH_LANES), aligned(8)));
         return a;                                                                                            \
     }
 
-#define WEAK 1e-6 /* a pivot this small beside its diagonal: rows are nearly dependent */
+/* Rows are nearly dependent where n pivots of this size beside the diagonal would be: the last pivot of a
+ * straight chain of n links is 1/n of its diagonal without any weakness. */
+#define WEAK 3e-4
 
-static inline int lane_weak(ph_lane pivot, ph_lane initial) {
+static inline int lane_weak(ph_lane pivot, ph_lane initial, int n) {
     int result = 0;
     for (int i = 0; i < PH_LANES; i++)
-        result |= !(pivot[i] > WEAK * initial[i]);
+        result |= !(n * pivot[i] > WEAK * initial[i]);
     return result;
 }
 
