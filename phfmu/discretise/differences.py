@@ -108,8 +108,8 @@ def in_differences(spec: Spec) -> Spec:
         return None if e is None else ca.substitute(ca.SX(e), ca.vertcat(*old), ca.vertcat(*new))
 
     out = [(address, power, moved(e)) for address, power, e in spec.out]
-    found = replace(spec, out=out, stored=moved(spec.stored), lost=moved(spec.lost), numerical=moved(spec.numerical))
-    return found if _alike(f, _function(found, y)) else spec
+    better = replace(spec, out=out, stored=moved(spec.stored), lost=moved(spec.lost), numerical=moved(spec.numerical))
+    return better if _alike(f, _function(better, y)) else spec
 
 
 def _function(spec: Spec, y: ca.SX) -> ca.Function:
