@@ -149,9 +149,9 @@ def page() -> str:
     return f"""# What is left out
 
 Two particles with a spring, a damper, a bar and a port, and the same without some of them. `kernels`: generated C;
-`library`: shared library with the runtime; `compile`: CPU time of the compiler for it; `FMUs`: both versions together,
-or the one that is there; `step`: least process time of a step of {H:g} s over {STEPS} steps, nothing recorded. Times
-are those of one machine; compare them within the table.
+`library`: shared library with the runtime; `compile`: CPU time of the compiler for the kernels, beside 2 s for the runtime
+once a machine; `FMUs`: both versions together, or the one that is there; `step`: least process time of a step of {H:g} s over
+{STEPS} steps, nothing recorded. Times are those of one machine; compare them within the table.
 
     phfmu bench leave-out -o docs/results/leave-out.md
 
