@@ -13,7 +13,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise.differences import Differences, differences
+from phfmu.discretise.differences import ANALYTIC, Differences, differences
 from phfmu.discretise.gradients import degree, stress
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.terms import Term
@@ -21,15 +21,12 @@ from phfmu.discretise.terms import Term
 EMPTY = ca.SX(0, 1)
 
 #: operations that exist for lanes: those of vectors, and functions taken lane by lane
-LANE_OPERATIONS = frozenset(
-    {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ,
-     ca.OP_TWICE, ca.OP_INV, ca.OP_SQRT, ca.OP_EXP, ca.OP_LOG, ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_TANH,
-     ca.OP_POW, ca.OP_CONSTPOW}
-)  # fmt: skip
-#: further operations of single numbers
-OPERATIONS = LANE_OPERATIONS | {
-    ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO, ca.OP_FABS,
+LANE_OPERATIONS = ANALYTIC - {
     ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN, ca.OP_SINH, ca.OP_COSH, ca.OP_LOG1P, ca.OP_EXPM1, ca.OP_HYPOT,
+}  # fmt: skip
+#: operations of single numbers
+OPERATIONS = ANALYTIC | {
+    ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO, ca.OP_FABS,
 }  # fmt: skip
 
 

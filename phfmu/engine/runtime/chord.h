@@ -70,7 +70,7 @@ typedef struct ph_work {
     int carry;            /* stresses are unknowns of their own: some spring is stiff at this step size */
     double h;             /* of this step */
     double ratio;         /* of h to the last h, for the predictor */
-    const double *q, *p;  /* states at the start of the step; parameters */
+    const double *p;      /* parameters */
     double *inverse_mass; /* ndof+1 */
     double *constant;     /* ndof+1: forces that depend on parameters only */
     double *weight;       /* ndof: 1 / nominal velocity^2 */
