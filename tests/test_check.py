@@ -39,6 +39,7 @@ from phfmu import (
     strain_energy,
     time,
 )
+from phfmu.cli import main
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.synchronous_machine import synchronous_machine
@@ -524,6 +525,21 @@ def test_a_broken_callable_is_a_problem_not_an_exception():
 def test_text_of_a_problem():
     p = Problem("skew", "J block on q, v", "J[q, v] = 1 but J[v, q] = 1", "correct the sign")
     assert str(p) == "J block on q, v: J[q, v] = 1 but J[v, q] = 1; correct the sign [skew]"
+
+
+def test_warnings_are_told_on_request_and_fail_only_where_they_count(monkeypatch, capsys):
+    def odd(entries, sample):
+        return [Problem("odd", entries.model.name, f"{sample.n} points look odd", "look again", "warning")]
+
+    monkeypatch.setattr("phfmu.declare.check.WARNING_RULES", (odd,))
+    assert check(oscillator()) == []
+    (found,) = check(oscillator(), strict=True)
+    assert found.severity == "warning" and str(found).startswith("warning: oscillator: 6 points look odd; look again")
+    wrong = oscillator(dissipation=(block([V], -1.0),))  # an error comes alone: mend it first
+    assert {p.severity for p in check(wrong, strict=True)} == {"error"} == {p.severity for p in check(wrong)}
+    for arguments, code in (["check", "mass"], 0), (["check", "mass", "--strict"], 1):
+        assert main(arguments) == code
+        assert capsys.readouterr().out.splitlines()[-1] == "mass: 1 warning"
 
 
 # -- sound models ---

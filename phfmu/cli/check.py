@@ -12,34 +12,45 @@ if TYPE_CHECKING:
 def add_parser(verbs: Any) -> None:
     from phfmu.cli import TARGET
 
-    parser = verbs.add_parser("check", help="every problem with its remedy; exit 1 if there is any")
+    parser = verbs.add_parser("check", help="every problem with its remedy; exit 1 if there is an error")
     parser.add_argument("target", help=TARGET)
+    parser.add_argument("--strict", action="store_true", help="warnings count as errors")
     parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli import FINE, PROBLEMS
-    from phfmu.cli.target import is_fmu, scene
+    from phfmu.cli.target import is_fmu
 
-    if is_fmu(args.target):
-        from phfmu.fmu.inspect import fmu_problems
+    lines, errors, warnings = _of_unit(args.target) if is_fmu(args.target) else _of_model(args.target)
+    for line in lines:
+        print(line)
+    counts = [_count(errors, "problem"), _count(warnings, "warning")]
+    print(f"{args.target}: {', '.join(c for c in counts if c) or 'no problems'}")
+    return PROBLEMS if errors or (args.strict and warnings) else FINE
 
-        problems = [str(p) for p in fmu_problems(args.target)]
-    else:
-        from phfmu.declare.check import check
 
-        declaration = scene(args.target).declaration()
-        problems = [str(p) for p in check(declaration)]
-        if declaration.constraints and not problems:
-            _print_rank(declaration)
-    for problem in problems:
-        print(problem)
-    print(
-        f"{args.target}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
-        if problems
-        else f"{args.target}: no problems"
-    )
-    return PROBLEMS if problems else FINE
+def _of_unit(path: str) -> tuple[list[str], int, int]:
+    from phfmu.fmu.inspect import fmu_problems
+
+    lines = fmu_problems(path)
+    return lines, len(lines), 0
+
+
+def _of_model(target: str) -> tuple[list[str], int, int]:
+    from phfmu.cli.target import scene
+    from phfmu.declare.check import check
+
+    declaration = scene(target).declaration()
+    problems = check(declaration, strict=True)
+    errors = sum(p.severity == "error" for p in problems)
+    if declaration.constraints and not errors:
+        _print_rank(declaration)
+    return [str(p) for p in problems], errors, len(problems) - errors
+
+
+def _count(n: int, word: str) -> str:
+    return f"{n} {word}{'s' if n != 1 else ''}" if n else ""
 
 
 def _print_rank(declaration: PHDAE) -> None:

@@ -22,6 +22,9 @@ from phfmu.declare.phdae import PHDAE
 if TYPE_CHECKING:
     from phfmu.discretise.scheme import Scheme
 
+#: rules that only warn: they run where warnings are asked for, on a model without errors
+WARNING_RULES: tuple[Callable[[Entries, Sample], list[Problem]], ...] = ()
+
 #: a model with a problem of these rules is not discretised: the planner would only repeat it
 BLOCKING = {
     "shape",
@@ -37,13 +40,18 @@ BLOCKING = {
 }
 
 
-def check(model: PHDAE, scheme: Scheme | None = None) -> list[Problem]:
-    """All problems of `model`; an empty list if it is sound.
+def check(model: PHDAE, scheme: Scheme | None = None, *, strict: bool = False) -> list[Problem]:
+    """All errors of `model`, an empty list if it is sound; with `strict` its warnings too (`Problem.severity`).
 
     Matrices and energies are evaluated at the start and at seeded points around it, within the nominal size
     of each variable and with the parameters at their start values.  The equations are planned for `scheme`
     (default: the default scheme of the model).  Never raises for a bad model.
     """
+    found = _problems(model, scheme, strict)
+    return found if strict else [p for p in found if p.severity == "error"]
+
+
+def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem]:
     found: list[Problem] = []
     for rule in (names, units, nominals, starts):
         found += _safely(rule, model)
@@ -62,6 +70,9 @@ def check(model: PHDAE, scheme: Scheme | None = None) -> list[Problem]:
         found += _safely(rule, entries)
     if not BLOCKING & {p.rule for p in found}:
         found += _safely(equations, model, scheme)
+    if strict and all(p.severity == "warning" for p in found):
+        for rule in WARNING_RULES:
+            found += _safely(rule, entries, sample)
     return found
 
 

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Severity = Literal["error", "warning"]
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One violated rule: the entry it was found in, what is wrong (with numbers), and what to do about it."""
+    """One violated rule: the entry it was found in, what is wrong (with numbers), and what to do about it.
+
+    severity: "error": the model is wrong and is not to be stepped;  "warning": it steps, but something in it is most
+    likely not what was meant
+    """
 
     rule: str
     entry: str
     message: str
     remedy: str
+    severity: Severity = "error"
 
     def __str__(self) -> str:
-        return f"{self.entry}: {self.message}; {self.remedy} [{self.rule}]"
+        mark = "warning: " if self.severity == "warning" else ""
+        return f"{mark}{self.entry}: {self.message}; {self.remedy} [{self.rule}]"
