@@ -1,9 +1,10 @@
 /* A host without an interpreter: loads the library of a unit, runs it through FMI 2.0 or 3.0 and prints
  * values.
  *
- *     fmu_host LIBRARY VERSION TOKEN STEP N INPUT_REFERENCE VALUE OUTPUT_REFERENCE...
+ *     fmu_host LIBRARY VERSION TOKEN STEP N INPUT_REFERENCE VALUE MORE OUTPUT_REFERENCE...
  *
- * INPUT_REFERENCE -1: no input. */
+ * INPUT_REFERENCE -1: no input. MORE: lengths of steps that follow the N, joined by commas, or -; after each
+ * of them values are printed again. */
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -45,8 +46,13 @@ static void *symbol(void *library, const char *name) {
         }                                                                                                    \
     } while (0)
 
-static int run2(void *library, const char *token, double h, int n, int input, double u, const unsigned *ref,
-                int m) {
+typedef struct plan {
+    double h, u, more[64], t;
+    int n, nmore, input, m;
+    unsigned ref[1024];
+} plan;
+
+static int run2(void *library, const char *token, plan *p) {
     const fmi2CallbackFunctions callbacks = {logger2, calloc, free, NULL, NULL};
     FUNCTION(fmi2InstantiateTYPE, instantiate, "fmi2Instantiate");
     FUNCTION(fmi2SetupExperimentTYPE, setup, "fmi2SetupExperiment");
@@ -58,28 +64,30 @@ static int run2(void *library, const char *token, double h, int n, int input, do
     FUNCTION(fmi2TerminateTYPE, terminate, "fmi2Terminate");
     FUNCTION(fmi2FreeInstanceTYPE, release, "fmi2FreeInstance");
     fmi2Component c = instantiate("host", fmi2CoSimulation, token, "file:///", &callbacks, 0, 0);
-    unsigned in = (unsigned)input;
+    unsigned in = (unsigned)p->input;
     if (!c)
         return 1;
     MUST(setup(c, 0, 0.0, 0.0, 0, 0.0));
     MUST(enter(c));
-    if (input >= 0)
-        MUST(set(c, &in, 1, &u));
+    if (p->input >= 0)
+        MUST(set(c, &in, 1, &p->u));
     MUST(leave(c));
-    for (int k = 0; k < n; k++)
-        MUST(step(c, k * h, h, 1));
-    for (int i = 0; i < m; i++) {
-        double value;
-        MUST(get(c, &ref[i], 1, &value));
-        printf("%.17g\n", value);
+    for (int k = 0; k < p->n + p->nmore; k++) {
+        const double h = k < p->n ? p->h : p->more[k - p->n];
+        MUST(step(c, p->t, h, 1));
+        p->t = k < p->n ? (k + 1) * h : p->t + h;
+        for (int i = 0; k + 1 >= p->n && i < p->m; i++) {
+            double value;
+            MUST(get(c, &p->ref[i], 1, &value));
+            printf("%.17g\n", value);
+        }
     }
     MUST(terminate(c));
     release(c);
     return 0;
 }
 
-static int run3(void *library, const char *token, double h, int n, int input, double u, const unsigned *ref,
-                int m) {
+static int run3(void *library, const char *token, plan *p) {
     FUNCTION(fmi3InstantiateCoSimulationTYPE, instantiate, "fmi3InstantiateCoSimulation");
     FUNCTION(fmi3EnterInitializationModeTYPE, enter, "fmi3EnterInitializationMode");
     FUNCTION(fmi3ExitInitializationModeTYPE, leave, "fmi3ExitInitializationMode");
@@ -89,22 +97,24 @@ static int run3(void *library, const char *token, double h, int n, int input, do
     FUNCTION(fmi3TerminateTYPE, terminate, "fmi3Terminate");
     FUNCTION(fmi3FreeInstanceTYPE, release, "fmi3FreeInstance");
     fmi3Instance c = instantiate("host", token, NULL, 0, 0, 0, 0, NULL, 0, NULL, logger3, NULL);
-    unsigned in = (unsigned)input;
+    unsigned in = (unsigned)p->input;
     if (!c)
         return 1;
     MUST(enter(c, 0, 0.0, 0.0, 0, 0.0));
-    if (input >= 0)
-        MUST(set(c, &in, 1, &u, 1));
+    if (p->input >= 0)
+        MUST(set(c, &in, 1, &p->u, 1));
     MUST(leave(c));
-    for (int k = 0; k < n; k++) {
+    for (int k = 0; k < p->n + p->nmore; k++) {
+        const double h = k < p->n ? p->h : p->more[k - p->n];
         bool event, end, early;
         double last;
-        MUST(step(c, k * h, h, 1, &event, &end, &early, &last));
-    }
-    for (int i = 0; i < m; i++) {
-        double value;
-        MUST(get(c, &ref[i], 1, &value, 1));
-        printf("%.17g\n", value);
+        MUST(step(c, p->t, h, 1, &event, &end, &early, &last));
+        p->t = k < p->n ? (k + 1) * h : p->t + h;
+        for (int i = 0; k + 1 >= p->n && i < p->m; i++) {
+            double value;
+            MUST(get(c, &p->ref[i], 1, &value, 1));
+            printf("%.17g\n", value);
+        }
     }
     MUST(terminate(c));
     release(c);
@@ -112,18 +122,25 @@ static int run3(void *library, const char *token, double h, int n, int input, do
 }
 
 int main(int argc, char **argv) {
-    unsigned ref[64];
+    static plan p;
+    char *more;
     void *library;
-    int m = argc - 8;
-    if (m < 1 || m > 64)
+    p.m = argc - 9;
+    if (p.m < 1 || p.m > 1024)
         return 2;
     library = dlopen(argv[1], RTLD_NOW | RTLD_LOCAL);
     if (!library) {
         fprintf(stderr, "%s\n", dlerror());
         return 1;
     }
-    for (int i = 0; i < m; i++)
-        ref[i] = (unsigned)atoi(argv[8 + i]);
-    return (strcmp(argv[2], "2.0") == 0 ? run2 : run3)(library, argv[3], atof(argv[4]), atoi(argv[5]),
-                                                       atoi(argv[6]), atof(argv[7]), ref, m);
+    p.h = atof(argv[4]);
+    p.n = atoi(argv[5]);
+    p.input = atoi(argv[6]);
+    p.u = atof(argv[7]);
+    for (more = strtok(argv[8], ","); more && strcmp(more, "-") != 0 && p.nmore < 64;
+         more = strtok(NULL, ","))
+        p.more[p.nmore++] = atof(more);
+    for (int i = 0; i < p.m; i++)
+        p.ref[i] = (unsigned)atoi(argv[9 + i]);
+    return (strcmp(argv[2], "2.0") == 0 ? run2 : run3)(library, argv[3], &p);
 }

@@ -343,6 +343,7 @@ def test_a_host_without_interpreter_runs_it(exported, tmp_path: Path, version: s
             "50",
             drive,
             "2.5",
+            "-",
             *references,
         ]
         done = subprocess.run(command, capture_output=True, text=True)

@@ -94,6 +94,8 @@ class NativeInstance:
 
         h < 0 goes back in time: the schemes are symmetric, so a step and the same step back give the old state
         to rounding.  h = 0 leaves the state as it is, books nothing, and gives the means their values at t.
+        A sliver, what rounding leaves of a master's clock, books nothing and keeps state and means: |h| up to two
+        rounding units of t or 1e-9 of the last internal step.
         """
         status = self._step(self._in, t, h) if parts == 1 else self._lib.ph_step_parts(self._in, t, h, parts)
         if status:

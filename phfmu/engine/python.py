@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.attempts import Attempts
 from phfmu.engine.evaluate import Evaluator
+from phfmu.engine.limits import LIMITS
 from phfmu.engine.newton import Newton, Outcome
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
@@ -117,9 +118,14 @@ class PythonInstance:
 
         h < 0 goes back in time: the schemes are symmetric, so a step and the same step back give the old state
         to rounding.  h = 0 leaves the state as it is, books nothing, and gives the means their values at t.
+        A sliver, what rounding leaves of a master's clock, books nothing and keeps state and means: |h| up to two
+        rounding units of t or 1e-9 of the last internal step.
         """
-        if not (np.isfinite(h) and np.isfinite(t) and parts >= 1):
+        if not (np.isfinite(t + h) and parts >= 1):
             raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
+        if h != 0 and self._is_sliver(t, h):
+            self._skip(t + h)
+            return
         before = self.get_state()
         if h == 0:
             self._stay(t, before)
@@ -150,6 +156,16 @@ class PythonInstance:
         s.supplied += s.last["supplied"]
         s.counts["steps"] += 1
         s.end = None
+
+    def _is_sliver(self, t: float, h: float) -> bool:
+        clock = LIMITS["SLIVER_CLOCK"] * np.finfo(float).eps * abs(t)
+        return abs(h) <= max(clock, LIMITS["SLIVER_STEP"] * abs(self._s.h_last))
+
+    def _skip(self, t: float) -> None:
+        """To the time t in a step too short to be one."""
+        s = self._s
+        s.x[-1], s.t, s.end, s.last = t, t, None, self._nothing()
+        s.counts["steps"] += 1
 
     def _stay(self, t: float, before: State) -> None:
         """The step of length zero; its means are their limits for h -> 0."""
@@ -204,6 +220,7 @@ class PythonInstance:
     def _solve(self, h: float, u: Array) -> Outcome:
         """Unknowns of a step of length h."""
         s, x = self._s, self._old()
+        s.counts["solves"] += 1
         attempts = Attempts(self._newton, s.w, s.h_last, lambda length: (x, np.append(u, length), s.p, length))
         outcome = attempts.solve(h)
         for name in ("iterations", "restarts", "line_searches"):
@@ -276,9 +293,10 @@ class PythonInstance:
 
     def _stepped(self, t: float, h: float, parts: int, reads: bool) -> dict[str, Array]:
         """A step and what is recorded of it; one whose end values are read and do not exist is not taken."""
-        before, spent = self.get_state() if reads else self._s, self.counts["iterations"]
+        before, earlier = self.get_state() if reads else self._s, self.counts
         self.do_step(t, h, parts)
-        now = self.ledger() | {"counts": np.array([self.counts["iterations"] - spent, self._s.solved], float)}
+        spent = [float(self.counts[name] - earlier[name]) for name in ("iterations", "solves")]
+        now = self.ledger() | {"counts": np.array(spent)}
         if not reads:
             return now
         try:
@@ -310,7 +328,7 @@ class PythonInstance:
 
     @property
     def counts(self) -> dict[str, int]:
-        """steps, iterations, restarts, line_searches, substeps since the reset."""
+        """steps, solves, iterations, restarts, line_searches, substeps since the reset."""
         return dict(self._s.counts)
 
     def output(self) -> Array:

@@ -12,7 +12,7 @@ from phfmu.discretise.model import Model
 
 Array = NDArray[Any]
 
-COUNTERS = ("steps", "iterations", "restarts", "line_searches", "substeps")
+COUNTERS = ("steps", "solves", "iterations", "restarts", "line_searches", "substeps")
 
 
 @dataclass

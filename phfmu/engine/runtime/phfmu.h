@@ -9,6 +9,7 @@
 #include <stddef.h>
 
 #include "plan.h"
+#include "step_limits.h"
 
 #ifndef PH_API
 #ifdef _WIN32
@@ -123,9 +124,13 @@ PH_API int ph_continue(ph_instance *in, const ph_instance *from);
 
 /* One step over [t, t+h]; ph_step_parts takes it as n equal internal steps. h < 0 goes back in time: the
  * schemes are symmetric, so a step and the same step back give the old state to rounding. h = 0 leaves the
- * state as it is, books nothing and gives the step means their values at t. */
+ * state as it is, books nothing and gives the step means their values at t. A sliver (step_limits.h, the
+ * internal step being the last one) is skipped. */
 PH_API int ph_step(ph_instance *in, double t, double h);
 PH_API int ph_step_parts(ph_instance *in, double t, double h, int n);
+/* To the time t in a step too short to be one: state, multipliers and step means stay, nothing is booked. The
+ * values at the present time follow the inputs. */
+PH_API int ph_skip(ph_instance *in, double t);
 
 /* A column the caller gives: row i goes to data + i*stride; not wanted if data is NULL. */
 typedef struct ph_column {

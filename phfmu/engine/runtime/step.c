@@ -1,4 +1,5 @@
 /* Steps: solve, book the ledger, update the state; halve a step that does not solve. */
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -138,16 +139,22 @@ static void clear(double *values, int n) {
         values[i] = 0.0;
 }
 
-/* Sums of the communication step start at zero. */
+/* The ledger of the communication step starts at zero. */
+static void clear_rows(ph_instance *in) {
+    const ph_plan *p = in->step.plan;
+    for (int i = 0; i < PH_ROW_PAIRS; i++)
+        clear(in->row[i], p->ncomp);
+    clear(in->row[PH_ROW_PAIRS], p->nq);
+}
+
+/* So do its other sums. */
 static void begin(ph_instance *in, double h) {
     const ph_plan *p = in->step.plan;
     double *a = in->table + in->offset[PH_A];
     memcpy(in->x_old, in->table, sizeof(double) * (size_t)(p->nx + 1 + p->na));
     if (p->nu > 0)
         memcpy(in->u_old, in->u, sizeof(double) * (size_t)(p->nu * p->k));
-    for (int i = 0; i < PH_ROW_PAIRS; i++)
-        clear(in->row[i], p->ncomp);
-    clear(in->row[PH_ROW_PAIRS], p->nq);
+    clear_rows(in);
     clear(in->table + in->offset[PH_Y_STEP], p->nq);
     clear(in->y_node, p->k > 1 ? p->nq * p->k : 0);
     for (int l = 0; l < p->nmean && !p->carries; l++)
@@ -194,6 +201,21 @@ static int stay(ph_instance *in, double t) {
     return PH_OK;
 }
 
+static int is_sliver(const ph_instance *in, double t, double h) {
+    return fabs(h) <= PH_SLIVER_CLOCK * DBL_EPSILON * fabs(t) ||
+           fabs(h) <= PH_SLIVER_STEP * fabs(*in->step.last_h);
+}
+
+int ph_skip(ph_instance *in, double t) {
+    if (!isfinite(t))
+        return PH_ARGUMENT;
+    in->table[in->step.plan->nx] = t;
+    clear_rows(in);
+    in->head->dirty = 1;
+    in->count[PH_STEPS]++;
+    return PH_OK;
+}
+
 /* The step as one part, which is what nearly all steps are: solved before anything of the state changes, it
  * needs no copy to come back to. */
 static int whole(ph_instance *in, double t, double h) {
@@ -211,8 +233,10 @@ static int whole(ph_instance *in, double t, double h) {
 
 int ph_step_parts(ph_instance *in, double t, double h, int n) {
     int refused = 0;
-    if (!isfinite(h) || !isfinite(t) || n < 1)
+    if (!isfinite(t + h) || n < 1)
         return PH_ARGUMENT;
+    if (h != 0.0 && is_sliver(in, t, h))
+        return ph_skip(in, t + h);
     if (n == 1 && h != 0.0) {
         if (whole(in, t, h) == PH_OK)
             return PH_OK;

@@ -1,13 +1,20 @@
 /* Life of an instance: memory, modes and steps. */
 #include "fmu.h"
 
+#include <float.h>
 #include <limits.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define SLACK 1e-9     /* a communication step this much longer than n internal ones is still n of them */
-#define SAME_TIME 1e-6 /* two times that differ by this part of a step are the same */
+#define SLACK 1e-9 /* a communication step this much longer than n internal ones is still n of them */
+/* The clock of a master: n additions of a step leave up to n eps |t|. It adds at least once a step, and up to
+ * TICKS times between two of ours where others step more often; UNITS are the roundings of one product or
+ * sum. GAP: part of a step that is missing, not rounding, however many steps there were. */
+#define UNITS 4.0
+#define TICKS 1000.0
+#define GAP 1e-3
+#define OVERSHOOT 1e-6 /* part of the last step that may lie behind the stop time */
 
 static size_t padded(size_t bytes) {
     return (bytes + 15) / 16 * 16;
@@ -89,6 +96,7 @@ int fmu_setup(fmu *f, const char *function, double start, int stop_defined, doub
     if (ph_set_x(f->in, start, f->x))
         return fmu_refuse(f, "%s: start time %.9g s was refused", function, start);
     f->phase.stop_defined = stop_defined;
+    f->phase.start = start;
     f->phase.stop = stop;
     return FMU_OK;
 }
@@ -154,16 +162,28 @@ int fmu_reset(fmu *f, const char *function) {
                            : FMU_OK;
 }
 
+/* How far the start of an honest step of length h may be from the present time. The present time is where the
+ * master said that the last step ends, so that only its own rounding is left. */
+static double clock_error(const fmu *f, double t, double h) {
+    const double size = fmax(fmax(fabs(t), h), fmax(fabs(f->phase.start), fabs(fmu_time(f))));
+    const double unit = DBL_EPSILON * size;
+    return fmax(UNITS * unit, fmin((TICKS + UNITS * f->phase.steps) * unit, GAP * h));
+}
+
 /* n internal steps of equal length, none longer than the declared one. */
 static int check_step(const fmu *f, const char *function, double t, double h, int *n) {
-    const double now = fmu_time(f), slack = SAME_TIME * h, parts = ceil(h / f->about->step - SLACK);
+    const double now = fmu_time(f), parts = ceil(h / f->about->step - SLACK);
+    double error;
     if (!isfinite(t) || !isfinite(h) || !(h > 0.0))
         return fmu_refuse(f, "%s: a step of %.9g s from t = %.9g s; it must be positive and finite", function,
                           h, t);
-    if (fabs(t - now) > slack + SLACK * fabs(now))
-        return fmu_refuse(f, "%s: the step starts at t = %.17g s, the component is at t = %.17g s", function,
-                          t, now);
-    if (f->phase.stop_defined && t + h > f->phase.stop + slack + SLACK * fabs(f->phase.stop))
+    error = clock_error(f, t, h);
+    if (!(fabs(t - now) <= error))
+        return fmu_refuse(f,
+                          "%s: the step starts at t = %.17g s, the component is at t = %.17g s; rounding "
+                          "explains %.2g s. Step from where the last step ended",
+                          function, t, now, error);
+    if (f->phase.stop_defined && t + h > f->phase.stop + error + OVERSHOOT * h)
         return fmu_refuse(f, "%s: the step ends at t = %.17g s, after the stop time %.17g s", function, t + h,
                           f->phase.stop);
     if (parts > INT_MAX / 2)
@@ -182,9 +202,10 @@ int fmu_do_step(fmu *f, const char *function, double t, double h) {
     count = ph_counts(f->in);
     halved = count[PH_SUBSTEPS];
     f->step_known = f->end_known = 0;
-    status = ph_step_parts(f->in, t, h, n);
+    status = h <= PH_SLIVER_STEP * f->about->step ? ph_skip(f->in, t + h) : ph_step_parts(f->in, t, h, n);
     if (status)
         return fmu_solver(f, function, status);
+    f->phase.steps++;
     if (f->logging && count[PH_SUBSTEPS] > halved)
         fmu_say(f, FMU_OK, "logNonlinearSystems", "the step from t = %.9g s of %.9g s was halved %lld times",
                 t, h, count[PH_SUBSTEPS] - halved);

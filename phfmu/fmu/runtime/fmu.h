@@ -68,7 +68,8 @@ typedef void (*fmu_sink)(const fmu *f, int status, const char *category, const c
 typedef struct fmu_phase {
     int mode;
     int stop_defined;
-    double stop;
+    double start, stop;
+    double steps; /* taken since the start */
 } fmu_phase;
 
 struct fmu {
