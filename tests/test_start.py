@@ -101,3 +101,94 @@ def test_changed_parameter_books_the_energy_it_brings() -> None:
     component = {c.component: c for c in result.ledger.summary().components}["mass1"]
     assert component.jumps == pytest.approx(0.5 * (60.0 - 4 * np.pi**2) * q**2, rel=1e-12)
     assert abs(component.gap) <= 1e-13
+
+
+# -- an electrical inconsistency moves fluxes and nothing else ---------------------------------------------------
+
+
+@pytest.mark.parametrize("coordinates", ["dq-flux", "abc-flux", "current"])
+def test_a_voltage_impulse_moves_fluxes_and_no_rotor(coordinates) -> None:
+    """Both branches of the bus get the voltage impulse s = -(B^T M^-1 B)^-1 sum of currents; the angle stays to the bit."""
+    from phfmu.components.electrical.machine_data import machine_set
+
+    data, alpha = machine_set("kundur555_1q"), 2 * np.pi / 3 * np.arange(3)
+    model = build_model(smib(coordinates=coordinates).declaration())
+    at = {n: i for i, n in enumerate(n for v in model.declaration.states for n in v.names())}
+    x = model.x0.copy()
+    line = [at[f"line.flux[{j}]"] for j in (1, 2, 3)]
+    x[line] *= np.array([1.3, 0.9, 1.1])
+    found = project_start(model, x)
+    theta = x[at["gen.theta"]]
+    T = np.eye(data.n)
+    T[:3, :3] = np.sqrt(2 / 3) * np.array([np.cos(theta - alpha), -np.sin(theta - alpha), np.full(3, 0.5**0.5)])
+    L, L_line = T.T @ data.constant_inductance() @ T, 0.3 * data.Vn_rms_ll**2 / data.Sn / data.omega
+    own = "I" if coordinates == "current" else "psi"
+    gen = [at[f"gen.{own}[{j + 1}]"] for j in range(data.n)]
+
+    def flux(state):  # of the phases and rotor windings
+        raw = state[gen]
+        return L @ raw if own == "I" else T.T @ raw if coordinates == "dq-flux" else raw
+
+    M = np.block([[L, np.zeros((data.n, 3))], [np.zeros((3, data.n)), L_line * np.eye(3)]])
+    B = np.vstack([np.eye(data.n)[:, :3], np.eye(3)])
+    before = np.concatenate([flux(x), x[line]])
+    s = -np.linalg.solve(B.T @ np.linalg.solve(M, B), B.T @ np.linalg.solve(M, before))
+    after = np.concatenate([flux(found.x), found.x[line]])
+    assert after - before == pytest.approx(B @ s, rel=1e-9, abs=1e-12 * np.abs(before).max())
+    assert found.energy == pytest.approx(s @ B.T @ np.linalg.solve(M, before) / 2, rel=1e-9)
+    still = [at["gen.theta"], at["gen.p"], *(gen[3:] if own == "psi" else ())]
+    assert (found.x[still] == x[still]).all()
+    moving = {n for n, i in at.items() if found.x[i] != x[i]}
+    assert {n for n, *_ in found.moved} == moving and not moving & {"gen.theta", "gen.p"}
+
+
+def two_pairs(still: float):
+    """Two rigid pairs that share nothing; the second holds to rounding."""
+    net = Network("pairs")
+    for n, v in (("a1", 1.0), ("a2", 0.0), ("b1", still), ("b2", still * (1 + 2e-14))):
+        net.add(n, mass(1.0, k=10.0, v=v))
+    net.junction("a", ["a1.flange", "a2.flange"])
+    net.junction("b", ["b1.flange", "b2.flange"])
+    return build_model(net.compose())
+
+
+def test_what_a_violated_row_does_not_touch_keeps_its_bits() -> None:
+    model = two_pairs(1 / 3)
+    found = project_start(model)
+    names = [n for v in model.declaration.states for n in v.names()]
+    assert {n for n, *_ in found.moved} == {"a1.v", "a2.v"}
+    still = [i for i, n in enumerate(names) if n not in ("a1.v", "a2.v")]
+    assert (found.x[still] == model.x0[still]).all()
+
+
+def test_small_states_that_move_are_reported() -> None:
+    """1 nm/s becomes 1/3 nm/s: both velocities are listed with digits that tell them apart."""
+    net = Network("small")
+    net.add("m1", mass(1.0, v=1e-16))
+    net.add("m2", mass(2.0))
+    net.junction("link", ["m1.flange", "m2.flange"])
+    model = build_model(net.compose())
+    model.check_scale[:] = 1e-16
+    found = project_start(model)
+    assert [n for n, *_ in found.moved] == ["m1.v", "m2.v"] and "m1.v: 1e-16 -> 3.33333333e-17" in found.report()
+
+
+def test_a_velocity_without_mass_gives_way_for_nothing() -> None:
+    """Masses of 1 and 2 kg held together by a massless piece: their momentum is kept, the piece takes their speed."""
+    net = Network("light")
+    for n, m, v in (("m1", 1.0, 1.0), ("piece", 0.0, 5.0), ("m2", 2.0, 0.0)):
+        net.add(n, mass(m, v=v))
+    net.junction("link", ["m1.flange", "piece.flange", "m2.flange"])
+    found = project_start(build_model(net.compose()))
+    assert dict((n, b) for n, _, b in found.moved) == pytest.approx({"m1.v": 1 / 3, "piece.v": 1 / 3, "m2.v": 1 / 3})
+    assert found.energy == pytest.approx(-1 / 3)
+
+
+def test_a_projection_after_an_event_turns_no_rotor_and_is_told() -> None:
+    """A tenfold line inductance breaks the sum of currents at bus1; the fluxes jump, angle and momentum keep their bits."""
+    scene = smib()
+    model = build_model(scene.declaration())
+    stepper = Monolithic(model, PythonInstance(model))
+    result = run(stepper, stop=0.003, step=1e-3, events=[Event(0.002, "line.L", 8e-3)])
+    assert len(result.notes) == 1 and "at t = 0.002 s" in result.notes[0] and "line.flux[1]: " in result.notes[0]
+    assert "gen.theta" not in result.notes[0] and "gen.p:" not in result.notes[0]

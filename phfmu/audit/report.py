@@ -5,6 +5,8 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
+from phfmu.words import counted
+
 from .analysis import DEFAULT_RTOL, summarise
 from .rows import ESTIMATED
 from .summary import ComponentSummary, LedgerSummary, NetworkSummary
@@ -51,7 +53,7 @@ def _parts(summary: LedgerSummary, rtol: float) -> Iterator[Any]:
     if not summary.steps:
         yield "no steps: nothing was stored, dissipated or supplied"
     else:
-        span = f"{summary.steps} steps from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"
+        span = f"{counted(summary.steps, 'step')} from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"
         yield f"Energy in joule, positive into the component; {span}"
     if summary.components:
         yield _filled_table("component", summary.components, _component_columns(summary, rtol))

@@ -6,10 +6,15 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
+from phfmu.words import counted
+
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.network.run import Result
-    from phfmu.network.scene import Event
+
+
+#: lines about what was left out that a run prints
+NOTES = 12
 
 
 def add_parser(verbs: Any) -> None:
@@ -45,6 +50,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.cli import FINE, LEDGER, options
     from phfmu.cli.build import stepper_for
+    from phfmu.cli.timeline import timeline
     from phfmu.network.run import run
     from phfmu.network.stepper import Monolithic
 
@@ -52,7 +58,7 @@ def call(args: argparse.Namespace) -> int:
     stepper, scene, label = stepper_for(args)
     stop = scene.stop if args.stop is None else args.stop
     step = scene.step if args.step is None else args.step
-    events = [*scene.events, *(_input_events(args.input, stepper.settable()) if args.input else [])]
+    events, dropped = timeline(args, scene, stepper.settable(), stop)
     writer = _audit_writer(args, label)
     report = _Progress(stop, args.quiet)
     keep = None if args.output else _forget
@@ -74,6 +80,7 @@ def call(args: argparse.Namespace) -> int:
     bad = [c for c in summary.components if c.quality == "exact" and not c.worst_relative <= args.audit_rtol]
     if not args.quiet:
         _print_run(args, label, result, stop, step, report.seconds)
+        _print_notes([*dropped, *result.notes])
         print(audit_table(summary, args.audit_rtol), end="")
     if bad:
         print(f"phfmu: ledger violated: {', '.join(c.component for c in bad)}", file=sys.stderr)
@@ -112,12 +119,6 @@ def _audit_writer(args: argparse.Namespace, label: str) -> Any:
     return AuditWriter(args.audit, {"target": args.target, "run": label})
 
 
-def _input_events(path: str, known: list[str]) -> list[Event]:
-    from phfmu.cli.table import read_inputs
-
-    return read_inputs(path, known).events()
-
-
 def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float, step: float, seconds: float) -> None:
     its = result.iterations / max(result.steps, 1)
     sizes = (
@@ -125,14 +126,14 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float
         if args.rtol is None
         else f"rtol {args.rtol:g}, steps {result.smallest:.3g} to {result.largest:.3g} s"
     )
-    print(f"{args.target}: {label}; {sizes} to {stop:g} s: {result.steps} steps, {its:.2f} iterations a step, "
+    print(f"{args.target}: {label}; {sizes} to {stop:g} s: {counted(result.steps, 'step')}, {its:.2f} iterations a step, "
           f"{seconds:.3g} s")  # fmt: skip
     if result.projection is not None:
         _print_projection(result.projection)
     if args.rtol is not None:
-        print(f"rejected: {result.rejected} trial steps")
+        print(f"rejected: {counted(result.rejected, 'trial step')}")
     if result.restarted:
-        print(f"restarted after events with {result.restarted} damping steps")
+        print(f"restarted after events with {counted(result.restarted, 'damping step')}")
     groups: dict[str, float] = {}
     for name, value in result.worst.items():
         key = name.split("[")[0]
@@ -145,15 +146,22 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float
         print(f"audit: {args.audit} (print with: phfmu audit {args.audit})")
 
 
+def _print_notes(notes: list[str]) -> None:
+    """What was left out or done beside what was asked for."""
+    for note in notes[:NOTES]:
+        print(note)
+    if len(notes) > NOTES:
+        print(f"and {len(notes) - NOTES} more of these")
+
+
 def _print_projection(p: Projection) -> None:
     """Equations that were violated, states that moved, the energy."""
-    violated = {n: v for n, v in p.before.items() if abs(v) > 1e-12 and abs(p.after[n]) < 0.01 * abs(v)}
-    print(f"start projected: {len(p.before)} hidden constraints, {len(violated)} off; {len(p.moved)} states moved, "
-          f"energy changed by {p.energy:.9g} J")  # fmt: skip
-    for name, value in violated.items():
-        print(f"  {name}: {value:.6g} -> {p.after[name]:.2g}")
-    for name, before, after in p.moved:
-        print(f"  {name}: {before:.9g} -> {after:.9g}")
+    print(f"start projected: {counted(len(p.before), 'hidden constraint')}, {len(p.violated)} off; "
+          f"{counted(len(p.moved), 'state')} moved, energy changed by {p.energy:.9g} J")  # fmt: skip
+    for name in p.violated:
+        print(f"  {name}: {p.before[name]:.6g} -> {p.after[name]:.2g}")
+    for move in p.moves():
+        print(f"  {move}")
 
 
 class _Progress:

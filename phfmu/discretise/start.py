@@ -3,8 +3,10 @@
 Positions:   min sum ((q - q0)/nominal)^2            s.t.  g(q, t) = 0
 Velocities:  min 1/2 (x - x0)^T H''(x0) (x - x0)     s.t.  c(x) = 0   (Dg v + g_t = 0, sums of currents, rigid joints)
 
-The second is what an impulse of the constraint forces or node voltages does: x - x0 = B s, momentum is kept, and
-energy is lost as in an inelastic impact.  States named as kept do not move.
+The second is what an impulse s of the constraint forces or node voltages does: E (x - x0) = B s, momentum is kept, and
+energy is lost as in an inelastic impact.  Only states that such an impulse reaches move, so no angle does.  Rows that
+share no such state, directly or through H'', are projected apart from each other, and those that hold not at all:
+whatever a violated row does not touch keeps its bits.  States named as kept do not move.
 """
 
 from __future__ import annotations
@@ -17,11 +19,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import block_array, csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from phfmu.declare.variable import time
 from phfmu.discretise.extract import extract
 from phfmu.discretise.model import CONSISTENCY, Model
 from phfmu.discretise.rank import TOLERANCE
+from phfmu.discretise.reach import moved_by_impulses
 from phfmu.discretise.rows import check_rows
 from phfmu.discretise.terms import DeclarationError
 
@@ -32,19 +37,32 @@ ITERATIONS = 30
 
 @dataclass(frozen=True)
 class Projection:
-    """The consistent state, what moved (name, before, after), the constraints before and after, the energy change [J]."""
+    """The consistent state, every state that moved (name, before, after), the constraints before and after, energy change [J].
+
+    `violated`: the constraints that were off by more than a start may be.
+    """
 
     x: Array
     moved: tuple[tuple[str, float, float], ...]
     before: dict[str, float]
     after: dict[str, float]
     energy: float
+    violated: tuple[str, ...] = ()
+
+    def moves(self) -> list[str]:
+        """`name: before -> after` for every state that moved."""
+        return [_move(n, a, b) for n, a, b in self.moved]
 
     def report(self) -> str:
         """A line per constraint and per state that moved."""
         lines = [f"{n}: {v:.6g} -> {self.after[n]:.2g}" for n, v in self.before.items()]
-        lines += [f"{n}: {a:.9g} -> {b:.9g}" for n, a, b in self.moved]
-        return "\n".join([*lines, f"energy changed by {self.energy:.9g} J"])
+        return "\n".join([*lines, *self.moves(), f"energy changed by {self.energy:.9g} J"])
+
+
+def _move(name: str, before: float, after: float) -> str:
+    """With as many digits as tell the two values apart."""
+    texts = (f"{name}: {before:.{digits}g} -> {after:.{digits}g}" for digits in (9, 13, 17))
+    return next(t for t in texts if len(set(t.removeprefix(f"{name}: ").split(" -> "))) == 2)
 
 
 def project_start(
@@ -57,24 +75,23 @@ def project_start(
     """
     start = model.x0 if x is None else np.asarray(x, float)
     names = [n for v in model.declaration.states for n in v.names()]
-    free = ~_kept(model, names, list(keep))
+    kept = _kept(model, names, list(keep))
     rows = _Rows(model, model.p0 if p is None else np.asarray(p, float), model.t0 if t is None else t)
     level = np.array([c.level for c in model.checks])
-    positions = np.abs(rows.jacobian(start)[level == "position"]).sum(axis=0) > 0
+    positions = rows.pattern[level == "position"].any(axis=0)
     nominal = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
-    now = _newton(rows, start, level == "position", free & positions, np.diag(1 / nominal**2))
-    _require(rows, now, level == "position", free & positions, names)
-    hessian = rows.hessian(now)
-    without = np.where(np.diag(hessian) == 0.0, 1 / nominal**2, 0.0)  # states that store no energy
-    now = _newton(rows, now, level == "velocity", free & ~positions, hessian + np.diag(without))
-    _require(rows, now, level == "velocity", free & ~positions, names)
-    moved = [
-        (n, float(a), float(b)) for n, a, b in zip(names, start, now, strict=True) if abs(a - b) > 1e-15 * (1 + abs(a))
-    ]
-    first, last = (map(float, rows.values(v)) for v in (start, now))
+    scale = np.where(nominal != 0, np.abs(nominal), 1.0)
+    first, now = rows.values(start), start
+    for chosen, free in (("position", positions), ("velocity", moved_by_impulses(rows.terms) & ~positions)):
+        part = _Level(level == chosen, free & ~kept, scale, energetic=chosen == "velocity")
+        now = _projected(rows, now, part)
+        _require(rows, now, part, [names[i] for i in np.flatnonzero(kept & free)], names)
+    moved = [(n, float(a), float(b)) for n, a, b in zip(names, start, now, strict=True) if a != b]
+    last = rows.values(now)
+    off = tuple(n for n, c, s in zip(rows.labels, first, rows.size, strict=True) if not abs(c) <= CONSISTENCY * s)
     return Projection(
-        now, tuple(moved), dict(zip(rows.labels, first, strict=True)), dict(zip(rows.labels, last, strict=True)),
-        rows.energy(now) - rows.energy(start),
+        now, tuple(moved), dict(zip(rows.labels, map(float, first), strict=True)),
+        dict(zip(rows.labels, map(float, last), strict=True)), rows.energy(now) - rows.energy(start), off,
     )  # fmt: skip
 
 
@@ -97,12 +114,15 @@ class _Rows:
 
     def __init__(self, model: Model, p: Array, t: float):
         d = model.declaration
-        rows = ca.vertcat(*check_rows(extract(d), list(model.checks))) if model.checks else ca.SX(0, 1)
+        self.terms = extract(d)
+        rows = ca.vertcat(*check_rows(self.terms, list(model.checks))) if model.checks else ca.SX(0, 1)
         symbols = [d.x, ca.vertcat(*(p.sx for p in d.parameters)), time]
         hessian = ca.hessian(d.hamiltonian, d.x)[0]
         exprs = (rows, ca.jacobian(rows, d.x), d.hamiltonian, hessian)
         self._functions = [ca.Function("f", symbols, [e]) for e in exprs]
         self._fixed = (p, t)
+        #: rows x states, and states x states coupled by H'': what can be other than zero
+        self.pattern, self.coupled = (np.array(ca.DM(e.sparsity(), 1).full(), bool) for e in (exprs[1], hessian))
         self.labels = [f"{c.name} ({c.level})" for c in model.checks]
         self.names = [c.name for c in model.checks]
         self.size, self.model = model.check_scale, model.name
@@ -123,35 +143,78 @@ class _Rows:
         return self._at(3, x)
 
 
-def _newton(f: _Rows, x: Array, rows: Array, free: Array, metric: Array) -> Array:
-    """Least changes of the `free` states in `metric` until the chosen constraints hold, or no longer improve."""
-    if not rows.any() or not free.any():
+@dataclass(frozen=True)
+class _Level:
+    """Rows of one level and the states that may move for them; `energetic`: least in H'', else relative to `scale`."""
+
+    rows: NDArray[np.bool_]
+    free: NDArray[np.bool_]
+    scale: Array
+    energetic: bool
+
+    def parts(self, f: _Rows) -> list[tuple[Array, Array]]:
+        """(rows, states) that have to do with each other."""
+        rows, states = np.flatnonzero(self.rows), np.flatnonzero(self.free)
+        touched = csr_matrix(f.pattern[np.ix_(rows, states)])
+        among = csr_matrix(f.coupled[np.ix_(states, states)]) if self.energetic else None
+        _, part = connected_components(block_array([[csr_matrix((len(rows), len(rows))), touched], [touched.T, among]]))
+        of_row, of_state = part[: len(rows)], part[len(rows) :]
+        return [(rows[of_row == i], states[of_state == i]) for i in np.unique(of_row)]
+
+
+def _projected(f: _Rows, x: Array, level: _Level) -> Array:
+    """x with the violated parts of a level projected."""
+    if not level.rows.any() or not level.free.any():
         return x
-    inverse = np.linalg.pinv(metric[np.ix_(free, free)])
-    for _ in range(ITERATIONS):
-        c, jac = f.values(x)[rows], f.jacobian(x)[np.ix_(rows, free)]
-        if np.all(np.abs(c) <= 1e-6 * CONSISTENCY * f.size[rows]):
-            break
-        step = np.zeros(len(x))
-        step[free] = -inverse @ jac.T @ np.linalg.pinv(jac @ inverse @ jac.T, rcond=TOLERANCE, hermitian=True) @ c
-        if not np.isfinite(step).all():
-            break
-        x = x + step
+    metric = f.hessian(x) if level.energetic else np.diag(level.scale**-2)
+    for rows, states in level.parts(f):
+        if not np.all(np.abs(f.values(x)[rows]) <= CONSISTENCY * f.size[rows]):
+            x = _newton(f, x, rows, states, metric[np.ix_(states, states)], level.scale[states])
     return x
 
 
-def _require(f: _Rows, x: Array, rows: Array, free: Array, names: list[str]) -> None:
-    """DeclarationError with the equations of `rows` that do not hold at x, and why where that is clear."""
-    values = f.values(x)
+def _newton(f: _Rows, x: Array, rows: Array, states: Array, metric: Array, scale: Array) -> Array:
+    """Least changes of `states` in `metric` until the chosen constraints hold, or no longer improve."""
+    for _ in range(ITERATIONS):
+        c, jac = f.values(x)[rows], f.jacobian(x)[np.ix_(rows, states)]
+        if np.all(np.abs(c) <= 1e-6 * CONSISTENCY * f.size[rows]):
+            break
+        step = _least(metric, jac, -c, scale)
+        if not np.isfinite(step).all():
+            break
+        x = x.copy()
+        x[states] += step
+    return x
+
+
+def _least(metric: Array, jac: Array, c: Array, scale: Array) -> Array:
+    """min 1/2 d^T metric d s.t. jac d = c; states without energy give way for nothing, by least changes of their own."""
+    idle = ~metric.any(axis=1)
+    d = np.zeros(len(scale))
+    rest = np.eye(len(c))  # combinations of rows that the idle states cannot meet
+    if idle.any():
+        left, s, _ = np.linalg.svd(jac[:, idle] * scale[idle])
+        rest = left[:, int(np.sum(s > TOLERANCE * max(s.max(initial=0.0), 1e-300))) :].T
+    if not idle.all() and rest.size:
+        inverse, own = np.linalg.pinv(metric[np.ix_(~idle, ~idle)]), rest @ jac[:, ~idle]
+        d[~idle] = inverse @ own.T @ np.linalg.pinv(own @ inverse @ own.T, rcond=TOLERANCE, hermitian=True) @ rest @ c
+    if idle.any():
+        d[idle] = scale[idle] * (np.linalg.pinv(jac[:, idle] * scale[idle], rcond=TOLERANCE) @ (c - jac @ d))
+    return d
+
+
+def _require(f: _Rows, x: Array, level: _Level, kept: list[str], names: list[str]) -> None:
+    """DeclarationError with the equations of a level that do not hold at x, and why where that is clear."""
+    values, rows = f.values(x), level.rows
     bad = [i for i in np.flatnonzero(rows) if not abs(values[i]) <= CONSISTENCY * f.size[i]]
     if not bad:
         return
     left = ", ".join(f"{f.labels[i]} residual {values[i]:.6g} (tolerance {CONSISTENCY * f.size[i]:.3g})" for i in bad)
     jac = f.jacobian(x)
-    remedy = _contradiction(f, jac, values, rows, free)
+    remedy = _contradiction(f, jac, values, rows, level.free)
     if not remedy:
-        touched = {j for i in bad for j in np.flatnonzero(jac[i]) if not free[j]}
-        held = [names[j] for j in sorted(touched)]
+        touched = {names[j] for i in bad for j in np.flatnonzero(jac[i])}
+        held = [n for n in kept if n in touched]
         remedy = f"Keep fewer of {', '.join(held[:12])}, or start nearer" if held else "Start nearer"
     raise DeclarationError(f"{f.model}: no consistent start near the given one; left over: {left}. {remedy}")
 

@@ -34,6 +34,8 @@ class Book:
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith("constraint.")]
         self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
         self._H = np.zeros(0)
+        #: what the events did beside setting values, one line each
+        self.notes: list[str] = []
 
     @staticmethod
     def _key(component: str, port: str, index: int | None, junction: str | None, b: Booking) -> PortKey:
@@ -56,23 +58,27 @@ class Book:
             self.ledger.event(e.t, "input", message=message)
         self._H = now
         if changed:
-            self._keep_consistent(e.t)
+            self._keep_consistent(e)
 
-    def _keep_consistent(self, t: float) -> None:
+    def _keep_consistent(self, e: Event) -> None:
         """A parameter that enters a hidden constraint (an inductance at a node) makes the state jump as by an impulse."""
         try:
             self.stepper.check_start()
         except InconsistentState:
-            self.project(t, ())
+            found = self.project(e.t, ())
             self.stepper.check_start()
             self._H = self.stepper.energies()
+            if found is not None:
+                self.notes.append(
+                    f"projected at t = {e.t:g} s: {e.name} = {e.value:g} left hidden constraints violated; energy changed by "
+                    f"{found.energy:.9g} J, moved {', '.join(found.moves())}"
+                )
 
     def project(self, t0: float, kept: Sequence[str]) -> Projection | None:
         """Move the start onto its constraints; the energy change is an event."""
         found = self.stepper.project_start(t0, kept)
         if found is not None and found.moved:
-            moved = ", ".join(f"{n} {a:.6g} -> {b:.6g}" for n, a, b in found.moved)
-            self.ledger.event(t0, "reprojection", None, found.energy, moved)
+            self.ledger.event(t0, "reprojection", None, found.energy, ", ".join(found.moves()))
         return found
 
     def failed(self, failure: StepFailure) -> None:

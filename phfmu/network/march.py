@@ -47,11 +47,14 @@ class FixedSteps:
 
             self._damped = Restart(monolithic(stepper, "--restart"))
         self._restarted = 0
+        self._cut: list[float] = []
 
     def over(self, start: float, end: float, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
         left = self.restart if event else 0
         for t, h, n in pieces(start, end, self.step):
+            if h < self.step * (1 - 1e-9):
+                self._cut.append(h)
             first = 0
             while left and first < n and self._damped is not None:
                 yield self._booked(t + first * h, h, 1, damped=True)
@@ -62,6 +65,11 @@ class FixedSteps:
     def facts(self) -> dict[str, Any]:
         """What the result says about the steps."""
         return {"restarted": self._restarted - (self._damped.refused if self._damped else 0)}
+
+    def notes(self) -> list[str]:
+        """What was not as asked for, one line each."""
+        cut = [_shorter(self._cut, self.book.steps, self.step)] if self._cut else []
+        return cut + (_not_damped(self._damped.refused, self._restarted) if self._damped else [])
 
     def _booked(self, t: float, h: float, n: int, damped: bool = False) -> Row:
         try:
@@ -88,7 +96,7 @@ class AdaptiveSteps:
 
         self.book, self.restart, self.landing = book, restart, landing
         self.adaptive = Adaptive(monolithic(stepper, "--rtol"), control)
-        self._restarted = 0
+        self._restarted, self._wanted = 0, 0
 
     def over(self, start: float, end: float, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
@@ -98,6 +106,7 @@ class AdaptiveSteps:
             for goal in self._goals(start, end):
                 while t < goal:
                     t, steps = self.adaptive.advance(t, goal, left > 0)
+                    self._wanted += left > 0
                     self._restarted += left > 0 and steps.numerical is not None
                     left = max(left - 1, 0)
                     times.append(t)
@@ -117,6 +126,10 @@ class AdaptiveSteps:
         a = self.adaptive
         return {"restarted": self._restarted, "rejected": a.rejected, "smallest": a.smallest, "largest": a.largest}
 
+    def notes(self) -> list[str]:
+        """What was not as asked for, one line each."""
+        return _not_damped(self._wanted - self._restarted, self._wanted)
+
     def _goals(self, start: float, end: float) -> Iterator[float]:
         if not np.isfinite(self.landing):
             yield end
@@ -132,6 +145,23 @@ class AdaptiveSteps:
         steps, t = Steps.joined(rows), np.array(times)
         self.book.add(t[:-1], np.diff(t), steps)
         return _rows(t[:-1], t[1:], steps)
+
+
+def _shorter(cut: list[float], steps: int, step: float) -> str:
+    verb = "is" if len(cut) == 1 else "are"
+    return (
+        f"{len(cut)} of {steps} steps {verb} shorter than {step:g} s, the shortest {min(cut):.3g} s: the grid starts anew at "
+        "each event and input row, and the last step ends with the run"
+    )
+
+
+def _not_damped(refused: int, wanted: int) -> list[str]:
+    if not refused:
+        return []
+    return [
+        f"{refused} of {wanted} damping steps after events were taken by the energy-exact scheme: in a Radau step a component "
+        "would have gained energy, which it can where H is not quadratic in the states"
+    ]
 
 
 def _rows(start: Array, end: Array, steps: Steps) -> Row:

@@ -41,6 +41,8 @@ class Result:
     largest: float = 0.0
     #: whether a row lies within a step (rows), None for a run without such rows
     interpolated: Array | None = None
+    #: what the run left out or did beside what was asked for, one line each
+    notes: tuple[str, ...] = ()
 
     def column(self, name: str) -> Array:
         """One signal over time; KeyError lists close names."""
@@ -62,24 +64,28 @@ class HeldInputs:
 
     def events(self) -> list[Event]:
         """One event per changed value; before the first row the start values hold."""
-        out = []
-        for i, t in enumerate(self.time):
-            for j, name in enumerate(self.names):
-                if i == 0 or self.values[i, j] != self.values[i - 1, j]:
-                    out.append(Event(float(t), name, float(self.values[i, j])))
-        return out
+        changed = np.ones(self.values.shape, bool)
+        changed[1:] = self.values[1:] != self.values[:-1]
+        times, values = self.time.tolist(), self.values.tolist()
+        return [Event(times[i], self.names[j], values[i][j]) for i, j in np.argwhere(changed).tolist()]
 
 
-def segments(t0: float, stop: float, events: Sequence[Event]) -> Iterator[tuple[float, float, list[Event]]]:
+def segments(
+    t0: float, stop: float, events: Sequence[Event], close: float = 0.0
+) -> Iterator[tuple[float, float, list[Event]]]:
     """(start, end, events at start) in order; the grid of steps starts anew at each event.
 
-    Events before t0 have happened: they count at t0, in order of time.
+    Events before t0 have happened: they count at t0, in order of time.  Times within `close` of each other are one.
     """
-    times = sorted({t0, stop, *(e.t for e in events if t0 <= e.t < stop)})
-    past = sorted((e for e in events if e.t < t0), key=lambda e: e.t)
-    for start, end in zip(times[:-1], times[1:], strict=True):
-        yield start, end, past + [e for e in events if e.t == start]
-        past = []
+    start, here = t0, []
+    for e in sorted(events, key=lambda e: e.t):
+        if e.t >= stop - close:
+            break
+        if e.t > start + close:
+            yield start, e.t, here
+            start, here = e.t, []
+        here.append(e)
+    yield start, stop, here
 
 
 def run(
@@ -143,7 +149,7 @@ def run(
             rows.append(v)
 
     first, projection = True, None
-    for start, end, here in segments(t0, stop, events):
+    for start, end, here in segments(t0, stop, events, close=1e-9 * step):
         for e in here:
             if first:
                 stepper.set_value(e.name, e.value)
@@ -169,7 +175,19 @@ def run(
     values = np.concatenate(rows) if rows else np.zeros((0, len(stepper.names)))
     worst, facts = book.worst(), march.facts()
     facts |= {"interpolated": np.concatenate(inside)} if dense else {}
-    return Result(stepper.names, time, values, ledger, book.steps, book.iterations, worst, projection, **facts)
+    notes = (*_unreached(events, stop - 1e-9 * step, stop), *book.notes, *march.notes())
+    return Result(
+        stepper.names, time, values, ledger, book.steps, book.iterations, worst, projection, notes=notes, **facts
+    )
+
+
+def _unreached(events: Sequence[Event], last: float, stop: float) -> list[str]:
+    """A line about the events that come too late."""
+    late = sorted((e for e in events if e.t >= last), key=lambda e: e.t)
+    if not late:
+        return []
+    e, more = late[0], f" and {len(late) - 1} more" if len(late) > 1 else ""
+    return [f"not reached before the end at {stop:g} s: {e.name} = {e.value:g} at t = {e.t:g} s{more}"]
 
 
 def _check_times(t0: float, stop: float, step: float) -> None:

@@ -1,0 +1,23 @@
+"""Words that messages share: counts, and what a name that is not known may have meant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+SHOWN = 12
+
+
+def counted(n: int, noun: str) -> str:
+    """`1 step`, `2 steps`."""
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
+def meant(name: str, known: Iterable[str]) -> str:
+    """`did you mean a, b?`, or what there is where nothing is close."""
+    names = list(dict.fromkeys(known))
+    close = get_close_matches(name, names, 3)
+    if close:
+        return f"did you mean {', '.join(close)}?"
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"there are: {', '.join(names[:SHOWN]) or 'none'}{more}"
