@@ -21,6 +21,7 @@ _WHERE = {
     "phfmu.declare.parametrised": ("Parametrised",),
     "phfmu.discretise.discrete_pair": ("DiscretePair", "discrete_pair", "inverse_jacobian", "with_closed_pair"),
     "phfmu.declare.check": ("check", "Problem"),
+    "phfmu.declare.check_values": ("check_values",),
     "phfmu.discretise.collocated": ("Collocated",),
     "phfmu.discretise.discrete": ("discrete_gradient", "discrete_jacobian"),
     "phfmu.discretise.gradient_pair": ("GradientPair",),
@@ -48,6 +49,7 @@ _OWNER = {name: module for module, names in _WHERE.items() for name in names}
 if TYPE_CHECKING:
     from phfmu.declare.check import Problem as Problem
     from phfmu.declare.check import check as check
+    from phfmu.declare.check_values import check_values as check_values
     from phfmu.declare.descriptor import reduce_descriptor as reduce_descriptor
     from phfmu.declare.energy import (
         ClosedPair as ClosedPair,

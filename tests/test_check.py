@@ -277,7 +277,7 @@ BAD = {
         lambda: oscillator(observables=(observable("a", V.sx, unit="m//s^2"),)),
         "s^2",
     ),
-    "mass: zero": ("mass", lambda: oscillator().with_starts({"m": 0.0}), "E[v, v] = 0"),
+    "mass: zero": ("mass", lambda: with_variable(M, start=(0.0,), min=(-np.inf,)), "E[v, v] = 0"),
     "mass: block": (
         "mass",
         lambda: replace(

@@ -72,15 +72,17 @@ def inductances(data: MachineData, line: Variable | None = None) -> Inductances:
     names = data.windings
     same = [(i, j) for i in range(len(names)) for j in range(i, len(names)) if data.axis[i] == data.axis[j]]
     return Inductances(
-        parameter("Ld", data.Ld, unit="H", description="synchronous inductance, d axis"),
-        parameter("Lq", data.Lq, unit="H", description="synchronous inductance, q axis"),
-        parameter("L0", data.L0, unit="H", description="zero-sequence inductance"),
+        parameter("Ld", data.Ld, unit="H", positive=True, description="synchronous inductance, d axis"),
+        parameter("Lq", data.Lq, unit="H", positive=True, description="synchronous inductance, q axis"),
+        parameter("L0", data.L0, unit="H", positive=True, description="zero-sequence inductance"),
         tuple(
             parameter(f"M_{n}", m, unit="H", description=f"peak mutual inductance of a phase with winding {n}")
             for n, m in zip(names, data.M_stator_rotor, strict=True)
         ),
         {
-            (i, j): parameter(f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", description="rotor inductance")
+            (i, j): parameter(
+                f"L_{names[i]}{names[j]}", data.L_rotor[i][j], unit="H", positive=i == j, description="rotor inductance"
+            )
             for i, j in same
         },
         data.axis,

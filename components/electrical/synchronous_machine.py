@@ -121,12 +121,16 @@ class _Common:
 
     def __init__(self, data: MachineData, start: OperatingPoint, line: tuple[float, float] | None):
         self.data, self.start = data, start
-        self.R_line = None if line is None else parameter("R_line", line[0], unit="ohm", description="line, per phase")
-        L_line = None if line is None else parameter("L_line", line[1], unit="H", description="line, per phase")
+        self.R_line = (
+            None if line is None else parameter("R_line", line[0], unit="ohm", min=0.0, description="line, per phase")
+        )
+        L_line = (
+            None if line is None else parameter("L_line", line[1], unit="H", min=0.0, description="line, per phase")
+        )
         self.L: Inductances = inductances(data, L_line)
         self.J = parameter("J", data.J, unit="kg.m2", description="inertia")
         self.d = parameter("d", data.d, unit="N.m.s/rad", description="friction torque per speed")
-        self.Ra = parameter("Ra", data.Ra, unit="ohm", description="stator resistance")
+        self.Ra = parameter("Ra", data.Ra, unit="ohm", min=0.0, description="stator resistance")
         self.R = tuple(
             parameter(f"R_{n}", r, unit="ohm", description=f"resistance of winding {n}")
             for n, r in zip(data.windings, data.R_rotor, strict=True)

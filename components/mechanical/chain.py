@@ -42,7 +42,7 @@ def chain(
     for a, b in zip(points, points[1:], strict=False):
         body.bar(a, b)
     if bending:
-        k = body.parameter("bending", bending, unit="N/m3", description="springs between next but one points")
+        k = body.parameter("bending", bending, unit="N/m3", min=0.0, description="springs between next but one points")
         for a, b in zip(points, points[2:], strict=False):
             body.quartic_spring(a, b, k.sx, 2 * length)
     if damping:

@@ -19,10 +19,12 @@ def four_particle(*, alpha: float = 0.5, eta0: float = 1.0) -> PHDAE:
     Source:      Appl. Numer. Math. 2026, section 6.3 (all numbers)
     """
     body = Multibody("four_particle", description="four particles, two bars, two quartic springs, one damper (index 2)")
-    k13 = body.parameter("k13", 50.0, unit="N/m3", description="spring between particles 1 and 3")
-    k24 = body.parameter("k24", 500.0, unit="N/m3", description="spring between particles 2 and 4")
+    k13 = body.parameter("k13", 50.0, unit="N/m3", min=0.0, description="spring between particles 1 and 3")
+    k24 = body.parameter("k24", 500.0, unit="N/m3", min=0.0, description="spring between particles 2 and 4")
     eta = body.parameter("eta0", eta0, unit="N.s/m", description="damping at zero distance")
-    growth = body.parameter("alpha", alpha, unit="1/m2", description="growth of the damping with the squared distance")
+    growth = body.parameter(
+        "alpha", alpha, unit="1/m2", min=0.0, description="growth of the damping with the squared distance"
+    )
     p1 = body.particle(1.0, (0, 0, 0))
     p2 = body.particle(3.0, (1, 0, 0))
     p3 = body.particle(2.3, (0, 1, 0))

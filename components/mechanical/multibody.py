@@ -97,9 +97,11 @@ class Multibody:
 
     # -- forces -----------------------------------------------------------------------------------------------------
 
-    def parameter(self, name: str, value: Any, *, unit: str = "1", description: str = "") -> Variable:
-        """A parameter that springs, dampers and constraints may use."""
-        made = parameter(name, value, unit=unit, description=description)
+    def parameter(
+        self, name: str, value: Any, *, unit: str = "1", min: float | None = None, description: str = ""
+    ) -> Variable:
+        """A parameter that springs, dampers and constraints may use, at least `min`."""
+        made = parameter(name, value, unit=unit, min=min, description=description)
         self._parameters.append(made)
         return made
 

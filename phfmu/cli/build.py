@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from phfmu.cli.options import scheme_of, settings
+from phfmu.cli.options import require_sound, scheme_of, settings
 from phfmu.cli.target import is_fmu, scene
 
 if TYPE_CHECKING:
@@ -25,11 +25,13 @@ def stepper_for(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
         return _fmu_run(args)
     s = scene(args.target)
     s = replace(s, system=_with_settings(s.system, settings(args.set)))
+    declaration = s.declaration()
+    require_sound(args, declaration)
     if args.coupling == "newton":
         if not isinstance(s.system, Network):
             raise ValueError(f"{args.target} is a single component; --coupling newton needs a network of members")
         return _coupled(args, s)
-    return _monolithic(args, s)
+    return _monolithic(args, s, declaration)
 
 
 def engine_of(args: argparse.Namespace) -> str:
@@ -102,11 +104,10 @@ def _label(scheme: Any, engine: str, coupling: str) -> str:
     return f"{scheme.name}, order {scheme.order}{gradient}, {engine} engine, {coupling}"
 
 
-def _monolithic(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
+def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> tuple[Stepper, Scene, str]:
     from phfmu.discretise.model import build_model
     from phfmu.network.stepper import Monolithic
 
-    declaration = s.declaration()
     scheme = scheme_of(args, declaration)
     engine = engine_of(args)
     label = _label(scheme, engine, "monolithic")

@@ -21,12 +21,13 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--platform", action="append", metavar="NAME", help="e.g. x86_64-linux; may be repeated")
     parser.add_argument("--all-platforms", action="store_true", help="linux, windows and darwin, x86_64 and aarch64")
     options.add_settings(parser)
+    options.add_no_check(parser)
     parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.build import _with_settings
-    from phfmu.cli.options import scheme_of, settings
+    from phfmu.cli.options import require_sound, scheme_of, settings
     from phfmu.cli.target import scene
     from phfmu.discretise.model import build_model
     from phfmu.fmu.export import PLATFORMS, export
@@ -34,6 +35,7 @@ def call(args: argparse.Namespace) -> int:
     s = scene(args.target)
     system = _with_settings(s.system, settings(args.set))
     declaration = type(s)(s.name, system, s.stop, s.step).declaration()
+    require_sound(args, declaration)
     step = args.step if args.step is not None else s.step
     if not step > 0:
         raise ValueError(f"--step {step} s must be positive")

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.declare.parameter_limits import Limit
+    from phfmu.declare.variable import Variable
 
 
 def add_parser(verbs: Any) -> None:
@@ -16,6 +20,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.target import is_fmu, scene
+    from phfmu.declare.parameter_limits import limits
 
     if is_fmu(args.target):
         from phfmu.fmu.inspect import fmu_info
@@ -36,13 +41,15 @@ def call(args: argparse.Namespace) -> int:
         kinds = node_kinds(d)
     for name, ends in d.junctions:
         print(f"junction {name}: {', '.join(ends)}; {kinds[name]}")
+    limit = limits(d)
     for title, variables in (("states", d.states), ("algebraic variables", d.algebraics), ("parameters", d.parameters)):
         if variables:
             print(f"{title}:")
         for v in variables:
+            text = f"{v.description} {_limit(limit, v)}".strip()
             start = ", ".join(f"{x:g}" for x in v.start)
             size = f"[1..{v.size}]" if v.size else ""
-            print(f"  {v.name + size:<28} {v.unit:<12} {start:<40} {v.description}".rstrip())
+            print(f"  {v.name + size:<28} {v.unit:<12} {start:<40} {text}".rstrip())
     if d.ports:
         print("ports (power positive into the component):")
     for p in d.ports:
@@ -56,3 +63,9 @@ def call(args: argparse.Namespace) -> int:
         size = f"[1..{o.expr.numel()}]" if o.expr.numel() > 1 else ""
         print(f"  {o.name + size:<28} {o.unit:<12} {o.description}".rstrip())
     return 0
+
+
+def _limit(limits: dict[str, Limit], v: Variable) -> str:
+    """The limits of a parameter in brackets; entries of a vector share them as a rule."""
+    found = dict.fromkeys(str(limits[n]) for n in v.names() if n in limits)
+    return f"({'; '.join(found)})" if found else ""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.discretise.scheme import Scheme
-    from phfmu.network.scene import Scene
+    from phfmu.network.scene import Event, Scene
 
 
 def add_scheme(parser: argparse.ArgumentParser) -> None:
@@ -30,6 +31,28 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     """--set NAME=VALUE."""
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
                         help="parameter, start value of a state, or start of an input; may be repeated")  # fmt: skip
+
+
+def add_no_check(parser: argparse.ArgumentParser) -> None:
+    """--no-check."""
+    parser.add_argument("--no-check", action="store_true",
+                        help="go on with values that `check` refuses: negative resistances, masses that are zero ..")  # fmt: skip
+
+
+def require_sound(args: argparse.Namespace, declaration: PHDAE, events: Sequence[Event] | None = None) -> None:
+    """ValueError with the problems of the values of this run, as `phfmu check` tells them; none with --no-check.
+
+    `events`: what they make of the parameters; None: the start.
+    """
+    parameters = {n for v in declaration.parameters for n in (v.name, *v.names())}
+    if args.no_check or (events is not None and not any(e.name in parameters for e in events)):
+        return
+    from phfmu.declare.check_values import check_values
+
+    problems = check_values(declaration, events=events or ())
+    if problems:
+        lines = "\n".join(f"  {p}" for p in problems)
+        raise ValueError(f"{args.target}: refused for its values (--no-check goes on anyway):\n{lines}")
 
 
 def add_steps(parser: argparse.ArgumentParser) -> None:

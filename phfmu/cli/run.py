@@ -32,6 +32,7 @@ def add_parser(verbs: Any) -> None:
                         help="monolithic: one composed model; newton: members stepped apart")  # fmt: skip
     options.add_steps(parser)
     options.add_settings(parser)
+    options.add_no_check(parser)
     parser.add_argument("--input", metavar="CSV", help="input and parameter values over time (first column time), held")
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--audit", metavar="FILE", help="energy ledger per step, FILE.parquet")
@@ -50,6 +51,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.cli import FINE, LEDGER, options
     from phfmu.cli.build import stepper_for
+    from phfmu.cli.target import is_fmu
     from phfmu.cli.timeline import timeline
     from phfmu.network.run import run
     from phfmu.network.stepper import Monolithic
@@ -59,6 +61,9 @@ def call(args: argparse.Namespace) -> int:
     stop = scene.stop if args.stop is None else args.stop
     step = scene.step if args.step is None else args.step
     events, dropped = timeline(args, scene, stepper.settable(), stop)
+    changes = [e for e in events if e.t < stop]
+    if changes and not is_fmu(args.target):
+        options.require_sound(args, scene.declaration(), changes)
     writer = _audit_writer(args, label)
     report = _Progress(stop, args.quiet)
     keep = None if args.output else _forget

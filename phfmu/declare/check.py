@@ -2,7 +2,7 @@
 
 Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry,
 passivity, costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability
-(equations);  internal (the check itself stopped at an entry).
+(equations);  limit (parameters);  internal (the check itself stopped at an entry).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from phfmu.declare.check_equations import equations, unused, velocities
 from phfmu.declare.check_matrix import costates, finite, masses, passivity, skew_symmetry, symmetry
 from phfmu.declare.check_names import names, nominals, shared_symbols, starts, units
 from phfmu.declare.check_problem import Problem as Problem
+from phfmu.declare.check_ranges import ranges
 from phfmu.declare.check_sample import Sample
 from phfmu.declare.phdae import PHDAE
 
@@ -64,7 +65,7 @@ def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem
         sample = Sample(entries)
     except Exception as e:  # a declaration is data from outside: whatever is wrong with it becomes a problem
         return [*found, _internal("sampling", model, e)] if not BLOCKING & {p.rule for p in found} else found
-    for rule in (finite, skew_symmetry, symmetry, passivity, masses, costates, energies, closed_pairs):
+    for rule in (ranges, finite, skew_symmetry, symmetry, passivity, masses, costates, energies, closed_pairs):
         found += _safely(rule, entries, sample)
     for rule in (unused, velocities):
         found += _safely(rule, entries)

@@ -20,15 +20,17 @@ def finite(entries: Entries, sample: Sample) -> list[Problem]:
     """Matrices are finite at the start; with algebraic variables, whose start is only a guess, somewhere."""
     chosen = entries.of("J", "R", "B", "E", "z", "source")
     found = []
-    for e, value in zip(chosen, sample.values([e.expr for e in chosen]), strict=True):
+    for e, value in zip(chosen, sample.of(chosen), strict=True):
         bad = ~np.isfinite(value)
         kinds = {entries.known[s.element_hash()][0] for s in ca.symvar(e.expr)}
         exact = "a" not in kinds and ("z" not in kinds or sample.known_z[0].all())
-        if (exact and bad[0].any()) or bad.any(axis=(1, 2)).all():
-            r, c = np.argwhere(bad[0] if bad[0].any() else bad[1])[0]
-            text = "at the start" if bad[0].any() else "at any of the sampled points"
+        first = next((i for i in sample.starts if bad[i].any()), -1)
+        if (exact and first >= 0) or bad.any(axis=(1, 2)).all():
+            i = max(first, 0)
+            r, c = np.argwhere(bad[i] if first >= 0 else bad[1])[0]
+            text = sample.where(i) if first >= 0 else "at any of the sampled points"
             found.append(
-                Problem("start", e.label, f"entry [{r + 1}, {c + 1}] is {value[0, r, c]} {text}",
+                Problem("start", e.label, f"entry [{r + 1}, {c + 1}] is {value[i, r, c]} {text}",
                         "start where it is defined, or write it so that it is defined there")
             )  # fmt: skip
     return found
@@ -47,7 +49,7 @@ def symmetry(entries: Entries, sample: Sample) -> list[Problem]:
 
 def _mirrored(entries: Entries, sample: Sample, what: str, sign: int, rule: str, remedy: str) -> list[Problem]:
     blocks, found = entries.of(what), []
-    for e, value in zip(blocks, sample.values([e.expr for e in blocks]), strict=True):
+    for e, value in zip(blocks, sample.of(blocks), strict=True):
         good = np.isfinite(value)
         value = np.where(good & good.transpose(0, 2, 1), value, 0.0)
         mirror = value.transpose(0, 2, 1)
@@ -78,7 +80,7 @@ def passivity(entries: Entries, sample: Sample) -> list[Problem]:
     place = places(variables)
     blocks = entries.of("R")
     rows = [[place[key(v)] + j for v in e.rows for j in range(v.n)] for e in blocks]
-    values = sample.values([e.expr for e in blocks])
+    values = sample.of(blocks)
     found = []
     for group in _connected(rows, len(names)):
         where = sorted({i for b in group for i in rows[b]})
@@ -99,16 +101,14 @@ def passivity(entries: Entries, sample: Sample) -> list[Problem]:
 
 def _connected(sets: list[list[int]], n: int) -> list[list[int]]:
     """Groups of sets that share elements of range(n), directly or through others."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    member = [(b, i) for b, s in enumerate(sets) for i in s]
-    if not member:
+    if not sets:
         return []
-    b, i = np.array(member).T
-    pattern = csr_matrix((np.ones(len(b)), (b, len(sets) + i)), shape=(len(sets) + n,) * 2)
-    label = connected_components(pattern, directed=False)[1][: len(sets)]
-    return [np.flatnonzero(label == k).tolist() for k in np.unique(label)]
+    pairs = [(b, len(sets) + i) for b, s in enumerate(sets) for i in s]
+    row, col = [b for b, _ in pairs], [i for _, i in pairs]
+    # the strong components of a symmetric pattern are its connected ones
+    count, order, first = ca.Sparsity.triplet(len(sets) + n, len(sets) + n, row + col, col + row).scc()
+    parts = (order[first[k] : first[k + 1]] for k in range(count))
+    return sorted(sorted(b for b in part if b < len(sets)) for part in parts if any(b < len(sets) for b in part))
 
 
 def _indefinite(total: NDArray, names: list[str], blocks: list[Entry], sample: Sample) -> str:
@@ -200,7 +200,7 @@ def _descriptor(entries: Entries, sample: Sample) -> list[Problem]:
 
 def _derived(entries: Entries, sample: Sample) -> list[Problem]:
     chosen, found = entries.of("z"), []
-    for e, value in zip(chosen, sample.values([e.expr for e in chosen]), strict=True):
+    for e, value in zip(chosen, sample.of(chosen), strict=True):
         span = list(sample.rows(e.rows[0]))
         given, derived = value[:, :, 0], np.where(sample.known_z[:, span], sample.z[:, span], np.nan)
         size = np.nanmax(np.abs(np.stack([given, derived])), axis=(0, 1), initial=0.0)

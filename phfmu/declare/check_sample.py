@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_entries import Entries
+from phfmu.declare.check_entries import Entries, Entry
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.regular import undetermined
 from phfmu.declare.variable import HasSymbols, Variable, key, time
@@ -19,33 +21,48 @@ Array = NDArray[np.float64]
 FRACTIONS = (0.0, 0.01, 0.1, 0.5, 0.5, 0.9)
 
 
+@dataclass(frozen=True)
+class Setting:
+    """Values of all scalar parameters, and since when they hold in words ("" from the start)."""
+
+    parameters: tuple[float, ...]
+    since: str = ""
+
+
 class Sample:
     """Points (x, z, a, u, p, t); z = E^-T grad H where that is finite, random elsewhere.
 
     `size` (n1): max(nominal, |start|);  `place`: row of each scalar state by its symbol.
     `known_z` (points x n1): where z was computed.  Points stay within `size` of the start, so that quantities
     whose start is not below their nominal value keep their sign.
+    `settings`: parameter values at which all points are taken, one after the other (default: the start values);
+    `starts`: the places of the start itself.
     """
 
-    def __init__(self, entries: Entries):
+    def __init__(self, entries: Entries, settings: Sequence[Setting] = ()):
         model = entries.model
         self._entries = entries
         rng = np.random.default_rng(1)
-        self.n = len(FRACTIONS)
+        self.settings = tuple(settings) or (Setting(_parameters(model)),)
+        self.n = len(FRACTIONS) * len(self.settings)
+        self.starts = range(0, self.n, len(FRACTIONS))
+        self._kept: dict[int, Array] = {}
         x, size = _around(model.states, rng)
         self.size, self.place = size, places(model.states)
         a, _ = _around(model.algebraics, rng)
         u = _inputs(model.ports, rng)
-        p = np.array([v if np.isfinite(v) else 1.0 for q in model.parameters for v in q.start], float)
         z = rng.uniform(-1.0, 1.0, x.shape)
         self._symbols = [
             model.x, ca.vertcat(*(v.z for v in model.states)), ca.vertcat(*(v.sx for v in model.algebraics)),
             ca.vertcat(*(q.u for q in model.ports)), ca.vertcat(*(v.sx for v in model.parameters)),
         ]  # fmt: skip
-        t = rng.uniform(0.0, 1.0, (self.n, 1))
+        t = rng.uniform(0.0, 1.0, (len(FRACTIONS), 1))
         t[0] = 0.0
-        self._values = [x, z, a, u, np.tile(p, (self.n, 1)), t]
-        self.known_z = np.zeros(x.shape, bool)
+        p = np.array([given.parameters for given in self.settings], float)
+        points = [np.tile(v, (len(self.settings), 1)) for v in (x, z, a, u)]
+        self._values = [*points, np.repeat(p, len(FRACTIONS), axis=0), np.tile(t, (len(self.settings), 1))]
+        z = self.z
+        self.known_z = np.zeros(z.shape, bool)
         if entries.complete:
             derived = self._costates()
             self.known_z = np.isfinite(derived)
@@ -72,14 +89,20 @@ class Sample:
             symbols.append(extra[0])
             given.append(extra[1])
         stacked = ca.densify(ca.vertcat(*(ca.vec(e) for e in exprs)))
-        f = ca.Function("values", symbols, [stacked])
-        rows = np.array([f(*(v[i] for v in given)).full().ravel() for i in range(self.n)])
+        f = ca.Function("values", symbols, [stacked]).map(self.n)
+        rows = f(*(v.T for v in given)).full().T
         out, at = [], 0
         for e in exprs:
             part = rows[:, at : at + e.numel()]
             out.append(part.reshape(self.n, e.shape[1], e.shape[0]).transpose(0, 2, 1))
             at += e.numel()
         return out
+
+    def of(self, entries: Sequence[Entry]) -> list[Array]:
+        """The values of these entries, evaluated once for all rules."""
+        new = [e for e in entries if id(e) not in self._kept]
+        self._kept |= {id(e): v for e, v in zip(new, self.values([e.expr for e in new]), strict=True)}
+        return [self._kept[id(e)] for e in entries]
 
     def gradient(self) -> ca.SX:
         """grad H of the sound energy terms."""
@@ -107,7 +130,11 @@ class Sample:
 
     def where(self, i: int, *exprs: ca.SX) -> str:
         """The point in words: the values of some variables the expressions depend on."""
-        if i == 0:
+        since = self.settings[i // len(FRACTIONS)].since
+        return f"{self._place(i, *exprs)}{', ' * bool(since)}{since}"
+
+    def _place(self, i: int, *exprs: ca.SX) -> str:
+        if i in self.starts:
             return "at the start"
         names, values = [], []
         for s in ca.symvar(ca.vertcat(*(ca.vec(e) for e in exprs))):
@@ -118,6 +145,11 @@ class Sample:
                     values.append(given[i, hashes.index(s.element_hash())])
         text = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names[:4], values, strict=False))
         return f"at {text}{', ..' if len(names) > 4 else ''}" if names else "at every point"
+
+
+def _parameters(model: PHDAE) -> tuple[float, ...]:
+    """Start values of all scalar parameters; what is not finite counts as 1."""
+    return tuple(v if np.isfinite(v) else 1.0 for q in model.parameters for v in _fitted(q.start, q.n))
 
 
 def _around(variables: tuple[Variable, ...], rng: np.random.Generator) -> tuple[Array, Array]:

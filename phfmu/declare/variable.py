@@ -91,6 +91,11 @@ class Variable(_Arithmetic):
     sx: ca.SX = field(repr=False)
     z: ca.SX = field(repr=False)
     offset: int = 0
+    #: limits of a parameter, both allowed themselves; None: see `parameter_limits.py`
+    min: tuple[float, ...] | None = None
+    max: tuple[float, ...] | None = None
+    #: the value 0 is not allowed either
+    positive: bool = False
 
     @property
     def n(self) -> int:
@@ -111,7 +116,7 @@ class Variable(_Arithmetic):
         rows = slice(first, first + n)
         return replace(
             self, size=n, start=self.start[rows], nominal=self.nominal[rows], sx=self.sx[rows], z=self.z[rows],
-            offset=self.offset + first,
+            offset=self.offset + first, min=self.min and self.min[rows], max=self.max and self.max[rows],
         )  # fmt: skip
 
 
@@ -175,6 +180,22 @@ def algebraic(
     return make_variable("algebraic", name, size, unit, start, nominal, description)
 
 
-def parameter(name: str, value: Number, size: int | None = None, *, unit: str = "1", description: str = "") -> Variable:
-    """A constant that may be changed before (and by events during) a run."""
-    return make_variable("parameter", name, size, unit, value, 1.0, description)
+def parameter(
+    name: str,
+    value: Number,
+    size: int | None = None,
+    *,
+    unit: str = "1",
+    min: Number | None = None,
+    max: Number | None = None,
+    positive: bool = False,
+    description: str = "",
+) -> Variable:
+    """A constant that may be changed before (and by events during) a run.
+
+    `min`, `max`: limits, allowed themselves;  `positive`: above 0.  Without `min` it is derived where the declaration
+    proves it (a resistance, a mass: see `phfmu.declare.parameter_limits`); `min=-inf` says that there is none.
+    """
+    made = make_variable("parameter", name, size, unit, value, 1.0, description)
+    limits = {what: _values(name, what, v, made.n) for what, v in (("min", min), ("max", max)) if v is not None}
+    return replace(made, **limits, positive=positive) if limits or positive else made

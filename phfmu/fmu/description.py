@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import dataclass
@@ -103,6 +104,16 @@ def add_units(parent: Element, unit: Unit) -> None:
                 base.set(symbol, str(exponent))
         if parsed.factor != 1.0:
             base.set("factor", number(parsed.factor))
+
+
+def add_limits(element: Element, v: FMUVariable) -> None:
+    """`min` and `max`; the standard has no open intervals: a min that is not allowed itself is refused by the unit."""
+    if v.limit is None:
+        return
+    for name in ("min", "max"):
+        value = getattr(v.limit, name)
+        if math.isfinite(value):
+            element.set(name, number(value))
 
 
 def add_log_categories(parent: Element) -> None:

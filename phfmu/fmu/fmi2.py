@@ -62,6 +62,7 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
     real = etree.SubElement(scalar, "Real")
     if v.unit != "1":
         real.set("unit", v.unit)
+    description.add_limits(real, v)
     if v.nominal is not None:
         real.set("nominal", number(v.nominal))
     if v.start is not None:

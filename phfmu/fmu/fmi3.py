@@ -54,6 +54,7 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
         scalar.set("initial", v.initial)
     if v.unit != "1":
         scalar.set("unit", v.unit)
+    description.add_limits(scalar, v)
     if v.nominal is not None:
         scalar.set("nominal", number(v.nominal))
     if v.start is not None:

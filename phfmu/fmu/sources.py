@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
+from math import isfinite
 from pathlib import Path
 
 import fmpy
@@ -78,6 +79,10 @@ def _strings(name: str, values: Iterable[str]) -> tuple[str, str]:
     return (f"static const char *const {name}[] = {{\n{items}}};\n", name) if items else ("", "0")
 
 
+def _c_number(value: float) -> str:
+    return number(value) if isfinite(value) else "INFINITY" if value > 0 else "-INFINITY"
+
+
 def interface_text(unit: Unit, token: str) -> str:
     """interface.c: variables, checks and names of the equations."""
     model = unit.model
@@ -86,11 +91,19 @@ def interface_text(unit: Unit, token: str) -> str:
     limits = [
         f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in zip(check_names(model), model.check_scale, strict=True)
     ]
+    ranges = [
+        f"{{{i}, {_c_number(v.limit.min)}, {_c_number(v.limit.max)}, {int(v.limit.above)}}}"
+        for i, v in enumerate(unit.variables)
+        if v.limit is not None
+    ]
     equations, equations_name = _strings("equations", model.row_names)
     end_equations, end_name = _strings("end_equations", model.instant_names)
     checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""
+    checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
     return f"""\
 /* Generated. Variables, start checks and names of the equations of {unit.name}. */
+#include <math.h>
+
 #include "fmu.h"
 
 extern const ph_model ph_the_model;
@@ -104,8 +117,10 @@ const fmu_interface fmu_the_interface = {{
     .step = {number(unit.step)},
     .nvariable = {len(rows)},
     .ncheck = {len(limits)},
+    .nrange = {len(ranges)},
     .variables = variables,
     .checks = {"checks" if limits else "0"},
+    .ranges = {"ranges" if ranges else "0"},
     .equations = {equations_name},
     .end_equations = {end_name},
 }};

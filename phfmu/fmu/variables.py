@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from phfmu.declare.parameter_limits import Limit, limits
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Number, Variable
@@ -30,7 +31,8 @@ class FMUVariable:
     """One scalar of type Real (2.0) or Float64 (3.0).
 
     Its value is the sum of `count` entries of the runtime's `block` from `first` on: a `ph_block` of phfmu.h
-    or a place of fmu.h.  `start` is None if calculated; `unit` "1" and `nominal` None are not written.
+    or a place of fmu.h.  `start` is None if calculated; `unit` "1", `nominal` None and limits that are not there are not
+    written.
     """
 
     name: str
@@ -42,6 +44,7 @@ class FMUVariable:
     unit: str = "1"
     nominal: float | None = None
     description: str = ""
+    limit: Limit | None = None
 
     @property
     def variability(self) -> str:
@@ -67,7 +70,7 @@ def variables(declaration: PHDAE, model: Model, node_inputs: bool = False) -> tu
     """
     table = (
         FMUVariable("time", "independent", "PH_X", model.step.nx, unit="s", description="time"),
-        *_starts(declaration.parameters, "parameter", "FMU_PARAMETER", list(model.p0)),
+        *_parameters(declaration, model),
         *_ports(declaration, model),
         *_totals(model),
         *_starts(declaration.states, "local", "PH_X", list(model.x0)),
@@ -107,6 +110,12 @@ def _starts(declared: tuple[Variable, ...], causality: Causality, block: str, st
         FMUVariable(name, causality, block, i, 1, float(start[i]), v.unit, _nominal(v, j), text)
         for i, name, text, v, j in _scalars(declared)
     ]
+
+
+def _parameters(declaration: PHDAE, model: Model) -> list[FMUVariable]:
+    limit = limits(declaration)
+    made = _starts(declaration.parameters, "parameter", "FMU_PARAMETER", list(model.p0))
+    return [replace(v, limit=limit.get(v.name)) for v in made]
 
 
 def _nominal(v: Variable, entry: int) -> float | None:

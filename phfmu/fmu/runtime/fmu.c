@@ -134,7 +134,7 @@ static int check_starts(const fmu *f, const char *function) {
 
 int fmu_leave(fmu *f, const char *function) {
     int status;
-    if (fmu_allow(f, function, FMU_INITIALIZATION))
+    if (fmu_allow(f, function, FMU_INITIALIZATION) || fmu_check_ranges(f, function))
         return FMU_ERROR;
     status = ph_initialise(f->in);
     if (status)

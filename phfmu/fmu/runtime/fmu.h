@@ -43,14 +43,22 @@ typedef struct fmu_check {
     double limit;
 } fmu_check;
 
+/* Limits of a parameter, checked when initialization ends; `above`: min itself is not allowed. */
+typedef struct fmu_range {
+    int variable; /* value reference */
+    double min, max;
+    int above;
+} fmu_range;
+
 /* What is generated for one model, constant. */
 typedef struct fmu_interface {
     const char *token; /* FMU_TOKEN characters */
     const ph_model *model;
     double step; /* longest internal step, s */
-    int nvariable, ncheck;
+    int nvariable, ncheck, nrange;
     const fmu_variable *variables;    /* nvariable */
     const fmu_check *checks;          /* ncheck */
+    const fmu_range *ranges;          /* nrange */
     const char *const *equations;     /* rows of the step, step->nw */
     const char *const *end_equations; /* rows of the end values, instant->nw */
 } fmu_interface;
@@ -114,6 +122,7 @@ double fmu_time(const fmu *f);
 /* fmu_values.c. ref: n value references, values: n. A refused call changes nothing. */
 int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double *values);
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values);
+int fmu_check_ranges(const fmu *f, const char *function);
 
 /* fmu_derivative.c. adjoint 0: result (nu) = S seed (nk); 1: result (nk) = S^T seed (nu), where S holds the
  * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk). */

@@ -139,3 +139,18 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
         return fmu_refuse(f, "%s: the values were refused", function);
     return FMU_OK;
 }
+
+int fmu_check_ranges(const fmu *f, const char *function) {
+    for (int i = 0; i < f->about->nrange; i++) {
+        const fmu_range *range = &f->about->ranges[i];
+        const fmu_variable *v = &f->about->variables[range->variable];
+        const double value = value_of(f, v);
+        if (value < range->min || (range->above && value == range->min))
+            return fmu_refuse(f, "%s: the parameter %s = %.9g must be %s %.9g", function, v->name, value,
+                              range->above ? "above" : "at least", range->min);
+        if (value > range->max)
+            return fmu_refuse(f, "%s: the parameter %s = %.9g must be at most %.9g", function, v->name, value,
+                              range->max);
+    }
+    return FMU_OK;
+}

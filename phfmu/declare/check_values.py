@@ -1,0 +1,73 @@
+"""The check of the numbers of one run: settings, starts and what events make of the parameters.
+
+It is the part of `check` that depends on values and is cheap: limits of parameters, finite starts, J skew, R symmetric
+and semidefinite, E regular, all evaluated at once from one set of compiled expressions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from phfmu.declare.check_entries import Entries, normal_form
+from phfmu.declare.check_matrix import finite, masses, passivity, skew_symmetry, symmetry
+from phfmu.declare.check_names import starts
+from phfmu.declare.check_problem import Problem
+from phfmu.declare.check_ranges import ranges
+from phfmu.declare.check_sample import Sample, Setting
+from phfmu.declare.phdae import PHDAE
+
+
+class Change(Protocol):
+    """An event: at time t the parameter or input `name` takes `value`."""
+
+    @property
+    def t(self) -> float: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def value(self) -> float: ...
+
+
+def check_values(
+    model: PHDAE, values: Mapping[str, float] | None = None, events: Sequence[Change] = ()
+) -> list[Problem]:
+    """Problems of `model` with the start values `values` (as `with_starts`) and the parameter values of `events`.
+
+    Told as by `check`; expressions that are not sound are left to it.  Cheap (some ms): for many runs of one model.
+    Of the values that events give a parameter those beyond all before them are checked.  KeyError for unknown names.
+    """
+    model = model.with_starts(values) if values else model
+    found = starts(model)
+    if found:
+        return found
+    entries = Entries(model)
+    normal_form(entries)
+    sample = Sample(entries, settings(model, events))
+    for rule in (ranges, finite, skew_symmetry, symmetry, passivity, masses):
+        found += rule(entries, sample)
+    return found
+
+
+def settings(model: PHDAE, events: Sequence[Change]) -> list[Setting]:
+    """The parameters at the start, then each time an event takes one beyond its values before."""
+    names = [n for v in model.parameters for n in v.names()]
+    place = {n: [i] for i, n in enumerate(names)}
+    for v in model.parameters:
+        place.setdefault(v.name, [i for n in v.names() for i in place[n]])
+    now = [s for v in model.parameters for s in v.start]
+    low, high = list(now), list(now)
+    found = [Setting(tuple(now))]
+    for e in sorted((e for e in events if e.name in place and np.isfinite(e.value)), key=lambda e: e.t):
+        beyond = any(not low[i] <= e.value <= high[i] for i in place[e.name])
+        for i in place[e.name]:
+            now[i] = e.value
+            low[i], high[i] = min(low[i], e.value), max(high[i], e.value)
+        if beyond and e.t <= 0.0 and len(found) == 1:
+            found = [replace(found[0], parameters=tuple(now))]
+        elif beyond:
+            found.append(Setting(tuple(now), f"after the event {e.name} = {e.value:g} at t = {e.t:g} s"))
+    return found
