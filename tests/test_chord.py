@@ -154,9 +154,10 @@ def test_matrices_of_the_nodes(k: int) -> None:
     assert np.abs(t @ block @ back - inverse @ inverse).max() <= 1e-10
 
 
-def test_symbolic_elimination_factors_a_schur_matrix() -> None:
+@pytest.mark.parametrize(("m", "n", "listed"), [(9, 20, 9), (70, 90, 15)])
+def test_symbolic_elimination_factors_a_schur_matrix(m: int, n: int, listed: int) -> None:
+    """`listed`: at most so many columns of the many rows have lists of updates, the others are a block without gaps."""
     rng = np.random.default_rng(4)
-    m, n = 9, 20
     mass = rng.uniform(0.5, 2.0, n)
     rows, slots, d = [], [], np.zeros((m, n))
     for r in range(m):
@@ -170,9 +171,15 @@ def test_symbolic_elimination_factors_a_schur_matrix() -> None:
     terms = e.product_sign * np.array(slots)[e.product_a] * np.array(slots)[e.product_b] / mass[e.product_dof]
     entry = np.array([terms[a:b].sum() for a, b in zip(e.product_ptr, e.product_ptr[1:], strict=False)])
     lower, place = np.eye(m), {int(r): i for i, r in enumerate(e.order)}
+    assert e.full <= listed and len(e.update_target) == e.update_ptr[e.full] == e.update_ptr[m]
     for j in range(m):
         for q in range(e.update_ptr[j], e.update_ptr[j + 1]):
             entry[e.update_target[q]] -= entry[e.update_left[q]] * entry[e.update_right[q]] / entry[j]
+        for l in range(j + 1, m if j >= e.full else 0):
+            left = e.column[j] - j - 1
+            entry[l] -= entry[left + l] ** 2 / entry[j]
+            for i in range(l + 1, m):
+                entry[e.column[l] - l - 1 + i] -= entry[left + i] * entry[left + l] / entry[j]
         for q in range(e.column[j], e.column[j + 1]):
             entry[q] /= entry[j]
             lower[place[int(e.below[q - m])], j] = entry[q]

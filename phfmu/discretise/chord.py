@@ -16,18 +16,22 @@ import numpy as np
 
 from phfmu.discretise import lanes
 from phfmu.discretise.collocated import Collocated
-from phfmu.discretise.elimination import Elimination, eliminate
+from phfmu.discretise.elimination import Elimination, Pattern, eliminate, factor_pattern, updates
 from phfmu.discretise.gradients import degree
 from phfmu.discretise.lane_groups import Instances, LaneGroup, Tiles, tiled
 from phfmu.discretise.lanes import Lanes, NoLanes
 from phfmu.discretise.layout import Layout
-from phfmu.discretise.plan import Floats, Ints
+from phfmu.discretise.plan import Floats, Ints, Plan
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.terms import Term
 
-#: a model whose factor needs more updates than this per row is better served by the sparse Newton
-DENSE = 200
+#: a factor of all rows with no more updates than this per row is never the larger part of a step
+FEW = 200
+#: products of an update of it beside one of the sparse LU, by k: a real mode, and for k = 3 a complex one too
+MODES = {1: 1.0, 3: 5.0}
+#: it is taken more than once a step, between sweeps: it pays where it costs no more than this share of the sparse LU
+SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Chord:
     `load`: constant entries (kind 0: times an input, 1: times a velocity) of the force on load_dof.
     w_position, w_velocity (dof x k), w_lambda (constraint x k), w_mu: places among the unknowns of the plan; `costate`
     (dof x k): Y index of z_v, the only part of Z that dissipation and outputs read in such a model.
-    `hard`: elimination of the constraints, `soft`: of all rows.
+    `hard`: elimination of the constraints, `soft`: of all rows, None where Newton's method is better.
     `extended`: A with the row b below it (k+1 x k);  `multiplier`: inverse of [A, -1; b^T, 0];  `spectrum`, `modes`,
     `to_modes`: A^-2 in real block-diagonal form.
     """
@@ -65,7 +69,7 @@ class Chord:
     load_source: Ints
     load_value: Floats
     hard: Elimination
-    soft: Elimination
+    soft: Elimination | None
     extended: Floats
     multiplier: Floats
     spectrum: Floats
@@ -81,14 +85,14 @@ class _Unfit(Exception):
     """The model is not of the form the chord solves."""
 
 
-def find_chord(layout: Layout, scheme: Scheme) -> Chord | None:
+def find_chord(layout: Layout, scheme: Scheme, plan: Plan) -> Chord | None:
     """The chord tables of a step plan, or None where its conditions do not hold."""
     if not isinstance(scheme, Collocated) or scheme.k not in (1, 3) or not layout.terms.na:
         return None
     if not scheme.two_level or scheme.gradient != "per-term" or scheme.radau or scheme.closure != "mean":
         return None
     try:
-        return _Builder(layout).build()
+        return _Builder(layout, plan).build()
     except (_Unfit, NoLanes):
         return None
 
@@ -101,8 +105,8 @@ def _require(condition: bool) -> None:
 class _Builder:
     """Collects the instances of one model; every method raises _Unfit or NoLanes for what the chord cannot take."""
 
-    def __init__(self, layout: Layout):
-        self.layout, self.terms = layout, layout.terms
+    def __init__(self, layout: Layout, plan: Plan):
+        self.layout, self.terms, self.plan = layout, layout.terms, plan
         t = self.terms
         constraint = [x for x in t.terms if x.kind == "constraint"]
         self.position = sorted(t.velocity_of)
@@ -226,8 +230,6 @@ class _Builder:
         w, m = layout.w_of, len(multipliers)
         bordered = np.block([[nd.a, -np.ones((k, 1))], [nd.b, np.zeros((1, 1))]])
         spectrum, modes, to_modes = lanes.spectrum(k)
-        hard, soft = eliminate(rows[:m]), eliminate(rows)
-        _require(len(soft.update_target) <= DENSE * max(len(rows), 1))
         nominal = layout.nominals()
         self.load.sort()
         load = np.array([(d, kind, s) for d, kind, s, _ in self.load], np.int32).reshape(-1, 3)
@@ -244,9 +246,20 @@ class _Builder:
             row_ptr=_ints(ends), point_plus=_ints(p for p, _ in points), point_minus=_ints(q for _, q in points),
             load_dof=load[:, 0].copy(), load_kind=load[:, 1].copy(), load_source=load[:, 2].copy(),
             load_value=np.array([v for *_, v in self.load], float),
-            hard=hard, soft=soft, extended=np.vstack([nd.a, nd.b]), multiplier=np.linalg.inv(bordered),
+            hard=eliminate(rows[:m]), soft=self._soft(rows), extended=np.vstack([nd.a, nd.b]), multiplier=np.linalg.inv(bordered),
             spectrum=spectrum, modes=modes, to_modes=to_modes,
         )  # fmt: skip
+
+    def _soft(self, rows: list[list[tuple[int, int, float]]]) -> Elimination | None:
+        """The elimination of all rows where it is cheap beside the factor of the Newton matrix."""
+        soft = Pattern(rows)
+        if soft.updates > FEW * len(rows):
+            nw, a = self.plan.nw, self.plan.matrix
+            matrix = ca.Sparsity.triplet(nw, nw, a.row.tolist(), a.col.tolist())
+            newton = updates(np.array(factor_pattern(matrix + matrix.T, self.plan.order.tolist()).colind()))
+            if MODES[self.layout.k] * soft.updates > SHARE * newton:
+                return None
+        return soft.elimination()
 
     def _groups(self) -> tuple[list[LaneGroup], list[Instances], list[tuple[int, int]], list[int], list[int]]:
         """Groups, their instances; the coordinates; where those of each row end; the multiplier of each constraint."""

@@ -10,6 +10,14 @@ import numpy as np
 
 from phfmu.discretise.plan import Floats, Ints
 
+#: trailing columns of at least so many, of whose entries at most this share is filled up with zeros, are eliminated as a
+#: full block by loops: their updates need no list
+BLOCK = 48
+FILLED = 0.3
+
+#: gradients of a row: (degree of freedom, gradient slot, sign)
+Row = Sequence[tuple[int, int, float]]
+
 
 @dataclass(frozen=True)
 class Elimination:
@@ -18,9 +26,11 @@ class Elimination:
     Entries are numbered [diagonal | columns of L below it], by elimination position.
     `order`: position -> row;  `column`: first entry of each column;  `below`: row of each entry of L.
     `update`: entry[target] -= entry[left] entry[right] / diagonal, listed by column (`update_ptr`).
+    `full`: from this position on columns of L have no gaps (some entries may be zero), and their updates are not listed.
     `product`: sign, degree of freedom and gradient slots (a, b) of the terms of an entry (`product_ptr`).
     """
 
+    full: int
     order: Ints
     column: Ints
     below: Ints
@@ -43,51 +53,103 @@ class Elimination:
         return len(self.product_ptr) - 1
 
 
-def eliminate(rows: Sequence[Sequence[tuple[int, int, float]]]) -> Elimination:
+class Pattern:
+    """Order and pattern of L for given rows: what an elimination would cost, before its lists are made."""
+
+    def __init__(self, rows: Sequence[Row]):
+        self.n = len(rows)
+        touched: dict[int, list[tuple[int, int, float]]] = {}
+        for r, entries in enumerate(rows):
+            for dof, slot, sign in entries:
+                touched.setdefault(dof, []).append((r, slot, sign))
+        self.products: dict[tuple[int, int], list[tuple[int, int, int, float]]] = {(r, r): [] for r in range(self.n)}
+        for dof, found in touched.items():
+            for i, (a, slot_a, sign_a) in enumerate(found):
+                for b, slot_b, sign_b in found[: i + 1]:
+                    key = (max(a, b), min(a, b))
+                    self.products.setdefault(key, []).append((dof, slot_a, slot_b, sign_a * sign_b))
+        pattern = ca.Sparsity.triplet(self.n, self.n, [a for a, _ in self.products], [b for _, b in self.products])
+        pattern = pattern + pattern.T
+        self.order = pattern.amd() if self.n else []
+        lower = factor_pattern(pattern, self.order)
+        self.start = np.array(lower.colind(), np.int64)
+        self.below = np.array(lower.row(), np.int64)
+        self.full = self._filled_up()
+
+    def _filled_up(self) -> int:
+        """Fill the last columns up to a block without gaps where that adds little; the block's first position."""
+        n = self.n
+        size = np.arange(n, 0, -1)  # of the block from each position on
+        room, there = size * (size - 1) // 2, self.start[-1] - self.start[:-1]
+        fits = np.flatnonzero((size >= BLOCK) & (there >= (1 - FILLED) * room))
+        if not len(fits):
+            return n
+        first = int(fits[0])
+        self.below = np.concatenate([self.below[: self.start[first]], *(np.arange(j + 1, n) for j in range(first, n))])
+        self.start[first:] = self.start[first] + np.cumsum([0, *range(n - 1 - first, -1, -1)])
+        return first
+
+    @property
+    def updates(self) -> int:
+        """Multiplications and subtractions of the factor."""
+        return updates(self.start)
+
+    def elimination(self) -> Elimination:
+        """The lists of the factor."""
+        n, full = self.n, self.full
+        lists = [self._updates(j) for j in range(full)]
+        target, left, right = np.hstack([np.zeros((3, 0), np.int64), *lists]).astype(np.int32)
+        pointer = np.cumsum([0] + [u.shape[1] for u in lists] + [0] * (n - full))
+        place = {r: i for i, r in enumerate(self.order)}
+        terms: list[list[tuple[int, int, int, float]]] = [[] for _ in range(n + len(self.below))]
+        for (a, b), pairs in self.products.items():
+            i, j = place[a], place[b]
+            terms[self._entry(max(i, j), min(i, j))] += pairs
+        flat = np.array([p for found in terms for p in found]).reshape(-1, 4)
+        whole = flat[:, :3].astype(np.int32)
+        return Elimination(
+            full=full, order=np.array(self.order, np.int32), column=(n + self.start).astype(np.int32),
+            below=np.array(self.order, np.int32)[self.below], update_ptr=pointer.astype(np.int32),
+            update_target=target.copy(), update_left=left.copy(), update_right=right.copy(),
+            product_ptr=np.cumsum([0] + [len(p) for p in terms]).astype(np.int32),
+            product_dof=whole[:, 0].copy(), product_a=whole[:, 1].copy(), product_b=whole[:, 2].copy(),
+            product_sign=flat[:, 3].copy(),
+        )  # fmt: skip
+
+    def _entry(self, i: int, j: int) -> int:
+        """Number of the entry (i, j), i >= j by position."""
+        if i == j:
+            return j
+        first, last = self.start[j], self.start[j + 1]
+        return int(self.n + first + np.searchsorted(self.below[first:last], i))
+
+    def _updates(self, j: int) -> np.ndarray:
+        """Targets, left and right factors of what column j takes from the later ones (3 x updates)."""
+        first, last = int(self.start[j]), int(self.start[j + 1])
+        rows, entries = self.below[first:last], self.n + np.arange(first, last)
+        parts = [np.zeros((3, 0), np.int64)]
+        for q, l in enumerate(rows):
+            column = self.below[self.start[l] : self.start[l + 1]]
+            below = self.n + self.start[l] + np.searchsorted(column, rows[q + 1 :])
+            target = np.concatenate([[l], below])
+            parts.append(np.stack([target, entries[q:], np.full(len(target), entries[q])]))
+        return np.hstack(parts)
+
+
+def factor_pattern(pattern: ca.Sparsity, order: Sequence[int]) -> ca.Sparsity:
+    """Pattern of the strictly lower L with L D L^T = A[order, order] for a symmetric pattern A."""
+    if not len(order):
+        return ca.Sparsity(0, 0)
+    upper, _ = pattern.sub(list(order), list(order))[0].ldl(False)
+    return upper.T
+
+
+def updates(column: np.ndarray) -> int:
+    """Multiply-and-subtract operations of a factor whose columns of L have the lengths diff(column)."""
+    counts = np.diff(column)
+    return int(np.sum(counts * (counts + 1)) // 2)
+
+
+def eliminate(rows: Sequence[Row]) -> Elimination:
     """The elimination of rows given as lists of (degree of freedom, gradient slot, sign)."""
-    n = len(rows)
-    touched: dict[int, list[tuple[int, int, float]]] = {}
-    for r, entries in enumerate(rows):
-        for dof, slot, sign in entries:
-            touched.setdefault(dof, []).append((r, slot, sign))
-    products: dict[tuple[int, int], list[tuple[int, int, int, float]]] = {(r, r): [] for r in range(n)}
-    for dof, found in touched.items():
-        for i, (a, slot_a, sign_a) in enumerate(found):
-            for b, slot_b, sign_b in found[: i + 1]:
-                products.setdefault((max(a, b), min(a, b)), []).append((dof, slot_a, slot_b, sign_a * sign_b))
-    pattern = ca.Sparsity.triplet(n, n, [a for a, _ in products], [b for _, b in products])
-    order = (pattern + pattern.T).amd() if n else []
-    place = {r: i for i, r in enumerate(order)}
-    lower: list[set[int]] = [set() for _ in range(n)]
-    for a, b in products:
-        i, j = place[a], place[b]
-        if i != j:
-            lower[min(i, j)].add(max(i, j))
-    for j in range(n):  # a column's rows are carried to its parent, the first of them
-        if lower[j]:
-            parent = min(lower[j])
-            lower[parent] |= lower[j] - {parent}
-    columns = [sorted(c) for c in lower]
-    start = np.cumsum([n] + [len(c) for c in columns])
-    entry = {(i, j): int(start[j]) + q for j, c in enumerate(columns) for q, i in enumerate(c)}
-    entry |= {(j, j): j for j in range(n)}
-    updates, update_ptr = [], [0]
-    for j, c in enumerate(columns):
-        updates += [(entry[(i, l)], entry[(i, j)], entry[(l, j)]) for q, l in enumerate(c) for i in c[q:]]
-        update_ptr.append(len(updates))
-    lists: list[list[tuple[int, int, int, float]]] = [[] for _ in entry]
-    for (a, b), pairs in products.items():
-        i, j = place[a], place[b]
-        lists[entry[(max(i, j), min(i, j))]] += pairs
-    flat = np.array([p for found in lists for p in found]).reshape(-1, 4)
-    whole = flat[:, :3].astype(np.int32)
-    update = np.array(updates, np.int32).reshape(-1, 3)
-    return Elimination(
-        order=np.array(order, np.int32), column=start.astype(np.int32),
-        below=np.array([order[i] for c in columns for i in c], np.int32),
-        update_ptr=np.array(update_ptr, np.int32), update_target=update[:, 0].copy(),
-        update_left=update[:, 1].copy(), update_right=update[:, 2].copy(),
-        product_ptr=np.cumsum([0] + [len(p) for p in lists]).astype(np.int32),
-        product_dof=whole[:, 0].copy(), product_a=whole[:, 1].copy(), product_b=whole[:, 2].copy(),
-        product_sign=flat[:, 3].copy(),
-    )  # fmt: skip
+    return Pattern(rows).elimination()

@@ -31,4 +31,4 @@ def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
             cache[term.key] = [in_differences(s) for s in scheme.specs(term)]
         work.append((term, cache[term.key]))
     plan = make_plan(layout, work, scheme.constants(layout), scheme.maps(layout), na=terms.na, nobs=len(layout.work))
-    return replace(plan, chord=find_chord(layout, scheme)), layout
+    return replace(plan, chord=find_chord(layout, scheme, plan)), layout

@@ -122,7 +122,8 @@ class CTables:
         self._keep.append(array)
         derived = chord_sizes(chord) | {"groups": ctypes.addressof(array)}
         for name in ("hard", "soft"):
-            derived[name] = ctypes.addressof(self._fill("ph_elimination", getattr(chord, name), {}))
+            part = getattr(chord, name)
+            derived[name] = None if part is None else ctypes.addressof(self._fill("ph_elimination", part, {}))
         return ctypes.addressof(self._fill("ph_chord", chord, derived))
 
     def _fill(self, name: str, source: Any, derived: dict[str, Any]) -> ctypes.Structure:
@@ -173,6 +174,9 @@ def _chord_text(chord: Chord, name: str) -> str:
     text = _array_of_structs("ph_lane_group", f"{name}_groups", lane_groups(chord))
     derived = chord_sizes(chord) | {"groups": f"{name}_groups"}
     for part in ("hard", "soft"):
+        derived[part] = "0"
+        if getattr(chord, part) is None:
+            continue
         arrays, members = _struct_text("ph_elimination", f"{name}_{part}", getattr(chord, part), {})
         text += arrays + f"static const ph_elimination {name}_{part} = {members};\n"
         derived[part] = f"&{name}_{part}"

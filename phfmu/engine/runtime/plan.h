@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define PH_VERSION 4
+#define PH_VERSION 5
 #define PH_STAMP                                                                                             \
     (((uint64_t)PH_VERSION << 48) | ((uint64_t)sizeof(ph_model) << 32) | ((uint64_t)sizeof(ph_plan) << 16) | \
      (uint64_t)sizeof(ph_group))
@@ -34,6 +34,7 @@ typedef struct ph_group {
  * [n diagonals | columns of L below them] by elimination position. */
 typedef struct ph_elimination {
     int n, nentry;
+    int full;              /* from this position on columns of L have no gaps, and no lists of updates */
     const int *order;      /* n: position -> row */
     const int *column;     /* n+1: first entry of each column of L */
     const int *below;      /* nentry-n: row of each entry of L */
@@ -102,7 +103,7 @@ typedef struct ph_chord {
     const int *tile_final;      /* ntile+1: those whose rows are */
     const int *tile_load;       /* ntile+1: loads on those that begin with it */
     const ph_elimination *hard; /* constraints */
-    const ph_elimination *soft; /* all rows */
+    const ph_elimination *soft; /* all rows, or NULL: a step with stiff springs is left to Newton */
     const double *extended;     /* (k+1)*k: A, then b */
     const double *multiplier;   /* (k+1)*(k+1): inverse of [A, -1; b, 0] */
     const double *spectrum;     /* k: A^-2 in real block-diagonal form */
