@@ -216,13 +216,15 @@ def test_input_tables(refused: Cli, text: bytes, said: str) -> None:
 
 @pytest.mark.parametrize("engine", ["python", "native"])
 def test_no_convergence(refused: Cli, engine: str) -> None:
-    """The audit written so far holds all accepted steps; no table is left."""
+    """Audit and table hold all accepted steps, and the table is said to be kept."""
     line = f"run models.py:unsolvable --stop 2 --step 0.02 --engine {engine} --audit u.parquet -o u.csv"
     said = "unsolvable at t = 0.9|, h = 0.000|Newton's method did not converge|worst: |Next: reduce the step"
     text = refused(3, line, *said.split("|"))
     failed = float(text.split("t = ")[1].split(" s")[0])
     summary = summarise(read("u.parquet"))
-    assert summary.events == {"nonconverged": 1} and not Path("u.csv").exists()
+    rows = Path("u.csv").read_text().splitlines()[1:]
+    assert summary.events == {"nonconverged": 1} and len(rows) == summary.steps + 1
+    assert float(rows[-1].split(",")[0]) == pytest.approx(summary.t_end) and f"kept: u.csv, {len(rows)} rows" in text
     assert 0 <= failed - summary.t_end < 0.02 and summary.steps == round(summary.t_end / 0.02) > 40
     refused(0, "audit u.parquet", "closed", "1 nonconverged")
 

@@ -6,16 +6,22 @@ A stream that was cut off anywhere (kill -9, power, full disk) gives back every 
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from phfmu.files import beside, require_writable
+
 from .columns import COLUMNS, SCHEMA_VERSION
+from .lock import try_lock
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 SCHEMA_KEY = b"phfmu.audit.schema"
+#: process and machine that write a stream; not in the Parquet file
+WRITER_KEY = b"phfmu.audit.writer"
 _ROW_GROUP = 1 << 17
 
 
@@ -25,6 +31,53 @@ def stream_path(path: str | os.PathLike[str]) -> Path:
     if path.suffix not in (".parquet", ".arrows"):
         raise ValueError(f"audit log {str(path)!r} must end in .parquet, e.g. {path.stem}.audit.parquet")
     return path.with_suffix(".arrows")
+
+
+class LogInUse(OSError):
+    """The log is being written by another run."""
+
+
+def require_free(path: str | os.PathLike[str], shown: str) -> None:
+    """Errors if a log X.parquet cannot be begun: asked before a run, not after it.
+
+    ValueError: ending, folder, permissions; LogInUse, FileExistsError: a stream of a running or broken run is there.
+    """
+    stream = stream_path(path)
+    require_writable(stream.with_suffix(".parquet"), shown)
+    if stream.exists():
+        raise occupied(stream)
+
+
+def occupied(stream: Path) -> Exception:
+    """Why the stream that is there already cannot be written."""
+    try:
+        with held(stream):
+            return FileExistsError(
+                f"{stream} is left from a run that did not end; "
+                f"keep its rows with `phfmu audit recover {stream}` or delete it"
+            )
+    except OSError as error:
+        return error
+
+
+@contextmanager
+def held(stream: Path) -> Iterator[None]:
+    """The lock of a stream nobody writes; LogInUse if a run does."""
+    fd = os.open(stream, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    try:
+        if not try_lock(fd, str(stream)):
+            raise LogInUse(f"{stream} is being written by {_writer(stream)}; wait for its end, or name another log")
+        yield
+    finally:
+        os.close(fd)
+
+
+def _writer(stream: Path) -> str:
+    try:
+        found = json.loads((_Stream(stream).schema.metadata or {})[WRITER_KEY])
+        return f"process {found['pid']} on {found['host']}"
+    except (ValueError, KeyError, TypeError):
+        return "another process"
 
 
 class _Stream:
@@ -80,10 +133,11 @@ def compact(stream: Path, target: Path) -> tuple[int, bool]:
         rows += batch.num_rows
         columns |= {name for name, c in zip(batch.schema.names, batch.columns, strict=True) if c.null_count < len(c)}
     keep = _used(columns)
-    schema = pa.schema([first.schema.field(name) for name in keep], metadata=first.schema.metadata)
-    partial = target.with_name(target.name + ".partial")
+    about = {key: value for key, value in first.schema.metadata.items() if key != WRITER_KEY}
+    schema = pa.schema([first.schema.field(name) for name in keep], metadata=about)
+    partial = beside(target)
     try:
-        with pq.ParquetWriter(partial, schema, compression="zstd") as writer:
+        with pq.ParquetWriter(partial, schema, compression="zstd", write_page_checksum=True) as writer:
             group: list[pa.RecordBatch] = []
             for batch in _Stream(stream):
                 group.append(batch.select(keep))
@@ -116,13 +170,15 @@ class Recovered:
 def recover(path: str | os.PathLike[str]) -> Recovered:
     """Turn the stream of a broken run (X.arrows, or named by its X.parquet) into X.parquet and remove it.
 
-    Errors: FileNotFoundError without a stream; ValueError if not even its header is complete.
+    Errors: FileNotFoundError without a stream; LogInUse if its run is under way; ValueError if not even its header is
+    complete.
     """
     stream = stream_path(path)
     if not stream.exists():
         raise FileNotFoundError(f"no stream {stream} to recover; a run that ended well leaves only its Parquet file")
     target = stream.with_suffix(".parquet")
-    rows, torn = compact(stream, target)
+    with held(stream):
+        rows, torn = compact(stream, target)
     stream.unlink()
     return Recovered(target, rows, torn)
 
@@ -146,11 +202,13 @@ def read(path: str | os.PathLike[str]) -> "pa.Table":
         table = _table(list(source), source.schema)
         return table.select(_used({n for n in table.column_names if table[n].null_count < table.num_rows}))
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             _check_schema(file.schema_arrow.metadata, path)
             return file.read()
     except pa.ArrowInvalid as error:
         raise ValueError(f"{path} is not an audit log: {error}") from error
+    except OSError as error:
+        raise ValueError(f"{path} is damaged: {error}") from error
 
 
 def _check_schema(metadata: Mapping[bytes, bytes] | None, path: Path) -> None:

@@ -2,18 +2,21 @@
 
 import json
 import os
+import socket
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 
-from .archive import SCHEMA_KEY, compact, stream_path
+from .archive import SCHEMA_KEY, WRITER_KEY, compact, occupied, stream_path
 from .columns import COLUMNS, DTYPES, SCHEMA_VERSION, Row, Section, block_sections, rows_section
+from .lock import try_lock
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -22,7 +25,7 @@ if TYPE_CHECKING:
     from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
 
 FLUSH_ROWS = 1024
-FLUSH_SECONDS = 0.5
+FLUSH_SECONDS = 0.25
 
 _VERSIONS_KEY = b"phfmu.audit.versions"
 _PACKAGES = ("phfmu", "casadi", "numpy", "pyarrow")
@@ -32,30 +35,31 @@ class AuditWriter:
     """Writes the rows of a `Ledger` to X.arrows and compacts them to X.parquet on close.
 
     Use as a context manager: on an exception the log is closed and compacted all the same. `metadata` are
-    free keys (units per port, model hash, options); values that are not strings are kept as JSON.
-    Errors: ValueError for an ending other than .parquet; FileExistsError if a broken run's stream is there.
+    free keys (units per port, model hash, options); values that are not strings are kept as JSON. From the start the
+    stream is a readable log, and locked until `close`.
+    Errors: ValueError for an ending other than .parquet; LogInUse if another run writes the log; FileExistsError if a
+    broken run's stream is there.
     """
 
     def __init__(self, path: str | os.PathLike[str], metadata: Mapping[str, Any] | None = None) -> None:
         import pyarrow as pa
 
-        self.stream = stream_path(path)
+        # absolute: what a run loads may change the working folder
+        self.stream = Path(os.path.abspath(stream_path(path)))
         self.path = self.stream.with_suffix(".parquet")
-        if self.stream.exists():
-            raise FileExistsError(
-                f"{self.stream} is left from a run that did not end; "
-                f"keep its rows with `phfmu audit recover {self.stream}` or delete it"
-            )
         self._codes: dict[str, dict[str, int]] = {name: {} for name, kind in COLUMNS.items() if kind == "name"}
         self._names: dict[str, pa.Array] = {}
         self._rows: dict[str, list[tuple[int | None, float, float | None, Row]]] = {}
         self._sections: list[Section] = []
         self._pending = 0
+        #: rows taken so far
+        self.rows = 0
         self._flushed_at = time.monotonic()
         self._schema = _schema(metadata or {})
-        self._file: Any = pa.OSFile(str(self.stream), "wb")
+        self._file: Any = _created(self.stream)
         options = pa.ipc.IpcWriteOptions(compression="lz4", emit_dictionary_deltas=True)
         self._writer = pa.ipc.new_stream(self._file, self._schema, options=options)
+        self._put([])
 
     def __enter__(self) -> Self:
         return self
@@ -80,7 +84,7 @@ class AuditWriter:
         groups = (("component", components), ("port", ports), ("junction", junctions), ("network", [network]))
         for kind, rows in groups:
             self._rows.setdefault(kind, []).extend((step, t0, h, row) for row in rows)
-            self._pending += len(rows)
+            self._took(len(rows))
         self._flush_if_due()
 
     def write_block(self, block: "Block") -> None:
@@ -88,14 +92,14 @@ class AuditWriter:
         self._check_open()
         sections = block_sections(block, self._encode)
         self._sections += sections
-        self._pending += sum(section.n for section in sections)
+        self._took(sum(section.n for section in sections))
         self._flush_if_due()
 
     def write_event(self, event: "EventRow") -> None:
         """Take one event."""
         self._check_open()
         self._rows.setdefault("event", []).append((None, event.t, None, event))
-        self._pending += 1
+        self._took(1)
         self._flush_if_due()
 
     def flush(self) -> None:
@@ -108,22 +112,52 @@ class AuditWriter:
             if rows:
                 self._sections.append(rows_section(kind, rows, self._encode))
         sections, self._sections, self._rows, self._pending = self._sections, [], {}, 0
-        self._writer.write_batch(self._batch(sections))
+        self._put(sections)
 
     def close(self) -> Path:
-        """Flush, compact to Parquet, remove the stream and return the Parquet path; again is harmless."""
+        """Flush, compact to Parquet, remove the stream and return the Parquet path; again is harmless.
+
+        Errors: OSError, e.g. of a full disk; the stream is kept then and `recover` gives its complete batches.
+        """
         if self._file is not None:
-            self.flush()
-            self._writer.close()
-            self._file.close()
-            self._file = None
-            compact(self.stream, self.path)
+            try:
+                self.flush()
+                self._writer.close()
+                self._file.flush()
+                compact(self.stream, self.path)
+            except OSError as error:
+                self._release()
+                raise OSError(
+                    f"{self.path} cannot be written: {error}; what is in {self.stream} stays: make room, then "
+                    f"`phfmu audit recover {self.stream}`"
+                ) from error
+            self._release()
             self.stream.unlink()
         return self.path
+
+    def discard(self) -> None:
+        """End without a log, as if none had been begun; what was at its path before stays."""
+        if self._file is not None:
+            self._release()
+            self.stream.unlink()
+
+    def _release(self) -> None:
+        """Give the file and its lock back; what could not be written by now is dropped."""
+        file, self._file = self._file, None
+        with suppress(OSError):
+            file.close()
+
+    def _put(self, sections: list[Section]) -> None:
+        self._writer.write_batch(self._batch(sections))
+        self._file.flush()
 
     def _check_open(self) -> None:
         if self._file is None:
             raise ValueError(f"audit log {self.path} is closed; open a new AuditWriter for another run")
+
+    def _took(self, rows: int) -> None:
+        self._pending += rows
+        self.rows += rows
 
     def _flush_if_due(self) -> None:
         if self._pending >= FLUSH_ROWS or time.monotonic() - self._flushed_at >= FLUSH_SECONDS:
@@ -159,6 +193,17 @@ class AuditWriter:
         return pa.RecordBatch.from_arrays(arrays, schema=self._schema)
 
 
+def _created(path: Path) -> BinaryIO:
+    """A new file under a lock."""
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+    except FileExistsError:
+        raise occupied(path) from None
+    while not try_lock(fd, str(path)):
+        time.sleep(0.01)  # somebody looks at it in this moment
+    return open(fd, "wb")
+
+
 def _joined(column: str, sections: list[Section], n: int) -> tuple[Any, Any]:
     """One column of all sections, one after the other, and where it is null."""
     values, null = np.zeros(n, DTYPES[COLUMNS[column]]), np.ones(n, bool)
@@ -186,6 +231,7 @@ def _schema(metadata: Mapping[str, Any]) -> "pa.Schema":
         for key, value in metadata.items()
     }
     keys |= {SCHEMA_KEY: str(SCHEMA_VERSION).encode(), _VERSIONS_KEY: json.dumps(versions).encode()}
+    keys[WRITER_KEY] = json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode()
     types = {
         "i64": pa.int64(),
         "i32": pa.int32(),

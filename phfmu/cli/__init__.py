@@ -6,7 +6,9 @@ Exit codes: 0 fine, 1 problems found, 2 bad usage or input, 3 no convergence, 4 
 from __future__ import annotations
 
 import argparse
+import io
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -31,6 +33,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names and descriptions that the terminal has no letters for
+            stream.reconfigure(errors="backslashreplace")
     args = _parser().parse_args(arguments)
     if os.environ.get("PHFMU_TRACEBACK"):
         return args.call(args)
@@ -39,9 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FINE
-    except KeyboardInterrupt:
-        print("phfmu: interrupted; what was written so far is readable", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stop:
+        _say(stop, f"interrupted{f' ({stop})' if stop.args else ''}")
+        return 128 + getattr(stop, "number", signal.SIGINT)
     except Exception as error:
         return _report(error)
 
@@ -54,5 +59,11 @@ def _report(error: Exception) -> int:
     known = (ValueError, KeyError, OSError, RuntimeError)
     if not isinstance(error, known):
         text = f"internal error: {type(error).__name__}: {text} (set PHFMU_TRACEBACK=1 for the traceback)"
-    print(f"phfmu: {text}", file=sys.stderr)
+    _say(error, text)
     return NO_CONVERGENCE if isinstance(error, StepFailure) else USAGE
+
+
+def _say(error: BaseException, text: str) -> None:
+    """The line of an error, and one for each of its notes."""
+    for line in (text, *getattr(error, "__notes__", ())):
+        print(f"phfmu: {line}", file=sys.stderr)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from phfmu.words import counted
@@ -51,12 +52,15 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.cli import FINE, LEDGER, options
     from phfmu.cli.build import stepper_for
+    from phfmu.cli.interrupt import Signals
+    from phfmu.cli.outputs import Outputs
     from phfmu.cli.target import is_fmu
     from phfmu.cli.timeline import timeline
     from phfmu.network.run import run
     from phfmu.network.stepper import Monolithic
 
-    _check_files(args)
+    _check(args)
+    outputs = Outputs(args)
     stepper, scene, label = stepper_for(args)
     stop = scene.stop if args.stop is None else args.stop
     step = scene.step if args.step is None else args.step
@@ -64,27 +68,17 @@ def call(args: argparse.Namespace) -> int:
     changes = [e for e in events if e.t < stop]
     if changes and not is_fmu(args.target):
         options.require_sound(args, scene.declaration(), changes)
-    writer = _audit_writer(args, label)
-    report = _Progress(stop, args.quiet)
-    keep = None if args.output else _forget
-    try:
-        with report:
-            result = run(
-                stepper, stop=stop, step=step, events=events, sink=writer, progress=report.update, keep=keep,
-                project=args.project, kept=args.keep,
-                **options.steps(args, scene, monolithic=isinstance(stepper, Monolithic)),
-            )  # fmt: skip
-    finally:
-        if writer is not None:
-            writer.close()
-    if args.output:
-        from phfmu.cli.table import write_table
-
-        write_table(args.output, result)
+    with Signals() as signals, outputs, _Progress(stop, args.quiet, signals.check) as report:
+        outputs.begin(stepper.names, {"target": args.target, "run": label}, args.dense is not None)
+        result = run(
+            stepper, stop=stop, step=step, events=events, sink=outputs.sink, progress=report.update, keep=outputs.keep,
+            project=args.project, kept=args.keep,
+            **options.steps(args, scene, monolithic=isinstance(stepper, Monolithic)),
+        )  # fmt: skip
     summary = result.ledger.summary()
     bad = [c for c in summary.components if c.quality == "exact" and not c.worst_relative <= args.audit_rtol]
     if not args.quiet:
-        _print_run(args, label, result, stop, step, report.seconds)
+        _print_run(args, label, result, stop, step, report.seconds - outputs.seconds)
         _print_notes([*dropped, *result.notes])
         print(audit_table(summary, args.audit_rtol), end="")
     if bad:
@@ -92,36 +86,13 @@ def call(args: argparse.Namespace) -> int:
     return LEDGER if bad else FINE
 
 
-def _forget(*_: object) -> None:
-    """Rows that nobody asked for are not kept in memory."""
-
-
-def _check_files(args: argparse.Namespace) -> None:
+def _check(args: argparse.Namespace) -> None:
     """What would fail after the run fails before it."""
-    from pathlib import Path
-
     from phfmu.cli.options import tolerance
 
     tolerance(args.audit_rtol, "--audit-rtol")
     if args.keep and not args.project:
         raise ValueError(f"--keep {args.keep[0]} says what a projection leaves alone; add --project")
-    if args.output:
-        from phfmu.cli.table import check_table
-
-        check_table(args.output)
-    folder = Path(args.audit or ".").parent
-    if not folder.is_dir():
-        raise ValueError(f"--audit {args.audit}: there is no folder '{folder}'; make it first")
-    if args.audit and args.output and Path(args.audit).resolve() == Path(args.output).resolve():
-        raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
-
-
-def _audit_writer(args: argparse.Namespace, label: str) -> Any:
-    if not args.audit:
-        return None
-    from phfmu.audit import AuditWriter
-
-    return AuditWriter(args.audit, {"target": args.target, "run": label})
 
 
 def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float, step: float, seconds: float) -> None:
@@ -170,10 +141,11 @@ def _print_projection(p: Projection) -> None:
 
 
 class _Progress:
-    """A progress bar on a terminal, nothing in a pipe; measures the wall time of the run."""
+    """A progress bar on a terminal, nothing in a pipe; measures the wall time of the run; ends it when asked to."""
 
-    def __init__(self, stop: float, quiet: bool):
+    def __init__(self, stop: float, quiet: bool, check: Callable[[], None]):
         self._bar: Any = None
+        self._check = check
         self._stop = stop
         self._show = sys.stderr.isatty() and not quiet
         self.seconds = 0.0
@@ -194,6 +166,7 @@ class _Progress:
     def update(self, t: float) -> None:
         if self._bar is not None:
             self._bar.update(self._task, completed=t)
+        self._check()
 
     def __exit__(self, *_: object) -> None:
         from time import perf_counter

@@ -109,8 +109,9 @@ class NativeInstance:
         record: Iterable[str] = (),
         inputs: ArrayLike | None = None,
         parts: int = 1,
+        first: int = 0,
     ) -> dict[str, Floats]:
-        """Steps k = 0..n-1 from t0 + k h without leaving C; `inputs`: n x nu, row k held over step k.
+        """Steps k = first..first+n-1 from t0 + k h without leaving C; `inputs`: n x nu, one row held over each.
 
         `record`: names from RECORD, a row a step each.  pairs, stored, dissipated, supplied, numerical: ledger of
         that step; unknowns: w of its last solve; energy: H per component at its end; counts: iterations and
@@ -120,7 +121,7 @@ class NativeInstance:
         width = dict.fromkeys(RECORD, plan.ncomp) | dict.fromkeys(("y_step", "pairs"), plan.nq)
         width |= {"unknowns": plan.nw, "signals": len(self._table), "x": plan.nx, "a": plan.na, "counts": 2}
         result = {name: np.full((n, width[name]), np.nan) for name in record}
-        request = Record(parts=parts)
+        request = Record(parts=parts, first=first)
         for name, array in result.items():
             setattr(request, name, Column(array.ctypes.data, array.shape[1]))
         if inputs is not None:

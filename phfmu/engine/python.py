@@ -272,8 +272,9 @@ class PythonInstance:
         record: Iterable[str] = (),
         inputs: ArrayLike | None = None,
         parts: int = 1,
+        first: int = 0,
     ) -> dict[str, Array]:
-        """Steps k = 0..n-1 from t0 + k h; arguments and results as in `NativeInstance.run`."""
+        """Steps k = first..first+n-1 from t0 + k h; arguments and results as in `NativeInstance.run`."""
         rows: dict[str, list[Array]] = {name: [] for name in record}
         held = None if inputs is None else np.asarray(inputs, float)
         if held is not None and held.shape != (n, self.model.step.nu):
@@ -282,7 +283,7 @@ class PythonInstance:
             if held is not None:
                 self.set_input(held[k])
             try:
-                now = self._stepped(t0 + k * h, h, parts, reads=bool({"signals", "energy"} & rows.keys()))
+                now = self._stepped(t0 + (first + k) * h, h, parts, reads=bool({"signals", "energy"} & rows.keys()))
             except StepFailure as failure:
                 failure.recorded = {name: np.array(kept) for name, kept in rows.items()}
                 raise

@@ -147,11 +147,11 @@ class Coupled:
                 m.set_state(s)
         self._apply(self.xi)
 
-    def advance(self, t0: float, h: float, n: int) -> Steps:
+    def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         rows: list[tuple[Array, ...]] = []
         for k in range(n):
             try:
-                now = self.step(t0 + k * h, h, lambda: (self.read(), self.energies()))
+                now = self.step(t0 + (first + k) * h, h, lambda: (self.read(), self.energies()))
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
                 raise

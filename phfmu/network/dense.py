@@ -55,10 +55,10 @@ class Dense:
         self._kind = type(instance)
         self._viewers: dict[int, tuple[Polynomial, Any]] = {}
 
-    def between(self, instance: Any, before: Array, r: dict[str, Array], t0: float, h: float) -> Array:
-        """Table rows (n x rows x width) within the n recorded steps from t0 of size h; nan in steps that were divided.
+    def between(self, instance: Any, before: Array, r: dict[str, Array], t0: float, h: float, first: int) -> Array:
+        """Table rows (n x rows x width) within the n recorded steps from t0 + first h of size h; nan in steps that were divided.
 
-        `before`: the table row at t0;  r: signals, unknowns, counts of the steps.
+        `before`: the table row at their start;  r: signals, unknowns, counts of the steps.
         """
         ends, layout = np.vstack([before[None], r["signals"]]), instance.layout
         out = np.full((len(ends) - 1, len(self.tau), ends.shape[1]), np.nan)
@@ -70,7 +70,7 @@ class Dense:
                 for name in SUMS:
                     row[layout[name]] = (1 - tau) * ends[k, layout[name]] + tau * ends[k + 1, layout[name]]
                 x = polynomial(ends[k, layout["x"]], r["unknowns"][k], float(tau))
-                viewer.set_x(t0 + (k + tau) * h, x)
+                viewer.set_x(t0 + (first + k + tau) * h, x)
                 viewer.initialise()
                 now = viewer.signals()
                 for name in INSTANT:

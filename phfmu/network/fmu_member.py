@@ -161,11 +161,11 @@ class FMUStepper:
             f"{self.unit.name}: a start inside an FMU cannot be projected at t = {t0:g} s; set start values"
         )
 
-    def advance(self, t0: float, h: float, n: int) -> Steps:
+    def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         rows: list[tuple[Array, ...]] = []
         for k in range(n):
             try:
-                self.unit.do_step(t0 + k * h, h)
+                self.unit.do_step(t0 + (first + k) * h, h)
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
                 raise

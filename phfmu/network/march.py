@@ -1,8 +1,12 @@
-"""How a run gets from event to event: equal steps, or steps that keep a tolerance; either with restart steps."""
+"""How a run gets from event to event: equal steps, or steps that keep a tolerance; either with restart steps.
+
+Rows are handed over in blocks: what is on its way to the audit and the result file is at most `BLOCK_SECONDS` old.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +24,9 @@ Array = NDArray[Any]
 Row = tuple[Array, Array, Array]
 Rows = Iterator[Row]
 
-BLOCK = 4096  # steps between progress reports and audit flushes
+BLOCK = 4096  # most steps of a block
+BLOCK_SECONDS = 0.15  # wall time that a block should take
+GROWTH = 64  # most that a block may have more steps than the one before it
 
 
 def pieces(start: float, end: float, h: float) -> Iterator[tuple[float, float, int]]:
@@ -28,12 +34,29 @@ def pieces(start: float, end: float, h: float) -> Iterator[tuple[float, float, i
     n = int(np.floor((end - start) / h * (1 + 1e-12) + 1e-9))
     if n:
         full = abs(start + n * h - end) <= 1e-9 * h
-        step = (end - start) / n if full else h
-        for first in range(0, n, BLOCK):
-            yield start + first * step, step, min(BLOCK, n - first)
+        yield start, (end - start) / n if full else h, n
         if full:
             return
     yield start + n * h, end - (start + n * h), 1
+
+
+class Pace:
+    """How many steps to take before their rows are handed over, from the wall time that steps took."""
+
+    def __init__(self) -> None:
+        self.steps = 1
+        self._since = perf_counter()
+
+    def full(self, taken: int) -> bool:
+        """Whether the steps since the last rows fill a block."""
+        return taken >= BLOCK or perf_counter() - self._since >= BLOCK_SECONDS
+
+    def handed_over(self, taken: int) -> None:
+        """After `taken` steps with all that was done with their rows."""
+        now = perf_counter()
+        fit = int(BLOCK_SECONDS * taken / max(now - self._since, 1e-9))
+        self.steps = max(1, min(fit, GROWTH * taken, BLOCK))
+        self._since = now
 
 
 class FixedSteps:
@@ -48,6 +71,7 @@ class FixedSteps:
             self._damped = Restart(monolithic(stepper, "--restart"))
         self._restarted = 0
         self._cut: list[float] = []
+        self._pace = Pace()
 
     def over(self, start: float, end: float, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
@@ -56,11 +80,12 @@ class FixedSteps:
             if h < self.step * (1 - 1e-9):
                 self._cut.append(h)
             first = 0
-            while left and first < n and self._damped is not None:
-                yield self._booked(t + first * h, h, 1, damped=True)
-                first, left = first + 1, left - 1
-            if first < n:
-                yield self._booked(t + first * h, h, n - first)
+            while first < n:
+                damped = left > 0 and self._damped is not None
+                count = 1 if damped else min(self._pace.steps, n - first)
+                yield from self._booked(t, h, first, count, damped)
+                first, left = first + count, max(left - 1, 0)
+                self._pace.handed_over(count)
 
     def facts(self) -> dict[str, Any]:
         """What the result says about the steps."""
@@ -71,21 +96,26 @@ class FixedSteps:
         cut = [_shorter(self._cut, self.book.steps, self.step)] if self._cut else []
         return cut + (_not_damped(self._damped.refused, self._restarted) if self._damped else [])
 
-    def _booked(self, t: float, h: float, n: int, damped: bool = False) -> Row:
+    def _booked(self, t: float, h: float, first: int, n: int, damped: bool) -> Rows:
+        """The rows of steps first..first+n-1 of the grid t + k h; those before one that fails, too."""
         try:
             if damped and self._damped is not None:
-                steps = self._damped.advance(t, h)
+                steps = self._damped.advance(t + first * h, h)
                 self._restarted += 1
             else:
-                steps = self.stepper.advance(t, h, n)
+                steps = self.stepper.advance(t, h, n, first)
         except StepFailure as failure:
             kept = failure.recorded.get("steps")
             if kept is not None:
-                self.book.add(t + h * np.arange(len(kept.H)), np.full(len(kept.H), h), kept)
+                yield self._added(t, h, first, kept)
             self.book.failed(failure)
             raise
-        self.book.add(t + h * np.arange(n), np.full(n, h), steps)
-        return _rows(t + h * np.arange(n), t + h * np.arange(1, n + 1), steps)
+        yield self._added(t, h, first, steps)
+
+    def _added(self, t: float, h: float, first: int, steps: Steps) -> Row:
+        times = t + h * np.arange(first, first + len(steps.H) + 1)
+        self.book.add(times[:-1], np.full(len(steps.H), h), steps)
+        return _rows(times[:-1], times[1:], steps)
 
 
 class AdaptiveSteps:
@@ -97,6 +127,7 @@ class AdaptiveSteps:
         self.book, self.restart, self.landing = book, restart, landing
         self.adaptive = Adaptive(monolithic(stepper, "--rtol"), control)
         self._restarted, self._wanted = 0, 0
+        self._pace = Pace()
 
     def over(self, start: float, end: float, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
@@ -111,11 +142,13 @@ class AdaptiveSteps:
                     left = max(left - 1, 0)
                     times.append(t)
                     rows.append(steps)
-                    if len(rows) == BLOCK:
+                    if self._pace.full(len(rows)):
                         yield self._booked(times, rows)
+                        self._pace.handed_over(len(rows))
                         times, rows = [t], []
         except StepFailure as failure:
-            self._booked(times, rows)
+            if rows:
+                yield self._booked(times, rows)
             self.book.failed(failure)
             raise
         if rows:
@@ -140,8 +173,6 @@ class AdaptiveSteps:
                 yield end if abs(goal - end) <= 1e-9 * h else goal
 
     def _booked(self, times: list[float], rows: list[Steps]) -> Row:
-        if not rows:
-            return np.zeros(0), np.zeros((0, 0)), np.zeros(0, bool)
         steps, t = Steps.joined(rows), np.array(times)
         self.book.add(t[:-1], np.diff(t), steps)
         return _rows(t[:-1], t[1:], steps)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.network.book import Book
-from phfmu.network.march import AdaptiveSteps, FixedSteps, monolithic
+from phfmu.network.march import AdaptiveSteps, FixedSteps, Row, monolithic
 from phfmu.network.scene import Event
 from phfmu.network.stepper import Stepper
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from phfmu.network.adaptive import Control
 
 Array = NDArray[Any]
+#: takes (times, values, whether each row lies within a step)
+Keep = Callable[[Array, Array, Array], None]
 
 
 @dataclass
@@ -97,7 +99,7 @@ def run(
     events: Sequence[Event] = (),
     sink: Any = None,
     progress: Callable[[float], None] | None = None,
-    keep: Callable[[Array, Array], None] | None = None,
+    keep: Keep | None = None,
     project: bool = False,
     kept: Sequence[str] = (),
     restart: int = 0,
@@ -116,7 +118,9 @@ def run(
     restart:  damping steps (Radau IIA) after each event
     dense:  rows within each step, interpolated (see `dense.py`)
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
-    keep:  receives (time, values) blocks instead of collecting them
+    keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
+        accepted before a failure
+    progress:  called with the time after each block; a KeyboardInterrupt from it ends the run there
     project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
     kept:  states that the projection leaves as they are
     Errors: ValueError for a bad step or stop; InconsistentState; StepFailure (audit written so far stays readable);
@@ -137,44 +141,35 @@ def run(
 
         whole = monolithic(stepper, "--dense")
         whole.dense = Dense(whole.instance, dense)
-    times: list[Array] = []
-    rows: list[Array] = []
-    inside: list[Array] = [np.zeros(1, bool)]
-
-    def take(t: Array, v: Array) -> None:
-        if keep is not None:
-            keep(t, v)
-        else:
-            times.append(t)
-            rows.append(v)
-
+    rows = _Rows(keep, progress)
     first, projection = True, None
-    for start, end, here in segments(t0, stop, events, close=1e-9 * step):
-        for e in here:
+    try:
+        for start, end, here in segments(t0, stop, events, close=1e-9 * step):
+            for e in here:
+                if first:
+                    stepper.set_value(e.name, e.value)
+                else:
+                    book.set_value(e)
             if first:
-                stepper.set_value(e.name, e.value)
-            else:
-                book.set_value(e)
-        if first:
-            if project:
-                projection = book.project(t0, kept)
-            stepper.check_start()
-            prepare = getattr(stepper, "prepare", None)
-            if prepare is not None:
-                prepare(t0, min(step, end - t0))
-            book.start()
-            take(np.array([t0]), stepper.read()[None])
-            first = False
-        for ends, values, interpolated in march.over(start, end, start > t0):
-            take(ends, values)
-            inside.append(interpolated)
-            if progress is not None:
-                progress(float(ends[-1]))
-    ledger.flush()
-    time = np.concatenate(times) if times else np.zeros(0)
-    values = np.concatenate(rows) if rows else np.zeros((0, len(stepper.names)))
+                if project:
+                    projection = book.project(t0, kept)
+                stepper.check_start()
+                prepare = getattr(stepper, "prepare", None)
+                if prepare is not None:
+                    prepare(t0, min(step, end - t0))
+                book.start()
+                rows.take(np.array([t0]), stepper.read()[None], np.zeros(1, bool))
+                first = False
+            for row in march.over(start, end, start > t0):
+                rows.take(*row)
+    except KeyboardInterrupt:
+        ledger.event(rows.last, "interrupted")
+        raise
+    finally:
+        ledger.flush()
+    time, values, inside = rows.joined(len(stepper.names))
     worst, facts = book.worst(), march.facts()
-    facts |= {"interpolated": np.concatenate(inside)} if dense else {}
+    facts |= {"interpolated": inside} if dense else {}
     notes = (*_unreached(events, stop - 1e-9 * step, stop), *book.notes, *march.notes())
     return Result(
         stepper.names, time, values, ledger, book.steps, book.iterations, worst, projection, notes=notes, **facts
@@ -188,6 +183,32 @@ def _unreached(events: Sequence[Event], last: float, stop: float) -> list[str]:
         return []
     e, more = late[0], f" and {len(late) - 1} more" if len(late) > 1 else ""
     return [f"not reached before the end at {stop:g} s: {e.name} = {e.value:g} at t = {e.t:g} s{more}"]
+
+
+class _Rows:
+    """The rows of a run: handed on, or collected."""
+
+    def __init__(self, keep: Keep | None, progress: Callable[[float], None] | None):
+        self._keep, self._progress = keep, progress
+        self._blocks: list[Row] = []
+        self.last = np.nan
+
+    def take(self, time: Array, values: Array, inside: Array) -> None:
+        """One block: times (n), values (n x names), whether each row lies within a step (n)."""
+        if self._keep is None:
+            self._blocks.append((time, values, inside))
+        else:
+            self._keep(time, values, inside)
+        self.last = float(time[-1])
+        if self._progress is not None:
+            self._progress(self.last)
+
+    def joined(self, width: int) -> Row:
+        """All rows that were not handed on."""
+        if not self._blocks:
+            return np.zeros(0), np.zeros((0, width)), np.zeros(0, bool)
+        time, values, inside = (np.concatenate(parts) for parts in zip(*self._blocks, strict=True))
+        return time, values, inside
 
 
 def _check_times(t0: float, stop: float, step: float) -> None:

@@ -67,7 +67,7 @@ class Booking:
 
 
 class Stepper(Protocol):
-    """Drives a system through n steps.
+    """Drives a system through n steps, numbers first..first+n-1 of the grid t0 + k h.
 
     When a step fails, the state is that of the last accepted one and StepFailure.recorded["steps"] holds those before.
     """
@@ -81,7 +81,7 @@ class Stepper(Protocol):
     def energies(self) -> Array: ...
     def check_start(self) -> None: ...
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None: ...
-    def advance(self, t0: float, h: float, n: int) -> Steps: ...
+    def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps: ...
 
 
 class InconsistentState(ValueError):
@@ -186,9 +186,9 @@ class Monolithic:
         self.instance.initialise()
         return found
 
-    def advance(self, t0: float, h: float, n: int) -> Steps:
+    def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         try:
-            return self.taken(self.instance, t0, h, n)
+            return self.taken(self.instance, t0, h, n, first)
         except StepFailure as failure:
             if len(failure.recorded.get("counts", ())):
                 failure.recorded = {"steps": self._steps(failure.recorded)}
@@ -198,16 +198,16 @@ class Monolithic:
         """An instance of the same declaration and engine under another scheme."""
         return type(self.instance)(build_model(self.model.declaration, scheme))
 
-    def taken(self, instance: Any, t0: float, h: float, n: int) -> Steps:
+    def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
         wanted = ("signals", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
         if instance.model.loses_energy:
             wanted += ("numerical",)
         if self.dense is None:
-            return self._steps(instance.run(t0, h, n, record=wanted))
+            return self._steps(instance.run(t0, h, n, record=wanted, first=first))
         before = np.concatenate(list(instance.signals().values()))
-        r = instance.run(t0, h, n, record=(*wanted, "unknowns"))
-        rows = self.dense.between(instance, before, r, t0, h)
+        r = instance.run(t0, h, n, record=(*wanted, "unknowns"), first=first)
+        rows = self.dense.between(instance, before, r, t0, h, first)
         picked = self._columns.pick(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], -1)
         return replace(self._steps(r), between=picked)
 

@@ -142,6 +142,7 @@ typedef struct ph_record {
     const double *input;    /* one row of held inputs a step, or NULL: inputs stay */
     ptrdiff_t input_stride; /* in doubles */
     int parts;              /* internal steps per step */
+    long long first;        /* number of the first step */
     ph_column signals;      /* whole signal table, end values included */
     ph_column x;            /* nx */
     ph_column a;            /* na */
@@ -156,8 +157,8 @@ typedef struct ph_record {
     ph_column counts;       /* 2: iterations and solves of the step */
 } ph_record;
 
-/* Steps k = 0..n-1 from t0 + k h; *done: steps accepted. record may be NULL. A step whose end values are
- * recorded but cannot be solved for is taken back. */
+/* Steps k = first..first+n-1 from t0 + k h, so that a run gives the same bits however it is cut; *done: steps
+ * accepted. record may be NULL. A step whose end values are recorded but cannot be solved for is taken back. */
 PH_API int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record, int *done);
 
 /* offset: PH_NBLOCK+1 places of the blocks in the signal table, the last one its length. */

@@ -304,7 +304,7 @@ int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record,
         }
         if (refresh)
             ph_save(in, in->backup);
-        status = ph_step_parts(in, t0 + *done * h, h, r->parts);
+        status = ph_step_parts(in, t0 + (double)(r->first + *done) * h, h, r->parts);
         if (status)
             return status;
         spent[0] = (double)in->count[PH_ITERATIONS] - before[0];

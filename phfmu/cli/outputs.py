@@ -1,0 +1,94 @@
+"""What a run writes: the result table and the audit; begun with it, fed by it, kept however it ends."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from phfmu.audit import AuditWriter
+    from phfmu.cli.table import TableWriter
+
+
+class Outputs:
+    """The files of -o and --audit.
+
+    Made before the model is: what would fail after the run fails here (ValueError, OSError), and the paths are those
+    of the present folder, wherever a unit goes later. As a context manager it ends the files; on an exception they keep
+    what was accepted, and a note of the exception says what that is. Without a row nothing is left.
+    """
+
+    def __init__(self, args: argparse.Namespace):
+        self._shown = {"-o": args.output, "--audit": args.audit}
+        self._table_path = self._audit_path = None
+        self.table: TableWriter | None = None
+        self.sink: AuditWriter | None = None
+        #: wall time spent on the result table
+        self.seconds = 0.0
+        if args.output:
+            from phfmu.cli.table import check_table
+
+            check_table(args.output)
+            self._table_path = Path(args.output).absolute()
+        if args.audit:
+            from phfmu.audit.archive import require_free
+
+            require_free(args.audit, f"--audit {args.audit}")
+            self._audit_path = Path(args.audit).absolute()
+        if self._table_path and self._audit_path:
+            here = self._table_path.resolve()
+            if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
+                raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
+
+    def begin(self, names: Sequence[str], about: dict[str, str], marked: bool) -> None:
+        """Open the files of a run with the columns `names`; `marked`: rows within steps are among them."""
+        if self._audit_path:
+            from phfmu.audit import AuditWriter
+
+            self.sink = AuditWriter(self._audit_path, about)
+        if self._table_path:
+            from phfmu.cli.table import TableWriter
+
+            self.table = TableWriter(self._table_path, names, marked)
+
+    def keep(self, time: np.ndarray, values: np.ndarray, inside: np.ndarray) -> None:
+        """Rows as the run makes them."""
+        if self.table is not None:
+            before = perf_counter()
+            self.table.add(time, values, inside)
+            self.seconds += perf_counter() - before
+
+    def __enter__(self) -> Outputs:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if error is None:
+            self._end()
+            return
+        try:
+            said = self._end()
+        except Exception as second:
+            error.add_note(str(second))
+            return
+        if said:
+            error.add_note(f"kept: {'; '.join(said)}")
+
+    def _end(self) -> list[str]:
+        """Finish both files; what they hold, in words."""
+        said = []
+        try:
+            if self.table is not None and self.table.rows:
+                self.table.close()
+                said.append(f"{self._shown['-o']}, {self.table.rows} rows to t = {self.table.last:.9g} s")
+        finally:
+            if self.sink is not None and self.sink.rows:
+                self.sink.close()
+                said.append(f"the audit {self._shown['--audit']}")
+            elif self.sink is not None:
+                self.sink.discard()
+        return said

@@ -1,0 +1,36 @@
+"""Files that others see only when they are whole."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+
+def beside(target: Path) -> Path:
+    """A new empty file in the folder of `target`, under a name that cannot be foretold: to be written, then moved there.
+
+    It has the permissions of any new file (by the umask). Errors: OSError if the folder cannot be written.
+    """
+    while True:
+        path = target.with_name(f"{target.name}.{secrets.token_hex(4)}.partial")
+        try:
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        except FileExistsError:
+            continue
+        return path
+
+
+def require_writable(target: Path, shown: str) -> None:
+    """ValueError unless a file can be put at `target`: asked before long work, not after it. `shown`: what to call it."""
+    folder = target.parent
+    if not folder.is_dir():
+        raise ValueError(f"{shown}: there is no folder '{folder}'; make it first")
+    if target.is_dir():
+        raise ValueError(f"{shown} is a folder; name a file")
+    if target.exists() and not (target.is_file() and os.access(target, os.W_OK)):
+        raise ValueError(f"{shown} is there and may not be replaced; name another file")
+    try:
+        beside(target).unlink()
+    except OSError as error:
+        raise ValueError(f"{shown}: cannot write in the folder '{folder}': {error.strerror}") from error

@@ -1,0 +1,261 @@
+"""Runs that end early: killed, interrupted, failed. What was accepted is kept, and at most a moment of it is lost."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from phfmu.audit import AuditWriter, read, recover, summarise
+from phfmu.cli import main
+from phfmu.network import march
+
+LOST = 0.6  # s, what a kill may cost
+
+# the command line, with the wall time at which the run had taken how many steps, before anything else sees them
+WATCHED = """
+import os, sys, time
+from phfmu.cli import main
+from phfmu.network.adaptive import Adaptive
+from phfmu.network.coupled import Coupled
+from phfmu.network.stepper import Monolithic
+stamps, total = os.open("stamps", os.O_CREAT | os.O_WRONLY | os.O_APPEND), 0
+def watched(kind, count):
+    advance = kind.advance
+    def stamped(self, *args, **options):
+        global total
+        found = advance(self, *args, **options)
+        total += count(args)
+        os.write(stamps, f"{total} {time.monotonic()!r}\\n".encode())
+        return found
+    kind.advance = stamped
+if "--rtol" in sys.argv:
+    watched(Adaptive, lambda args: 1)
+else:
+    watched(Monolithic, lambda args: args[2])
+    watched(Coupled, lambda args: args[2])
+raise SystemExit(main(sys.argv[1:]))
+"""
+
+RUNS = {
+    "python": "oscillator --engine python --step 1e-4",
+    "native": "smib --engine native --step 1e-6",
+    "newton": "oscillator --engine python --coupling newton --step 1e-4",
+    "newton, native": "two_machine --coupling newton",
+    "adaptive": "oscillator --engine python --rtol 1e-9",
+}
+
+
+class Started:
+    """A run in a process of its own, in the present folder."""
+
+    def __init__(self, line: str):
+        command = [sys.executable, "-c", WATCHED, "run", *line.split(), "--stop", "1e4", "--audit", "a.parquet"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def wait_for(self, seconds: float) -> None:
+        """Until the run has taken steps for so long."""
+        begun = None
+        while begun is None or time.monotonic() < begun + seconds:
+            assert self.process.poll() is None, self.process.communicate()
+            begun = begun or (time.monotonic() if Path("stamps").exists() and self.stamps() else None)
+            time.sleep(0.01)
+
+    def stamps(self) -> list[tuple[int, float]]:
+        """(steps taken, wall time); before the first step: none at the time of the first stamp."""
+        lines = [line.split() for line in Path("stamps").read_text().splitlines(keepends=False)]
+        return [(int(n), float(t)) for n, t in (line for line in lines if len(line) == 2)]
+
+    def end(self, number: int) -> tuple[int, float, str]:
+        """Send the signal; exit code, time of the signal, stderr."""
+        at = time.monotonic()
+        self.process.send_signal(number)
+        _, err = self.process.communicate(timeout=60)
+        return self.process.returncode, at, err
+
+
+@pytest.fixture
+def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Started]]:
+    monkeypatch.chdir(tmp_path)
+    runs: list[Started] = []
+
+    def start(line: str) -> Started:
+        Path("stamps").unlink(missing_ok=True)
+        runs.append(Started(line))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        if run.process.poll() is None:
+            run.process.kill()
+        run.process.communicate()
+
+
+def lost(run: Started, killed: float) -> float:
+    """Seconds before the kill in which steps were accepted that the log does not have."""
+    found = recover("a.arrows")
+    kept = summarise(read(found.path)).steps
+    found.path.unlink()
+    before = [t for n, t in run.stamps() if n <= kept]
+    if not before:
+        before = [run.stamps()[0][1]]
+    return killed - before[-1]
+
+
+# -- kill -9 -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["python", "newton"])
+def test_kill_loses_a_moment(started: Callable[[str], Started], kind: str, compiler: None) -> None:
+    run = started(RUNS[kind])
+    run.wait_for(1.5)
+    code, at, _ = run.end(signal.SIGKILL)
+    assert code == -signal.SIGKILL and lost(run, at) <= LOST
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", RUNS)
+def test_kill_at_any_time_loses_a_moment(started: Callable[[str], Started], kind: str, compiler: None) -> None:
+    draw = random.Random(kind)
+    for _ in range(20):
+        run = started(RUNS[kind])
+        run.wait_for(draw.uniform(0.0, 3.0))
+        _, at, _ = run.end(signal.SIGKILL)
+        assert lost(run, at) <= LOST
+
+
+def test_log_is_readable_from_the_start(tmp_path: Path) -> None:
+    sink = AuditWriter(tmp_path / "a.parquet", {"model": "m"})
+    assert read(sink.stream).num_rows == 0
+    sink.close()
+
+
+# -- signals -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "number, code, table", [(signal.SIGINT, 130, "o.csv"), (signal.SIGTERM, 143, "o.parquet"), (signal.SIGHUP, 129, "")]
+)
+def test_signals_end_a_run_well(started: Callable[[str], Started], number: int, code: int, table: str) -> None:
+    run = started(RUNS["python"] + (f" -o {table}" if table else ""))
+    run.wait_for(0.5)
+    found, _, err = run.end(number)
+    assert found == code, err
+    assert f"phfmu: interrupted ({signal.Signals(number).name})" in err and "the audit a.parquet" in err
+    assert not Path("a.arrows").exists() and not list(Path().glob("*.partial"))
+    summary = summarise(read("a.parquet"))
+    # nothing that was accepted is lost, and the log and the table end at the same step
+    assert summary.steps == run.stamps()[-1][0] > 0 and summary.events["interrupted"] == 1
+    if table:
+        t = column(table, "time")
+        assert f"{table}, {len(t)} rows to t = {t[-1]:.9g} s" in err
+        assert len(t) == summary.steps + 1 and t[-1] == pytest.approx(summary.t_end, abs=1e-15)
+
+
+def column(path: str, name: str) -> np.ndarray:
+    if path.endswith(".parquet"):
+        return pq.read_table(path)[name].to_numpy()
+    return np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0,))
+
+
+# -- one log, one run ----------------------------------------------------------------------------------------
+
+
+def test_a_log_belongs_to_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
+    monkeypatch.chdir(tmp_path)
+    code = "import time; from phfmu.audit import AuditWriter; w = AuditWriter('a.parquet'); print(flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None and other.stdout.readline()
+        for line in ("run mass --audit a.parquet", "audit recover a.arrows"):
+            assert main(line.split()) == 2
+            said = capfd.readouterr().err
+            assert said.count("\n") == 1 and f"being written by process {other.pid} " in said
+        assert read("a.arrows").num_rows == 0
+        other.kill()
+    assert main(["run", "mass", "--audit", "a.parquet"]) == 2
+    assert "left from a run that did not end" in capfd.readouterr().err
+    assert main(["audit", "recover", "a.arrows"]) == 0
+
+
+def test_pages_are_checked(tmp_path: Path) -> None:
+    """A bit that flips in the numbers of the log is told, wherever it is."""
+    path = tmp_path / "a.parquet"
+    assert main(["run", "oscillator", "--engine", "python", "--audit", str(path), "--quiet"]) == 0
+    sound, draw = path.read_bytes(), random.Random(1)
+    group = pq.ParquetFile(path).metadata.row_group(0)
+    chunks = [group.column(i) for i in range(group.num_columns)]
+    ends = [(c.dictionary_page_offset or c.data_page_offset) + c.total_compressed_size for c in chunks]
+    large = [(end, end - c.data_page_offset) for c, end in zip(chunks, ends, strict=True)]
+    large = [(end, size) for end, size in large if size > 400]  # mostly numbers, not the head of the page
+    assert len(large) > 5
+    for end, size in large:
+        damaged = bytearray(sound)
+        damaged[end - draw.randrange(1, size // 2)] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match="damaged"):
+            read(path)
+
+
+# -- places that cannot be written ---------------------------------------------------------------------------
+
+
+def test_places_are_tried_before_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("d.csv").mkdir()
+    Path("d.parquet").mkdir()
+    Path("built.py").write_text("raise RuntimeError('the model is built')\n")
+    places = [("-o d.csv", "is a folder"), ("--audit d.parquet", "is a folder"), ("-o no/o.csv", "no folder 'no'")]
+    if Path("/sys/kernel").is_dir():  # denied to anybody
+        places += [(f"{option} /sys/kernel/x.parquet", "cannot write in the folder") for option in ("-o", "--audit")]
+    for words, said in places:
+        assert main(["run", "built.py:model", *words.split()]) == 2
+        err = capfd.readouterr().err
+        assert err.count("\n") == 1 and said in err and words in err
+    assert sorted(os.listdir()) == ["built.py", "d.csv", "d.parquet"]
+
+
+def test_outputs_stay_where_the_run_began(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A unit that changes the working folder does not move them."""
+    monkeypatch.chdir(tmp_path)
+    Path("away").mkdir()
+    model = "import os\nfrom phfmu.components.mechanical.translational import mass\n"
+    Path("model.py").write_text(model + "def moves():\n    os.chdir('away')\n    return mass()\n")
+    words = "run model.py:moves --engine python --stop 0.01 -o o.csv --audit a.parquet --quiet"
+    assert main(words.split()) == 0
+    assert not os.listdir(tmp_path / "away") and {"o.csv", "a.parquet"} <= set(os.listdir(tmp_path))
+
+
+def test_a_refused_start_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    files = ["-o", "o.csv", "--audit", "a.parquet"]
+    assert main(["run", "mass", "--engine", "python", "--stop", "0.01", "--quiet", *files]) == 0
+    before = [Path(name).read_bytes() for name in files[1::2]]
+    assert main(["run", "mass", "--engine", "python", "--step", "nan", *files]) == 2
+    assert [Path(name).read_bytes() for name in files[1::2]] == before
+    assert sorted(os.listdir()) == ["a.parquet", "o.csv"]
+
+
+# -- blocks --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("line", ["drive --engine native --step 1e-4", "oscillator --engine python --step 3e-4"])
+def test_results_do_not_depend_on_the_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str) -> None:
+    """Blocks are cut by wall time; every number, the time included, is the same bits however they are cut."""
+    found = []
+    for size in (1, 7, 4096):
+        monkeypatch.setattr(march, "BLOCK", size)
+        path = tmp_path / f"{size}.parquet"
+        assert main(f"run {line} --stop 0.05 --quiet -o {path}".split()) == 0
+        found.append(pq.read_table(path))
+    assert found[0].equals(found[1]) and found[0].equals(found[2])
