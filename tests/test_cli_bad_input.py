@@ -280,7 +280,9 @@ def test_units(refused: Cli) -> None:
         Path("x.fmu").write_bytes(data)
         refuse("not a readable archive", "export or download it again")
     changed(lambda n, b: (n.replace("binaries/", "binaries/pdp11-").replace("sources/", "sources/"), b))
-    refuse("no library for this platform", "the archive has pdp11-")
+    refused(2, "run x.fmu", "x.fmu", "no library for this platform", "the archive has pdp11-")
+    refused(1, "check x.fmu", "x.fmu", "no library for this platform", "the archive has pdp11-")
+    refused(0, "info x.fmu", "libraries for: pdp11-", "it can be read, not run")
     for name in ("../out.txt", "/out.txt", "a/../../out.txt"):
         changed(lambda n, b: (n, b), **{name: b"out"})
         refuse(f"the path '{name}', which leaves its folder")

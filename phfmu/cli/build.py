@@ -163,6 +163,8 @@ def _fmu_run(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
 
     _refuse_compiled_in(args)
     unit = FMUInstance(args.target, starts=settings(args.set))
+    if unit.interface.left_out:
+        print(f"phfmu: {args.target}: left out, cannot be read or set here: {unit.interface.left_out}", file=sys.stderr)
     return FMUStepper(unit), fmu_scene(unit), f"FMI {unit.interface.version}"
 
 

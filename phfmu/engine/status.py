@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Status(Enum):
-    """Outcome of a solve; order and messages are those of `ph_status` in `runtime/phfmu.h`."""
+    """Outcome of a solve; order and messages are those of `ph_status` in `runtime/phfmu.h`, then those of units."""
 
     OK = "step accepted"
     NO_CONVERGENCE = "Newton's method did not converge, not even on the smallest substep"
@@ -18,6 +18,8 @@ class Status(Enum):
     ARGUMENT = "an argument is out of range"
     VALUE = "a given value is not finite; it was not taken over"
     NO_SENSITIVITY = "the sensitivity needs a last step that is one undivided step"
+    #: not one of `ph_status`: what only a unit of another tool can answer
+    UNIT = "a unit of another tool refused a call"
 
 
 REMEDY = {

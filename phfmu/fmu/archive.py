@@ -1,4 +1,4 @@
-"""Opening an archive: names and sizes are checked first, then only what is needed is extracted."""
+"""Opening an archive: names and sizes are checked first; files are extracted when a library is to be loaded."""
 
 from __future__ import annotations
 
@@ -6,59 +6,75 @@ import stat
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from io import BufferedReader, FileIO
 from pathlib import Path, PurePosixPath
 from weakref import WeakValueDictionary
 
 import fmpy
 
-from phfmu.fmu.interface import Interface, read_interface
+from phfmu.fmu import limits
+from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PATH as MANIFEST
+from phfmu.fmu.model_description import read_interface
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.words import plain
 
-#: refuse what would fill the disk
-LARGEST = 4 * 2**30
+CHUNK = 2**20
+#: what the standard allows; of other methods a few bytes can become gigabytes in one call
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 class Archive:
-    """An extracted unit: its `interface`, and the folder that lives as long as this object."""
+    """A unit that has been read: its `interface`, and `platforms` it has libraries for."""
 
     def __init__(self, path: Path):
         self.path = path
-        try:
-            with zipfile.ZipFile(path) as archive:
-                names = _checked(archive, path)
-                _require(names, path)
-                self.interface = read_interface(
-                    archive.read("modelDescription.xml"),
-                    archive.read(MANIFEST) if MANIFEST in names else None,
-                    path.name,
-                )
-                self.library = _library(names, self.interface, path)
-                self._folder = tempfile.TemporaryDirectory(prefix="phfmu-")
-                archive.extractall(self._folder.name, [n for n in names if _needed(n, self.library)])
-        except FileNotFoundError:
-            raise FMUError(f"{path}: there is no such file") from None
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            EOFError,
-            NotImplementedError,
-            RuntimeError,
-            OSError,
-        ) as error:
-            if isinstance(error, FMUError):
-                raise
-            raise FMUError(f"{path}: not a readable archive ({error}); export or download it again") from error
-        self.folder = Path(self._folder.name)
-        (self.folder / "resources").mkdir(exist_ok=True)
+        with _opened(path) as archive:
+            self._names = _checked(archive, path)
+            if "modelDescription.xml" not in self._names:
+                raise FMUError(f"{path}: the archive has no modelDescription.xml, so it is no FMU")
+            with archive.open("modelDescription.xml") as description:
+                manifest = _document(archive, MANIFEST, path) if MANIFEST in self._names else None
+                self.interface: Interface = read_interface(description, manifest, path.name)
+        parts = [PurePosixPath(n).parts for n in self._names]
+        self.platforms = tuple(sorted({plain(p[1], 50) for p in parts if p[0] == "binaries" and len(p) > 2}))
+
+    @cached_property
+    def library(self) -> str:
+        """Name inside of the library for this machine; FMUError names the platforms there are."""
+        own = fmpy.platform_tuple
+        folders = (fmpy.platform, own) if self.interface.version == "2.0" else (own,)
+        for folder in folders:
+            name = f"binaries/{folder}/{self.interface.identifier}{fmpy.sharedLibraryExtension}"
+            if name in self._names:
+                return name
+        raise FMUError(
+            f"{self.path}: no library for this platform ({' or '.join(folders)}); the archive has "
+            f"{', '.join(self.platforms) or 'none'}. Export it with this platform, or run it on one of those"
+        )
+
+    @cached_property
+    def folder(self) -> Path:
+        """What running it needs, extracted; the folder lives as long as this object."""
+        wanted = [n for n in self._names if _needed(n, self.library)]
+        self._folder = tempfile.TemporaryDirectory(prefix="phfmu-")
+        folder = Path(self._folder.name)
+        (folder / "resources").mkdir()
+        with _opened(self.path) as archive:
+            for name in wanted:
+                _extract(archive, name, folder / name)
+        return folder
 
 
 _OPEN: WeakValueDictionary[tuple[str, int, int], Archive] = WeakValueDictionary()
 
 
 def open_archive(path: str | Path) -> Archive:
-    """The extracted unit, shared by the instances of a file while one of them lives.  FMUError if refused."""
+    """The unit, shared by the instances of a file while one of them lives.  FMUError if refused."""
     path = Path(path)
     try:
         about = path.stat()
@@ -71,38 +87,70 @@ def open_archive(path: str | Path) -> Archive:
     return archive
 
 
-def _checked(archive: zipfile.ZipFile, path: Path) -> list[str]:
-    """Names of the files; refuses names that leave the folder, links, and sizes beyond all reason."""
-    total = 0
-    for entry in archive.infolist():
+class _ShortReads(BufferedReader):
+    """A file whose list of entries, read in one piece, cannot be longer than the limit."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None:
+            limits.within(self.name, size, limits.DIRECTORY, "bytes to be read at once, e.g. in the list of files")
+        return super().read(size)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    """The archive; what goes wrong inside is an FMUError with its path."""
+    try:
+        with _ShortReads(FileIO(str(path))) as file, zipfile.ZipFile(file) as archive:
+            yield archive
+    except FileNotFoundError:
+        raise FMUError(f"{path}: there is no such file") from None
+    except FMUError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        raise FMUError(f"{path}: not a readable archive ({error}); export or download it again") from error
+
+
+def _checked(archive: zipfile.ZipFile, path: Path) -> frozenset[str]:
+    """Names of the files; refuses names that leave the folder, links, other packings, and sizes beyond all reason."""
+    entries = archive.infolist()
+    limits.within(path, len(entries), limits.ENTRIES, "files in the archive")
+    for entry in entries:
         name, parts = entry.orig_filename, PurePosixPath(entry.filename).parts
-        if ".." in parts or name.startswith("/") or "\\" in name or ":" in name or "\0" in name:
-            raise FMUError(f"{path}: the archive holds the path '{name}', which leaves its folder; refused")
+        if not parts or ".." in parts or name.startswith("/") or "\\" in name or ":" in name or "\0" in name:
+            raise FMUError(f"{path}: the archive holds the path '{plain(name, 200)}', which leaves its folder; refused")
         if stat.S_ISLNK(entry.external_attr >> 16):
-            raise FMUError(f"{path}: the archive holds the link '{name}'; refused")
-        total += entry.file_size
-    if total > LARGEST:
-        raise FMUError(f"{path}: {total} bytes when extracted, more than {LARGEST}; refused")
-    return [e.filename for e in archive.infolist() if not e.is_dir()]
+            raise FMUError(f"{path}: the archive holds the link '{plain(name, 200)}'; refused")
+        if entry.compress_type not in METHODS:
+            raise FMUError(
+                f"{path}: '{plain(name, 200)}' is packed by method {entry.compress_type}; the standard allows store and "
+                "deflate. Pack it again"
+            )
+    total = sum(e.file_size for e in entries)
+    limits.within(path, total, limits.EXTRACTED, "bytes when extracted")
+    packed = max(1, sum(e.compress_size for e in entries))
+    if total > limits.FREE:
+        limits.within(path, total // packed, limits.RATIO, "times longer when extracted than packed")
+    names = [e.filename for e in entries if not e.is_dir()]
+    if len(set(names)) < len(names):
+        twice = next(n for n, count in Counter(names).items() if count > 1)
+        raise FMUError(f"{path}: the archive holds '{plain(twice, 200)}' twice; export or pack it again")
+    return frozenset(names)
 
 
-def _require(names: Iterable[str], path: Path) -> None:
-    if "modelDescription.xml" not in names:
-        raise FMUError(f"{path}: the archive has no modelDescription.xml, so it is no FMU")
+def _document(archive: zipfile.ZipFile, name: str, path: Path) -> bytes:
+    """A short document as a whole; asked for a number of bytes, zipfile inflates no more, whatever the entry says."""
+    size = archive.getinfo(name).file_size
+    limits.within(f"{path}/{name}", size, limits.DOCUMENT, "bytes of XML")
+    with archive.open(name) as source:
+        return source.read(size)
 
 
-def _library(names: list[str], interface: Interface, path: Path) -> str:
-    """Name inside of the library for this machine."""
-    folders = (fmpy.platform, fmpy.platform_tuple) if interface.version == "2.0" else (fmpy.platform_tuple,)
-    for folder in folders:
-        name = f"binaries/{folder}/{interface.identifier}{fmpy.sharedLibraryExtension}"
-        if name in names:
-            return name
-    found = sorted({PurePosixPath(n).parts[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
-    raise FMUError(
-        f"{path}: no library for this platform ({' or '.join(folders)}); the archive has "
-        f"{', '.join(found) if found else 'none'}. Export it with this platform"
-    )
+def _extract(archive: zipfile.ZipFile, name: str, target: Path) -> None:
+    """One file, piece by piece; zipfile reads no more than the size that was checked."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with archive.open(name) as source, open(target, "wb") as file:
+        while piece := source.read(CHUNK):
+            file.write(piece)
 
 
 def _needed(name: str, library: str) -> bool:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from phfmu.fmu.archive import open_archive
-from phfmu.fmu.interface import Interface
+import fmpy
+
+from phfmu.fmu.archive import Archive, open_archive
 from phfmu.fmu.variables import FMUError
 
 
 def fmu_info(path: str | Path) -> str:
     """Text: version, ports with their pairs, variables with units and starts.  FMUError if it cannot be read."""
-    face: Interface = open_archive(path).interface
+    archive = open_archive(path)
+    face = archive.interface
     lines = [f"{face.name}: {face.description}".rstrip(": "), f"FMI {face.version} for Co-Simulation"]
+    lines.append(f"libraries for: {', '.join(archive.platforms) or 'no platform'}{_here(archive)}")
     abilities = {
         "saves and restores its state": face.saves,
         "gives directional derivatives": face.derivatives,
@@ -31,14 +34,25 @@ def fmu_info(path: str | Path) -> str:
             lines.append(f"{causality}s:" if causality != "local" else "local variables:")
         for v in chosen:
             start = "" if v.start is None else f"{v.start:g}"
-            lines.append(f"  {v.name:<32} {v.unit:<12} {start:<16} {v.description}".rstrip())
+            kind = v.unit if v.type == "Float64" else v.type
+            lines.append(f"  {v.name:<32} {kind:<12} {start:<16} {v.description}".rstrip())
+    if face.left_out:
+        lines.append(f"left out, cannot be read or set here: {face.left_out}")
     return "\n".join(lines) + "\n"
+
+
+def _here(archive: Archive) -> str:
+    """What to know before it is run on this machine."""
+    try:
+        return f" (here: {archive.library})"
+    except FMUError:
+        return f" (none for this machine, {fmpy.platform_tuple}: it can be read, not run)"
 
 
 def fmu_problems(path: str | Path) -> list[str]:
     """Problems of the archive, its XML and its binaries, found by this package and by FMPy's validation."""
     try:
-        open_archive(path)
+        _ = open_archive(path).library
     except FMUError as error:
         return [str(error)]
     from fmpy.validation import validate_fmu

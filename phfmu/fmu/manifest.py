@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from phfmu.declare.port import Domain, Given
+from phfmu.fmu import limits
 from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import LEDGER, STEP_LEDGER
+from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
 
 LAYER = "org.phfmu.ports"
@@ -110,10 +112,32 @@ def read_ports(root: Element) -> list[PortMap]:
         at_nodes = [
             tuple(tuple(p.get(k, "").split()) for p in pairs if p.get(k)) for k in ("nodeInputs", "nodeOutputs")
         ]
-        about: dict[str, Any] = {attribute: port.get(name, "") for name, attribute in DOMAIN.items()}
+        about: dict[str, Any] = {attribute: plain(port.get(name, ""), 100) for name, attribute in DOMAIN.items()}
         given: Given = "flow" if port.get("given") == "flow" else "effort"
         vector = port.get("vector") == "true"
         ports.append(
-            PortMap(port.get("name", ""), Domain(**about), given, inputs, outputs, means, 1.0, vector, *at_nodes)
+            PortMap(
+                plain(port.get("name", ""), limits.NAME),
+                Domain(**about),
+                given,
+                inputs,
+                outputs,
+                means,
+                1.0,
+                vector,
+                *at_nodes,
+            )
         )
     return ports
+
+
+def read_manifest(root: Element) -> dict[str, Any]:
+    """Ports, names of the energies, places and weights of the nodes, as `Interface` has them."""
+    energy, step = root.find("Energy"), root.find("Step")
+    places = [() if step is None else tuple(float(v) for v in step.get(k, "").split()) for k in ("nodes", "weights")]
+    return {
+        "ports": tuple(read_ports(root)),
+        "energy": {} if energy is None else {str(k): str(v) for k, v in energy.attrib.items()},
+        "nodes": places[0],
+        "weights": places[1],
+    }

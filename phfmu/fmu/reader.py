@@ -15,7 +15,9 @@ from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.archive import open_archive
 from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import PortMap
-from phfmu.fmu.slave import References, Slave
+from phfmu.fmu.refusal import UnitCallError, UnitFailure
+from phfmu.fmu.slave import Slave
+from phfmu.fmu.values import References
 from phfmu.fmu.variables import FMUError
 
 Array = NDArray[np.float64]
@@ -61,14 +63,18 @@ class FMUInstance:
         #: the ledger is a quadrature of port power, because the unit does not tell its own
         self.estimated = len(means) != len(self.inputs) or not all(s in self.interface.energy for s in _STEP)
         self._sign = np.array([p.sign for p in self.ports for _ in p.inputs])
-        refs = self.interface.references
-        self._u = References(refs(self.inputs, "input"))
-        self._y_end = References(refs(self.outputs, "output"))
-        self._y_mean = self._y_end if self.estimated else References(refs(means, "output"))
-        self._mean_refs = [] if self.estimated else refs(means, "output")
-        self._books = References([] if self.estimated else refs([self.interface.energy[s] for s in _STEP], "output"))
-        self._u_nodes = References(refs(_in_order(self.ports, "node_inputs"), "input"))
-        self._y_nodes = References(refs(_in_order(self.ports, "node_outputs"), "output"))
+        two, scalars = self.interface.version == "2.0", self.interface.scalars
+
+        def group(names: list[str], what: str) -> References:
+            return References(scalars(names, what), two)
+
+        self._u = group(self.inputs, "input")
+        self._y_end = group(self.outputs, "output")
+        self._y_mean = self._y_end if self.estimated else group(means, "output")
+        self._mean_refs = [] if self.estimated else [v.reference for v in scalars(means, "output")]
+        self._books = group([] if self.estimated else [self.interface.energy[s] for s in _STEP], "output")
+        self._u_nodes = group(_in_order(self.ports, "node_inputs"), "input")
+        self._y_nodes = group(_in_order(self.ports, "node_outputs"), "output")
         self._require_pairs()
         self._starts, self._span = (
             dict(starts or {}),
@@ -98,9 +104,7 @@ class FMUInstance:
         start, stop = self._span
         self._slave.enter(start, stop)
         if self._starts:
-            r = References(self.interface.references(list(self._starts), "variable"))
-            r.values[:] = list(self._starts.values())
-            self._slave.set(r)
+            self.set(self._starts)
         self._slave.leave()
         self._u.values[:] = self.start_inputs()
         self.time, self._h = start, 0.0
@@ -130,6 +134,17 @@ class FMUInstance:
     def nu(self) -> int:
         """Number of scalar port pairs."""
         return self._u.n
+
+    @property
+    def dead(self) -> bool:
+        """Whether it met a fatal error, after which nothing can be called."""
+        return self._slave.dead
+
+    @property
+    def other_inputs(self) -> list[str]:
+        """Inputs that belong to no port."""
+        own = {*self.inputs, *_in_order(self.ports, "node_inputs")}
+        return [n for n, v in self.interface.variables.items() if v.causality == "input" and n not in own]
 
     def start_inputs(self) -> Array:
         """Inputs before anyone sets them."""
@@ -176,15 +191,24 @@ class FMUInstance:
         """One communication step over [t, t + h]; StepFailure holds the words of the unit."""
         try:
             self._slave.do_step(t, h)
-        except FMUError as error:
-            unknown = Status.NO_CONVERGENCE if self.estimated else Status.ARGUMENT
-            status = next((s for s in Status if s.value in str(error)), unknown)
+            after = self._slave.get(self._y_end).copy() if self.estimated else self._after
+        except UnitCallError as error:
+            if self.estimated:
+                raise UnitFailure(self.name, t, h, error.function, error.answer, error.words) from error
+            status = next((s for s in Status if s.value in str(error)), Status.ARGUMENT)
             raise StepFailure(status, self.name, t, h, tried=f"its own means: {error}") from error
+        if not np.isfinite(after).all():
+            raise self.not_finite(self.outputs, after, t + h)
         self.time, self._h = t + h, h
         if self.estimated:
-            self._before, self._after = self._after, self._slave.get(self._y_end).copy()
+            self._before, self._after = self._after, after
             self._pairs = h * self._u.values * self.output()
             self._supplied = self._supplied + self._pairs
+
+    def not_finite(self, names: Sequence[str], values: Array, t: float) -> UnitFailure:
+        """The failure that names the first of the variables whose value at time t is not finite."""
+        i = int(np.argmin(np.isfinite(values)))
+        return UnitFailure(self.name, t, 0.0, f"'{names[i]}' = {values[i]}", "not finite", list(self._slave.words)[-1:])
 
     def output(self) -> Array:
         """Step-conjugate means of the port outputs (nu)."""
@@ -205,8 +229,8 @@ class FMUInstance:
             raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h)
         s = np.zeros((self.nu, self.nu))
         try:
-            for j, known in enumerate(self._u.references[: self.nu]):
-                s[:, j] = self._slave.derivative(self._mean_refs, known)
+            for j, known in enumerate(self._u.scalars):
+                s[:, j] = self._slave.derivative(self._mean_refs, known.reference)
         except FMUError as error:
             raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)) from error
         return s
@@ -216,7 +240,10 @@ class FMUInstance:
     def get_state(self) -> SavedState:
         """A complete copy; stepping after `set_state` gives the same bits.  FMUError if there is none."""
         if not self.interface.saves:
-            raise FMUError(f"{self.name}: the unit cannot save its state; choose a coupling without rollback (jacobi)")
+            raise FMUError(
+                f"{self.name}: the unit cannot save its state, which coupled steps need because they are repeated; run it "
+                "alone, or export it with saved states (canGetAndSetFMUstate)"
+            )
         handle = self._slave.save()
         return self._kept(handle)
 
@@ -257,16 +284,31 @@ class FMUInstance:
 
     def variable(self, name: str) -> Scalar:
         """What the unit says about a variable."""
-        self.interface.references([name], "variable")
-        return self.interface.variables[name]
+        return self.interface.scalars([name], "variable")[0]
 
     def get(self, names: Iterable[str]) -> Array:
         """Values at the present time; the places of a group of names are looked up once."""
         asked = tuple(names)
         known = self._asked.get(asked)
         if known is None:
-            known = self._asked[asked] = References(self.interface.references(list(asked), "variable"))
-        return self._slave.get(known).copy()
+            known = self._asked[asked] = self._slave.references(self.interface.scalars(asked, "variable"))
+        try:
+            return self._slave.get(known).copy()
+        except UnitCallError as error:
+            if self.estimated and self._h:
+                raise UnitFailure(self.name, self.time, 0.0, error.function, error.answer, error.words) from error
+            raise
+
+    def set(self, values: Mapping[str, float]) -> None:
+        """Values by name: start values before the first step, inputs outside of ports at any time."""
+        r = self._slave.references(self.interface.scalars(list(values), "variable"))
+        r.values[:] = list(values.values())
+        try:
+            self._slave.set(r)
+        except UnitCallError:
+            raise
+        except FMUError as error:
+            raise FMUError(f"{self.name}: {error}") from None
 
     def values(self) -> dict[str, float]:
         """All variables of `names`."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,35 +18,39 @@ from fmpy.fmi2 import (
 from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 
+from phfmu.fmu import exit_guard
 from phfmu.fmu.archive import Archive
+from phfmu.fmu.interface import Scalar
+from phfmu.fmu.refusal import UnitCallError, said
+from phfmu.fmu.values import Block, References
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.words import plain
 
 Array = NDArray[np.float64]
 
-
-class References:
-    """Value references as the library wants them, with a buffer for their values."""
-
-    def __init__(self, references: list[int]):
-        self.n = len(references)
-        room = max(self.n, 1)  # ctypes wants memory, also for nothing
-        self.references = (ctypes.c_uint * room)(*references)
-        self.address = (ctypes.c_double * room)()
-        self.values = np.ctypeslib.as_array(self.address)[: self.n]
+#: messages that are kept, those that are quoted, and the characters of one
+KEPT, QUOTED, LONGEST = 20, 3, 500
+#: kinds of the status of a step in FMI 2.0
+_LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
+_ANSWERS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
 
 class Slave:
-    """An instance of a library.  Calls raise FMUError with the unit's own words."""
+    """An instance of a library.  Calls raise UnitCallError with the unit's own words."""
 
     def __init__(self, archive: Archive, name: str):
         about = archive.interface
         self.two = about.version == "2.0"
         self.name = name
-        self.words: deque[str] = deque(maxlen=20)
+        self.words: deque[str] = deque(maxlen=KEPT)
+        #: after a fatal error nothing may be called any more, not even to free it
+        self.dead = False
         common: dict[str, Any] = {
             "guid": about.token, "modelIdentifier": about.identifier, "unzipDirectory": str(archive.folder),
             "instanceName": name,
         }  # fmt: skip
+        exit_guard.arm()
+        exit_guard.current = (name, "the start of its library")
         try:
             if self.two:
                 self.fmu: Any = FMU2Slave(libraryPath=str(archive.folder / archive.library), **common)
@@ -55,12 +59,9 @@ class Slave:
                 self.fmu = FMU3Slave(**common)
                 self.fmu.instantiate(logMessage=lambda _environment, status, _category, text: self._log(status, text))
         except Exception as error:  # the bindings raise plain Exception for a library that does not load
-            raise FMUError(f"{archive.path}: {error}{self._last_words()}") from error
-        self._get, self._set = (
-            (self.fmu.fmi2GetReal, self.fmu.fmi2SetReal)
-            if self.two
-            else (self.fmu.fmi3GetFloat64, self.fmu.fmi3SetFloat64)
-        )
+            raise FMUError(f"{archive.path}: {plain(str(error))}{said(self._last_words())}") from error
+        finally:
+            exit_guard.current = None
 
     def _callbacks(self) -> fmi2CallbackFunctions:
         import fmpy
@@ -74,32 +75,53 @@ class Slave:
         return callbacks
 
     def _log(self, status: int, text: bytes) -> None:
-        words = (text or b"").decode("utf-8", "replace")
+        words = (text or b"")[: 4 * LONGEST].decode("utf-8", "replace").strip()
         if self.two:
             words = words.replace("%%", "%").replace("##", "#")
-        self.words.append(words)
+        self.words.append(plain(words, LONGEST))
 
-    def _last_words(self) -> str:
-        return f"; it says: {self.words[-1]}" if self.words else ""
+    def _last_words(self) -> tuple[str, ...]:
+        return tuple(self.words)[-QUOTED:]
 
     def call(self, function: Any, *arguments: Any) -> Any:
-        """The call; FMUError with the last message of the unit if it fails."""
+        """The call; UnitCallError with the last messages of the unit if it fails."""
+        if self.dead:
+            raise UnitCallError(self.name, _name(function), "fatal", ["it met a fatal error before"])
         self.words.clear()
+        exit_guard.current = (self.name, function)
         try:
             return function(*arguments)
         except FMICallException as error:
-            raise FMUError(f"{self.name}: {error}{self._last_words()}") from None
+            answer = _ANSWERS.get(error.status, f"status {error.status}")
+            self.dead = answer == "fatal"
+            raise UnitCallError(self.name, error.function, answer, self._last_words()) from None
+        finally:
+            exit_guard.current = None
+
+    def references(self, scalars: Sequence[Scalar]) -> References:
+        """Buffers for a group of scalars."""
+        return References(scalars, self.two)
 
     def set(self, r: References) -> None:
         """Values of the buffer into the unit."""
-        count = () if self.two else (r.n,)
-        self.call(self._set, self.fmu.component, r.references, r.n, r.address, *count)
+        for b in r.blocks:
+            if b is not r.direct:
+                if not b.filled:
+                    self._call_block(b.getter, b)  # entries of arrays that stay as they are
+                r.spread(b)
+            self._call_block(b.setter, b)
 
     def get(self, r: References) -> Array:
         """Values of the unit, in the buffer."""
-        count = () if self.two else (r.n,)
-        self.call(self._get, self.fmu.component, r.references, r.n, r.address, *count)
+        for b in r.blocks:
+            self._call_block(b.getter, b)
+            if b is not r.direct:
+                r.gather(b)
         return r.values
+
+    def _call_block(self, function: str, b: Block) -> None:
+        count = () if self.two else (b.total,)
+        self.call(getattr(self.fmu, function), self.fmu.component, b.references, b.n, b.address, *count)
 
     def enter(self, start: float, stop: float | None) -> None:
         """Into Initialization Mode."""
@@ -113,7 +135,29 @@ class Slave:
         self.call(self.fmu.exitInitializationMode)
 
     def do_step(self, t: float, h: float) -> None:
-        self.call(self.fmu.doStep, t, h, False)
+        """All of the step; UnitCallError also if the unit ends it early or asks to end the simulation."""
+        try:
+            answer = self.call(self.fmu.doStep, t, h, False)
+        except UnitCallError as error:
+            if self.two and error.answer == "discard":
+                raise self._discarded(error) from None
+            raise
+        if not self.two:
+            _, ended, early, last = answer
+            if ended or early:
+                what = "terminate" if ended else "early return"
+                words = (*self._last_words(), f"last successful time {last:.9g} s")
+                raise UnitCallError(self.name, "fmi3DoStep", what, words)
+
+    def _discarded(self, error: UnitCallError) -> UnitCallError:
+        """FMI 2.0 tells the reason on request."""
+        try:
+            ended = bool(self.call(self.fmu.getBooleanStatus, _TERMINATED))
+            last = self.call(self.fmu.getRealStatus, _LAST_SUCCESSFUL_TIME)
+        except UnitCallError:
+            return error
+        words = (*error.words, f"last successful time {last:.9g} s")
+        return UnitCallError(error.unit, error.function, "terminate" if ended else "discard", words)
 
     def reset(self) -> None:
         self.call(self.fmu.reset)
@@ -125,7 +169,8 @@ class Slave:
         self.call(self.fmu.setFMUState, handle)
 
     def forget(self, handle: Any) -> None:
-        self.call(self.fmu.freeFMUState, handle)
+        if not self.dead:
+            self.call(self.fmu.freeFMUState, handle)
 
     def serialize(self, handle: Any) -> bytes:
         return self.call(self.fmu.serializeFMUState, handle)
@@ -138,4 +183,9 @@ class Slave:
         return self.call(self.fmu.getDirectionalDerivative, unknowns, [known], [1.0])
 
     def free(self) -> None:
-        self.fmu.freeInstance()
+        if not self.dead:
+            self.call(self.fmu.freeInstance)
+
+
+def _name(function: Any) -> str:
+    return getattr(function, "__name__", str(function))

@@ -49,6 +49,7 @@ class FMUMember:
             self.places[p.name] = slice(start, start + len(p.inputs))
             start += len(p.inputs)
         self.names = _columns(unit)
+        self._outputs = np.array([i for i, n in enumerate(self.names) if unit.variable(n).causality == "output"], int)
         self._inside = _fed_from_inside(unit)
         self.booking = _booking(unit, name)
         self._u = unit.start_inputs()
@@ -67,8 +68,8 @@ class FMUMember:
         if not places(known, name):
             return False
         raise ValueError(
-            f"{self.name}.{name} = {value:g}: parameters of an FMU are fixed during a run; use --engine native for "
-            "this member, or drive an input instead"
+            f"{self.name}.{name} = {value:g}: parameters of an FMU are fixed during a run; set a start value "
+            "(--set) instead, drive an input, or run the declaration it was made of"
         )
 
     def start_inputs(self) -> Array:
@@ -99,7 +100,8 @@ class FMUMember:
         return self.unit.get_state()
 
     def set_state(self, state: Any) -> None:
-        self.unit.set_state(state)
+        if not self.unit.dead:  # the failure is on its way up; nothing may be called any more
+            self.unit.set_state(state)
 
     def ledger(self) -> dict[str, Array]:
         """The unit's ledger of the last step; what it supplies to itself becomes the pair `inside`."""
@@ -112,7 +114,12 @@ class FMUMember:
         return self.unit.energies()
 
     def read(self) -> Array:
-        return self.unit.get(self.names)
+        """All columns; UnitFailure if an output is not finite."""
+        values = self.unit.get(self.names)
+        if not np.isfinite(values[self._outputs]).all():
+            names = [self.names[i] for i in self._outputs]
+            raise self.unit.not_finite(names, values[self._outputs], self.unit.time)
+        return values
 
     def check_start(self) -> None:
         """The unit refuses an inconsistent start itself, when it leaves initialisation."""
@@ -129,10 +136,13 @@ class FMUStepper:
         self._u = unit.start_inputs()
 
     def settable(self) -> list[str]:
-        return self.member.settable()
+        return self.member.settable() + self.unit.other_inputs
 
     def set_value(self, name: str, value: float) -> None:
         """Set an input; KeyError names close ones, ValueError refuses parameters."""
+        if name in self.unit.other_inputs:
+            self.unit.set({name: value})
+            return
         found = self.member.input_places(name)
         if not found:
             if not self.member.set_parameter(name, value):

@@ -1,0 +1,81 @@
+"""Values of scalars of all number types, as floats, in buffers of the library's own types."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.fmu.interface import Scalar
+from phfmu.fmu.variables import FMUError
+
+Array = NDArray[np.float64]
+
+#: type of a variable -> (type of its functions, element) in FMI 2.0; all others are of 3.0
+_TWO = {"Float64": ("Real", ctypes.c_double), "Int32": ("Integer", ctypes.c_int), "Boolean": ("Boolean", ctypes.c_int),
+        "Enumeration": ("Integer", ctypes.c_int)}  # fmt: skip
+_THREE = {
+    "Float64": ("Float64", ctypes.c_double), "Float32": ("Float32", ctypes.c_float), "Boolean": ("Boolean", ctypes.c_bool),
+    "Enumeration": ("Int64", ctypes.c_int64), "Int8": ("Int8", ctypes.c_int8), "UInt8": ("UInt8", ctypes.c_uint8),
+    "Int16": ("Int16", ctypes.c_int16), "UInt16": ("UInt16", ctypes.c_uint16), "Int32": ("Int32", ctypes.c_int32),
+    "UInt32": ("UInt32", ctypes.c_uint32), "Int64": ("Int64", ctypes.c_int64), "UInt64": ("UInt64", ctypes.c_uint64),
+}  # fmt: skip
+
+
+class Block:
+    """Variables of one type: `places` of their scalars in a group, `picks` of those in the buffer."""
+
+    def __init__(self, type_: str, two: bool, scalars: Sequence[Scalar], places: list[int]):
+        kind, element = (_TWO if two else _THREE)[type_]
+        self.getter, self.setter = (f"fmi{2 if two else 3}{verb}{kind}" for verb in ("Get", "Set"))
+        first: dict[int, int] = {}
+        total, own = 0, []
+        for s in scalars:
+            if s.reference not in first:
+                first[s.reference] = total
+                total += max(s.size, 1)
+            own.append(first[s.reference] + s.entry)
+        self.references = (ctypes.c_uint * max(len(first), 1))(*first)  # ctypes wants memory, also for nothing
+        self.n, self.total = len(first), total
+        self.address = (element * max(total, 1))()
+        self.buffer: NDArray[Any] = np.ctypeslib.as_array(self.address)[:total]
+        self.picks, self.places = np.array(own, int), np.array(places, int)
+        self.boolean = type_ == "Boolean"
+        #: whether every place of the buffer has a scalar; whether they are the same, in order
+        self.filled, self.whole = len(set(own)) == total, own == list(range(total))
+
+
+class References:
+    """A group of scalars; `values` holds what is to be set or what was read (n)."""
+
+    def __init__(self, scalars: Sequence[Scalar], two: bool):
+        self.scalars, self.n = tuple(scalars), len(scalars)
+        kinds: dict[str, list[int]] = {}
+        for i, s in enumerate(scalars):
+            kinds.setdefault(s.type, []).append(i)
+        self.blocks = [Block(k, two, [scalars[i] for i in own], own) for k, own in kinds.items()]
+        b = self.blocks[0] if len(self.blocks) == 1 else None
+        #: numbers of type double without gaps are set and read in place
+        self.direct = b if b is not None and b.whole and b.buffer.dtype == np.float64 else None
+        self.values: Array = np.zeros(self.n) if self.direct is None else self.direct.buffer
+
+    def spread(self, block: Block) -> None:
+        """Values of the group into a block; FMUError for a number that its type cannot hold."""
+        values = self.values[block.places]
+        with np.errstate(invalid="ignore", over="ignore"):
+            block.buffer[block.picks] = values
+            kept = block.buffer[block.picks].astype(float)
+        lost = ~np.isfinite(values) if block.buffer.dtype == np.float32 else kept != values
+        if block.boolean:
+            lost |= (values != 0) & (values != 1)
+        if lost.any():
+            i = int(block.places[np.argmax(lost)])
+            s = self.scalars[i]
+            raise FMUError(f"'{s.name}' is of the type {s.type}, which cannot hold {self.values[i]:.9g}")
+
+    def gather(self, block: Block) -> None:
+        """Values of a block into the group."""
+        self.values[block.places] = block.buffer[block.picks]
