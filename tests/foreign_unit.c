@@ -1,0 +1,270 @@
+/* A unit of another tool for both versions of the standard, which misbehaves on request.
+ *
+ * Variables: 1 `u` (input), 2 `y` = 2 u + t (output), 3 `mode` (integer: what doStep does, from time 0.25
+ * on), 4 `flag` (boolean), 5 `single` (3.0: Float32), 6 `wide` (3.0: Float64[2]), 7 `choice` (enumeration), 8
+ * `x` (input array [2] of 3.0). */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2FunctionTypes.h"
+#include "fmi3FunctionTypes.h"
+
+#pragma GCC visibility push(default)
+
+enum { FINE, DISCARD, ERROR, FATAL, LEAVE, NOT_A_NUMBER, TERMINATE, EARLY, CHATTER, OUTPUT_ERROR };
+
+typedef struct unit {
+    double u, t, wide[2], x[2];
+    int mode, flag, choice, said;
+    float single;
+    const fmi2CallbackFunctions *callbacks;
+    fmi3LogMessageCallback log;
+    void *environment;
+    char name[100];
+} unit;
+
+static void say(unit *m, int status, const char *text) {
+    if (m->log)
+        m->log(m->environment, (fmi3Status)status, "status", text);
+    else
+        m->callbacks->logger(m->environment, m->name, (fmi2Status)status, "status", text);
+}
+
+static int step(unit *m, double t, double h) {
+    static char long_text[5000];
+    int mode = t >= 0.25 ? m->mode : FINE;
+    if (mode >= DISCARD && mode <= FATAL) {
+        say(m, 3, "first line\n\033[31mred\033[0m");
+        say(m, 3, "valve stuck at 7 %");
+        return mode == DISCARD ? 2 : mode == ERROR ? 3 : 4;
+    }
+    if (mode == LEAVE)
+        exit(0);
+    if (mode == TERMINATE && !m->log)
+        return 2;
+    if (mode == CHATTER) {
+        memset(long_text, 'x', sizeof(long_text) - 1);
+        for (int i = 0; i < 1000; i++)
+            say(m, 3, long_text);
+        return 3;
+    }
+    m->t = t + h;
+    return 0;
+}
+
+static double output(const unit *m) {
+    return m->mode == NOT_A_NUMBER && m->t > 0.25 ? NAN : 2.0 * m->u + m->t;
+}
+
+/* -- 2.0 -- */
+
+const char *fmi2GetTypesPlatform(void) {
+    return "default";
+}
+const char *fmi2GetVersion(void) {
+    return "2.0";
+}
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String k[]) {
+    return fmi2OK;
+}
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String place,
+                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean on) {
+    unit *m = calloc(1, sizeof(unit));
+    m->callbacks = callbacks;
+    m->environment = callbacks->componentEnvironment;
+    snprintf(m->name, sizeof(m->name), "%s", name);
+    return m;
+}
+void fmi2FreeInstance(fmi2Component c) {
+    if (((unit *)c)->mode == FATAL && ((unit *)c)->t > 0.2)
+        abort(); /* nothing may be called after a fatal error */
+    free(c);
+}
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real t, fmi2Boolean d,
+                               fmi2Real e) {
+    return fmi2OK;
+}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    return fmi2OK;
+}
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    return fmi2OK;
+}
+fmi2Status fmi2Terminate(fmi2Component c) {
+    return fmi2OK;
+}
+fmi2Status fmi2Reset(fmi2Component c) {
+    return fmi2OK;
+}
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]) {
+    unit *m = c;
+    if (m->mode == OUTPUT_ERROR && m->t > 0.25)
+        return fmi2Error;
+    for (size_t i = 0; i < n; i++)
+        v[i] = r[i] == 1 ? m->u : output(m);
+    return fmi2OK;
+}
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real v[]) {
+    for (size_t i = 0; i < n; i++)
+        ((unit *)c)->u = v[i];
+    return fmi2OK;
+}
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer v[]) {
+    for (size_t i = 0; i < n; i++)
+        v[i] = r[i] == 3 ? ((unit *)c)->mode : ((unit *)c)->choice;
+    return fmi2OK;
+}
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer v[]) {
+    for (size_t i = 0; i < n; i++)
+        *(r[i] == 3 ? &((unit *)c)->mode : &((unit *)c)->choice) = v[i];
+    return fmi2OK;
+}
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean v[]) {
+    for (size_t i = 0; i < n; i++)
+        v[i] = ((unit *)c)->flag;
+    return fmi2OK;
+}
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Boolean v[]) {
+    for (size_t i = 0; i < n; i++)
+        ((unit *)c)->flag = v[i];
+    return fmi2OK;
+}
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean b) {
+    return (fmi2Status)step(c, t, h);
+}
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v) {
+    *v = ((unit *)c)->mode == TERMINATE;
+    return fmi2OK;
+}
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *v) {
+    *v = ((unit *)c)->t;
+    return fmi2OK;
+}
+
+/* -- 3.0 -- */
+
+const char *fmi3GetVersion(void) {
+    return "3.0";
+}
+fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String k[]) {
+    return fmi3OK;
+}
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String path,
+                                         fmi3Boolean visible, fmi3Boolean on, fmi3Boolean events,
+                                         fmi3Boolean early, const fmi3ValueReference r[], size_t n,
+                                         fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+                                         fmi3IntermediateUpdateCallback update) {
+    unit *m = calloc(1, sizeof(unit));
+    m->log = log;
+    m->environment = environment;
+    m->wide[0] = 10.0;
+    m->wide[1] = 20.0;
+    return m;
+}
+void fmi3FreeInstance(fmi3Instance c) {
+    fmi2FreeInstance(c);
+}
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float64 b, fmi3Float64 t,
+                                       fmi3Boolean d, fmi3Float64 e) {
+    return fmi3OK;
+}
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
+    return fmi3OK;
+}
+fmi3Status fmi3Terminate(fmi3Instance c) {
+    return fmi3OK;
+}
+fmi3Status fmi3Reset(fmi3Instance c) {
+    return fmi3OK;
+}
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 v[],
+                          size_t nv) {
+    unit *m = c;
+    size_t k = 0;
+    if (m->mode == OUTPUT_ERROR && m->t > 0.25)
+        return fmi3Error;
+    for (size_t i = 0; i < n; i++)
+        if (r[i] == 6 || r[i] == 8) {
+            v[k++] = r[i] == 6 ? m->wide[0] : m->x[0];
+            v[k++] = r[i] == 6 ? m->wide[1] : m->x[1];
+        } else
+            v[k++] = r[i] == 1 ? m->u : output(m);
+    return k == nv ? fmi3OK : fmi3Error;
+}
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Float64 v[],
+                          size_t nv) {
+    unit *m = c;
+    size_t k = 0;
+    for (size_t i = 0; i < n; i++)
+        if (r[i] == 8) {
+            m->x[0] = v[k++];
+            m->x[1] = v[k++];
+        } else
+            m->u = v[k++];
+    return k == nv ? fmi3OK : fmi3Error;
+}
+#define NUMBERS(Name, Type, field)                                                                           \
+    fmi3Status fmi3Get##Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, Type v[], size_t nv) {  \
+        for (size_t i = 0; i < n; i++)                                                                       \
+            v[i] = (Type)((unit *)c)->field;                                                                 \
+        return fmi3OK;                                                                                       \
+    }                                                                                                        \
+    fmi3Status fmi3Set##Name(fmi3Instance c, const fmi3ValueReference r[], size_t n, const Type v[],         \
+                             size_t nv) {                                                                    \
+        for (size_t i = 0; i < n; i++)                                                                       \
+            ((unit *)c)->field = v[i];                                                                       \
+        return fmi3OK;                                                                                       \
+    }
+NUMBERS(Int32, fmi3Int32, mode)
+NUMBERS(Int64, fmi3Int64, choice)
+NUMBERS(Float32, fmi3Float32, single)
+NUMBERS(Boolean, fmi3Boolean, flag)
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean b, fmi3Boolean *event,
+                      fmi3Boolean *end, fmi3Boolean *early, fmi3Float64 *last) {
+    unit *m = c;
+    int status = step(m, t, h);
+    *event = fmi3False;
+    *end = m->mode == TERMINATE && t >= 0.25;
+    *early = m->mode == EARLY && t >= 0.25;
+    *last = m->t;
+    return (fmi3Status)status;
+}
+
+/* -- what an importer looks for and never calls -- */
+
+#define ABSENT(name)                                                                                         \
+    int name(void) {                                                                                         \
+        return 3;                                                                                            \
+    }
+ABSENT(fmi2CancelStep)
+ABSENT(fmi2DeSerializeFMUstate) ABSENT(fmi2FreeFMUstate) ABSENT(fmi2GetDirectionalDerivative) ABSENT(
+    fmi2GetFMUstate) ABSENT(fmi2GetIntegerStatus) ABSENT(fmi2GetRealOutputDerivatives) ABSENT(fmi2GetStatus)
+    ABSENT(fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate) ABSENT(
+        fmi2SerializedFMUstateSize) ABSENT(fmi2SetFMUstate) ABSENT(fmi2SetRealInputDerivatives)
+        ABSENT(fmi2SetString) ABSENT(fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(
+            fmi3DeserializeFMUState) ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode)
+            ABSENT(fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates) ABSENT(
+                fmi3ExitConfigurationMode) ABSENT(fmi3FreeFMUState) ABSENT(fmi3GetAdjointDerivative)
+                ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(
+                    fmi3GetContinuousStates) ABSENT(fmi3GetDirectionalDerivative)
+                    ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetFMUState) ABSENT(fmi3GetInt16) ABSENT(
+                        fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction)
+                        ABSENT(fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
+                            ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies)
+                                ABSENT(fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(
+                                    fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16)
+                                    ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(
+                                        fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
+                                        ABSENT(fmi3InstantiateScheduledExecution) ABSENT(
+                                            fmi3SerializeFMUState) ABSENT(fmi3SerializedFMUStateSize)
+                                            ABSENT(fmi3SetBinary) ABSENT(fmi3SetClock) ABSENT(
+                                                fmi3SetContinuousStates) ABSENT(fmi3SetFMUState)
+                                                ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8) ABSENT(
+                                                    fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
+                                                    ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
+                                                        ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
+                                                            ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
+                                                                ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
+                                                                    ABSENT(fmi3UpdateDiscreteStates)

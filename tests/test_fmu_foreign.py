@@ -1,0 +1,174 @@
+"""Units of other tools: refusals told apart, values that are not finite, noise, exits, and variables of all types."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phfmu import ELECTRICAL
+from phfmu.cli import main
+from phfmu.engine.status import Status, StepFailure
+from phfmu.fmu.inspect import fmu_info
+from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.refusal import UnitFailure
+from phfmu.fmu.variables import FMUError
+from tests import foreign
+
+VERSIONS = ["2.0", "3.0"]
+DISCARD, ERROR, FATAL, LEAVE, NOT_A_NUMBER, TERMINATE, EARLY, CHATTER, OUTPUT_ERROR = range(1, 10)
+
+TWO = """
+<ScalarVariable name="u" valueReference="1" causality="input"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="y" valueReference="2" causality="output"><Real/></ScalarVariable>
+<ScalarVariable name="mode" valueReference="3" causality="parameter" variability="fixed"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="flag" valueReference="4" causality="input" variability="discrete"><Boolean start="false"/></ScalarVariable>
+<ScalarVariable name="choice" valueReference="7" causality="local"><Enumeration declaredType="E" start="2"/></ScalarVariable>
+<ScalarVariable name="label" valueReference="9" causality="local"><String start="a"/></ScalarVariable>
+"""
+THREE = """
+<Float64 name="u" valueReference="1" causality="input" start="0"/>
+<Float64 name="y" valueReference="2" causality="output"/>
+<Int32 name="mode" valueReference="3" causality="parameter" variability="fixed" start="0"/>
+<Boolean name="flag" valueReference="4" causality="input" variability="discrete" start="false"/>
+<Float32 name="single" valueReference="5" causality="input" start="0.5"/>
+<Float64 name="wide" valueReference="6" causality="output"><Dimension start="2"/></Float64>
+<Enumeration name="choice" valueReference="7" causality="local" declaredType="E" start="2"/>
+<Float64 name="x" valueReference="8" causality="input" start="3 4"><Dimension valueReference="10"/></Float64>
+<UInt64 name="n" valueReference="10" causality="structuralParameter" variability="fixed" start="2"/>
+<String name="label" valueReference="9" causality="local"><Start value="a"/></String>
+<String name="other" valueReference="11" causality="local"/><Clock name="tick" valueReference="12" intervalVariability="fixed"/>
+<Binary name="blob" valueReference="13" causality="local"/>
+"""
+VARIABLES = {"2.0": TWO, "3.0": THREE}
+PORT = [PortMap("end", ELECTRICAL, "effort", ("u",), ("y",))]
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("foreign")
+    return {v: foreign.unit(folder / f"foreign{v[0]}.fmu", v, VARIABLES[v]) for v in VERSIONS}
+
+
+Cli = Callable[..., str]
+
+
+@pytest.fixture
+def refused(units: dict[str, Path], capfd: pytest.CaptureFixture[str]) -> Cli:
+    """`phfmu run` of the unit in a mode: exit code 3 and what it says."""
+
+    def call(version: str, mode: int) -> str:
+        assert main(["run", str(units[version]), "--set", f"mode={mode}"]) == 3
+        return capfd.readouterr().err
+
+    return call
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_refusals_are_told_apart_with_the_units_words(refused: Cli, version: str) -> None:
+    for mode, answer, remedy in (
+        (DISCARD, "discard", "try a smaller step"),
+        (ERROR, "error", "begin the run anew"),
+        (FATAL, "fatal", "begin in a new process"),
+    ):
+        said = refused(version, mode)
+        assert f"foreign at t = 0.3 s, h = 0.1 s: fmi{version[0]}DoStep answers '{answer}'" in said
+        assert "valve stuck at 7 %" in said and remedy in said
+        assert "Newton" not in said and "\033" not in said
+        assert r"first line \x1b[31mred\x1b[0m | valve" in said
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_unit_that_wants_to_end_is_told_from_one_that_fails(refused: Cli, version: str) -> None:
+    said = refused(version, TERMINATE)
+    assert "answers 'terminate': it asks to end the simulation" in said and "last successful time 0." in said
+    if version == "3.0":
+        assert "answers 'early return'" in refused(version, EARLY)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_outputs_that_are_not_finite_end_the_run(units: dict[str, Path], refused: Cli, version: str) -> None:
+    said = refused(version, NOT_A_NUMBER)
+    assert "foreign at t = 0.3 s: 'y' = nan" in said
+    assert "GetReal answers 'error'" in (said := refused(version, OUTPUT_ERROR)) or "GetFloat64 answers 'error'" in said
+    with FMUInstance(units[version], PORT, starts={"mode": NOT_A_NUMBER}) as unit:
+        for k in range(2):
+            unit.do_step(0.1 * k, 0.1)
+        with pytest.raises(UnitFailure, match="foreign at t = 0.3 s: 'y' = nan") as failure:
+            unit.do_step(0.2, 0.1)
+        assert failure.value.status is Status.NOT_FINITE and failure.value.answer == "not finite"
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_words_are_cut_in_length_and_number(refused: Cli, version: str) -> None:
+    said = refused(version, CHATTER)
+    assert "x" * 400 in said and len(said) < 2500 and "more characters)" in said
+
+
+def test_the_refusal_is_data(units: dict[str, Path]) -> None:
+    with FMUInstance(units["2.0"], PORT, starts={"mode": FATAL}) as unit:
+        for k in range(3):
+            unit.do_step(0.1 * k, 0.1)
+        with pytest.raises(StepFailure) as failure:
+            unit.do_step(0.3, 0.1)
+        found = failure.value
+        assert isinstance(found, UnitFailure)
+        assert (found.component, found.function, found.answer) == ("foreign", "fmi2DoStep", "fatal")
+        assert found.status is Status.UNIT and found.words[-1] == "valve stuck at 7 %"
+        assert unit.dead
+        with pytest.raises(UnitFailure, match="it met a fatal error before"):
+            unit.get(["y"])
+    # closing it must not call the library again, which would abort
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the C library cannot take handlers back")
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_library_that_calls_exit_is_noticed(units: dict[str, Path], version: str) -> None:
+    run = [sys.executable, "-m", "phfmu.cli", "run", str(units[version]), "--set"]
+    run[1:3] = ["-c", "import sys; from phfmu.cli import main; sys.exit(main(sys.argv[1:]))"]
+    done = subprocess.run([*run, f"mode={LEAVE}"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3
+    assert "the unit 'foreign' ended the process in" in done.stderr and "doStep" in done.stderr
+    done = subprocess.run([*run, "mode=0"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "ended the process" not in done.stderr, "an ordinary end is not one"
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_numbers_of_all_types_are_read_and_set(units: dict[str, Path], version: str) -> None:
+    starts = {"mode": 0, "flag": 1, "choice": 3, "u": 1.5}
+    if version == "3.0":
+        starts |= {"single": 0.25, "x[2]": 7.0}
+    with FMUInstance(units[version], starts=starts) as unit:
+        assert unit.get(list(starts)).tolist() == list(starts.values())
+        if version == "3.0":
+            assert unit.get(["wide[2]", "wide[1]", "x[1]"]).tolist() == [20.0, 10.0, 0.0], "set entries keep the others"
+            unit.set({"x[1]": 5.0, "x[2]": 6.0, "single": 0.1})
+            assert unit.get(["x[2]", "y", "x[1]", "single"]).tolist() == [6.0, 3.0, 5.0, float(np.float32(0.1))]
+        unit.do_step(0.0, 0.1)
+        assert unit.values()["y"] == pytest.approx(3.1) and unit.values()["flag"] == 1.0
+    with pytest.raises(FMUError, match="'mode' is of the type Int32, which cannot hold 0.5"):
+        FMUInstance(units[version], starts={"mode": 0.5})
+    with pytest.raises(FMUError, match="'flag' is of the type Boolean, which cannot hold 2"):
+        FMUInstance(units[version], starts={"flag": 2})
+
+
+def test_what_is_left_out_is_said(units: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert "left out, cannot be read or set here: String: 1 (label)" in fmu_info(units["2.0"])
+    assert main(["run", str(units["3.0"]), "--stop", "0.2"]) == 0
+    assert "left out, cannot be read or set here: String: 2 (label, other); Clock: 1 (tick); Binary: 1 (blob)" in (
+        capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_inputs_outside_of_ports_are_driven_from_a_table(units: dict[str, Path], tmp_path: Path, version: str) -> None:
+    (tmp_path / "in.csv").write_text("time,u,flag\n0,0,0\n0.5,2,1\n")
+    out = tmp_path / "out.csv"
+    assert main(["run", str(units[version]), "--input", str(tmp_path / "in.csv"), "-o", str(out)]) == 0
+    rows = np.genfromtxt(out, delimiter=",", names=True)
+    assert rows["y"][[5, -1]] == pytest.approx([0.5, 5.0])
