@@ -2,7 +2,7 @@
 
 Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry,
 passivity, costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability
-(equations);  limit (parameters);  internal (the check itself stopped at an entry).
+(equations);  limit (parameters);  dimension (units, warnings);  internal (the check itself stopped at an entry).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from phfmu.declare.check_dimensions import dimensions
 from phfmu.declare.check_energy import closed_pairs, energies
 from phfmu.declare.check_entries import Entries, normal_form
 from phfmu.declare.check_equations import equations, unused, velocities
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from phfmu.discretise.scheme import Scheme
 
 #: rules that only warn: they run where warnings are asked for, on a model without errors
-WARNING_RULES: tuple[Callable[[Entries, Sample], list[Problem]], ...] = ()
+WARNING_RULES: tuple[Callable[[Entries, Sample], list[Problem]], ...] = (dimensions,)
 
 #: a model with a problem of these rules is not discretised: the planner would only repeat it
 BLOCKING = {

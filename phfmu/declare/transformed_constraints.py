@@ -7,6 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.dimension import constraint_unit
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, Block, Holonomic, observable
 from phfmu.declare.transformation import SystemTransformation
@@ -35,7 +36,8 @@ def velocity_form(model: PHDAE, T: SystemTransformation) -> PHDAE:
             )
         _require_consistent(model, c, q)
         blocks.append(_block(c, q, velocity))
-        reported.append(observable(f"g.{c.multiplier.name}", c.g, description="constraint, kept by its velocity form"))
+        text, unit = "constraint, kept by its velocity form", constraint_unit(c.multiplier.unit)
+        reported.append(observable(f"g.{c.multiplier.name}", c.g, unit=unit, description=text))
     if not blocks:
         return model
     return replace(

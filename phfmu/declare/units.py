@@ -7,7 +7,9 @@ A unit is a product of symbols with integer exponents, e.g. `kg.m2/s`, `N.m`, `V
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache
 from math import pi
 
@@ -101,6 +103,20 @@ def parse_unit(text: str) -> Unit:
             for base, exponent in exps.items():
                 exponents[base] += power * exponent
     return Unit(text, factor, tuple(exponents[b] for b in BASE))
+
+
+def unit_text(exponents: Sequence[Fraction | int], factor: float) -> str:
+    """A unit with these exponents (of BASE without rad) and this factor: a symbol if there is one, else a product."""
+    for symbol, (value, exps) in _SYMBOLS.items():
+        if tuple(exps.get(b, 0) for b in BASE[:-1]) != tuple(exponents) or symbol == "rad":
+            continue
+        for prefix, scale in {"": 1.0, **_PREFIXES}.items():
+            if abs(scale * value / factor - 1.0) < 1e-9:
+                return prefix + symbol
+    up = [f"{b}{e if e != 1 else ''}" for b, e in zip(BASE, exponents, strict=False) if e > 0]
+    down = [f"{b}{-e if e != -1 else ''}" for b, e in zip(BASE, exponents, strict=False) if e < 0]
+    text = "/".join([".".join(up) or "1", *down])
+    return text if factor == 1.0 else f"{factor:.6g} {text}"
 
 
 def is_power(effort: str, flow: str) -> bool:
