@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ import pytest
 
 from phfmu.audit import AuditWriter, metadata, read
 from phfmu.cli import main
+from phfmu.cli.table import TableWriter, read_inputs
 from phfmu.components.library import LIBRARY, build
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -297,3 +299,50 @@ def test_no_progress_bar_in_a_pipe(cli: Cli) -> None:
     assert done.stderr == "" and not {"\r", "\x1b"} & set(done.stdout) and "closed" in done.stdout
     done = subprocess.run([*call, "run", "none"], capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout == "" and done.stderr.startswith("phfmu: no component")
+
+
+# -- names and the terminal ----------------------------------------------------------------------------------
+
+ODD = ['a"b', "c,d", "e\nf", "größe ω", 'g"",\n"h', "plain[1]"]
+
+
+def test_names_of_any_kind_survive_a_table(tmp_path: Path) -> None:
+    """Quotes, commas, newlines and letters beyond ASCII: what is written is read again, by both readers."""
+    writer = TableWriter(tmp_path / "o.csv", ODD, False)
+    values = np.array([[0.1, 1 / 3, -0.0, 1e300, 5e-324, 7.0], [math.nan, math.inf, -math.inf, 1e-5, 123456789.0, 0.0]])
+    writer.add(np.array([0.0, 0.1]), values, np.zeros(2, bool))
+    writer.close()
+    with open(tmp_path / "o.csv", newline="", encoding="utf-8") as file:
+        head, *rows = csv.reader(file)
+    assert head == ["time", *ODD] and np.array_equal(np.array(rows, float)[:, 1:], values, equal_nan=True)
+    writer = TableWriter(tmp_path / "in.csv", ODD, False)
+    writer.add(np.array([0.0]), values[:1], np.zeros(1, bool))
+    writer.close()
+    held = read_inputs(str(tmp_path / "in.csv"), ODD)
+    assert held.names == ODD and np.array_equal(held.values, values[:1])
+
+
+@pytest.mark.parametrize("verb", ["info", "check", "run", "list"])
+def test_a_terminal_without_the_letters(tmp_path: Path, verb: str) -> None:
+    """The exit code is that of the verb; letters that the terminal does not have are spelled out."""
+    (tmp_path / "m.py").write_text(
+        "from dataclasses import replace\nfrom phfmu.components.mechanical.translational import mass\n"
+        "from phfmu.components.library import LIBRARY\nLIBRARY['mass'] = (*LIBRARY['mass'][:2], 'größe ω')\n"
+        "def größe(): return replace(mass(), name='größe_ω', description='größe ω')\n",
+        encoding="utf-8",
+    )
+    target = [str(tmp_path / "m.py:größe")] if verb != "list" else []
+    words = [verb, *target, *(["--engine", "python", "--stop", "0.01"] if verb == "run" else [])]
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import m; from phfmu.cli import main; sys.exit(main({words}))"
+    env = os.environ | {"LC_ALL": "C", "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=env)
+    assert done.returncode == 0, done.stderr
+    assert b"\\xf6" in done.stdout and done.stdout.isascii()
+
+
+def test_the_package_is_a_command() -> None:
+    for words, said in ((["--version"], "phfmu "), (["list"], "smib")):
+        done = subprocess.run([sys.executable, "-m", "phfmu", *words], capture_output=True, text=True)
+        assert done.returncode == 0 and said in done.stdout
+    done = subprocess.run([sys.executable, "-m", "phfmu", "run", "none"], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("phfmu: no component")

@@ -66,7 +66,7 @@ VARIANTS: tuple[tuple[str, Callable[[], PHDAE], tuple[str, ...]], ...] = (
 @contextmanager
 def fresh_cache() -> Iterator[None]:
     """A cache of libraries of its own; the compiler keeps what it has built of its own run time."""
-    from phfmu.engine.compile import cache_folder
+    from phfmu.engine.cache import cache_folder
 
     known, before = cache_folder(), os.environ.get("PHFMU_CACHE_DIR")
     with tempfile.TemporaryDirectory(prefix="phfmu-") as folder:

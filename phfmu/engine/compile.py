@@ -1,4 +1,4 @@
-"""C sources -> shared library, cached by content.
+"""C sources -> shared library, cached by content (`cache.py`).
 
 Compiler: `python -m ziglang cc` if ziglang is installed (any target), else the system's (this machine only).
 """
@@ -17,6 +17,8 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from phfmu.engine import cache
 
 #: contraction to fused multiply-add would make results depend on the target
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC", "-s")
@@ -41,19 +43,6 @@ class Build:
     reused: bool
     compiler: str
     target: str
-
-
-def cache_folder() -> Path:
-    """PHFMU_CACHE_DIR, else the user cache folder of the platform / phfmu. Not created here."""
-    if chosen := os.environ.get("PHFMU_CACHE_DIR"):
-        return Path(chosen)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "phfmu"
 
 
 def host_target() -> str:
@@ -141,36 +130,35 @@ def _key(sources: Mapping[str, str | Path], command: Sequence[str], version: str
     return digest.hexdigest()[:32]
 
 
-def _build(sources: Mapping[str, str | Path], compiler: _Compiler, flags: Sequence[str], out: Path) -> None:
-    """Compiles in a private folder and moves the result into place: nobody sees half a file.
+def _build(sources: Mapping[str, str | Path], compiler: _Compiler, flags: Sequence[str], key: str, end: str) -> Path:
+    """Compiles in a private folder and moves the result into the cache: nobody sees half a file.
 
     The private folder is searched for headers only if it has some: its name would be part of what zig's own cache
     knows an object by, and the runtime, the same for every model, would be compiled anew for each.
     """
-    cache = cache_folder()
+    root = cache.writable()
     env = os.environ | {
-        "ZIG_GLOBAL_CACHE_DIR": str(cache / "zig"),
-        "ZIG_LOCAL_CACHE_DIR": str(cache / "zig" / "local"),
+        "ZIG_GLOBAL_CACHE_DIR": str(root / "zig"),
+        "ZIG_LOCAL_CACHE_DIR": str(root / "zig" / "local"),
     }
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent) as folder:
+    with tempfile.TemporaryDirectory(dir=root / "lib") as folder:
         work = Path(folder)
         files, folders = [], []
         for name, source in sorted(sources.items()):
             path = source if isinstance(source, Path) else work / name
             if isinstance(source, str):
-                path.write_text(source)
+                path.write_text(source, encoding="utf-8")
             if name.endswith(".c"):
                 files.append(str(path))
             if path.parent not in folders and (isinstance(source, Path) or not name.endswith(".c")):
                 folders.append(path.parent)
         includes = [f"-I{f}" for f in folders]
-        result = work / ("library" + out.suffix)
+        result = work / ("library" + end)
         command = [*compiler.command, *flags, *includes, *files, "-o", str(result), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, env=env)
         if done.returncode != 0:
             raise CompileError(f"{compiler.version} failed ({done.returncode}):\n{done.stderr[-4000:]}")
-        os.replace(result, out)
+        return cache.put(root, key, result)
 
 
 def compile(
@@ -193,12 +181,12 @@ def compile(
     found = _find(target, compiler)
     options = (*FLAGS, *found.flags, *flags)
     key = _key(sources, (*found.command[1:], *options), found.version)
-    path = cache_folder() / "lib" / f"{key}{suffix(target)}"
-    reused = path.exists()
-    if not reused:
+    path = cache.find(key, suffix(target))
+    reused = path is not None
+    if path is None:
         if announce is not None:
             announce()
-        _build(sources, found, options, path)
+        path = _build(sources, found, options, key, suffix(target))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, out)
