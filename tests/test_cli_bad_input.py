@@ -218,7 +218,7 @@ def test_input_tables(refused: Cli, text: bytes, said: str) -> None:
 def test_no_convergence(refused: Cli, engine: str) -> None:
     """Audit and table hold all accepted steps, and the table is said to be kept."""
     line = f"run models.py:unsolvable --stop 2 --step 0.02 --engine {engine} --audit u.parquet -o u.csv"
-    said = "unsolvable at t = 0.9|, h = 0.000|Newton's method did not converge|worst: |Next: reduce the step"
+    said = "unsolvable at t = 0.9|, h = 0.000|Newton's method did not converge|worst: |Next: substeps down to 0.000"
     text = refused(3, line, *said.split("|"))
     failed = float(text.split("t = ")[1].split(" s")[0])
     summary = summarise(read("u.parquet"))

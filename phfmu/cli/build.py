@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 from phfmu.cli.options import require_sound, scheme_of, settings
 from phfmu.cli.target import is_fmu, scene
+from phfmu.words import meant
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.network.network import End, Network
     from phfmu.network.scene import Scene
     from phfmu.network.stepper import Stepper
+
+
+#: order of members that are joined by one held value per step
+HELD_ORDER = 2
 
 
 def stepper_for(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
@@ -91,17 +98,27 @@ def _inputs_of(net: Network, end: End) -> list[str]:
 
 def _unknown(net: Network, name: str) -> str:
     """The message for a name that no member has, with close ones."""
-    from difflib import get_close_matches
-
     known = [f"{m}.{n}" for m, d in net.members.items() for n in d.settable_names()]
-    close = get_close_matches(name, known, 5)
-    hint = f"did you mean {', '.join(close)}?" if close else f"members: {', '.join(net.members)}"
-    return f"{net.name} has no parameter, state or input '{name}'; {hint}"
+    return f"{net.name} has no parameter, state or input '{name}'; {meant(name, known)}"
 
 
-def _label(scheme: Any, engine: str, coupling: str) -> str:
-    gradient = "" if scheme.gradient in ("per-term", "nodal") else f", {scheme.gradient}"
-    return f"{scheme.name}, order {scheme.order}{gradient}, {engine} engine, {coupling}"
+def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf) -> str:
+    """Schemes, the order of the whole (at most `most`, and why), engine and coupling."""
+    names = " and ".join(dict.fromkeys(s.name for s in schemes))
+    gradient = "" if schemes[0].gradient in ("per-term", "nodal") else f", {schemes[0].gradient}"
+    own = min(s.order for s in schemes)
+    why = f" (members of order {own}, inputs held)" if own > most else ""
+    return f"{names}, order {min(most, own)}{why}{gradient}, {engine} engine, {coupling}"
+
+
+def order_lost(args: argparse.Namespace) -> list[str]:
+    """A line if the coupling does not keep the order that was asked for."""
+    if args.coupling != "newton" or (args.order or 2) <= HELD_ORDER:
+        return []
+    return [
+        f"--order {args.order} is that of the members: newton joins them by one value per step, held, so the run is of order "
+        f"{HELD_ORDER}; --coupling monolithic keeps order {args.order}"
+    ]
 
 
 def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> tuple[Stepper, Scene, str]:
@@ -110,7 +127,7 @@ def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> tuple
 
     scheme = scheme_of(args, declaration)
     engine = engine_of(args)
-    label = _label(scheme, engine, "monolithic")
+    label = _label([scheme], engine, "monolithic")
     if engine == "fmu":
         from phfmu.network.fmu_member import FMUStepper
 
@@ -126,10 +143,10 @@ def _coupled(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
 
     engine = engine_of(args)
     members: list[Any] = []
-    scheme = None
+    schemes: list[Any] = []
     for name, declaration in s.system.members.items():  # type: ignore[union-attr]
         own = scheme_of(args, declaration, member=True)
-        scheme = own if scheme is None else scheme
+        schemes.append(own)
         if engine == "fmu":
             from phfmu.network.fmu_member import FMUMember
 
@@ -137,7 +154,8 @@ def _coupled(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
         else:
             model = build_model(replace(declaration, name=name), own)
             members.append(EngineMember(name, model, instance_of(model, engine)))
-    return Coupled(s.system, members), s, _label(scheme, engine, "newton coupling")  # type: ignore[arg-type]
+    coupled = Coupled(s.system, members)  # type: ignore[arg-type]
+    return coupled, s, _label(schemes, engine, "newton coupling", HELD_ORDER)
 
 
 def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: float) -> Any:

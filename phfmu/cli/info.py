@@ -19,6 +19,7 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
+    from phfmu.cli.build import HELD_ORDER
     from phfmu.cli.target import is_fmu, scene
     from phfmu.declare.parameter_limits import limits
 
@@ -35,6 +36,9 @@ def call(args: argparse.Namespace) -> int:
         print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
     if d.members != ("",):
         print(f"members: {', '.join(d.members)}")
+        print(
+            f"order: --order composed; {HELD_ORDER} with --coupling newton, which joins members by one held value per step"
+        )
     if d.junctions:
         from phfmu.network.nodes import node_kinds
 

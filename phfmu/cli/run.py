@@ -51,7 +51,7 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.cli import FINE, LEDGER, options
-    from phfmu.cli.build import stepper_for
+    from phfmu.cli.build import order_lost, stepper_for
     from phfmu.cli.interrupt import Signals
     from phfmu.cli.outputs import Outputs
     from phfmu.cli.target import is_fmu
@@ -79,7 +79,7 @@ def call(args: argparse.Namespace) -> int:
     bad = [c for c in summary.components if c.quality == "exact" and not c.worst_relative <= args.audit_rtol]
     if not args.quiet:
         _print_run(args, label, result, stop, step, report.seconds - outputs.seconds)
-        _print_notes([*dropped, *result.notes])
+        _print_notes([*order_lost(args), *dropped, *result.notes])
         print(audit_table(summary, args.audit_rtol), end="")
     if bad:
         print(f"phfmu: ledger violated: {', '.join(c.component for c in bad)}", file=sys.stderr)

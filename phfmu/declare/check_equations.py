@@ -113,7 +113,8 @@ def equations(model: PHDAE, scheme: Scheme | None) -> list[Problem]:
     from phfmu.discretise.model import build_model
     from phfmu.discretise.terms import DeclarationError
     from phfmu.engine.python import PythonInstance
-    from phfmu.engine.status import REMEDY, Status, StepFailure
+    from phfmu.engine.remedy import remedy
+    from phfmu.engine.status import Status, StepFailure
 
     try:
         built = build_model(model, scheme)
@@ -126,7 +127,7 @@ def equations(model: PHDAE, scheme: Scheme | None) -> list[Problem]:
     except StepFailure as e:
         rule = "solvability" if e.status is Status.SINGULAR else "start"
         where = f" ({e.equation}, scaled residual {e.residual:.3g})" if e.equation else ""
-        return [Problem(rule, model.name, f"the start cannot be solved: {e.status.value}{where}", REMEDY[e.status])]
+        return [Problem(rule, model.name, f"the start cannot be solved: {e.status.value}{where}", remedy(e))]
     found = hidden(built, signals["observables"])
     for name, value in zip(built.observable_names, signals["observables"], strict=False):
         if not np.isfinite(value):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 from typing import Any
 
@@ -22,25 +23,14 @@ class Status(Enum):
     UNIT = "a unit of another tool refused a call"
 
 
-REMEDY = {
-    Status.NO_CONVERGENCE: "reduce the step, or look at the inputs and the state near this time",
-    Status.SINGULAR: "check that every unknown is determined by an equation (`phfmu check`)",
-    Status.NOT_FINITE: "check inputs and parameters, or reduce the step if the state leaves the domain of H",
-    Status.LU_CAPACITY: "discretise the model again, so that the memory is planned for its present structure",
-    Status.ABI: "empty the cache folder (PHFMU_CACHE_DIR) and build again",
-    Status.ARGUMENT: "time and step must be finite, the parts at least 1, and node inputs need a Gauss scheme",
-    Status.VALUE: "look for its source: inputs, parameters and states must be numbers",
-    Status.NO_SENSITIVITY: "take one internal step per communication step, or use finite differences",
-}
-
-
 class StepFailure(RuntimeError):
     """A step that was refused; the instance is at its last accepted step.
 
     `component`: name of the model; `time`, `h`: start and length (s) of the refused step or substep, h = 0 if
     the values at one instant failed; `equation`: name of the row with the largest scaled residual `residual`, of
     which rounding alone leaves `floor`; `update`: last scaled change of the unknowns (1 = nominal); `tried`: what
-    was attempted.
+    was attempted; `joined`: members were being joined, `history` the scaled residuals of that.  A run adds `asked`, the step
+    it asked for, and `longest`, the longest it had solved.  The remedy follows from these (`phfmu.engine.remedy`).
     """
 
     def __init__(
@@ -56,6 +46,8 @@ class StepFailure(RuntimeError):
         update: float = float("nan"),
         iterations: int = 0,
         tried: str = "",
+        joined: bool = False,
+        history: Sequence[float] = (),
     ) -> None:
         self.status = status
         self.component = component
@@ -67,11 +59,16 @@ class StepFailure(RuntimeError):
         self.update = update
         self.iterations = iterations
         self.tried = tried
+        self.joined, self.history = joined, tuple(history)
+        self.asked, self.longest = 0.0, 0.0
         #: what a run over many steps had recorded of the accepted ones
         self.recorded: dict[str, Any] = {}
-        super().__init__(self._text())
+        super().__init__()
 
-    def _text(self) -> str:
+    def __str__(self) -> str:
+        """What happened, with its numbers, and the remedy."""
+        from phfmu.engine.remedy import remedy
+
         text = f"{self.component} at t = {self.time:.9g} s" + (f", h = {self.h:.3g} s" if self.h else "")
         text += f": {self.status.value}"
         if self.equation:
@@ -86,4 +83,5 @@ class StepFailure(RuntimeError):
             text += f", {self.iterations} iterations"
         if self.tried:
             text += f"; tried {self.tried}"
-        return text + (f". Next: {REMEDY[self.status]}." if self.status in REMEDY else "")
+        advice = remedy(self)
+        return text + (f". Next: {advice}." if advice else "")

@@ -36,14 +36,16 @@ TINY = 1e-15  # s, where the time is 0
 
 
 class ToleranceMissed(StepFailure):
-    """The smallest step still misses the tolerance."""
+    """The smallest step still misses the tolerance: by how much, in which state, and what may help."""
 
-    def __init__(self, component: str, time: float, h: float, error: float, name: str):
+    def __init__(self, component: str, time: float, h: float, error: float, name: str, advice: str):
         super().__init__(Status.NO_CONVERGENCE, component, time, h)
-        self.args = (
-            f"{component} at t = {time:.9g} s: a step of {h:.3g} s misses the tolerance {error:.3g} times, worst state {name}, "
-            "and no smaller one is allowed. Next: loosen --rtol or --atol, lower --min-step, or take restart steps (--restart) "
-            "if the state jumps at an event",
+        self.error, self.name, self.advice = error, name, advice
+
+    def __str__(self) -> str:
+        return (
+            f"{self.component} at t = {self.time:.9g} s: a step of {self.h:.3g} s misses the tolerance {self.error:.3g} times, "
+            f"worst state {self.name}, and no smaller one is allowed. Next: {self.advice}"
         )
 
 
@@ -116,7 +118,7 @@ class Adaptive:
             if error <= 1.0:
                 break
             own.set_state(state)
-            missed = ToleranceMissed(self.stepper.model.name, t, h, error, self._names[worst])
+            missed = ToleranceMissed(self.stepper.model.name, t, h, error, self._names[worst], self._advice(t))
             self._shrink(t, h, max(SHRINK, SAFETY * error ** (-1.0 / self.order)), missed)
             limit = 1.0
         if damped is not None and not gains(damped):
@@ -152,9 +154,17 @@ class Adaptive:
         worst = int(np.argmax(ratio))
         return float(ratio[worst]), worst
 
+    def _advice(self, t: float) -> str:
+        """What is true for this model and its limits."""
+        lower = ", lower --min-step" if self.control.smallest > _least(t) else ""
+        jump = "" if self.stepper.model.declaration.constraints or self.stepper.model.loses_energy else (
+            ", or take restart steps (--restart) if the state jumps at an event"
+        )  # fmt: skip
+        return f"loosen --rtol or --atol{lower}{jump}"
+
     def _shrink(self, t: float, h: float, factor: float, reason: Exception) -> None:
         """A smaller proposal; `reason` is raised if the step is as small as it may be."""
-        if h <= max(self.control.smallest, ROUNDING * abs(t), TINY) * (1 + 1e-9):
+        if h <= max(self.control.smallest, _least(t)) * (1 + 1e-9):
             raise reason
         self.rejected += 1
         self._h = _rounded(max(factor * h, self.control.smallest))
@@ -191,6 +201,11 @@ def _free_nodes(model: Model) -> list[str]:
 
     held = getattr(model.scheme, "impulses", False)
     return [n.name for n in bare_nodes(extract(model.declaration)) if not held or n.remedy == "none"]
+
+
+def _least(t: float) -> float:
+    """A step that is not lost in the rounding of t."""
+    return max(ROUNDING * abs(t), TINY)
 
 
 def _rounded(h: float) -> float:

@@ -21,9 +21,10 @@ from phfmu.engine.status import Status, StepFailure
 from phfmu.network.compose import require_members
 from phfmu.network.hidden import hidden_part, instant_sensitivity
 from phfmu.network.interface import interface
-from phfmu.network.members import Member
+from phfmu.network.members import MONOLITHIC, Member
 from phfmu.network.network import Network
 from phfmu.network.stepper import Booking, InconsistentState, Steps
+from phfmu.words import meant
 
 Array = NDArray[Any]
 
@@ -35,7 +36,12 @@ ITERATIONS = 30
 
 
 class Coupled:
-    """Members coupled by interface Newton; the run loop drives it like a single model."""
+    """Members coupled by interface Newton; the run loop drives it like a single model.
+
+    Each junction unknown is one value per step, held: the whole is of order 2, whatever the order of the members is.
+    """
+
+    what, instead = "members stepped apart", "leave out --coupling newton, which composes them"
 
     def __init__(self, network: Network, members: list[Member]):
         require_members(network)
@@ -66,8 +72,6 @@ class Coupled:
 
     def set_value(self, name: str, value: float) -> None:
         """Set a member's parameter or free input `member.name`; KeyError names close ones."""
-        from difflib import get_close_matches
-
         member, _, rest = name.partition(".")
         for m, place in zip(self.members, self._slices, strict=True):
             if m.name == member:
@@ -81,9 +85,7 @@ class Coupled:
                     return
                 if m.set_parameter(rest, value):
                     return
-        close = get_close_matches(name, self.settable(), 5)
-        hint = f"; did you mean {', '.join(close)}?" if close else ""
-        raise KeyError(f"{self.network.name} has no parameter or input '{name}'{hint}")
+        raise KeyError(f"{self.network.name} has no parameter or input '{name}'; {meant(name, self.settable())}")
 
     def read(self) -> Array:
         parts = [m.read() for m in self.members]
@@ -128,7 +130,7 @@ class Coupled:
         if bad:
             raise InconsistentState(
                 f"{self.network.name}: inconsistent start: {'; '.join(bad)}. Joined flows of states must sum to zero "
-                "and joined outputs must be equal at the start; change the start values"
+                f"and joined outputs must be equal at the start; change the start values, or {MONOLITHIC}"
             )
 
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> None:
@@ -260,7 +262,7 @@ class Coupled:
         return StepFailure(
             status, self.network.name, t, h, equation=f"junction row of {self.face.names[worst]} = {xi[worst]:.6g}",
             residual=float(abs(r[worst])), iterations=len(history),
-            tried=f"interface Newton (last scaled residuals {last}); all members are back at t",
+            tried=f"interface Newton (last scaled residuals {last}); all members are back at t", joined=True, history=history,
         )  # fmt: skip
 
 

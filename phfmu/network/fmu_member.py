@@ -13,6 +13,7 @@ from phfmu.fmu.reader import FMUInstance
 from phfmu.network.members import finite_differences
 from phfmu.network.scene import Scene
 from phfmu.network.stepper import Booking, Steps, places
+from phfmu.words import meant
 
 Array = NDArray[np.float64]
 
@@ -128,6 +129,8 @@ class FMUMember:
 class FMUStepper:
     """One FMU as the whole system of a run."""
 
+    what, instead = "an FMU, whose method is compiled in", "run the declaration with --engine native or python"
+
     def __init__(self, unit: FMUInstance):
         self.member = FMUMember(unit.name, unit)
         self.unit = unit
@@ -146,12 +149,7 @@ class FMUStepper:
         found = self.member.input_places(name)
         if not found:
             if not self.member.set_parameter(name, value):
-                from difflib import get_close_matches
-
-                close = get_close_matches(name, self.settable(), 5)
-                there = ", ".join(self.settable()) or "none"
-                hint = f"did you mean {', '.join(close)}?" if close else f"there are: {there}"
-                raise KeyError(f"{self.unit.name} has no input '{name}'; {hint}")
+                raise KeyError(f"{self.unit.name} has no input '{name}'; {meant(name, self.settable())}")
             return
         self._u[found] = value
         self.unit.set_input(self._u)

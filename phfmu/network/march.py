@@ -72,6 +72,7 @@ class FixedSteps:
         self._restarted = 0
         self._cut: list[float] = []
         self._pace = Pace()
+        self._longest = 0.0
 
     def over(self, start: float, end: float, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
@@ -105,11 +106,13 @@ class FixedSteps:
             else:
                 steps = self.stepper.advance(t, h, n, first)
         except StepFailure as failure:
+            failure.asked, failure.longest = h, self._longest
             kept = failure.recorded.get("steps")
             if kept is not None:
                 yield self._added(t, h, first, kept)
             self.book.failed(failure)
             raise
+        self._longest = max(self._longest, h)
         yield self._added(t, h, first, steps)
 
     def _added(self, t: float, h: float, first: int, steps: Steps) -> Row:
@@ -123,9 +126,13 @@ class AdaptiveSteps:
 
     def __init__(self, stepper: Stepper, book: Book, restart: int, landing: float, control: Control):
         from phfmu.network.adaptive import Adaptive
+        from phfmu.network.restart import require_fit
 
         self.book, self.restart, self.landing = book, restart, landing
-        self.adaptive = Adaptive(monolithic(stepper, "--rtol"), control)
+        whole = monolithic(stepper, "--rtol")
+        if restart:
+            require_fit(whole)
+        self.adaptive = Adaptive(whole, control)
         self._restarted, self._wanted = 0, 0
         self._pace = Pace()
 
@@ -213,5 +220,6 @@ def monolithic(stepper: Stepper, option: str) -> Monolithic:
     if isinstance(stepper, Monolithic):
         return stepper
     raise ValueError(
-        f"{option} needs one composed model stepped by the python or native engine; leave out --coupling and --engine fmu"
+        f"{option} needs one composed model stepped by the python or native engine, here it is {stepper.what}; "
+        f"leave out {option}, or {stepper.instead}"
     )

@@ -10,9 +10,13 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.columns import Columns
-from phfmu.network.stepper import Booking, Inputs, booking, places, require_consistent
+from phfmu.network.stepper import PROJECT, Booking, Inputs, booking, places, require_consistent
 
 Array = NDArray[np.float64]
+
+
+#: members know their own constraints only, so a coupled network cannot be projected
+MONOLITHIC = f"compose the network (--coupling monolithic) and {PROJECT}"
 
 
 class Member(Protocol):
@@ -136,4 +140,4 @@ class EngineMember:
         return self._columns.now(self.instance)
 
     def check_start(self) -> None:
-        require_consistent(self.model, self.instance)
+        require_consistent(self.model, self.instance, MONOLITHIC)

@@ -19,12 +19,7 @@ class Restart:
     """Takes steps of a `Monolithic` with Radau IIA nodes (k = 2, order 3).  DeclarationError if they do not fit."""
 
     def __init__(self, stepper: Monolithic, k: int = 2):
-        declaration = stepper.model.declaration
-        if declaration.constraints:
-            raise DeclarationError(
-                f"{declaration.name}: restart steps let the holonomic constraints drift; leave out --restart, or take "
-                "smaller steps after events with --rtol"
-            )
+        require_fit(stepper)
         self.stepper = stepper
         self.instance = stepper.companion(radau(k))
         #: steps that fell back to the exact scheme
@@ -40,6 +35,16 @@ class Restart:
             return self.stepper.advance(t0, h, 1)
         own.continue_from(self.instance)
         return steps
+
+
+def require_fit(stepper: Monolithic) -> None:
+    """DeclarationError if damping steps would let constraints drift."""
+    declaration = stepper.model.declaration
+    if declaration.constraints:
+        raise DeclarationError(
+            f"{declaration.name}: restart steps let the holonomic constraints drift; take none (--restart 0) and smaller steps "
+            "after events with --rtol"
+        )
 
 
 def gains(steps: Steps) -> bool:

@@ -74,6 +74,9 @@ class Stepper(Protocol):
 
     names: list[str]
     booking: Booking
+    #: what it is, and how to get one composed model instead; for messages
+    what: str
+    instead: str
 
     def settable(self) -> list[str]: ...
     def set_value(self, name: str, value: float) -> None: ...
@@ -143,6 +146,8 @@ def booking(model: Model) -> Booking:
 
 class Monolithic:
     """One instance (Python or native) that is the whole system."""
+
+    what, instead = "one composed model", ""
 
     def __init__(self, model: Model, instance: Any):
         self.model, self.instance = model, instance
@@ -218,8 +223,11 @@ class Monolithic:
         )  # fmt: skip
 
 
-def require_consistent(model: Model, instance: Any) -> None:
-    """InconsistentState if a hidden constraint of the present state exceeds its tolerance."""
+PROJECT = "let the run move the start onto it with --project (energy change booked)"
+
+
+def require_consistent(model: Model, instance: Any, instead: str = PROJECT) -> None:
+    """InconsistentState if a hidden constraint of the present state exceeds its tolerance; `instead` of better values."""
     from phfmu.discretise.model import CONSISTENCY
 
     if not model.checks:
@@ -233,6 +241,5 @@ def require_consistent(model: Model, instance: Any) -> None:
     if bad:
         raise InconsistentState(
             f"{model.name}: inconsistent start: {'; '.join(bad)}. A start off the constraints would chatter for ever; "
-            "change the start values so that the constraint holds (position, velocity or sum of currents), or let the run "
-            "move the start onto it with --project (energy change booked)"
+            f"change the start values so that the constraint holds (position, velocity or sum of currents), or {instead}"
         )

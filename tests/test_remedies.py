@@ -1,0 +1,137 @@
+"""Advice must be true for the case: what a message tells to do exists, and the facts bear it out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from phfmu import Event, Monolithic, Network, PythonInstance, StepFailure, build_model, run
+from phfmu.cli import main
+from phfmu.components.electrical.sources import voltage_source
+from phfmu.components.mechanical.translational import mass
+from phfmu.engine.status import Status
+from phfmu.network.coupled import Coupled
+from phfmu.network.members import EngineMember
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    capsys.readouterr()
+    code = main(words)
+    out, err = capsys.readouterr()
+    return code, out + err
+
+
+def failure(status: Status = Status.NO_CONVERGENCE, h: float = 0.01, **facts) -> StepFailure:
+    return StepFailure(status, "model", 1.0, h, **facts)
+
+
+def test_remedies_follow_from_the_facts() -> None:
+    """A smaller step is advised where none was tried, and never where smaller ones failed or longer ones worked."""
+    from phfmu.engine.remedy import remedy
+
+    blunt = failure(residual=3.0, floor=1e-13, update=0.5)
+    assert "substeps down to 0.01 s failed too" in remedy(blunt)
+    cut = failure(residual=3.0, update=0.5)
+    cut.asked, cut.longest = 1e-6, 0.1
+    assert "steps of 0.1 s were solved" in remedy(cut) and "onto the grid" in remedy(cut)
+    loose = failure(residual=2.5e-14, floor=1.6e-19, update=0.1)
+    assert "hardly determined" in remedy(loose)
+    assert "start values" in remedy(failure(h=0.0, residual=1.0))
+    assert "take a smaller step" in remedy(failure(joined=True, history=(1.0, 0.3, 0.05)))
+    stuck = remedy(failure(joined=True, history=(1.0, 0.9, 0.95)))
+    assert "stopped shrinking" in stuck and "smaller step" not in stuck
+    assert "Next: " + remedy(blunt) in str(blunt)
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
+def test_every_outcome_has_a_remedy(status: Status) -> None:
+    assert ". Next: " in str(failure(status)) and ". Next: " in str(failure(status, h=0.0))
+
+
+def test_a_run_adds_what_it_had_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of 0.1 s work; the one of 1e-3 s before an event is refused: no word of smaller steps."""
+    model = build_model(mass(1.0, k=4.0, q=1.0))
+    instance = PythonInstance(model)
+    solve = instance._solve
+
+    def refuse(h, u):
+        if h < 0.01:
+            monkeypatch.setattr("phfmu.engine.python.DEPTH", 0)
+            outcome = solve(h, u)
+            outcome.status = Status.NO_CONVERGENCE
+            return outcome
+        return solve(h, u)
+
+    monkeypatch.setattr(instance, "_solve", refuse)
+    with pytest.raises(StepFailure, match=r"steps of 0\.1 s were solved before this one of 0\.001 s"):
+        run(Monolithic(model, instance), stop=1.0, step=0.1, events=[Event(0.501, "m", 1.0)])
+
+
+def test_joined_ideal_sources_are_named_with_what_helps() -> None:
+    """Two ideal voltage sources at one node: nothing determines its voltage; `phfmu check` would not say why."""
+    net = Network("short")
+    for name in ("a", "b"):
+        net.add(name, voltage_source(1.0))
+    net.junction("node", ["a.terminal", "b.terminal"])
+    models = {n: build_model(d) for n, d in net.members.items()}
+    members = [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()]
+    with pytest.raises(StepFailure, match="junction row of .*ideal sources joined"):
+        run(Coupled(net, members), stop=0.1, step=0.01)
+
+
+@pytest.mark.parametrize("option", ["--restart", "--rtol", "--dense"])
+def test_what_needs_one_model_says_what_it_has(capsys, option: str) -> None:
+    code, text = said(
+        capsys,
+        "run",
+        "oscillator",
+        "--coupling",
+        "newton",
+        "--engine",
+        "python",
+        option,
+        "1" if option != "--rtol" else "1e-3",
+    )
+    assert code == 2 and f"leave out {option}, or leave out --coupling newton" in text and "--engine fmu" not in text
+
+
+def test_adaptive_runs_refuse_restarts_that_let_constraints_drift(capsys) -> None:
+    """Radau steps leave g = 0; with fixed steps that was refused, with --rtol it was done in silence."""
+    for steps in ([], ["--rtol", "1e-4"]):
+        code, text = said(
+            capsys, "run", "four_particle", "--engine", "python", "--stop", "0.02", "--restart", "2", *steps
+        )
+        assert code == 2 and "constraints drift" in text and "--restart 0" in text
+
+
+def test_no_message_names_an_option_or_coupling_that_does_not_exist() -> None:
+    """jacobi is no coupling, and --engine is not chosen for one member."""
+    for path in (Path(__file__).parent.parent / "phfmu").rglob("*.py"):
+        text = path.read_text()
+        if path.parent.name != "stress":  # a case there says that it is not offered
+            assert "jacobi)" not in text and "--engine native for" not in text, path
+
+
+def test_newton_says_order_2_and_why(capsys) -> None:
+    common = ("run", "oscillator", "--engine", "python", "--stop", "0.02", "--coupling", "newton")
+    code, text = said(capsys, *common, "--order", "4")
+    first = text.splitlines()[0]
+    assert code == 0 and "order 2 (members of order 4, inputs held)" in first
+    assert "--order 4 is that of the members" in text and "--coupling monolithic keeps order 4" in text
+    plain = said(capsys, *common)[1]
+    assert "order 2, python engine, newton" in plain and "is that of the members" not in plain
+    assert "2 with --coupling newton" in said(capsys, "info", "oscillator")[1]
+    assert "--coupling newton" not in said(capsys, "info", "mass")[1]
+
+
+def test_members_that_start_off_their_constraints_are_told_what_works(capsys, tmp_path) -> None:
+    """--project is refused for coupled members, so it is not the advice."""
+    file = tmp_path / "m.py"
+    file.write_text(
+        "from phfmu import Network\nfrom phfmu.components.mechanical.translational import mass\n"
+        "def net():\n    n = Network('net')\n    n.add('a', mass(v=0.3))\n    n.add('b', mass())\n"
+        "    n.junction('joint', ['a.flange', 'b.flange'], kind='1')\n    return n\n"
+    )
+    code, text = said(capsys, "run", f"{file}:net", "--coupling", "newton", "--engine", "python")
+    assert code == 2 and "--coupling monolithic" in text and "--project" in text
