@@ -13,11 +13,13 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
-def meant(name: str, known: Iterable[str]) -> str:
-    """`did you mean a, b?`, or what there is where nothing is close."""
+def meant(name: str, known: Iterable[str], otherwise: str = "") -> str:
+    """`did you mean a, b?`; where nothing is close, `otherwise` or what there is."""
     names = list(dict.fromkeys(known))
     close = get_close_matches(name, names, 3)
     if close:
         return f"did you mean {', '.join(close)}?"
+    if otherwise:
+        return otherwise
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return f"there are: {', '.join(names[:SHOWN]) or 'none'}{more}"

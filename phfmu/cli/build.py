@@ -99,7 +99,8 @@ def _inputs_of(net: Network, end: End) -> list[str]:
 def _unknown(net: Network, name: str) -> str:
     """The message for a name that no member has, with close ones."""
     known = [f"{m}.{n}" for m, d in net.members.items() for n in d.settable_names()]
-    return f"{net.name} has no parameter, state or input '{name}'; {meant(name, known)}"
+    members = f"members: {', '.join(net.members)}"
+    return f"{net.name} has no parameter, state or input '{name}'; {meant(name, known, members)}"
 
 
 def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf) -> str:

@@ -66,6 +66,9 @@ class StepFailure(RuntimeError):
         super().__init__()
 
     def __str__(self) -> str:
+        return self._text()
+
+    def _text(self) -> str:
         """What happened, with its numbers, and the remedy."""
         from phfmu.engine.remedy import remedy
 

@@ -42,7 +42,7 @@ class ToleranceMissed(StepFailure):
         super().__init__(Status.NO_CONVERGENCE, component, time, h)
         self.error, self.name, self.advice = error, name, advice
 
-    def __str__(self) -> str:
+    def _text(self) -> str:
         return (
             f"{self.component} at t = {self.time:.9g} s: a step of {self.h:.3g} s misses the tolerance {self.error:.3g} times, "
             f"worst state {self.name}, and no smaller one is allowed. Next: {self.advice}"
