@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.network.scene import Scene
 
 
 def add_parser(verbs: Any) -> None:
@@ -18,6 +23,10 @@ def add_parser(verbs: Any) -> None:
     options.add_scheme(parser)
     parser.add_argument("--node-inputs", action="store_true",
                         help="optional port inputs at the nodes of a step, e.g. terminal.v_node[1,2] (order 4 or 6)")  # fmt: skip
+    parser.add_argument("--outputs", default="ledger", choices=("ledger", "local"),
+                        help="energies and residuals of constraints as outputs, or as local variables")  # fmt: skip
+    parser.add_argument("--no-terminals", action="store_true",
+                        help="leave terminalsAndIcons.xml out, which some importers of FMI 2.0 refuse")  # fmt: skip
     parser.add_argument("--platform", action="append", metavar="NAME", help="e.g. x86_64-linux; may be repeated")
     parser.add_argument("--all-platforms", action="store_true", help="linux, windows and darwin, x86_64 and aarch64")
     options.add_settings(parser)
@@ -44,8 +53,25 @@ def call(args: argparse.Namespace) -> int:
     versions = tuple(f"{v}.0" for v in (args.fmi or ("2", "3")))
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
     model = build_model(declaration, scheme_of(args, declaration))
+    left_out = _left_out(s, declaration)
     paths = export(declaration, model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
-                   node_inputs=args.node_inputs)  # fmt: skip
+                   node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
+                   terminals=not args.no_terminals, left_out=left_out)  # fmt: skip
+    for line in left_out:
+        print(f"phfmu: not in the unit: {line}", file=sys.stderr)
     for path in paths:
         print(path)
     return 0
+
+
+def _left_out(s: Scene, declaration: PHDAE) -> list[str]:
+    """What a unit has not of the scene: events happen in the importer, damping steps nowhere."""
+    fixed = {n for v in declaration.parameters for n in (v.name, *v.names())}
+    lines = [
+        f"event at t = {e.t:g} s, {e.name} = {e.value:g}: "
+        + ("a parameter, which is fixed in a unit" if e.name in fixed else "set this input at that time")
+        for e in s.events
+    ]
+    if s.restart:
+        lines.append(f"{s.restart} damping steps after each event")
+    return lines

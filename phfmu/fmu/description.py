@@ -14,6 +14,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.units import BASE, parse_unit
 from phfmu.discretise.model import Model
 from phfmu.fmu.variables import FMUVariable, variables
+from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number
 
 #: category of messages -> its description
@@ -27,7 +28,9 @@ LOG_CATEGORIES = {
 class Unit:
     """A model to be exported.  `step`: longest internal and suggested communication step, s; `stop`: s.
 
-    `node_inputs`: ports also have inputs and outputs at the nodes of a step.
+    `node_inputs`: ports also have inputs and outputs at the nodes of a step.  `ledger_outputs`: energies and residuals of
+    constraints are outputs, else local variables.  `terminals`: ports are listed as terminals.  `left_out`: what the
+    declaration's scene has and the unit has not, a line each.
     """
 
     declaration: PHDAE
@@ -35,10 +38,14 @@ class Unit:
     step: float
     stop: float | None = None
     node_inputs: bool = False
+    ledger_outputs: bool = True
+    terminals: bool = True
+    left_out: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
-        return self.declaration.name
+        """On one line, without control characters."""
+        return plain(self.declaration.name)
 
     @cached_property
     def identifier(self) -> str:
@@ -49,7 +56,7 @@ class Unit:
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
-        return variables(self.declaration, self.model, self.node_inputs)
+        return variables(self.declaration, self.model, self.node_inputs, self.ledger_outputs)
 
     def outputs(self) -> list[int]:
         """Value references of the outputs."""
@@ -83,7 +90,7 @@ def root(unit: Unit, fmi_version: str, token: tuple[str, str] | None) -> Element
     if token:
         element.set(*token)
     if unit.declaration.description:
-        element.set("description", unit.declaration.description)
+        element.set("description", plain(unit.declaration.description))
     element.set("generationTool", generation_tool())
     date = generation_date()
     if date and token:

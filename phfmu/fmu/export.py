@@ -9,8 +9,9 @@ from pathlib import Path
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model
 from phfmu.engine.compile import compile, host_target, suffix
-from phfmu.fmu import fmi2, fmi3, manifest, package, sources, terminals
+from phfmu.fmu import fmi2, fmi3, manifest, package, sources
 from phfmu.fmu.description import Unit
+from phfmu.fmu.terminals import terminals as terminals_of
 from phfmu.fmu.variables import FMUError
 
 #: platform -> (compiler target, folder of 2.0, folder of 3.0); 2.0 has no names for ARM and borrows them
@@ -35,11 +36,16 @@ def export(
     stop: float | None = None,
     platforms: Sequence[str] | None = None,
     node_inputs: bool = False,
+    ledger_outputs: bool = True,
+    terminals: bool = True,
+    left_out: Sequence[str] = (),
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions`.
 
     `step`: longest internal and suggested communication step, s.  `platforms`: keys of PLATFORMS, default
     this machine.  `node_inputs`: optional port inputs at the nodes of a step, and the outputs there (order 4, 6).
+    `ledger_outputs`: energies and residuals of constraints as outputs, else as local variables.  `terminals`: a file that
+    lists the ports as terminals.  `left_out`: lines about what the unit has not, for its documentation and manifest.
     The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
     """
     if not (math.isfinite(step) and step > 0):
@@ -52,7 +58,7 @@ def export(
             f"{declaration.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
-    unit = Unit(declaration, model, step, stop, node_inputs)
+    unit = Unit(declaration, model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out))
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
     code = sources.complete(unit, equations, token)
@@ -99,7 +105,7 @@ def _files(
         target, folder2, folder3 = PLATFORMS[platform]
         folder = folder2 if version == "2.0" else folder3
         files[f"binaries/{folder}/{unit.identifier}{suffix(target)}"] = library
-    ports = terminals.terminals(unit)
+    ports = terminals_of(unit)
     if ports:
         files["terminalsAndIcons/terminalsAndIcons.xml"] = ports
     return files | {manifest.PATH: manifest.manifest(unit)} | package.documentation(unit)

@@ -26,10 +26,9 @@ DOCUMENT = 2 * 2**20
 TAG = 2**20
 TAGS = 600_000
 DEPTH = 100
-#: variables of any type (entries of arrays counted), characters of a name and of a description
+#: variables of any type (entries of arrays counted), characters of a name
 VARIABLES = 100_000
 NAME = 1000
-TEXT = 1000
 
 
 def within(where: object, found: int, limit: int, what: str) -> None:

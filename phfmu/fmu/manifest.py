@@ -82,6 +82,8 @@ def manifest(unit: Unit) -> bytes:
         step.set("nodes", " ".join(number(c) for c in unit.model.nodes))
         step.set("weights", " ".join(number(b) for b in plan.weights))
         step.set("nodeInputs", NODES)
+    for text in unit.left_out:
+        etree.SubElement(root, "LeftOut", what=plain(text))
     energy = etree.SubElement(root, "Energy")
     for what, _, _ in (*LEDGER, *STEP_LEDGER):
         energy.set(ENERGY.get(what, what), f"energy.{what}")

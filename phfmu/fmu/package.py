@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 
 from phfmu.fmu.description import Unit, generation_tool
+from phfmu.fmu.words import plain
 
 #: a date every zip tool can read; SOURCE_DATE_EPOCH replaces it
 OLDEST = (1980, 1, 1, 0, 0, 0)
@@ -85,13 +86,13 @@ def _page(unit: Unit) -> str:
 <head><meta charset="utf-8"><title>{title}</title></head>
 <body>
 <h1>{title}</h1>
-<p>{escape(unit.declaration.description)}</p>
+<p>{escape(plain(unit.declaration.description))}</p>
 <p>Port-Hamiltonian component of {model.step.nx} states, {model.step.na} algebraic variables and
 {model.step.nu} port inputs, stepped by the scheme '{escape(model.scheme.name)}' of order
 {model.scheme.order} in internal steps of at most {unit.step!r} s. Inputs are held over a communication step{_at_nodes(unit)}.
 The product of step length, port input and the output named <code>_step</code> is the energy supplied through
 the port, exactly; <code>energy.residual</code> is the change of stored energy plus dissipated minus supplied
-energy, which is rounding only.</p>
+energy, which is rounding only.</p>{_left_out(unit)}
 <table border="1">
 <tr>{head}</tr>
 {rows}
@@ -107,6 +108,13 @@ def _at_nodes(unit: Unit) -> str:
         return ""
     places = ", ".join(f"{c:.6g}" for c in unit.model.nodes)
     return f", or given at its nodes {places} (fractions of the step; what is set last counts)"
+
+
+def _left_out(unit: Unit) -> str:
+    if not unit.left_out:
+        return ""
+    items = "\n".join(f"<li>{escape(plain(text))}</li>" for text in unit.left_out)
+    return f"\n<p>Of the scene it was exported from, this unit leaves out:</p>\n<ul>\n{items}\n</ul>"
 
 
 def _shown(value: object) -> object:

@@ -17,6 +17,7 @@ from phfmu.engine.tables import c_text
 from phfmu.fmu import fmi2, fmi3
 from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import check_names
+from phfmu.fmu.words import c_comment, c_string
 from phfmu.fmu.xml import number
 
 RUNTIME = Path(__file__).parent / "runtime"
@@ -75,7 +76,7 @@ def _list(values: Iterable[str]) -> str:
 
 def _strings(name: str, values: Iterable[str]) -> tuple[str, str]:
     """Definition of an array of strings and how to name it."""
-    items = _list('"' + v.replace("\\", "\\\\").replace('"', '\\"') + '"' for v in values)
+    items = _list(c_string(v) for v in values)
     return (f"static const char *const {name}[] = {{\n{items}}};\n", name) if items else ("", "0")
 
 
@@ -87,7 +88,7 @@ def interface_text(unit: Unit, token: str) -> str:
     """interface.c: variables, checks and names of the equations."""
     model = unit.model
     place = {v.name: i for i, v in enumerate(unit.variables)}
-    rows = [f'{{{v.block}, {v.first}, {v.count}, "{v.name}"}}' for v in unit.variables]
+    rows = [f"{{{v.block}, {v.first}, {v.count}, {c_string(v.name)}}}" for v in unit.variables]
     limits = [
         f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in zip(check_names(model), model.check_scale, strict=True)
     ]
@@ -101,7 +102,7 @@ def interface_text(unit: Unit, token: str) -> str:
     checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""
     checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
     return f"""\
-/* Generated. Variables, start checks and names of the equations of {unit.name}. */
+/* Generated. Variables, start checks and names of the equations of {c_comment(unit.name)}. */
 #include <math.h>
 
 #include "fmu.h"

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from phfmu.declare.port import Port
 from phfmu.fmu.description import Unit
+from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, text_of
 
 
 def terminals(unit: Unit) -> bytes | None:
-    """The document, or None without external ports."""
+    """The document, or None without external ports or if it is not wanted."""
     ports = [p for p in unit.declaration.ports if p.external]
-    if not ports:
+    if not ports or not unit.terminals:
         return None
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     listed = etree.SubElement(root, "Terminals")
@@ -28,7 +29,7 @@ def _terminal(parent: Element, port: Port) -> None:
     terminal = etree.SubElement(
         parent, "Terminal", name=port.name, matchingRule="plug", terminalKind=f"org.phfmu.{port.domain.name}"
     )
-    terminal.set("description", f"{port.description or port.name}; power is positive into the component")
+    terminal.set("description", f"{plain(port.description or port.name)}; power is positive into the component")
     efforts, flows = port.input_names(), port.output_names()
     if port.given == "flow":
         efforts, flows = flows, efforts

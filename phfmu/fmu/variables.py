@@ -14,6 +14,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Number, Variable
 from phfmu.discretise.model import Model
+from phfmu.fmu.words import plain
 
 Causality = Literal["independent", "parameter", "input", "output", "local"]
 
@@ -63,10 +64,17 @@ class FMUVariable:
         return self.block not in ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL")
 
 
-def variables(declaration: PHDAE, model: Model, node_inputs: bool = False) -> tuple[FMUVariable, ...]:
+#: where outputs of the ledger and residuals of constraints come from: to be looked at, not to be connected
+_BOOKS = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL", "PH_OBSERVABLES")
+
+
+def variables(
+    declaration: PHDAE, model: Model, node_inputs: bool = False, ledger_outputs: bool = True
+) -> tuple[FMUVariable, ...]:
     """All variables; the place is the value reference.  FMUError lists illegal and repeated names.
 
-    `node_inputs`: port inputs and outputs at the k nodes of a step too; they come last.
+    `node_inputs`: port inputs and outputs at the k nodes of a step too; they come last.  `ledger_outputs`: energies and
+    residuals of constraints are outputs, else local variables.
     """
     table = (
         FMUVariable("time", "independent", "PH_X", model.step.nx, unit="s", description="time"),
@@ -79,6 +87,11 @@ def variables(declaration: PHDAE, model: Model, node_inputs: bool = False) -> tu
         *_checks(model),
         *(_nodes(declaration, model) if node_inputs else ()),
     )
+    table = tuple(replace(v, description=plain(v.description)) for v in table)
+    if not ledger_outputs:
+        table = tuple(
+            replace(v, causality="local") if v.causality == "output" and v.block in _BOOKS else v for v in table
+        )
     problems = _problems(table)
     if problems:
         raise FMUError(f"{declaration.name}: " + "; ".join(problems))

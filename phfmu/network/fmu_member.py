@@ -35,7 +35,9 @@ def _booking(unit: FMUInstance, name: str) -> Booking:
 
 def _fed_from_inside(unit: FMUInstance) -> bool:
     """True if the unit has power ports of its own that no input feeds, such as the source of a grid."""
-    return any(n.endswith(".energy") and v.causality == "local" for n, v in unit.interface.variables.items())
+    own = {f"{p.name}.energy" for p in unit.ports}
+    local = (n for n, v in unit.interface.variables.items() if v.causality == "local" and n not in own)
+    return any(n.endswith(".energy") for n in local)
 
 
 class FMUMember:
