@@ -4,9 +4,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .analysis import DEFAULT_RTOL, Violation, summarise, verdict
+    from .analysis import summarise, verdict
     from .archive import Recovered, metadata, read, recover
     from .block import Block, Layout, PortKey, make_block
+    from .judge import DEFAULT_RTOL, Judge, Violation
     from .ledger import Ledger, Sink
     from .report import audit_table
     from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
@@ -14,9 +15,10 @@ if TYPE_CHECKING:
     from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
 
 _HOME = {
-    "analysis": ("DEFAULT_RTOL", "Violation", "summarise", "verdict"),
+    "analysis": ("summarise", "verdict"),
     "archive": ("Recovered", "metadata", "read", "recover"),
     "block": ("Block", "Layout", "PortKey", "make_block"),
+    "judge": ("DEFAULT_RTOL", "Judge", "Violation"),
     "ledger": ("Ledger", "Sink"),
     "report": ("audit_table",),
     "rows": ("ComponentRow", "EventRow", "JunctionRow", "NetworkRow", "PortRow"),
@@ -31,6 +33,7 @@ __all__ = [
     "ComponentRow",
     "ComponentSummary",
     "EventRow",
+    "Judge",
     "JunctionRow",
     "JunctionSummary",
     "Layout",

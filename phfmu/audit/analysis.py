@@ -1,219 +1,322 @@
-"""The audit table judged and summed."""
+"""A log judged: its rows become blocks again, go through the same ledger as those of a run, and are held against it."""
 
 import math
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .rows import ESTIMATED
-from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
-from .sums import CompensatedSum, Floats, largest, relative
+from .block import Block, Layout, PortKey, make_block
+from .judge import DEFAULT_RTOL, EPS, FLOOR, Violation
+from .ledger import Ledger
+from .reading import Batches, Interned, Rows
+from .rows import ESTIMATED, EXACT, SILENT
+from .summary import LedgerSummary
+from .sums import Floats
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-DEFAULT_RTOL = 1e-11
+Ints = NDArray[np.int64]
+#: rows that may wait for the network row of their step
+WAITING_ROWS = 1 << 22
 
-Codes = tuple[NDArray[np.int64], list[str]]
-
-
-@dataclass(frozen=True, slots=True)
-class Violation:
-    """A component's step whose residual exceeds rtol (sum |H_s| + |supplied| + |dissipated|)."""
-
-    component: str
-    step: int
-    t0: float
-    h: float
-    residual: float
-    allowed: float
-    relative: float
+_STEPPED = ("component", "port", "junction")
+_OPTIONAL = ("dissipated", "supplied", "numerical", "moved")
 
 
-class _Rows:
-    """The rows of one kind as numpy columns, in the order of the file."""
-
-    def __init__(self, table: "pa.Table", kind: str) -> None:
-        import pyarrow.compute as pc
-
-        if "row" in table.column_names and table.num_rows:
-            table = table.filter(pc.call_function("equal", [table["row"].cast("string"), kind]))
-        self._table = table
-        self.n = table.num_rows
-
-    def has(self, name: str) -> bool:
-        """True if some row of this kind fills the column."""
-        return name in self._table.column_names and self._table[name].null_count < self.n
-
-    def numbers(self, name: str, absent: float) -> Floats:
-        """A column [n]; `absent` where it is null. What is not a number in the file stays so."""
-        if not self.has(name):
-            return np.full(self.n, absent)
-        column = self._table[name]
-        filled = column.fill_null(absent) if column.null_count and not math.isnan(absent) else column
-        return filled.cast("float64").to_numpy()
-
-    def integers(self, name: str) -> NDArray[np.int64]:
-        if not self.has(name):
-            return np.zeros(self.n, np.int64)
-        return self._table[name].fill_null(0).cast("int64").to_numpy()
-
-    def names(self, name: str) -> Codes:
-        """Codes [n], -1 for null, and what they stand for."""
-        if not self.has(name):
-            return np.full(self.n, -1), []
-        column = self._table[name].cast("string").dictionary_encode().unify_dictionaries().combine_chunks()
-        return column.indices.fill_null(-1).to_numpy().astype(np.int64), column.dictionary.to_pylist()
+def verdict(source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_RTOL) -> list[Violation]:
+    """What does not close in an audit table or log file; empty if everything does."""
+    return summarise(source, rtol).violations
 
 
-def _groups(codes: Codes) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """Each name with the rows it stands in, in order of first appearance."""
-    order = np.argsort(codes[0], kind="stable")
-    edges = np.searchsorted(codes[0][order], np.arange(len(codes[1]) + 1))
-    for code, name in enumerate(codes[1]):
-        members = order[edges[code] : edges[code + 1]]
-        if len(members):
-            yield name, members
+def summarise(source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_RTOL) -> LedgerSummary:
+    """The ledger of an audit table or log file, as `Ledger.summary` gives it at the end of the run.
 
-
-def _sum(x: Floats) -> float:
-    accumulator = CompensatedSum()
-    return float(accumulator.extend(x)[-1]) if len(x) else 0.0
-
-
-def _balance(rows: _Rows) -> tuple[Floats, Floats]:
-    """Residual of every component row, recomputed, and what it is measured against; both [n]."""
-    lost, gained, damped = (rows.numbers(name, 0.0) for name in ("dissipated", "supplied", "numerical"))
-    stored = np.maximum(np.abs(rows.numbers("H0", math.nan)), np.abs(rows.numbers("H1", math.nan)))
-    if rows.has("scale"):
-        scale = rows.numbers("scale", -1.0)
-        stored = np.where(scale == -1.0, stored, scale)
-    with np.errstate(invalid="ignore", over="ignore"):
-        residual = rows.numbers("dH", math.nan) + lost + damped - gained
-        return residual, stored + np.abs(gained) + np.abs(lost) + np.abs(damped)
-
-
-def _estimated(rows: _Rows) -> NDArray[np.bool_]:
-    codes, names = rows.names("quality")
-    return np.isin(codes, [i for i, name in enumerate(names) if name == ESTIMATED])
-
-
-def verdict(table: "pa.Table", rtol: float = DEFAULT_RTOL) -> list[Violation]:
-    """Component rows with |residual| > rtol (sum |H_s| + |supplied| + |dissipated|), in the file's order.
-
-    What is not a finite number is a violation. Components with estimated port energies are not judged.
+    Nothing derived is taken from the rows: residuals, junctions, the network and its sums are computed again, and rows
+    that say otherwise are violations of the kind `file`. One pass; memory does not grow with the log.
+    Errors: ValueError for what is not an audit log, or would unpack to far more than phfmu writes.
     """
-    rows = _Rows(table, "component")
-    residual, magnitude = _balance(rows)
-    ratio = relative(residual, magnitude)
-    bad = np.flatnonzero((ratio > rtol) & ~_estimated(rows))
-    codes, names = rows.names("component")
-    step, t0, h = rows.integers("step"), rows.numbers("t0", math.nan), rows.numbers("h", math.nan)
-    return [
-        Violation(
-            names[codes[i]],
-            int(step[i]),
-            float(t0[i]),
-            float(h[i]),
-            float(residual[i]),
-            float(rtol * magnitude[i]),
-            float(ratio[i]),
-        )
-        for i in bad
-    ]
+    batches = Batches(source)
+    reader = _Reader(batches.interned, rtol)
+    for batch in batches:
+        reader.take(batch)
+    reader.finish()
+    return reader.ledger.summary()
 
 
-def summarise(table: "pa.Table") -> LedgerSummary:
-    """The ledger of an audit table, as `Ledger.summary` gives it while the run is under way."""
-    steps = _Rows(table, "network")
-    t0, h = steps.numbers("t0", math.nan), steps.numbers("h", math.nan)
-    events = _Rows(table, "event")
-    kinds, kind_names = events.names("kind")
-    return LedgerSummary(
-        steps=steps.n,
-        t_start=float(t0[0]) if steps.n else math.nan,
-        t_end=float(t0[-1] + h[-1]) if steps.n else math.nan,
-        components=_components(_Rows(table, "component"), events),
-        ports=_ports(_Rows(table, "port")),
-        junctions=_junctions(_Rows(table, "junction")),
-        network=_network(steps) if steps.n else None,
-        events={name: len(members) for name, members in _groups((kinds, kind_names))},
-    )
+@dataclass(frozen=True)
+class _Grouped:
+    """Rows of one kind in the order of their steps: `first`[k] is where step k begins, `count`[k] how many it has."""
+
+    rows: Rows
+    first: Ints
+    count: Ints
 
 
-def _components(rows: _Rows, events: _Rows) -> list[ComponentSummary]:
-    residual, magnitude = _balance(rows)
-    ratio, estimated = relative(residual, magnitude), _estimated(rows)
-    H0, H1, dH = (rows.numbers(name, math.nan) for name in ("H0", "H1", "dH"))
-    lost, gained, damped = (rows.numbers(name, math.nan) for name in ("dissipated", "supplied", "numerical"))
-    step, t0 = rows.integers("step"), rows.numbers("t0", math.nan)
-    jump = events.numbers("energy_jump", math.nan)
-    jumps = {name: _present(jump[members]) for name, members in _groups(events.names("component"))}
-    summaries = []
-    for name, members in _groups(rows.names("component")):
-        worst = members[int(np.argmax(ratio[members]))]
-        summaries.append(
-            ComponentSummary(
-                name,
-                float(H0[members[0]]),
-                float(H1[members[-1]]),
-                stored=_sum(dH[members]),
-                dissipated=_present(lost[members]),
-                supplied=_present(gained[members]),
-                jumps=jumps.get(name),
-                worst_residual=float(residual[worst]),
-                worst_relative=float(ratio[worst]),
-                worst_step=int(step[worst]),
-                worst_t0=float(t0[worst]),
-                magnitude=largest(magnitude[members]),
-                quality=ESTIMATED if estimated[members].any() else "exact",
-                numerical=_present(damped[members]),
+class _Reader:
+    """Turns rows into blocks as soon as their steps are complete, which the network row of a step says."""
+
+    def __init__(self, interned: Interned, rtol: float) -> None:
+        self.ledger = Ledger(rtol=rtol)
+        self._interned = interned
+        self._waiting: dict[str, Rows] = {}
+        self._layouts: dict[tuple[bytes, ...], Layout] = {}
+        self._played = 0.0  # sum of all energies in play so far
+        self._next: int | None = None
+
+    def take(self, batch: Mapping[str, Rows]) -> None:
+        """Take the rows of a batch, and book all steps that are complete now."""
+        for kind, rows in batch.items():
+            self._waiting[kind] = Rows.joined([self._waiting[kind], rows]) if kind in self._waiting else rows
+        network = self._waiting.pop("network", None)
+        if network is None:
+            waiting = sum(rows.n for rows in self._waiting.values())
+            if waiting > WAITING_ROWS:
+                raise ValueError(f"{waiting} rows of the log belong to no network row; it is not a log of phfmu")
+            return
+        steps, at = np.unique(network.step, return_index=True)
+        self._check_order(network.step, steps)
+        grouped = {"network": _grouped(network.take(at), steps)}
+        for kind in _STEPPED:
+            rows = self._waiting.pop(kind, None)
+            if rows is not None:
+                done = rows.step <= steps[-1]
+                if not done.all():
+                    self._waiting[kind] = rows.take(~done)
+                grouped[kind] = self._own(kind, rows.take(done), steps)
+        self._book(grouped)
+
+    def finish(self) -> None:
+        """Say what is left."""
+        self._book_events(self._waiting.pop("event", None), None)
+        for kind, rows in self._waiting.items():
+            self._contradiction(
+                int(rows.step[0]), f"{rows.n} {kind} rows from step {rows.step[0]} on have no network row"
             )
+
+    def _check_order(self, found: Ints, steps: Ints) -> None:
+        expected = steps[0] if self._next is None else self._next
+        jumps = np.flatnonzero(np.diff(found, prepend=expected - 1) != 1)
+        if len(jumps):
+            k = int(jumps[0])
+            before = int(found[k - 1]) if k else int(expected) - 1
+            self._contradiction(
+                int(found[k]), f"step {before} is followed by step {found[k]}: rows are missing or doubled"
+            )
+        self._next = int(steps[-1]) + 1
+
+    def _own(self, kind: str, rows: Rows, steps: Ints) -> _Grouped:
+        """The rows of the steps there are."""
+        place = np.minimum(np.searchsorted(steps, rows.step), len(steps) - 1)
+        known = steps[place] == rows.step
+        if not known.all():
+            lost = int(rows.step[~known][0])
+            self._contradiction(lost, f"{(~known).sum()} {kind} rows, the first of step {lost}, have no network row")
+            rows = rows.take(known)
+        return _grouped(rows, steps)
+
+    def _book(self, grouped: dict[str, _Grouped]) -> None:
+        """Book runs of steps of one layout between events, in order."""
+        network = grouped["network"].rows
+        middle = network.values("t0") + 0.5 * network.values("h")
+        edges = {0, network.n, *_changes(grouped)}
+        events = self._waiting.get("event")
+        if events is not None:
+            edges.update(np.searchsorted(middle, events.values("t0")).tolist())
+        cuts = sorted(edges)
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            self._book_events(self._waiting.pop("event", None), float(middle[a]))
+            self._book_run(grouped, a, b)
+
+    def _book_events(self, events: Rows | None, until: float | None) -> None:
+        """Book the events up to a time; the others wait."""
+        if events is None:
+            return
+        t = events.values("t0")
+        due = np.ones(events.n, bool) if until is None else ~(t > until)
+        energy, there = events.numbers["energy_jump"]
+        kinds, components, messages = (events.names[name] for name in ("kind", "component", "message"))
+        name = self._interned.name
+        for i in np.flatnonzero(due):
+            jump = float(energy[i]) if there[i] else None
+            self.ledger.event(float(t[i]), name(kinds[i]) or "", name(components[i]), jump, name(messages[i]))
+        if not due.all():
+            self._waiting["event"] = events.take(~due)
+
+    def _book_run(self, grouped: dict[str, _Grouped], a: int, b: int) -> None:
+        """Book steps a..b-1, which have one layout, and hold the recorded rows against them."""
+        n, tables = b - a, {}
+        for kind, g in grouped.items():
+            m = int(g.count[a]) if len(g.count) else 0
+            tables[kind] = g.rows.take(slice(int(g.first[a]), int(g.first[a]) + n * m)), m
+        layout = self._layout(tables)
+        network = tables["network"][0]
+        rows, c = tables.get("component", (None, 0))
+        ports, q = tables.get("port", (None, 0))
+
+        def table(name: str) -> Floats | None:
+            if rows is None or not rows.numbers[name][1][:c].any():
+                return None
+            values, there = rows.numbers[name]
+            default = np.maximum(np.abs(rows.values("H0")), np.abs(rows.values("H1"))) if name == "moved" else 0.0
+            return np.where(there, values, default).reshape(n, c)
+
+        def required(source: Rows | None, name: str, m: int) -> Floats:
+            if source is None:
+                return np.zeros((n, 0))
+            values, there = source.numbers[name]
+            return np.where(there, values, math.nan).reshape(n, m)
+
+        H0, H1, dH = (required(rows, name, c) for name in ("H0", "H1", "dH"))
+        lost, gained, damped, moved = (table(name) for name in _OPTIONAL)
+        block = make_block(
+            layout, network.step, network.values("t0"), network.values("h"), H1, dH, lost, gained,
+            required(ports, "supplied", q), H0=H0, moved=moved, numerical=damped,
+        )  # fmt: skip
+        self._hold(self.ledger.take(block), tables)
+
+    def _layout(self, tables: Mapping[str, tuple[Rows, int]]) -> Layout:
+        """Names of the columns, from the first step."""
+        parts = {kind: rows.take(slice(0, m)) for kind, (rows, m) in tables.items() if kind in ("component", "port")}
+        key = tuple(
+            x.tobytes()
+            for p in parts.values()
+            for x in (*p.names.values(), *(p.numbers[k][1] for k in _OPTIONAL if k in p.numbers), *_index(p))
         )
-    return summaries
+        if key not in self._layouts:
+            self._layouts[key] = self._new_layout(parts)
+        return self._layouts[key]
 
-
-def _present(x: Floats) -> float | None:
-    """Sum of what is there; None if nothing is."""
-    there = x[~np.isnan(x)]
-    return _sum(there) if len(there) else None
-
-
-def _ports(rows: _Rows) -> list[PortSummary]:
-    codes, ports = rows.names("port")
-    junctions, junction_names = rows.names("junction")
-    energy, estimated = rows.numbers("supplied", math.nan), _estimated(rows)
-    summaries = []
-    for component, members in _groups(rows.names("component")):
-        for port, within in _groups((codes[members], ports)):
-            at = members[within]
-            junction = junctions[at[0]]
-            summaries.append(
-                PortSummary(
-                    component,
-                    port,
-                    junction_names[junction] if junction >= 0 else None,
-                    ESTIMATED if estimated[at].any() else "exact",
-                    _sum(energy[at]),
+    def _new_layout(self, parts: Mapping[str, Rows]) -> Layout:
+        name = self._interned.name
+        keys, components, absent, silent = [], (), set(), set()
+        if "port" in parts:
+            p = parts["port"]
+            for i in range(p.n):
+                component, port, junction, quality = (
+                    name(p.names[k][i]) for k in ("component", "port", "junction", "quality")
                 )
+                value, there = p.numbers["index"]
+                index = int(value[i]) if there[i] else None
+                estimated = ESTIMATED if quality == ESTIMATED else EXACT
+                keys.append(PortKey(component or "", port or "", index, junction, quality=estimated))
+        if "component" in parts:
+            p = parts["component"]
+            components = tuple(name(code) or "" for code in p.names["component"])
+            owners = {key.component for key in keys}
+            for i, component in enumerate(components):
+                absent.update((component, k) for k in _OPTIONAL if not p.numbers[k][1][i])
+                claimed = name(p.names["quality"][i])
+                if claimed == SILENT and component not in owners and not p.values("dH")[i]:
+                    silent.add(component)
+        layout = Layout(components, tuple(keys), frozenset(silent), frozenset(absent))
+        if "component" in parts:
+            for component, code in zip(components, parts["component"].names["quality"], strict=True):
+                claimed, found = name(code) or EXACT, layout.quality(component)
+                if claimed != found:
+                    step = int(parts["component"].step[0])
+                    self._contradiction(
+                        step, f"{component}: step {step} calls its books '{claimed}'; by its ports they are '{found}'"
+                    )
+        if len(set(components)) < len(components):
+            step = int(parts["component"].step[0])
+            self._contradiction(step, f"step {step} has two rows of one component")
+        return layout
+
+    def _hold(self, block: Block, tables: Mapping[str, tuple[Rows, int]]) -> None:
+        """Compare what the rows say with what follows from the others."""
+        size = np.nan_to_num(block.in_play, posinf=0.0).sum(axis=1)
+        size += np.nan_to_num(np.abs(block.port_energy), posinf=0.0).sum(axis=1)
+        if "component" in tables:
+            rows, c = tables["component"]
+            for i, name in enumerate(block.layout.components):
+                part = rows.take(slice(i, None, c))
+                self._same(block, f"component {name}", part, "residual", block.residual[:, i], size)
+                self._same(block, f"component {name}", part, "t0", block.t0, np.abs(block.t0))
+                self._same(block, f"component {name}", part, "h", block.h, np.abs(block.h))
+        self._hold_junctions(block, tables.get("junction"), size)
+        network = tables["network"][0]
+        played = self._played + np.cumsum(size)
+        self._played = float(played[-1])
+        for column, values in block.network.items():
+            scale = (
+                played if column.startswith("cum_") else size + (np.abs(block.H1).sum(axis=1) if column == "H" else 0.0)
             )
-    return summaries
+            self._same(block, "network", network, column, values, scale)
+
+    def _hold_junctions(self, block: Block, table: tuple[Rows, int] | None, size: Floats) -> None:
+        step = int(block.step[0])
+        named = [] if table is None else [self._interned.name(code) for code in table[0].names["junction"][: table[1]]]
+        if sorted(map(str, named)) != sorted(block.layout.junctions):
+            there, told = ", ".join(map(str, named)) or "none", ", ".join(block.layout.junctions) or "none"
+            self._contradiction(step, f"step {step} has rows of the junctions {there}; by its ports there are {told}")
+            return
+        for j, name in enumerate(block.layout.junctions):
+            assert table is not None
+            part = table[0].take(slice(named.index(name), None, table[1]))
+            self._same(block, f"junction {name}", part, "residual", block.junction_residual[:, j], size)
+            self._same(block, f"junction {name}", part, "exchanged", block.junction_exchanged[:, j], size)
+
+    def _same(self, block: Block, where: str, rows: Rows, column: str, derived: Floats, size: Floats) -> None:
+        """A violation where a row's column differs from what follows from other rows by more than rounding."""
+        said, there = rows.numbers[column]
+        with np.errstate(invalid="ignore", over="ignore"):
+            allowed = FLOOR * EPS * size
+            bad = there & ~(np.abs(said - derived) <= allowed) & (np.isfinite(said) | np.isfinite(derived))
+        if bad.any():
+            k = int(np.argmax(bad))
+            self._contradiction(
+                int(block.step[k]),
+                f"{where}: the row of step {block.step[k]} says {column} = {said[k]:.9g}; the other rows make {derived[k]:.9g}",
+                float(said[k] - derived[k]),
+                float(allowed[k]),
+                int(bad.sum()),
+            )
+
+    def _contradiction(
+        self, step: int, note: str, size: float = math.nan, allowed: float = 0.0, steps: int = 1
+    ) -> None:
+        where = note.split(":")[0]
+        self.ledger.contradiction(Violation("file", where, step, math.nan, math.nan, size, allowed, steps, note))
 
 
-def _junctions(rows: _Rows) -> list[JunctionSummary]:
-    residual, exchanged = rows.numbers("residual", math.nan), rows.numbers("exchanged", math.nan)
-    return [
-        JunctionSummary(name, _sum(residual[members]), _present(exchanged[members]), largest(residual[members]))
-        for name, members in _groups(rows.names("junction"))
-    ]
+def _index(rows: Rows) -> Iterator[NDArray[Any]]:
+    if "index" in rows.numbers:
+        yield from rows.numbers["index"]
 
 
-def _network(rows: _Rows) -> NetworkSummary:
-    unexplained = rows.numbers("unexplained", math.nan)
-    optional = ("dissipated", "external", "junction_residual", "numerical")
-    lost, external, created, damped = (_sum(rows.numbers(name, 0.0)) if rows.has(name) else None for name in optional)
-    stored = _sum(rows.numbers("dH", math.nan))
-    return NetworkSummary(stored, lost, external, created, _sum(unexplained), largest(unexplained), damped)
+def _grouped(rows: Rows, steps: Ints) -> _Grouped:
+    place = np.searchsorted(steps, rows.step)
+    count = np.bincount(place, minlength=len(steps))
+    order = np.argsort(place, kind="stable")
+    if (np.diff(place) < 0).any():
+        rows = rows.take(order)
+    return _Grouped(rows, np.concatenate([[0], np.cumsum(count)[:-1]]), count)
+
+
+def _changes(grouped: Mapping[str, _Grouped]) -> set[int]:
+    """Steps at which the rows of a step are not those of the step before: other names, other columns filled."""
+    edges = {0}
+    for kind in ("component", "port", "junction"):
+        if kind in grouped:
+            edges.update((np.flatnonzero(np.diff(grouped[kind].count)) + 1).tolist())
+    cuts = sorted({*edges, len(grouped["network"].first)})
+    for kind in ("component", "port", "junction"):
+        if kind not in grouped:
+            continue
+        g = grouped[kind]
+        marks = [
+            *g.rows.names.values(),
+            *(g.rows.numbers[k][1] for k in _OPTIONAL if k in g.rows.numbers),
+            *_index(g.rows),
+        ]
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            m, first = int(g.count[a]), int(g.first[a])
+            for mark in marks:
+                table = mark[first : first + (b - a) * m].reshape(b - a, m)
+                edges.update((np.flatnonzero((table[1:] != table[:-1]).any(axis=1)) + a + 1).tolist())
+    return edges

@@ -74,13 +74,13 @@ def held(stream: Path) -> Iterator[None]:
 
 def _writer(stream: Path) -> str:
     try:
-        found = json.loads((_Stream(stream).schema.metadata or {})[WRITER_KEY])
+        found = json.loads((Stream(stream).schema.metadata or {})[WRITER_KEY])
         return f"process {found['pid']} on {found['host']}"
     except (ValueError, KeyError, TypeError):
         return "another process"
 
 
-class _Stream:
+class Stream:
     """Iterates over the complete batches of a stream; `torn` tells whether an incomplete one ended it."""
 
     def __init__(self, path: Path) -> None:
@@ -125,8 +125,8 @@ def compact(stream: Path, target: Path) -> tuple[int, bool]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    first = _Stream(stream)
-    _check_schema(first.schema.metadata, stream)
+    first = Stream(stream)
+    check_schema(first.schema.metadata, stream)
     columns: set[str] = set()
     rows = 0
     for batch in first:
@@ -139,7 +139,7 @@ def compact(stream: Path, target: Path) -> tuple[int, bool]:
     try:
         with pq.ParquetWriter(partial, schema, compression="zstd", write_page_checksum=True) as writer:
             group: list[pa.RecordBatch] = []
-            for batch in _Stream(stream):
+            for batch in Stream(stream):
                 group.append(batch.select(keep))
                 if sum(b.num_rows for b in group) >= _ROW_GROUP:
                     writer.write_table(_table(group, schema))
@@ -191,19 +191,15 @@ def read(path: str | os.PathLike[str]) -> "pa.Table":
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    path = Path(path)
-    if not path.exists():
-        stream = path.with_suffix(".arrows")
-        hint = f"; its run did not end: `phfmu audit recover {stream}`" if stream.exists() else ""
-        raise FileNotFoundError(f"no audit log {path}{hint}")
+    path = there(path)
     if path.suffix == ".arrows":
-        source = _Stream(path)
-        _check_schema(source.schema.metadata, path)
+        source = Stream(path)
+        check_schema(source.schema.metadata, path)
         table = _table(list(source), source.schema)
         return table.select(_used({n for n in table.column_names if table[n].null_count < table.num_rows}))
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            _check_schema(file.schema_arrow.metadata, path)
+            check_schema(file.schema_arrow.metadata, path)
             return file.read()
     except pa.ArrowInvalid as error:
         raise ValueError(f"{path} is not an audit log: {error}") from error
@@ -211,7 +207,17 @@ def read(path: str | os.PathLike[str]) -> "pa.Table":
         raise ValueError(f"{path} is damaged: {error}") from error
 
 
-def _check_schema(metadata: Mapping[bytes, bytes] | None, path: Path) -> None:
+def there(path: str | os.PathLike[str]) -> Path:
+    """The path of a log that exists; FileNotFoundError says where its rows are."""
+    path = Path(path)
+    if not path.exists():
+        stream = path.with_suffix(".arrows")
+        hint = f"; its run did not end: `phfmu audit recover {stream}`" if stream.exists() else ""
+        raise FileNotFoundError(f"no audit log {path}{hint}")
+    return path
+
+
+def check_schema(metadata: Mapping[bytes, bytes] | None, path: Path) -> None:
     found = (metadata or {}).get(SCHEMA_KEY)
     if found is None:
         raise ValueError(f"{path} is not an audit log: it lacks the key {SCHEMA_KEY.decode()!r}")

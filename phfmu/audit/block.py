@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .rows import ESTIMATED
-from .sums import Floats, Ints, across, relative
+from .rows import ESTIMATED, EXACT, SILENT
+from .sums import Floats, Ints, across
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,15 +19,21 @@ class PortKey:
     index: int | None = None
     junction: str | None = None
     kind: str = "step-conjugate"
-    quality: str = "exact"
+    quality: str = EXACT
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Names of a block's columns: c components, q scalar ports; the junctions follow from the ports."""
+    """Names of a block's columns: c components, q scalar ports; the junctions follow from the ports.
+
+    `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
+    `absent`: (component, column) where a column that others fill does not exist, e.g. ("spring", "dissipated").
+    """
 
     components: tuple[str, ...]
     ports: tuple[PortKey, ...] = ()
+    silent: frozenset[str] = frozenset()
+    absent: frozenset[tuple[str, str]] = frozenset()
 
     @cached_property
     def junctions(self) -> dict[str, list[int]]:
@@ -49,15 +55,36 @@ class Layout:
         ]
 
     @cached_property
-    def estimated(self) -> set[str]:
-        return {port.component for port in self.ports if port.quality == ESTIMATED}
+    def owners(self) -> Floats:
+        """1 where a port column belongs to a component [q,c]."""
+        table = [[float(port.component == name) for name in self.components] for port in self.ports]
+        return np.array(table).reshape(len(self.ports), len(self.components))
+
+    @cached_property
+    def with_ports(self) -> frozenset[str]:
+        return frozenset(port.component for port in self.ports)
+
+    @cached_property
+    def estimated(self) -> frozenset[str]:
+        return frozenset(port.component for port in self.ports if port.quality == ESTIMATED)
+
+    def quality(self, component: str) -> str:
+        """exact, estimated (a quadrature of its ports' power) or none."""
+        if component in self.silent:
+            return SILENT
+        return ESTIMATED if component in self.estimated else EXACT
+
+    def has(self, component: str, column: str) -> bool:
+        return (component, column) not in self.absent
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
     """n steps by columns: [n] per step, [n,c] per component, [n,q] per port, [n,junctions] per junction.
 
-    `network` holds the fields of `NetworkRow` that are present, each [n]. Made by `make_block`.
+    `in_play` is what a residual is measured against: the energies that moved within the component (`moved`, or else
+    max(|H0|, |H1|)), |supplied|, |dissipated|, |numerical| and |energy| of each port pair. `network` holds the fields of
+    `NetworkRow` that are present, each [n]. Made by `make_block`.
     """
 
     layout: Layout
@@ -68,11 +95,10 @@ class Block:
     H1: Floats
     dH: Floats
     residual: Floats
-    magnitude: Floats
-    relative: Floats
+    in_play: Floats
     dissipated: Floats | None
     supplied: Floats | None
-    scale: Floats | None
+    moved: Floats | None
     newton: Ints | None
     substeps: Ints | None
     port_energy: Floats
@@ -82,6 +108,7 @@ class Block:
     junction_exchanged: Floats
     network: dict[str, Floats]
     numerical: Floats | None = None
+    relative: Floats | None = None  # filled in by who judges it
 
 
 def make_block(
@@ -98,7 +125,7 @@ def make_block(
     port_y: ArrayLike | None = None,
     *,
     H0: ArrayLike | None = None,
-    scale: ArrayLike | None = None,
+    moved: ArrayLike | None = None,
     newton: ArrayLike | None = None,
     substeps: ArrayLike | None = None,
     numerical: ArrayLike | None = None,
@@ -106,7 +133,7 @@ def make_block(
     """Copy n steps into a block and derive residuals, junctions and the network balance.
 
     Shapes: step, t0 [n], h [n] or scalar; H (at the ends of the steps), dH, H0 (at their starts; default H - dH), dissipated,
-    supplied, scale, newton, substeps, numerical [n,c]; port_energy, port_u, port_y [n,q].
+    supplied, moved, newton, substeps, numerical [n,c]; port_energy, port_u, port_y [n,q].
     Errors: ValueError naming the array and both shapes.
     """
     steps = np.array(step, np.int64, ndmin=1)
@@ -117,14 +144,16 @@ def make_block(
     ends, change = _table("H", H, (n, c)), _table("dH", dH, (n, c))
     lost, gained = _maybe("dissipated", dissipated, (n, c)), _maybe("supplied", supplied, (n, c))
     damped = _maybe("numerical", numerical, (n, c))
-    sizes = _maybe("scale", scale, (n, c))
+    within = _maybe("moved", moved, (n, c))
     energy = _table("port_energy", np.zeros((n, 0)) if port_energy is None else port_energy, (n, q))
     with np.errstate(invalid="ignore", over="ignore"):
         starts = ends - change if H0 is None else _table("H0", H0, (n, c))
         spent, got, gone = (0.0 if a is None else a for a in (lost, gained, damped))
         residual = change + spent + gone - got
-        magnitude = np.maximum(np.abs(starts), np.abs(ends)) if sizes is None else sizes
-        magnitude = magnitude + np.abs(got) + np.abs(spent) + np.abs(gone)
+        inside = np.maximum(np.abs(starts), np.abs(ends)) if within is None else np.abs(within)
+        in_play = np.maximum(inside, np.abs(change)) + np.abs(got) + np.abs(spent) + np.abs(gone)
+        if q:
+            in_play += per_owner(layout, np.abs(energy))
         members = list(layout.junctions.values())
         created = _stack(n, [across(energy[:, m]) for m in members])
         exchanged = _stack(n, [0.5 * across(np.abs(energy[:, m])) for m in members])
@@ -137,11 +166,10 @@ def make_block(
         H1=ends,
         dH=change,
         residual=residual,
-        magnitude=magnitude,
-        relative=relative(residual, magnitude),
+        in_play=in_play,
         dissipated=lost,
         supplied=gained,
-        scale=sizes,
+        moved=within,
         newton=_counts("newton", newton, (n, c)),
         substeps=_counts("substeps", substeps, (n, c)),
         port_energy=energy,
@@ -152,6 +180,15 @@ def make_block(
         network=_balance(layout, ends, change, lost, damped, energy, created),
         numerical=damped,
     )
+
+
+def per_owner(layout: Layout, energy: Floats) -> Floats:
+    """Sum of port columns [n,q] for each component [n,c]."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        sums = energy @ layout.owners
+        if not np.isfinite(sums).all():  # 0 inf in the product is not a number, for components that have none of it
+            sums = _stack(len(energy), [energy[:, column > 0.0].sum(axis=1) for column in layout.owners.T])
+    return sums
 
 
 def _balance(

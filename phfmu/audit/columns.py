@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .block import Block
-from .rows import ESTIMATED, ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
 
 SCHEMA_VERSION = 1
 
@@ -27,7 +27,7 @@ COLUMNS = {
     "index": "i32",  # of the pair within a vector port, from 1
     "junction": "name",
     "kind": "name",  # of a port: how y was formed; of an event: what happened
-    "quality": "name",  # exact | estimated
+    "quality": "name",  # exact | estimated | none
     "u": "f64",  # input held over the step, in the port's unit
     "y": "f64",  # its conjugate mean
     "H": "f64",  # [J] network: sum over the components at the end of the step
@@ -39,8 +39,8 @@ COLUMNS = {
     "numerical": "f64",  # [J] lost by a damping scheme (Radau); null elsewhere
     "external": "f64",  # [J] supplied through ports without a junction
     "residual": "f64",  # [J] component: dH + dissipated + numerical - supplied; junction: sum of supplied
-    "residual_rel": "f64",  # |residual| / (scale + |supplied| + |dissipated| + |numerical|)
-    "scale": "f64",  # [J] sum of |H_s|; where null, max(|H0|, |H1|)
+    "residual_rel": "f64",  # rtol |residual| / allowed: closed if not above rtol
+    "moved": "f64",  # [J] sum over the component's energies of |change|; where null, max(|H0|, |H1|) counts
     "exchanged": "f64",  # [J] junction: half the sum of |supplied|
     "junction_residual": "f64",  # [J] network: sum over the junctions
     "unexplained": "f64",  # [J] network: balance - junction_residual
@@ -65,9 +65,10 @@ COLUMNS = {
 
 DTYPES = {"i64": np.int64, "i32": np.int32, "f64": np.float64, "name": np.int32, "text": object}
 
-_FIELDS: dict[str, tuple[str, ...]] = {
+#: columns that rows of a kind fill
+FIELDS: dict[str, tuple[str, ...]] = {
     "component": (
-        *("component", "H0", "H1", "dH", "dissipated", "supplied", "numerical", "residual", "scale", "quality"),
+        *("component", "H0", "H1", "dH", "dissipated", "supplied", "numerical", "residual", "moved", "quality"),
         *("residual_rel", "newton", "newton_residual", "substeps", "rollbacks"),
     ),
     "port": ("component", "port", "index", "junction", "kind", "quality", "u", "y", "supplied"),
@@ -115,16 +116,16 @@ def rows_section(kind: str, rows: Sequence[tuple[int | None, float, float | None
         "t0": _filled("t0", [row[1] for row in rows], encode),
         "h": _filled("h", [row[2] for row in rows], encode),
     }
-    for column in _FIELDS[kind]:
+    for column in FIELDS[kind]:
         attribute = _ATTRIBUTE.get(column, column)
         columns[column] = _filled(column, [getattr(row[3], attribute) for row in rows], encode)
     return Section(len(rows), {name: entry for name, entry in columns.items() if entry[1].any()})
 
 
 def block_sections(block: Block, encode: Encode) -> list[Section]:
-    """Component, port, junction and network rows of a block, without a loop over its steps."""
+    """Component, port, junction and network rows of a judged block, without a loop over its steps."""
     layout = block.layout
-    quality = [ESTIMATED if name in layout.estimated else "exact" for name in layout.components]
+    quality = [layout.quality(name) for name in layout.components]
     sections = [
         _repeat(
             block,
@@ -139,7 +140,7 @@ def block_sections(block: Block, encode: Encode) -> list[Section]:
                 "numerical": block.numerical,
                 "residual": block.residual,
                 "residual_rel": block.relative,
-                "scale": block.scale,
+                "moved": block.moved,
                 "newton": block.newton,
                 "substeps": block.substeps,
             },

@@ -1,16 +1,15 @@
 """Where the energy went, as text."""
 
 import io
-import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from phfmu.words import counted
 
-from .analysis import DEFAULT_RTOL, summarise
+from .analysis import summarise
+from .judge import DEFAULT_RTOL, VIOLATED
 from .rows import ESTIMATED
-from .summary import ComponentSummary, LedgerSummary, NetworkSummary
-from .sums import relative
+from .summary import LedgerSummary, NetworkSummary
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -21,17 +20,18 @@ def audit_table(
     source: "pa.Table | LedgerSummary",
     rtol: float = DEFAULT_RTOL,
     *,
-    width: int = 100,
+    width: int = 120,
     color: bool = False,
 ) -> str:
     """Text of where the energy went, from an audit table or a ledger's summary; energies in joule.
 
-    Components (start, end, stored, dissipated, supplied, worst step, verdict), ports, junctions, network,
-    events; columns and tables that the run has nothing for are left out.
+    Components (start, end, stored, dissipated, supplied, largest residual as a part of what is allowed, verdict), ports,
+    junctions, network, what does not close, events; columns and tables that the run has nothing for are left out.
+    `rtol` judges a table; a summary is judged.
     """
     from rich.console import Console
 
-    summary = source if isinstance(source, LedgerSummary) else summarise(source)
+    summary = source if isinstance(source, LedgerSummary) else summarise(source, rtol)
     console = Console(
         file=io.StringIO(),
         width=width,
@@ -41,7 +41,7 @@ def audit_table(
         markup=False,  # names may hold brackets
         emoji=False,
     )
-    for part in _parts(summary, rtol):
+    for part in _parts(summary):
         if not isinstance(part, str):
             console.print()
         console.print(part, soft_wrap=isinstance(part, str))
@@ -49,15 +49,14 @@ def audit_table(
     return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()) + "\n"
 
 
-def _parts(summary: LedgerSummary, rtol: float) -> Iterator[Any]:
+def _parts(summary: LedgerSummary) -> Iterator[Any]:
     if not summary.steps:
         yield "no steps: nothing was stored, dissipated or supplied"
     else:
         span = f"{counted(summary.steps, 'step')} from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"
         yield f"Energy in joule, positive into the component; {span}"
     if summary.components:
-        yield _filled_table("component", summary.components, _component_columns(summary, rtol))
-        yield from _complaints(summary, rtol)
+        yield _filled_table("component", summary.components, _component_columns(summary))
     if summary.ports:
         joined = any(port.junction for port in summary.ports)
         columns: dict[str, Callable[[Any], str]] = {"supplied": lambda p: _joule(p.supplied)}
@@ -71,15 +70,21 @@ def _parts(summary: LedgerSummary, rtol: float) -> Iterator[Any]:
             "residual": lambda j: _joule(j.residual),
             "worst step": lambda j: _joule(j.worst_residual),
             "exchanged": lambda j: _joule(j.exchanged),
+            "verdict": lambda j: j.verdict,
         }
         yield _filled_table("junction", summary.junctions, columns)
     if summary.network is not None:
         yield _network_table(summary.network)
+    if summary.violations:
+        yield _table(
+            f"{VIOLATED}: what does not close; allowed: {summary.rtol:.1e} of the energies in play, and rounding"
+        )
+        yield from map(str, summary.violations)
     if summary.events:
         yield "events: " + ", ".join(f"{count} {kind}" for kind, count in summary.events.items())
 
 
-def _component_columns(summary: LedgerSummary, rtol: float) -> dict[str, Callable[[Any], str]]:
+def _component_columns(summary: LedgerSummary) -> dict[str, Callable[[Any], str]]:
     columns: dict[str, Callable[[Any], str]] = {
         "H start": lambda c: _joule(c.H_start),
         "H end": lambda c: _joule(c.H_end),
@@ -88,27 +93,9 @@ def _component_columns(summary: LedgerSummary, rtol: float) -> dict[str, Callabl
     for name in ("dissipated", "numerical", "supplied", "jumps"):
         if any(getattr(component, name) is not None for component in summary.components):
             columns[name] = lambda c, name=name: _joule(getattr(c, name))
-    columns["worst"] = lambda c: f"{c.worst_relative:.1e}"
-    columns["verdict"] = lambda c: _judged(c, rtol)
+    columns["worst"] = lambda c: f"{c.worst_ratio:.1e}"
+    columns["verdict"] = lambda c: c.verdict
     return columns
-
-
-def _judged(component: ComponentSummary, rtol: float) -> str:
-    if component.quality == ESTIMATED:
-        return ESTIMATED
-    return "closed" if component.worst_relative <= rtol else "VIOLATED"
-
-
-def _complaints(summary: LedgerSummary, rtol: float) -> Iterator[str]:
-    """One line for each component that does not close, with the numbers of its worst step."""
-    for c in summary.components:
-        if _judged(c, rtol) == "VIOLATED":
-            yield (
-                f"{c.component}: step {c.worst_step} at t = {c.worst_t0:.9g} s misses "
-                f"{c.worst_residual:.3e} J, {c.worst_relative:.1e} of its energies; allowed: {rtol:.1e}"
-            )
-        if relative(c.gap, c.magnitude) > max(rtol, 1e-12 * math.sqrt(summary.steps)):
-            yield f"{c.component}: H changed by {c.gap:.3e} J between its steps; no event books it"
 
 
 def _filled_table(
@@ -130,6 +117,7 @@ def _filled_table(
 def _network_table(network: NetworkSummary) -> "Table":
     table = _table("network")
     table.add_column("energy", justify="right", no_wrap=True)
+    table.add_column("verdict")
     rows = {
         "stored": network.stored,
         "dissipated": network.dissipated,
@@ -141,7 +129,7 @@ def _network_table(network: NetworkSummary) -> "Table":
     }
     for label, value in rows.items():
         if value is not None:
-            table.add_row(label, _joule(value))
+            table.add_row(label, _joule(value), network.verdict if label == "unexplained" else "")
     return table
 
 

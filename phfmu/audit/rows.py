@@ -3,19 +3,21 @@
 Power is positive INTO the component. Energies are in joule, times in seconds. None means absent, not zero.
 """
 
-import math
 from dataclasses import dataclass
 
-ESTIMATED = "estimated"
+# how well a component's or a port's energy is known
+EXACT = "exact"
+ESTIMATED = "estimated"  # a quadrature, not the step's own
+SILENT = "none"  # a unit that tells nothing
 
 
 @dataclass(frozen=True, slots=True)
 class ComponentRow:
     """One component over one step; None means that the component has no such thing.
 
-    residual = dH + dissipated + numerical - supplied; `numerical` is what a damping scheme (Radau) lost. `scale` [J] is
-    the sum over its energies of |H_s|, needed where terms of both signs cancel in H; without it max(|H0|, |H1|) is
-    taken. `quality` is "estimated" where a port's supplied energy is a quadrature and not the step's own.
+    residual = dH + dissipated + numerical - supplied; `numerical` is what a damping scheme (Radau) lost. `moved` [J] is
+    the sum over its energies of |change|, needed where they exchange energy within the component; without it
+    max(|H0|, |H1|) is taken. `relative` is filled in by the ledger.
     """
 
     component: str
@@ -24,33 +26,18 @@ class ComponentRow:
     dH: float
     dissipated: float | None = None
     supplied: float | None = None
-    scale: float | None = None
-    quality: str = "exact"
+    moved: float | None = None
+    quality: str = EXACT
     newton: int | None = None
     newton_residual: float | None = None
     substeps: int | None = None
     rollbacks: int | None = None
     numerical: float | None = None
+    relative: float | None = None
 
     @property
     def residual(self) -> float:
         return self.dH + (self.dissipated or 0.0) + (self.numerical or 0.0) - (self.supplied or 0.0)
-
-    @property
-    def magnitude(self) -> float:
-        """What the residual is measured against: scale + |supplied| + |dissipated| + |numerical|."""
-        stored = max(abs(self.H0), abs(self.H1)) if self.scale is None else self.scale
-        return stored + abs(self.supplied or 0.0) + abs(self.dissipated or 0.0) + abs(self.numerical or 0.0)
-
-    @property
-    def relative(self) -> float:
-        """|residual| / magnitude; infinite for what is not a finite number, 0 at rest."""
-        residual, magnitude = abs(self.residual), self.magnitude
-        if not (math.isfinite(residual) and math.isfinite(magnitude)):
-            return math.inf
-        if residual == 0.0:
-            return 0.0
-        return residual / magnitude if magnitude > 0.0 else math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,12 +56,12 @@ class PortRow:
     index: int | None = None
     junction: str | None = None
     kind: str = "step-conjugate"
-    quality: str = "exact"
+    quality: str = EXACT
 
 
 @dataclass(frozen=True, slots=True)
 class JunctionRow:
-    """One junction over one step; residual and exchanged (sum of |supplied| / 2) come from its ports if None.
+    """One junction over one step; residual and exchanged (sum of |supplied| / 2) come from its ports.
 
     `r_max` is the largest interface residual, `cond` the condition estimate of the interface matrix.
     """
@@ -96,14 +83,14 @@ class NetworkRow:
 
     H: float
     dH: float
-    dissipated: float | None
-    external: float | None
-    junction_residual: float | None
     unexplained: float
-    cum_dissipated: float | None
-    cum_external: float | None
-    cum_junction_residual: float | None
     cum_unexplained: float
+    dissipated: float | None = None
+    external: float | None = None
+    junction_residual: float | None = None
+    cum_dissipated: float | None = None
+    cum_external: float | None = None
+    cum_junction_residual: float | None = None
     status: str | None = None
     numerical: float | None = None
 

@@ -3,12 +3,15 @@
 import math
 from dataclasses import dataclass, field
 
+from .judge import DEFAULT_RTOL, Violation
+
 
 @dataclass
 class ComponentSummary:
-    """A component over the run; the worst step is the one with the largest relative residual.
+    """A component over the run.
 
-    `magnitude` is the largest sum |H_s| + |supplied| + |dissipated| + |numerical| of a step.
+    `worst_ratio` is the largest |residual| / allowed of a step; `gap` is H_end - H_start - stored - jumps between its
+    steps: energy that changed and was not booked. verdict: closed | VIOLATED | estimated | none.
     """
 
     component: str
@@ -19,17 +22,13 @@ class ComponentSummary:
     supplied: float | None
     jumps: float | None
     worst_residual: float
+    worst_ratio: float
     worst_relative: float
     worst_step: int
     worst_t0: float
-    magnitude: float
-    quality: str
+    gap: float
+    verdict: str
     numerical: float | None = None
-
-    @property
-    def gap(self) -> float:
-        """H_end - H_start - stored - jumps: energy that changed between the steps and was not booked."""
-        return self.H_end - self.H_start - self.stored - (self.jumps or 0.0)
 
 
 @dataclass
@@ -51,6 +50,7 @@ class JunctionSummary:
     residual: float
     exchanged: float | None
     worst_residual: float
+    verdict: str
 
 
 @dataclass
@@ -63,12 +63,13 @@ class NetworkSummary:
     junction_residual: float | None
     unexplained: float
     worst_unexplained: float
+    verdict: str
     numerical: float | None = None
 
 
 @dataclass
 class LedgerSummary:
-    """The whole ledger summed over the run; network is None for a run without steps."""
+    """The whole ledger summed over the run and judged; network is None for a run without steps."""
 
     steps: int = 0
     t_start: float = math.nan
@@ -78,3 +79,15 @@ class LedgerSummary:
     junctions: list[JunctionSummary] = field(default_factory=list)
     network: NetworkSummary | None = None
     events: dict[str, int] = field(default_factory=dict)
+    rtol: float = DEFAULT_RTOL
+    violations: list[Violation] = field(default_factory=list)
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing contradicts that all energy is accounted for."""
+        return not self.violations
+
+    @property
+    def worst(self) -> Violation | None:
+        """The violation that is largest against what is allowed."""
+        return max(self.violations, key=lambda v: v.ratio, default=None)

@@ -1,7 +1,7 @@
 """Compensated sums: the same bits however a run is cut into rows and blocks."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,38 +35,41 @@ class CompensatedSum:
 
     def extend(self, x: Floats) -> Floats:
         """Add x [n] one after the other and return the n running sums [n]."""
-        high, low = _running(x, self.high, self.low)
-        self.high, self.low = float(high[-1]), float(low[-1])
-        return high + low
+        return extend([self], x[:, None])[:, 0]
 
 
-def _running(x: Floats, high: float = 0.0, low: float = 0.0) -> tuple[Floats, Floats]:
+def extend(sums: Sequence[CompensatedSum], x: Floats) -> Floats:
+    """Add column j of x [n,m] to sum j, row after row, and return the running sums [n,m]."""
+    if len(x) == 1:
+        return np.array([[each.add(value) for each, value in zip(sums, x[0].tolist(), strict=True)]])
+    high, low = _running(x, np.array([s.high for s in sums]), np.array([s.low for s in sums]))
+    for each, h, w in zip(sums, high[-1].tolist(), low[-1].tolist(), strict=True):
+        each.high, each.low = h, w
+    return high + low
+
+
+def _running(x: Floats, high: ArrayLike = 0.0, low: ArrayLike = 0.0) -> tuple[Floats, Floats]:
     """`CompensatedSum.add` along the first axis of x; the running high and low parts, each shaped as x."""
+    shape = (len(x) + 1, *x.shape[1:])
+    order = "F" if len(x) > x[0].size else "C"  # sums run over what lies side by side in memory
+    sums, lows = np.empty(shape, order=order), np.empty(shape, order=order)
+    sums[0], lows[0], sums[1:] = high, low, x
     with np.errstate(invalid="ignore", over="ignore"):
-        sums = np.cumsum(np.concatenate([np.full((1, *x.shape[1:]), high), x]), axis=0)
+        np.cumsum(sums, axis=0, out=sums)
         before, after = sums[:-1], sums[1:]
         part = after - before
         error = (before - (after - part)) + (x - part)
-        error = np.where(np.isfinite(error), error, 0.0)
-        lows = np.cumsum(np.concatenate([np.full((1, *x.shape[1:]), low), error]), axis=0)
+        lows[1:] = error if np.isfinite(error).all() else np.where(np.isfinite(error), error, 0.0)
+        np.cumsum(lows, axis=0, out=lows)
     return after, lows[1:]
 
 
 def across(x: Floats) -> Floats:
-    """Sum over the columns of x [n,m], each row as `total`; zeros for m = 0."""
+    """Sum over the columns of x [n,m], each row compensated; zeros for m = 0."""
     if x.shape[1] == 0:
         return np.zeros(x.shape[0])
     high, low = _running(x.T)
     return high[-1] + low[-1]
-
-
-def total(x: Iterable[float]) -> float | None:
-    """Sum of a few numbers; None if there are none."""
-    accumulator, some = CompensatedSum(), False
-    for value in x:
-        accumulator.add(value)
-        some = True
-    return accumulator.value if some else None
 
 
 def larger(a: float, b: float) -> float:
@@ -79,9 +82,9 @@ def largest(x: Floats) -> float:
     return float(np.max(np.where(np.isfinite(x), np.abs(x), np.inf), initial=0.0))
 
 
-def relative(residual: ArrayLike, magnitude: ArrayLike) -> Floats:
-    """|residual| / magnitude elementwise: 0 for 0/0, infinite where one of them is not a finite number."""
-    r, m = np.abs(np.asarray(residual, float)), np.asarray(magnitude, float)
+def ratio(size: ArrayLike, allowed: ArrayLike) -> Floats:
+    """|size| / allowed elementwise: 0 for 0/0, infinite where one of them is not a finite number."""
+    r, m = np.abs(np.asarray(size, float)), np.asarray(allowed, float)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        ratio = np.where(r == 0.0, 0.0, r / m)
-    return np.where(np.isfinite(r) & np.isfinite(m), ratio, np.inf)
+        found = np.where(r == 0.0, 0.0, r / m)
+    return np.where(np.isfinite(r) & np.isfinite(m), found, np.inf)

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def add_parser(verbs: Any) -> None:
-    parser = verbs.add_parser("audit", help="table of where the energy went; exit 4 if a component does not close")
+    parser = verbs.add_parser("audit", help="table of where the energy went; exit 4 if something does not close")
     parser.add_argument("file", help="X.parquet or X.arrows; or 'recover X.arrows' after a crash", nargs="+")
     parser.add_argument(
         "--rtol", type=float, default=1e-11, help="allowed step residual relative to the energy in play"
@@ -17,7 +17,7 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from phfmu.audit import audit_table, read, recover, verdict
+    from phfmu.audit import audit_table, recover, summarise
     from phfmu.cli import FINE, LEDGER
     from phfmu.cli.options import tolerance
 
@@ -28,9 +28,9 @@ def call(args: argparse.Namespace) -> int:
         return FINE
     if len(args.file) != 1:
         raise ValueError("audit takes one file, or: audit recover FILE")
-    table = read(_existing(args.file[0]))
-    print(audit_table(table, args.rtol), end="")
-    return LEDGER if verdict(table, args.rtol) else FINE
+    summary = summarise(_existing(args.file[0]), args.rtol)
+    print(audit_table(summary), end="")
+    return FINE if summary.closed else LEDGER
 
 
 def _existing(path: str) -> Path:

@@ -38,7 +38,7 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--audit", metavar="FILE", help="energy ledger per step, FILE.parquet")
     parser.add_argument(
-        "--audit-rtol", type=float, default=1e-11, help="allowed relative residual of a component's step"
+        "--audit-rtol", type=float, default=1e-11, help="allowed residual of a step relative to the energies in play"
     )
     parser.add_argument("--project", action="store_true",
                         help="move an inconsistent start onto its constraints instead of refusing it")  # fmt: skip
@@ -72,18 +72,19 @@ def call(args: argparse.Namespace) -> int:
         outputs.begin(stepper.names, {"target": args.target, "run": label}, args.dense is not None)
         result = run(
             stepper, stop=stop, step=step, events=events, sink=outputs.sink, progress=report.update, keep=outputs.keep,
-            project=args.project, kept=args.keep,
+            project=args.project, kept=args.keep, audit_rtol=args.audit_rtol,
             **options.steps(args, scene, monolithic=isinstance(stepper, Monolithic)),
         )  # fmt: skip
     summary = result.ledger.summary()
-    bad = [c for c in summary.components if c.quality == "exact" and not c.worst_relative <= args.audit_rtol]
     if not args.quiet:
         _print_run(args, label, result, stop, step, report.seconds - outputs.seconds)
         _print_notes([*order_lost(args), *dropped, *result.notes])
-        print(audit_table(summary, args.audit_rtol), end="")
-    if bad:
-        print(f"phfmu: ledger violated: {', '.join(c.component for c in bad)}", file=sys.stderr)
-    return LEDGER if bad else FINE
+        print(audit_table(summary), end="")
+    if not summary.closed:
+        places = dict.fromkeys(v.name for v in summary.violations)
+        print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
+        return LEDGER
+    return FINE
 
 
 def _check(args: argparse.Namespace) -> None:

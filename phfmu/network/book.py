@@ -27,9 +27,10 @@ class Book:
 
         self.stepper, self.ledger = stepper, ledger
         b = stepper.booking
-        self.layout = Layout(b.components, tuple(self._key(*pair, b) for pair in b.pairs))
-        self._owners = np.array([[float(c == name) for name in b.components] for c, *_ in b.pairs])
-        self._owners = self._owners.reshape(len(b.pairs), len(b.components))
+        with_ports = {component for component, *_ in b.pairs}
+        self.layout = Layout(
+            b.components, tuple(self._key(*pair, b) for pair in b.pairs), silent=b.estimated - with_ports
+        )
         self.steps, self.iterations = 0, 0.0
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith("constraint.")]
         self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
@@ -49,13 +50,13 @@ class Book:
 
     def set_value(self, e: Event) -> None:
         """Set an event's value and book the energy that a changed parameter makes or takes."""
-        self.stepper.set_value(e.name, e.value)
+        kind = self.stepper.set_value(e.name, e.value)
         message, now = f"{e.name} = {e.value:.9g}", self.stepper.energies()
-        changed = [(c, float(d)) for c, d in zip(self.layout.components, now - self._H, strict=True) if d]
+        changed = self._changed(self._H, now)
         for component, jump in changed:
-            self.ledger.event(e.t, "parameter", component, jump, message)
+            self.ledger.event(e.t, kind, component, jump, message)
         if not changed:
-            self.ledger.event(e.t, "input", message=message)
+            self.ledger.event(e.t, kind, message=message)
         self._H = now
         if changed:
             self._keep_consistent(e)
@@ -75,11 +76,18 @@ class Book:
                 )
 
     def project(self, t0: float, kept: Sequence[str]) -> Projection | None:
-        """Move the start onto its constraints; the energy change is an event."""
+        """Move the start onto its constraints; the energy change of each component is an event."""
+        before = self.stepper.energies()
         found = self.stepper.project_start(t0, kept)
         if found is not None and found.moved:
-            self.ledger.event(t0, "reprojection", None, found.energy, ", ".join(found.moves()))
+            moved = ", ".join(found.moves())
+            for component, jump in self._changed(before, self.stepper.energies()) or [(None, 0.0)]:
+                self.ledger.event(t0, "reprojection", component, jump, moved)
         return found
+
+    def _changed(self, before: Array, after: Array) -> list[tuple[str | None, float]]:
+        """Components whose energy differs, and by how much."""
+        return [(c, float(d)) for c, d in zip(self.layout.components, after - before, strict=True) if d]
 
     def failed(self, failure: StepFailure) -> None:
         """Book that the run ends here, and bring everything to the file."""
@@ -94,12 +102,10 @@ class Book:
         k = self.steps + np.arange(n)
         before = np.vstack([self._H[None], s.H[:-1]])
         self._H = s.H[-1]
-        # a lossless junction of large powers has supplied = 0: its scale is what passes through its ports
-        scale = np.maximum(np.abs(before), np.abs(s.H)) + np.abs(s.pairs) @ self._owners
         newton = np.repeat(s.iterations.astype(int)[:, None], len(self.layout.components), axis=1)
         lost = s.numerical if s.numerical is not None and s.numerical.any() else None
         self.ledger.add_block(
-            self.layout, k, t, h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, H0=before, scale=scale, newton=newton,
+            self.layout, k, t, h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, H0=before, newton=newton,
             numerical=lost,
         )  # fmt: skip
         self.steps += n

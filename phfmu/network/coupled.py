@@ -70,8 +70,8 @@ class Coupled:
     def settable(self) -> list[str]:
         return [f"{m.name}.{n}" for m in self.members for n in m.settable()]
 
-    def set_value(self, name: str, value: float) -> None:
-        """Set a member's parameter or free input `member.name`; KeyError names close ones."""
+    def set_value(self, name: str, value: float) -> str:
+        """Set a member's parameter or free input `member.name` and say which it is; KeyError names close ones."""
         member, _, rest = name.partition(".")
         for m, place in zip(self.members, self._slices, strict=True):
             if m.name == member:
@@ -82,9 +82,9 @@ class Coupled:
                         raise KeyError(f"{name} is fed by a junction; it cannot be set")
                     self._free[indices] = value
                     m.set_input(self._inputs()[place])
-                    return
+                    return "input"
                 if m.set_parameter(rest, value):
-                    return
+                    return "parameter"
         raise KeyError(f"{self.network.name} has no parameter or input '{name}'; {meant(name, self.settable())}")
 
     def read(self) -> Array:

@@ -143,18 +143,19 @@ class FMUStepper:
     def settable(self) -> list[str]:
         return self.member.settable() + self.unit.other_inputs
 
-    def set_value(self, name: str, value: float) -> None:
-        """Set an input; KeyError names close ones, ValueError refuses parameters."""
+    def set_value(self, name: str, value: float) -> str:
+        """Set an input and say so; KeyError names close ones, ValueError refuses parameters."""
         if name in self.unit.other_inputs:
             self.unit.set({name: value})
-            return
+            return "input"
         found = self.member.input_places(name)
         if not found:
-            if not self.member.set_parameter(name, value):
-                raise KeyError(f"{self.unit.name} has no input '{name}'; {meant(name, self.settable())}")
-            return
+            if self.member.set_parameter(name, value):
+                return "parameter"
+            raise KeyError(f"{self.unit.name} has no input '{name}'; {meant(name, self.settable())}")
         self._u[found] = value
         self.unit.set_input(self._u)
+        return "input"
 
     def read(self) -> Array:
         return self.member.read()

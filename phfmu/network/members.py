@@ -98,7 +98,7 @@ class EngineMember:
         return places(self._inputs.inputs, name)
 
     def set_parameter(self, name: str, value: float) -> bool:
-        return bool(places(self._inputs.parameters, name)) and self._inputs.set(name, value)
+        return bool(places(self._inputs.parameters, name)) and bool(self._inputs.set(name, value))
 
     def start_inputs(self) -> Array:
         return self.model.u0.copy()

@@ -109,6 +109,7 @@ def run(
     min_step: float = 0.0,
     max_step: float = np.inf,
     dense: int = 0,
+    audit_rtol: float = 1e-11,
 ) -> Result:
     """Run from t0 to stop; returns all rows (first row: the start).
 
@@ -117,6 +118,7 @@ def run(
 
     restart:  damping steps (Radau IIA) after each event
     dense:  rows within each step, interpolated (see `dense.py`)
+    audit_rtol:  allowed residual of the ledger, relative to the energies in play
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
     keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
         accepted before a failure
@@ -130,7 +132,7 @@ def run(
 
     _check_times(t0, stop, step)
     _check_events(stepper, [e for e in events if not e.t >= stop])
-    ledger = Ledger(sink)
+    ledger = Ledger(sink, audit_rtol)
     book = Book(stepper, ledger)
     if rtol is None:
         march: Any = FixedSteps(stepper, book, step, restart)

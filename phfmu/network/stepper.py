@@ -79,7 +79,7 @@ class Stepper(Protocol):
     instead: str
 
     def settable(self) -> list[str]: ...
-    def set_value(self, name: str, value: float) -> None: ...
+    def set_value(self, name: str, value: float) -> str: ...
     def read(self) -> Array: ...
     def energies(self) -> Array: ...
     def check_start(self) -> None: ...
@@ -108,8 +108,8 @@ class Inputs:
         self.inputs = {n: i for i, n in enumerate(free)}
         self.u = self.model.u0.copy()
 
-    def set(self, name: str, value: float) -> bool:
-        """True if `name` is known here and was set; the bare name of a vector sets all its entries."""
+    def set(self, name: str, value: float) -> str:
+        """What was set, "parameter" or "input"; "" if `name` is not known. The bare name of a vector sets all entries."""
         for table in (self.parameters, self.inputs):
             found = places(table, name)
             if not found:
@@ -118,11 +118,11 @@ class Inputs:
                 p = self.instance.parameters
                 p[found] = value
                 self.instance.set_parameters(p)
-            else:
-                self.u[found] = value
-                self.instance.set_input(self.u)
-            return True
-        return False
+                return "parameter"
+            self.u[found] = value
+            self.instance.set_input(self.u)
+            return "input"
+        return ""
 
 
 def places(table: Mapping[str, int], name: str) -> list[int]:
@@ -161,10 +161,11 @@ class Monolithic:
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]
 
-    def set_value(self, name: str, value: float) -> None:
-        """Set a parameter or free input; KeyError names close ones."""
-        if self._inputs.set(name, value):
-            return
+    def set_value(self, name: str, value: float) -> str:
+        """Set a parameter or free input and say which it is; KeyError names close ones."""
+        kind = self._inputs.set(name, value)
+        if kind:
+            return kind
         d = self.model.declaration
         if name in {n for v in (*d.states, *d.algebraics) for n in (v.name, *v.names())}:
             raise KeyError(f"{d.name}: '{name}' follows from the equations; set a parameter or a free input")

@@ -1,0 +1,18 @@
+"""How many events there were of each kind."""
+
+
+class EventCount:
+    """Counts events; one that changed several components is booked in as many rows, and counted once."""
+
+    def __init__(self) -> None:
+        self.kinds: dict[str, int] = {}
+        self._last: tuple[float, str, str | None] | None = None
+        self._changed: set[str | None] = set()
+
+    def add(self, t: float, kind: str, component: str | None, message: str | None) -> None:
+        """Take one row."""
+        same = self._last == (t, kind, message) and None not in {component, *self._changed}
+        if not same or component in self._changed:
+            self.kinds[kind] = self.kinds.get(kind, 0) + 1
+            self._last, self._changed = (t, kind, message), set()
+        self._changed.add(component)

@@ -1,0 +1,229 @@
+"""What closes and what does not: the one place that judges, for the ledger of a run and for the file of one.
+
+A step is measured against the energies in play in it and, as rounding, against those that were in play so far,
+
+    |residual| <= allowed = rtol P + FLOOR eps max(P, |sum dH|),
+    P = (moved or max(|H0|, |H1|)) + |dissipated| + |numerical| + |supplied| + sum |port energies|,
+
+with the maximum over the run up to the step. `moved` is the sum over the component's energies of |change|: a constant in
+H is in none of these. Of H itself, which carries it, only changes are judged, with FLOOR eps max |H| beside.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .block import Block, per_owner
+from .rows import EXACT
+from .sums import CompensatedSum, Floats, extend, ratio
+
+DEFAULT_RTOL = 1e-11
+EPS = float(np.finfo(float).eps)
+#: roundings of the largest energy in play that a sum of a step may be off; measured: 8 at most, over all scenes
+FLOOR = 64.0
+
+CLOSED, VIOLATED = "closed", "VIOLATED"
+#: kinds of violations of a component
+COMPONENT = ("balance", "dissipation", "ports", "gap", "change", "drift")
+
+_TEXT = {
+    "balance": "{name}: step {step} at t = {t0:.9g} s misses {size:.3e} J",
+    "dissipation": "{name}: step {step} at t = {t0:.9g} s dissipates {size:.3e} J; a dissipation cannot be negative",
+    "ports": "{name}: step {step} at t = {t0:.9g} s is booked as supplied with {size:.3e} J more than its ports say",
+    "gap": "{name}: H changed by {size:.3e} J between its steps, before step {step} at t = {t0:.9g} s; no event books it",
+    "change": "{name}: step {step} at t = {t0:.9g} s changes H by {size:.3e} J more than it books as stored",
+    "drift": "{name}: H changed by {size:.3e} J more than the steps and events of the run book",
+    "junction": "{name}: step {step} at t = {t0:.9g} s creates {size:.3e} J at the junction",
+    "unexplained": "{name}: step {step} at t = {t0:.9g} s leaves {size:.3e} J unexplained",
+    "file": "{note}",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """Something of one kind that does not close at one place: its worst step, and how many steps do so.
+
+    kind: balance | dissipation | ports | gap | change | drift (components), junction, unexplained (network), file (rows
+    that contradict each other); size and allowed [J].
+    """
+
+    kind: str
+    name: str
+    step: int
+    t0: float
+    h: float
+    size: float
+    allowed: float
+    steps: int = 1
+    note: str = ""
+
+    @property
+    def ratio(self) -> float:
+        """|size| / allowed; infinite for what is not a finite number."""
+        return float(ratio(self.size, self.allowed))
+
+    def __str__(self) -> str:
+        if self.kind == "file":
+            said = self.note
+        else:
+            said = _TEXT[self.kind].format(name=self.name, step=self.step, t0=self.t0, size=self.size)
+            said += f"; allowed: {self.allowed:.1e} J"
+        return said + (f" ({self.steps} steps)" if self.steps > 1 else "")
+
+
+@dataclass(slots=True)
+class Account:
+    """What is remembered of a component from step to step; energies in joule."""
+
+    H_start: float
+    H_end: float
+    quality: str = EXACT
+    reach: float = 0.0  # most energy in play so far
+    largest: float = 0.0  # |H|
+    allowed: float = 0.0  # sum over the steps
+    jumps: float = 0.0  # booked by events since the last step
+    gap: CompensatedSum = field(default_factory=CompensatedSum)
+    worst_ratio: float = -1.0
+    worst_residual: float = 0.0
+    worst_step: int = 0
+    worst_t0: float = math.nan
+
+
+class Judge:
+    """Judges blocks of steps one after the other; `rtol` is relative to the energies in play."""
+
+    def __init__(self, rtol: float = DEFAULT_RTOL) -> None:
+        self.rtol = rtol
+        self.accounts: dict[str, Account] = {}
+        self._junctions: dict[str, float] = {}
+        self._found: dict[tuple[str, str], Violation] = {}
+
+    def steps(self, block: Block, stored: Floats) -> Floats:
+        """Judge a block; `stored` [n,c] are the sums of dH up to each step. rtol |residual| / allowed [n,c]."""
+        layout, names = block.layout, block.layout.components
+        accounts = [self._account(name, block, i) for i, name in enumerate(names)]
+        judged = np.array([layout.quality(name) == EXACT for name in names], bool)
+        in_play = np.where(np.isfinite(block.in_play), block.in_play, np.nan)
+        reach = _running([a.reach for a in accounts], np.maximum(_finite(in_play), _finite(np.abs(stored))))
+        with np.errstate(invalid="ignore", over="ignore"):
+            allowed = self.rtol * in_play + FLOOR * EPS * reach
+            self._mark("balance", names, block.residual, allowed, block, judged)
+            if block.dissipated is not None:
+                self._mark("dissipation", names, np.minimum(block.dissipated, 0.0), allowed, block, judged)
+            supplied = 0.0 if block.supplied is None else block.supplied
+            if names:
+                booked = supplied - per_owner(layout, block.port_energy)
+                self._mark("ports", names, booked, allowed, block, judged)
+            self._changes(accounts, block, allowed)
+            self._joined(block, np.where(judged, allowed, np.abs(block.residual)))
+        found = ratio(block.residual, allowed)
+        for i, account in enumerate(accounts):
+            account.reach = float(reach[-1, i])
+            self._keep_worst(account, block, found[:, i], i)
+        return self.rtol * found
+
+    def _account(self, name: str, block: Block, i: int) -> Account:
+        account = self.accounts.get(name)
+        if account is None:
+            H0 = float(block.H0[0, i])
+            account = self.accounts[name] = Account(H0, H0)
+        quality = block.layout.quality(name)
+        if quality != EXACT:
+            account.quality = quality
+        return account
+
+    def _changes(self, accounts: list[Account], block: Block, allowed: Floats) -> None:
+        """H from step to step and within each, against what is booked."""
+        names = block.layout.components
+        before = np.empty_like(block.H0)
+        before[0] = [a.H_end + a.jumps for a in accounts]
+        before[1:] = block.H1[:-1]
+        largest = _running([a.largest for a in accounts], _finite(np.maximum(np.abs(block.H0), np.abs(block.H1))))
+        permitted = allowed + FLOOR * EPS * largest
+        between, within = block.H0 - before, block.H1 - block.H0 - block.dH
+        self._mark("gap", names, between, permitted, block)
+        self._mark("change", names, within, permitted, block)
+        extend([account.gap for account in accounts], between + within)
+        for i, account in enumerate(accounts):
+            account.allowed += float(allowed[:, i].sum())
+            account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(block.H1[-1, i]), 0.0
+
+    def _joined(self, block: Block, allowed: Floats) -> None:
+        """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for."""
+        names = tuple(block.layout.junctions)
+        if names:
+            passed = 2.0 * block.junction_exchanged
+            reach = _running([self._junctions.get(name, 0.0) for name in names], _finite(passed))
+            self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
+            self._mark("junction", names, block.junction_residual, self.rtol * passed + FLOOR * EPS * reach, block)
+        rounding = FLOOR * EPS * np.abs(block.port_energy).sum(axis=1)
+        permitted = (allowed.sum(axis=1) + rounding)[:, None]
+        self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)
+
+    def _keep_worst(self, account: Account, block: Block, found: Floats, i: int) -> None:
+        k = int(np.argmax(found))
+        if found[k] > account.worst_ratio:
+            account.worst_ratio, account.worst_residual = float(found[k]), float(block.residual[k, i])
+            account.worst_step, account.worst_t0 = int(block.step[k]), float(block.t0[k])
+
+    def _mark(
+        self,
+        kind: str,
+        names: Sequence[str],
+        size: Floats,
+        allowed: Floats,
+        block: Block,
+        judged: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Note where |size| exceeds `allowed` [n,m]; what is not a finite number does, judged or not."""
+        size_known = np.isfinite(size)
+        bad = ~((np.abs(size) <= allowed) & size_known)
+        if judged is not None:
+            bad &= judged | ~size_known
+        if not bad.any():
+            return
+        for i in np.flatnonzero(bad.any(axis=0)):
+            at = np.flatnonzero(bad[:, i])
+            k = at[int(np.argmax(ratio(size[at, i], allowed[at, i])))]
+            numbers = (int(block.step[k]), float(block.t0[k]), float(block.h[k]))
+            self.note(Violation(kind, names[i], *numbers, float(size[k, i]), float(allowed[k, i]), len(at)))
+
+    def note(self, violation: Violation) -> None:
+        """Keep the worst of a kind at a place, and count its steps."""
+        key = violation.kind, violation.name
+        known = self._found.get(key)
+        worst = violation if known is None or violation.ratio > known.ratio else known
+        self._found[key] = replace(worst, steps=violation.steps + (known.steps if known else 0))
+
+    def jump(self, component: str, energy: float) -> None:
+        """An event between the steps added energy [J] to a component's H."""
+        if component in self.accounts:  # what happens before its first step is its start
+            self.accounts[component].jumps += energy
+
+    def violations(self) -> list[Violation]:
+        """All that does not close so far; of H also what is small in each step but not in the run."""
+        drifts = []
+        for name, a in self.accounts.items():
+            allowed = a.allowed + FLOOR * EPS * a.largest
+            if not {("gap", name), ("change", name)} & self._found.keys() and not abs(a.gap.value) <= allowed:
+                drifts.append(Violation("drift", name, 0, math.nan, math.nan, a.gap.value, allowed))
+        return [*self._found.values(), *drifts]
+
+
+def word(violations: Sequence[Violation], kinds: Sequence[str], name: str, quality: str = EXACT) -> str:
+    """The verdict on one component, junction or network: closed, VIOLATED, or why it is not judged."""
+    if any(v.name == name and v.kind in kinds for v in violations):
+        return VIOLATED
+    return quality if quality != EXACT else CLOSED
+
+
+def _finite(x: Floats) -> Floats:
+    return np.where(np.isfinite(x), x, 0.0)
+
+
+def _running(start: list[float], x: Floats) -> Floats:
+    """Largest of start [m] and x [n,m] up to each row."""
+    return np.maximum(np.maximum.accumulate(x, axis=0), np.array(start))
