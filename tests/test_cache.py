@@ -72,7 +72,8 @@ def test_damaged_libraries_are_built_again(folder: Path) -> None:
 
 def test_a_run_with_a_damaged_library(folder: Path) -> None:
     """The command line, with a model's library cut in half between two runs."""
-    words = [sys.executable, "-m", "phfmu", "run", "mass", "--engine", "native", "--stop", "0.01"]
+    call = [sys.executable, "-c", "from phfmu.cli import main; raise SystemExit(main())"]
+    words = [*call, "run", "mass", "--engine", "native", "--stop", "0.01"]
     assert subprocess.run(words, capture_output=True).returncode == 0
     libraries = [p for p in (folder / "lib").rglob("*") if p.suffix in (".so", ".dylib", ".dll")]
     assert libraries

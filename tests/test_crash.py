@@ -246,6 +246,38 @@ def test_a_refused_start_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
     assert sorted(os.listdir()) == ["a.parquet", "o.csv"]
 
 
+# -- full disks ----------------------------------------------------------------------------------------------
+
+LIMITED = """
+import resource, sys
+from phfmu.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))  # as a disk that is full from here on
+raise SystemExit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits to the size of files")
+@pytest.mark.parametrize("option, file", [("-o", "o.csv"), ("-o", "o.parquet"), ("--audit", "a.parquet")])
+def test_a_full_disk_keeps_whole_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, file: str, compiler: None
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    command = [sys.executable, "-c", LIMITED, "run", "oscillator", "--stop", "1000", "--step", "0.02", option, file]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 2 and "cannot be written" in done.stderr and "File too large" in done.stderr
+    assert not list(Path().glob("*.partial"))
+    if file == "o.csv":
+        lines = Path(file).read_text().splitlines()
+        assert {line.count(",") for line in lines} == {lines[0].count(",")} and len(lines) > 5
+        last = float(lines[-1].split(",")[0])
+        assert f"kept: o.csv, {len(lines) - 1} rows to t = {last:.9g} s" in done.stderr
+    elif file == "a.parquet":
+        assert "phfmu audit recover" in done.stderr and not Path(file).exists()
+        assert main(["audit", "recover", "a.arrows"]) == 0 and summarise(read(file)).steps > 5
+    else:
+        assert not Path(file).exists() and "kept" not in done.stderr
+
+
 # -- blocks --------------------------------------------------------------------------------------------------
 
 

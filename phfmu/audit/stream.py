@@ -128,7 +128,7 @@ class AuditWriter:
             except OSError as error:
                 self._release()
                 raise OSError(
-                    f"{self.path} cannot be written: {error}; what is in {self.stream} stays: make room, then "
+                    f"{self.path} is not made ({error}); the rows before are in {self.stream}: make room, then "
                     f"`phfmu audit recover {self.stream}`"
                 ) from error
             self._release()
@@ -148,8 +148,11 @@ class AuditWriter:
             file.close()
 
     def _put(self, sections: list[Section]) -> None:
-        self._writer.write_batch(self._batch(sections))
-        self._file.flush()
+        try:
+            self._writer.write_batch(self._batch(sections))
+            self._file.flush()
+        except OSError as error:
+            raise OSError(f"{self.stream} cannot be written: {error}") from error
 
     def _check_open(self) -> None:
         if self._file is None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,16 +57,29 @@ class TableWriter:
             self._format = (_Parquet if self._target.suffix == ".parquet" else _CSV)(self._partial, self._schema())
         marks = [inside.astype(np.int8)] if self._marked else []
         columns = [pa.array(c) for c in (time, *marks, *np.ascontiguousarray(values.T))]
-        self._format.add(pa.record_batch(columns, schema=self._schema()))
+        with self._cut_on_failure():
+            self._format.add(pa.record_batch(columns, schema=self._schema()))
         self.rows += len(time)
         self.last = float(time[-1])
 
     def close(self) -> None:
         """Put the table in its place."""
         if self._partial is not None:
-            self._format.close()
-            os.replace(self._partial, self._target)
+            with self._cut_on_failure():
+                self._format.close()
+                os.replace(self._partial, self._target)
             self._partial = None
+
+    @contextmanager
+    def _cut_on_failure(self) -> Iterator[None]:
+        """After a failure, such as a full disk: back to the rows before it, or to no table."""
+        try:
+            yield
+        except OSError as error:
+            if not self._format.cut() and self._partial is not None:
+                self._partial.unlink()
+                self.rows, self._partial = 0, None
+            raise OSError(f"{self._target} cannot be written: {error}") from error
 
     def _schema(self) -> pa.Schema:
         import pyarrow as pa
@@ -80,6 +94,7 @@ class _CSV:
     def __init__(self, path: Path, schema: pa.Schema):
         from pyarrow.csv import CSVWriter, WriteOptions
 
+        self._path, self._whole = path, 0
         self._file = open(path, "wb")
         head = io.StringIO()
         csv.writer(head, lineterminator="\n").writerow(schema.names)
@@ -89,10 +104,19 @@ class _CSV:
     def add(self, batch: pa.RecordBatch) -> None:
         self._writer.write_batch(batch)
         self._file.flush()
+        self._whole = self._file.tell()
+
+    def cut(self) -> bool:
+        """End with the last whole block; whether there is one."""
+        with suppress(OSError):
+            self._file.close()
+        os.truncate(self._path, self._whole)
+        return self._whole > 0
 
     def close(self) -> None:
-        self._writer.close()
-        self._file.close()
+        if not self._file.closed:
+            self._writer.close()
+            self._file.close()
 
 
 class _Parquet:
@@ -111,6 +135,10 @@ class _Parquet:
         self._size += batch.nbytes
         if self._size >= self.GROUP_BYTES:
             self._write()
+
+    def cut(self) -> bool:
+        """Without its end such a file cannot be read."""
+        return False
 
     def close(self) -> None:
         self._write()
