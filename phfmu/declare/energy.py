@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
+from phfmu.declare.operations import degree
 from phfmu.declare.variable import Variable, _sx
 
 Kind = Literal["quadratic", "strain", "general"]
@@ -38,14 +39,11 @@ def energy(expr: Any, *, correct: tuple[Variable, ...] = (), owner: str = "") ->
 
 
 def resolve_kind(term: Energy, states: AbstractSet[int]) -> Energy:
-    """`term` with kind "quadratic" where its Hessian does not depend on states (given by their element hashes)."""
+    """`term` with kind "quadratic" where it has degree 2 at most in the states (given by their element hashes)."""
     if term.kind != "general":
         return term
     x = ca.vertcat(*(s for s in ca.symvar(term.expr) if s.element_hash() in states))
-    if not x.numel():
-        return term
-    hessian = ca.hessian(term.expr, x)[0]
-    return term if hessian.nnz() and ca.depends_on(ca.veccat(hessian), x) else replace(term, kind="quadratic")
+    return replace(term, kind="quadratic") if x.numel() and degree(term.expr, x) in (0, 1, 2) else term
 
 
 def strain_energy(invariant: Any, phi: Callable[[ca.SX], ca.SX], *, owner: str = "") -> Energy:

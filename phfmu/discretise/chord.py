@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.operations import degree, piecewise
 from phfmu.discretise import lanes
 from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.elimination import Elimination, Pattern, eliminate, factor_pattern, updates
-from phfmu.discretise.gradients import degree
 from phfmu.discretise.lane_groups import Instances, LaneGroup, Tiles, tiled
 from phfmu.discretise.lanes import Lanes, NoLanes
 from phfmu.discretise.layout import Layout
@@ -169,7 +169,7 @@ class _Builder:
         dofs = [self.dof[x] for x in states]
         if kind == "quadratic":
             return self._add(self._once(term, lambda: lanes.potential(term)), term, x=dofs, o=dofs)
-        _require(kind == "strain" and degree(term.data["C"], term.local["x"]) in (0, 1, 2))
+        _require(kind == "strain" and not piecewise(term.data["phi"], term.local["z"]))
         self._add(self._once(term, lambda: lanes.strain(term, self.layout.k)), term, x=dofs)
 
     def _is_kinetic(self, term: Term) -> bool:

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.operations import degree, piecewise
 from phfmu.discretise.arguments import Arguments
-from phfmu.discretise.gradients import QUOTIENT_GUARD, degree, general, guarded, projected
+from phfmu.discretise.gradients import QUOTIENT_GUARD, general, guarded, projected
 from phfmu.discretise.quadrature import Nodes, gauss
 from phfmu.discretise.spec import Address, Spec, substituted
 from phfmu.discretise.terms import Term
@@ -67,7 +68,8 @@ def quadratic(term: Term) -> bool:
 def _node_rows(g: ca.SX, path: _Path, simple: bool) -> tuple[list[ca.SX], list[ca.SX]]:
     """Rows G_i and rates r_i with sum_i b_i (G_i D_i + h r_i) = g(q', t') - g(q, t).
 
-    At rest:  Dg(X_i) for quadratic g, the mean value by exact quadrature for polynomials, else Dg(X_i) + beta D_i^T with
+    At rest:  Dg(X_i) for quadratic g, the mean value by exact quadrature for polynomials and by
+              secants for functions in pieces, else Dg(X_i) + beta D_i^T with
               beta = [g' - g - sum_j b_j Dg(X_j) D_j] / sum_j b_j |D_j|^2.
     Moving:   G_i = Dg(X_i, t_i), r_i = g_t(X_i, t_i) + [g' - g - sum_j b_j (Dg D_j + h g_t)] / h.
     """
@@ -77,7 +79,7 @@ def _node_rows(g: ca.SX, path: _Path, simple: bool) -> tuple[list[ca.SX], list[c
     rows, rates = [p[0] for p in pairs], [p[1] for p in pairs]
     if path.t is None and (simple or nd.c[-1] == 1.0):  # Radau: the last row is Dg at the end, while g drifts
         return rows, rates
-    if path.t is None and degree(g, path.q) is not None:
+    if path.t is None and (piecewise(g, path.q) or degree(g, path.q) is not None):
         return ca.horzsplit(general(g, path.q, d, nd, np.ones(path.q.numel()))[0]), rates
     defect = path.at_end([g])[0] - g - sum((nd.b[i] * ca.dot(rows[i], d[:, i]) for i in range(nd.k)), ca.SX(0))
     if path.h is not None:

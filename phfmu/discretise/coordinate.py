@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from phfmu.discretise.gradients import GUARD, Gradient, at, degree, guarded
+from phfmu.declare.operations import degree
+from phfmu.discretise.gradients import GUARD, SMALLEST, Gradient, at, guarded, significant
 from phfmu.discretise.quadrature import gauss
+from phfmu.discretise.secants import secants
 
 
 def itoh_abe(h: ca.SX, x: ca.SX, d: ca.SX, *, symmetric: bool) -> Gradient:
@@ -22,8 +24,10 @@ def itoh_abe(h: ca.SX, x: ca.SX, d: ca.SX, *, symmetric: bool) -> Gradient:
     w = _ordered(h, x, d, list(range(n)))
     if symmetric:
         w = (w + _ordered(h, x, d, list(range(n - 1, -1, -1)))) / 2
-    dh = ca.dot(w, d) if degree(h, x) is not None else at(h, x, x + d) - h
-    return w, dh
+    if degree(h, x) is not None:
+        return w, ca.dot(w, d)
+    change = secants(h, x, x, d).change
+    return w, at(h, x, x + d) - h if change is None else change
 
 
 def _ordered(h: ca.SX, x: ca.SX, d: ca.SX, order: list[int]) -> ca.SX:
@@ -38,17 +42,19 @@ def _ordered(h: ca.SX, x: ca.SX, d: ca.SX, order: list[int]) -> ca.SX:
 
 def _divided(h: ca.SX, x: ca.SX, point: ca.SX, d: ca.SX, j: int) -> ca.SX:
     """Divided difference of H in coordinate j from `point` to `point` + d_j e_j."""
-    slope = ca.gradient(h, x)[j]
-    p = degree(h, x[j])
+    end = ca.SX(point)
+    end[j] = point[j] + d[j]
+    # a function of coordinate j alone, which starts at x_j
+    smooth = secants(at(h, x, point), x[j], x[j], d[j])
+    slope, p = ca.gradient(smooth.expr, x[j]), degree(smooth.expr, x[j])
     m = max(1, (p + 1) // 2) if p is not None else 4
     total = ca.SX(0)
     for t, weight in zip(*gauss(m), strict=True):
-        there = ca.SX(point)
-        there[j] = point[j] + float(t) * d[j]
-        total += float(weight) * at(slope, x, there)
+        total += float(weight) * at(slope, x[j], x[j] + float(t) * d[j])
     if p is not None:
-        return total
-    end = ca.SX(point)
-    end[j] = point[j] + d[j]
+        return smooth.back(total)[0]
+    if smooth.change is not None:
+        defect = significant(smooth.change, total * d[j])
+        return smooth.back(total + guarded(defect * d[j], d[j] ** 2, SMALLEST))[0]
     defect = at(h, x, end) - at(h, x, point) - total * d[j]
     return total + guarded(defect * d[j], d[j] ** 2, GUARD)

@@ -11,15 +11,8 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.operations import ANALYTIC
 from phfmu.discretise.spec import Spec
-
-#: operations of analytic functions: what holds at points chosen at random holds everywhere
-ANALYTIC = frozenset(
-    {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ,
-     ca.OP_TWICE, ca.OP_INV, ca.OP_SQRT, ca.OP_EXP, ca.OP_LOG, ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_TANH,
-     ca.OP_POW, ca.OP_CONSTPOW, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN, ca.OP_SINH, ca.OP_COSH, ca.OP_LOG1P, ca.OP_EXPM1,
-     ca.OP_HYPOT}
-)  # fmt: skip
 
 #: more coordinates of a kind than this are left as they are
 MOST = 24

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.operations import degree
 from phfmu.discretise import closure, gradients, minimal
 from phfmu.discretise.arguments import Arguments
 from phfmu.discretise.collocated import Collocated
@@ -108,7 +109,7 @@ class DiracDissipative:
         x, data, n = term.local["x"], term.data, len(term.rows)
         args = Arguments(term, 1)
         d = args.matrix("D", n)
-        kind = "general" if _varies(data["H"], x) else "quadratic"
+        kind = "quadratic" if degree(data["H"], x) in (0, 1, 2) else "general"
         w, dh = node_gradients(self.gradient, Summand(kind, data["H"], x), d, nodes(1))
         slots = Spec(0, args.x, args.p, args.y, [(("W", j, 0), 0, w[j]) for j in range(n)], stored=dh)
         args = Arguments(term, 1)
@@ -117,11 +118,6 @@ class DiracDissipative:
         lhs, back = ca.mtimes(e, d), ca.mtimes(e.T, f)
         out = [(("row", j, 0), 0, lhs[j]) for j in range(n)] + [(("costate", j, 0), 0, back[j]) for j in range(n)]
         return [slots, Spec(1, args.x, args.p, args.y, out)]
-
-
-def _varies(h: ca.SX, x: ca.SX) -> bool:
-    """True if the Hessian depends on x."""
-    return ca.depends_on(ca.veccat(ca.hessian(h, x)[0]), x)
 
 
 def _require_regular(terms: Terms) -> None:

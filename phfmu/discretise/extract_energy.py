@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from phfmu.declare.energy import Energy
+from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.terms import DeclarationError, Locator, Terms, WithIncrement, make_term, member
 
@@ -18,6 +19,7 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
         return
     for e in model.energies:
         states = _states_of(e.expr, locator)
+        _require_kind(model, e, states)
         scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
         exprs = {"H": e.expr, "scale": scale}
         if e.kind == "quadratic":
@@ -40,6 +42,21 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
             tag = (e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
         out.terms.append(make_term("energy", exprs, locator, "energy", rows=[("x", i) for _, i in states],
                                    owner=member(out.members, e.owner), extra=[s for s, _ in states], tag=tag))  # fmt: skip
+
+
+def _require_kind(model: PHDAE, e: Energy, states: list[tuple[ca.SX, int]]) -> None:
+    """DeclarationError if a term claims a constant Hessian (of H, of the invariant C) that its operations do not show."""
+    what, expr = ("H", e.expr) if e.kind == "quadratic" else ("the invariant C", e.invariant)
+    if e.kind == "general" or expr is None or not states:
+        return
+    x = ca.vertcat(*(s for s, _ in states))
+    if degree(expr, x) not in (0, 1, 2):
+        found = ", ".join(piecewise(expr, x))
+        raise DeclarationError(
+            f"{model.name}: a {e.kind} energy of {', '.join(str(s) for s, _ in states[:4])}: {what} is not quadratic"
+            + (f" ({found})" if found else "")
+            + "; use energy(H)"
+        )
 
 
 def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], group: list[Energy]) -> None:

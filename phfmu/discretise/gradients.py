@@ -14,28 +14,22 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.operations import degree
 from phfmu.discretise.quadrature import Nodes, gauss
+from phfmu.discretise.secants import Smooth, secants
 
 #: Below this squared relative increment a corrected gradient drops its correction: the quadrature defect is then
 #: smaller than the round-off of the quotient.
 GUARD = 1e-6
 #: Threshold on |dx|^2 of quotients with a plain difference as numerator.
 QUOTIENT_GUARD = 1e-12
-#: The same of the joint Gonzalez quotient, whose numerator has no cancellation: only 0/0 and its underflow are kept out.
-JOINT_GUARD = 1e-100
+#: The same of quotients whose numerator has no cancellation (the joint Gonzalez gradient, energies in pieces): only 0/0 and
+#: its underflow are kept out.
+SMALLEST = 1e-100
+#: What rounding leaves of a defect whose parts are summed without cancellation.
+NOISE = 16 * np.finfo(float).eps
 
 Gradient = tuple[ca.SX, ca.SX]
-
-
-def degree(expr: ca.SX, x: ca.SX, most: int = 8) -> int | None:
-    """Degree of `expr` as a polynomial in x, or None if it is not one of degree <= `most`."""
-    t, d = ca.SX.sym("t"), ca.SX.sym("d", x.numel())
-    g = ca.substitute(expr, x, x + t * d)
-    for n in range(most + 1):
-        if not ca.depends_on(g, t):
-            return n
-        g = ca.simplify(ca.gradient(g, t))
-    return None
 
 
 def at(expr: ca.SX, x: ca.SX, value: ca.SX) -> ca.SX:
@@ -82,18 +76,30 @@ def numerical_loss(h: ca.SX, x: ca.SX, d: ca.SX, w: ca.SX, dh: ca.SX, nd: Nodes)
 def general(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> Gradient:
     """W_i = 1/b_i sum_q w_q l_i(t_q) grad H(x(t_q)) + alpha metric D_i with m Gauss points.
 
-    Polynomial H of degree p: m = ceil(p k / 2) makes alpha vanish.  Else m = k + 2 and alpha closes the balance.
+    Polynomial H of degree p: m = ceil(p k / 2) makes alpha vanish.  Else m = k + 2 and alpha closes the balance.  Kinks
+    of H are replaced by their secants over the step.
     `metric`: nonnegative weights of the states that take the correction.
     """
-    grad = ca.gradient(h, x)
-    p = degree(h, x)
+    step = ca.mtimes(d, ca.DM(nd.b))
+    smooth = secants(h, x, x, step)
+    grad, p = ca.gradient(smooth.expr, x), degree(smooth.expr, x)
     m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
     w = projected([at(grad, x, _point(x, d, nd, t)) for t in gauss(m)[0]], m, nd)
     if p is not None:
         # the path integral of the same quadrature: H(x') - H(x) without the cancellation
-        return w, sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
-    dh = at(h, x, _end(x, d, nd)) - h
-    return _corrected(w, dh, d, nd, metric), dh
+        dh = sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
+    else:
+        dh = _change(smooth, x, x, step)
+        w = _corrected(w, dh, d, nd, metric, exact=smooth.change is not None)
+    w, dh = smooth.back(w, dh)
+    return w, dh
+
+
+def _change(h: Smooth, x: ca.SX, start: ca.SX, step: ca.SX) -> ca.SX:
+    """H(start + step) - H(start)."""
+    if h.change is not None:
+        return h.change
+    return at(h.expr, x, start + step) - at(h.expr, x, start)
 
 
 def projected(values: list[ca.SX], m: int, nd: Nodes) -> ca.SX:
@@ -108,11 +114,18 @@ def projected(values: list[ca.SX], m: int, nd: Nodes) -> ca.SX:
     return ca.horzcat(*columns)
 
 
-def _corrected(w: ca.SX, dh: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> ca.SX:
+def _corrected(w: ca.SX, dh: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray, *, exact: bool) -> ca.SX:
+    """Node gradients with the correction that closes the balance; `exact`: dH has no cancellation."""
     md = ca.mtimes(ca.diag(ca.DM(metric)), d)
-    num = dh - sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
+    work = sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
     den = sum((nd.b[i] * ca.dot(d[:, i], md[:, i]) for i in range(nd.k)), ca.SX(0))
-    return w + guarded(num, den, GUARD) * md
+    alpha = guarded(significant(dh, work), den, SMALLEST) if exact else guarded(dh - work, den, GUARD)
+    return w + alpha * md
+
+
+def significant(a: ca.SX, b: ca.SX) -> ca.SX:
+    """a - b, and 0 where it is rounding: its derivative over a short step would be noise."""
+    return ca.if_else(ca.fabs(a - b) > NOISE * (ca.fabs(a) + ca.fabs(b)), a - b, 0)
 
 
 def guarded(num: ca.SX, den: ca.SX, guard: float) -> ca.SX:
@@ -140,18 +153,23 @@ def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes, change: ca.SX |
 
     `change`: C(x') - C(x), default sum b_i cd_i.  Polynomial phi: dH by its Taylor series, without cancellation.
     """
-    dphi, change = ca.gradient(phi, s), ca.mtimes(cd, ca.DM(nd.b)) if change is None else change
+    change = ca.mtimes(cd, ca.DM(nd.b)) if change is None else change
+    smooth = secants(phi, s, c, change)
+    dphi = ca.gradient(smooth.expr, s)
 
     def chat(t: float) -> ca.SX:
         return c + ca.mtimes(cd, ca.DM(nd.integral(t)))
 
-    p = degree(phi, s)
+    p = degree(smooth.expr, s)
     m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
     node = projected([at(dphi, s, chat(t)) for t in gauss(m)[0]], m, nd)
     if p is not None:
-        return node, _difference(phi, s, c, change, p)
-    dh = at(phi, s, c + change) - at(phi, s, c)
-    return _corrected(node, dh, cd, nd, np.ones(1)), dh
+        dh = _difference(smooth.expr, s, c, change, p)
+    else:
+        dh = _change(smooth, s, c, change)
+        node = _corrected(node, dh, cd, nd, np.ones(1), exact=smooth.change is not None)
+    node, dh = smooth.back(node, dh)
+    return node, dh
 
 
 def _difference(phi: ca.SX, s: ca.SX, c: ca.SX, change: ca.SX, p: int) -> ca.SX:
@@ -170,22 +188,28 @@ def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     """The seed's gradient over all of x (k = 1): W = grad H(m) + (dH - grad H(m)^T D)/|D|^2 D.
 
     The numerator has no cancellation near x' = x.  Polynomial H: the exact odd Taylor remainder
-    sum_j D^jH(m)[D..D]/(2^(j-1) j!), j = 3, 5, ..; else, for |D|^2 <= GUARD, the integral of (grad H(x + s D) - grad H(m))^T D
-    by 4 Gauss points, whose error there is far below rounding.
+    sum_j D^jH(m)[D..D]/(2^(j-1) j!), j = 3, 5, ..; H in pieces: from its exact change; else, for
+    |D|^2 <= GUARD, the integral of (grad H(x + s D) - grad H(m))^T D by 4 Gauss points, whose error there is far below
+    rounding.
     """
     if nd.k != 1:
         raise ValueError(
             "the joint Gonzalez gradient exists for order 2 only; use the per-term gradient for order 4 or 6"
         )
     m, length2 = x + d / 2, ca.dot(d, d)
+    smooth = secants(h, x, x, d)
+    h = smooth.expr
     slope = ca.gradient(h, x)
     grad, p = at(slope, x, m), degree(h, x)
     if p is not None:
         num = _taylor_remainder(h, x, d, m, p)
+    elif smooth.change is not None:
+        num = significant(smooth.change, ca.dot(grad, d))
     else:
         near = sum((w * (at(slope, x, x + t * d) - grad) for t, w in zip(*gauss(4), strict=True)), ca.SX(0))
         num = ca.if_else(length2 > GUARD, at(h, x, x + d) - h - ca.dot(grad, d), ca.dot(near, d))
-    return grad + guarded(num, length2, JOINT_GUARD) * d, num + ca.dot(grad, d)
+    w, dh = smooth.back(grad + guarded(num, length2, SMALLEST) * d, num + ca.dot(grad, d))
+    return w, dh
 
 
 def _taylor_remainder(h: ca.SX, x: ca.SX, d: ca.SX, m: ca.SX, p: int) -> ca.SX:

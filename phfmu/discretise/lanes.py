@@ -13,8 +13,9 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise.differences import ANALYTIC, Differences, differences
-from phfmu.discretise.gradients import degree, stress
+from phfmu.declare.operations import ANALYTIC, degree
+from phfmu.discretise.differences import Differences, differences
+from phfmu.discretise.gradients import stress
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.terms import Term
 
@@ -23,6 +24,7 @@ EMPTY = ca.SX(0, 1)
 #: operations that exist for lanes: those of vectors, and functions taken lane by lane
 LANE_OPERATIONS = ANALYTIC - {
     ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN, ca.OP_SINH, ca.OP_COSH, ca.OP_LOG1P, ca.OP_EXPM1, ca.OP_HYPOT,
+    ca.OP_ERF, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH,
 }  # fmt: skip
 #: operations of single numbers
 OPERATIONS = ANALYTIC | {

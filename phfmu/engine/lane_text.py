@@ -26,6 +26,7 @@ FUNCTIONS = {
     ca.OP_SQRT: "sqrt", ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan",
     ca.OP_TANH: "tanh", ca.OP_ASIN: "asin", ca.OP_ACOS: "acos", ca.OP_ATAN: "atan", ca.OP_SINH: "sinh",
     ca.OP_COSH: "cosh", ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1",
+    ca.OP_ERF: "erf", ca.OP_ASINH: "asinh", ca.OP_ACOSH: "acosh", ca.OP_ATANH: "atanh",
 }  # fmt: skip
 
 #: models without a chord, and compilers without vectors
