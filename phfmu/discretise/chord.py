@@ -196,6 +196,8 @@ class _Builder:
         )  # fmt: skip
 
     def _constraint(self, term: Term) -> None:
+        if term.rows[0][1] in self.terms.resting:
+            return
         _require(
             set(term.local) <= {"x", "p"}
             and not np.any(term.data["light"])

@@ -17,6 +17,7 @@ from phfmu.discretise.hidden import rates
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import Maps, make_plan
+from phfmu.discretise.rest import holds
 from phfmu.discretise.spec import Address, Spec
 from phfmu.discretise.terms import DeclarationError, Hidden, Term, Terms
 
@@ -30,8 +31,8 @@ class Check:
     row: int
 
 
-def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
-    """The instant plan and its checks (reported as the last observables)."""
+def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check]]:
+    """The instant plan and its checks (reported as the last observables); `rests`: redundant constraints may rest."""
     hidden = terms.hidden
     if hidden.rows and terms.solved_costates:
         raise DeclarationError(
@@ -62,8 +63,8 @@ def instant_plan(terms: Terms) -> tuple[Plan, list[Check]]:
     guess = [[(w, 1.0, 0)] for w in range(layout.nw)]
     nobs = len(terms.observable_names) + len(checks)
     maps = Maps([], mean, guess, np.ones(1), np.full(1, 0.5))
-    plan = make_plan(layout, work, _constants(layout, hidden), maps, na=terms.na, nobs=nobs)
-    return plan, checks
+    hold = holds(layout) if rests else None
+    return make_plan(layout, work, _constants(layout, hidden), maps, na=terms.na, nobs=nobs, hold=hold), checks
 
 
 @dataclass(frozen=True)

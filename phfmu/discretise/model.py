@@ -14,6 +14,7 @@ from phfmu.discretise.extract import extract
 from phfmu.discretise.instant import Check, instant_plan
 from phfmu.discretise.onestep import step_plan
 from phfmu.discretise.plan import Kernel, Plan
+from phfmu.discretise.rest import at_start
 from phfmu.discretise.scales import check_scales
 from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.terms import Terms
@@ -73,8 +74,9 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
     """Discretise `declaration`; DeclarationError names what does not fit.  Default: `default_scheme`."""
     scheme = default_scheme(declaration) if scheme is None else scheme
     terms = extract(declaration, joint=scheme.joint)
+    terms = at_start(terms)
     step, layout = step_plan(terms, scheme)
-    instant, checks = instant_plan(terms)
+    instant, checks = instant_plan(terms, rests=len(step.hold) > 0)
     p0, x0 = _stack(declaration.parameters), _stack(declaration.states)
     u0 = [s for p in declaration.ports if p.external for s in _starts(p)]
     return Model(

@@ -9,6 +9,7 @@ from phfmu.discretise.differences import in_differences
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import make_plan
+from phfmu.discretise.rest import holds
 from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.spec import Spec
 from phfmu.discretise.terms import Term, Terms
@@ -30,5 +31,6 @@ def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
         if term.key not in cache:
             cache[term.key] = [in_differences(s) for s in scheme.specs(term)]
         work.append((term, cache[term.key]))
-    plan = make_plan(layout, work, scheme.constants(layout), scheme.maps(layout), na=terms.na, nobs=len(layout.work))
+    maps, constants = scheme.maps(layout), scheme.constants(layout)
+    plan = make_plan(layout, work, constants, maps, na=terms.na, nobs=len(layout.work), hold=holds(layout))
     return replace(plan, chord=find_chord(layout, scheme, plan)), layout

@@ -13,7 +13,7 @@ The Python evaluator and the C runtime run from the same plan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,6 +91,26 @@ class Products:
 
 
 @dataclass(frozen=True)
+class Holds:
+    """Holonomic constraints whose rows may rest: redundant ones are left out, w[row] = 0 in their place.
+
+    `rows`: of each its k nodes, then the velocity level if the scheme has one;  `rests`: redundant at the start;
+    `size`: natural size of the velocity constraint, against which one that rests is still redundant.
+    """
+
+    rows: tuple[tuple[int, ...], ...] = ()
+    rests: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    size: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def of(self, chosen: NDArray[np.bool_]) -> Ints:
+        """Rows of the chosen constraints."""
+        return np.array([row for rows, c in zip(self.rows, chosen, strict=True) if c for row in rows], np.int32)
+
+
+@dataclass(frozen=True)
 class Plan:
     """One discretised system; see the module text for the spaces and `docs/concepts/plan.md` for the use.
 
@@ -99,7 +119,8 @@ class Plan:
     `order[j]`: j-th pivot column, `pivot_row[j]`: its preferred row or -1.
     `mean_*`: algebraic reports a[mean_a] = sum mean_c h^mean_pow w[mean_w].
     `work_*`: pairs that get the energy R[work_row] beside h sum b y u.
-    `regularised`: entries of A that get +delta after row scaling, in the factor only.
+    `regularised`: entries of A that get +delta after row scaling, in the factor only; with `hold` where it has no pivot.
+    `hold`: constraints whose rows may rest; none where the scheme cannot leave rows out.
     `chord`: what the fast solver of constrained particles needs besides, or None where it does not apply.
     `carries`: 1 if the reported algebraic variables belong to the end of a step and enter the next one; else they are
     means over the step.
@@ -147,6 +168,7 @@ class Plan:
     pair_owner: Ints
     nominal: Floats
     chord: Chord | None = None
+    hold: Holds = field(default_factory=Holds)
     carries: int = 0
 
     @property

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.ordering import StructurallySingular, elimination_order
-from phfmu.discretise.plan import Group, Kernel, Plan, Products
+from phfmu.discretise.plan import Group, Holds, Kernel, Plan, Products
 from phfmu.discretise.spec import Spec, build
 from phfmu.discretise.terms import DeclarationError, Term
 
@@ -59,8 +59,10 @@ def make_plan(
     *,
     na: int,
     nobs: int,
+    hold: Holds | None = None,
 ) -> Plan:
     """Assemble the plan.  `constants`: (row, Y index, value, power of h).  DeclarationError if structurally singular."""
+    hold = Holds() if hold is None else hold
     terms = layout.terms
     groups = _groups(layout, work)
     nslot = 1 + sum(g.n * g.kernel.nj for g in groups)
@@ -70,14 +72,17 @@ def make_plan(
     matrix, derivative = _split(layout, entries, len(terms.pairs), maps.weights)
     matrix, weak = _with_diagonal(layout, matrix)
     colptr = np.searchsorted(matrix.col, np.arange(layout.nw + 1)).astype(np.int32)
+    resting = hold.of(hold.rests)
+    used = ~np.isin(matrix.row, resting) | (matrix.row == matrix.col)
+    zero = np.setdiff1d(weak, resting).astype(np.int32)
     try:
-        order, pivot = elimination_order(layout.nw, matrix.row, matrix.col, weak)
+        order, pivot = elimination_order(layout.nw, matrix.row[used], matrix.col[used], zero)
     except StructurallySingular as e:
         names, variables = layout.names(), layout.unknown_names()
         raise DeclarationError(
             f"{terms.model.name}: structurally singular: {', '.join(names[r] for r in e.rows)} cannot be solved for "
             f"{', '.join(variables[c] for c in e.cols)}; check for an ideal loop of sources or a port without inertia, "
-            "compliance or resistance"
+            "compliance or resistance" + (", or for redundant constraints" if terms.model.constraints else "")
         ) from None
     regularised = np.flatnonzero((matrix.row == matrix.col) & np.isin(matrix.col, weak)).astype(np.int32)
     guess = [(len(g), [i for i, _, _ in g], [c for _, c, _ in g], [q for _, _, q in g]) for g in maps.guess]
@@ -87,7 +92,7 @@ def make_plan(
         ncomp=len(terms.members), groups=tuple(groups), nslot=nslot,
         const_row=const[:, 0].astype(np.int32), const_src=const[:, 1].astype(np.int32), const_val=value,
         const_pow=const[:, 2].astype(np.int8), matrix=matrix, colptr=colptr, order=order, pivot_row=pivot,
-        regularised=regularised, derivative=derivative,
+        regularised=regularised, derivative=derivative, hold=hold,
         update_x=np.array([u[0] for u in maps.update], np.int32),
         update_w=np.array([u[1] for u in maps.update], np.int32),
         update_c=np.array([u[2] for u in maps.update], float),

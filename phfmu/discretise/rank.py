@@ -1,4 +1,4 @@
-"""Rank of the holonomic constraints at the start: which rows depend on earlier ones, and whether they contradict them."""
+"""Rank of the holonomic constraints at the start: which rows depend on others, and whether they contradict them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from phfmu.discretise.arguments import EMPTY
 from phfmu.discretise.terms import Term, Terms
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_matrix
+    from scipy.sparse import csc_matrix, csr_matrix
 
     from phfmu.declare.phdae import PHDAE
 
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9  # of rows scaled to length 1
+SUSPECT = 1e-10  # squared distance of a row from the others below which it is looked at closely
+FLOOR = 1e-14  # keeps the factor of Dg Dg^T regular
 
 
 @dataclass(frozen=True)
 class Redundant:
-    """A row of Dg that is sum `of`[name] * row(name) of earlier rows; `gap`: its g minus the same sum of theirs."""
+    """A row of Dg that is sum `of`[name] * row(name) of others that stay; `gap`: its g minus the same sum of theirs."""
 
     name: str
     of: dict[str, float]
@@ -38,44 +40,124 @@ class Redundant:
 
 @dataclass(frozen=True)
 class ConstraintRank:
-    """Rank of Dg (rows x velocities) at the start and its redundant rows, in the order of the declaration."""
+    """Rank of Dg (rows x velocities) at the start and its redundant rows, in the order of the declaration.
+
+    `groups`: (rows that depend on each other, how many of them are too many).
+    """
 
     rows: int
     rank: int
     redundant: tuple[Redundant, ...]
+    groups: tuple[tuple[tuple[str, ...], int], ...] = ()
 
     def report(self) -> str:
-        """A line for the rank and one per redundant row."""
-        return "\n".join([f"constraints: {self.rows} rows of rank {self.rank} at the start", *map(str, self.redundant)])
+        """Lines for the rank, for each group of dependent rows and for each redundant row."""
+        lines = [f"constraints: {self.rows} rows of rank {self.rank} at the start"]
+        lines += [
+            f"{many} of these {'is' if many == 1 else 'are'} too many: {', '.join(names)}"
+            for names, many in self.groups
+        ]
+        if self.groups:
+            lines.append(
+                "the motion does not depend on which rests; their forces are not unique, those of least norm are given"
+            )
+        return "\n".join([*lines, *map(str, self.redundant)])
 
 
 def constraint_rank(model: PHDAE) -> ConstraintRank:
-    """Which rows of Dg(q) at the start values depend on earlier rows.  DeclarationError for a bad declaration."""
+    """Which rows of Dg(q) at the start values depend on others.  DeclarationError for a bad declaration."""
     from phfmu.discretise.extract import extract
 
     terms = extract(model)
-    dense = constraint_jacobian(terms).toarray()
-    values = constraint_values(terms)
+    jacobian, values = constraint_jacobian(terms), constraint_values(terms)
     names = [n for v in model.algebraics for n in v.names()]
     rows = [names[t.rows[0][1]] for t in terms.terms if t.kind == "constraint"]
-    kept: list[int] = []
-    basis = np.zeros((0, dense.shape[1]))
-    redundant = []
-    for i, row in enumerate(dense):
-        length = np.linalg.norm(row)
-        rest = row / length if length > 0 else row
-        for _ in range(2):  # twice is enough
-            rest = rest - basis.T @ (basis @ rest)
-        if np.linalg.norm(rest) > TOLERANCE:
-            kept.append(i)
-            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
-            continue
-        c = np.linalg.lstsq(dense[kept].T, row, rcond=None)[0] if kept else np.zeros(0)
-        of = {
-            rows[k]: float(v) for k, v in zip(kept, c, strict=True) if abs(v) > 1e-9 * max(1.0, float(np.max(abs(c))))
-        }
-        redundant.append(Redundant(rows[i], of, float(values[i] - c @ values[kept])))
-    return ConstraintRank(len(rows), len(kept), tuple(redundant))
+    redundant: dict[int, Redundant] = {}
+    groups = []
+    for d in dependences(jacobian):
+        kept = [i for i in d.rows if i not in d.resting]
+        for r in d.resting:
+            row = jacobian[r].toarray().ravel()
+            c = np.linalg.lstsq(jacobian[kept].toarray().T, row, rcond=None)[0] if kept else np.zeros(0)
+            most = max(1.0, float(np.max(abs(c), initial=0.0)))
+            of = {rows[k]: float(v) for k, v in zip(kept, c, strict=True) if abs(v) > 1e-9 * most}
+            redundant[r] = Redundant(rows[r], of, float(values[r] - c @ values[kept]))
+        groups.append((tuple(rows[i] for i in d.rows), len(d.resting)))
+    found = tuple(redundant[r] for r in sorted(redundant))
+    return ConstraintRank(len(rows), len(rows) - len(found), found, tuple(groups))
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Rows that depend on each other, and those of them that rest: without these the others are independent."""
+
+    rows: tuple[int, ...]
+    resting: tuple[int, ...]
+
+
+def dependences(jacobian: csc_matrix) -> list[Dependence]:
+    """Groups of rows with common null vectors of Dg^T, each row in one group at most.
+
+    A sparse factor of Dg Dg^T finds candidates; the null vectors Y of their surroundings, from rows of length 1, tell.  QR of
+    Y^T with pivoting chooses the rows with the largest shares to rest: the others are then as well conditioned as
+    they can be.  Of equal ones the last rests.
+    """
+    from scipy.sparse import csr_matrix, diags
+
+    size = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=1)).ravel())
+    scaled = csr_matrix(diags(1.0 / np.where(size > 0, size, 1.0)) @ jacobian)
+    found = []
+    for rows in _suspects(scaled):
+        left, s, _ = np.linalg.svd(scaled[rows].toarray())
+        null = left[:, int(np.sum(s > TOLERANCE)) :]
+        shares = np.linalg.norm(null, axis=1)
+        found += [_chosen(np.array(rows)[part], null[part]) for part in _together(null, shares)]
+    return found
+
+
+def _suspects(scaled: csr_matrix) -> list[list[int]]:
+    """Groups of rows that may depend on each other, each with all rows its null vectors can touch; mostly none."""
+    from scipy.sparse import csc_matrix, identity
+    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.linalg import splu
+
+    gram = csc_matrix(scaled @ scaled.T)
+    lu = splu(csc_matrix(gram + FLOOR * identity(len(gram.indptr) - 1)), diag_pivot_thresh=0.0,
+              permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})  # fmt: skip
+    weak = np.abs(lu.U.diagonal())[lu.perm_c] < SUSPECT
+    if not weak.any():
+        return []
+    kept, left = np.flatnonzero(~weak), np.flatnonzero(weak)
+    shares = (
+        splu(csc_matrix(gram[kept][:, kept])).solve(gram[kept][:, left].toarray())
+        if len(kept)
+        else np.zeros((0, len(left)))
+    )
+    touched = np.zeros((len(weak), len(left)), bool)
+    touched[kept] = np.abs(shares) > 1e-6
+    touched[left, np.arange(len(left))] = True
+    links = csc_matrix(touched.astype(float))
+    _, label = connected_components(links @ links.T, directed=False)
+    return [np.flatnonzero(label == g).tolist() for g in np.unique(label[left])]
+
+
+def _together(null: Array, shares: Array) -> list[NDArray[np.intp]]:
+    """Rows with a share in some null vector, by groups without common null vectors."""
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    projector = np.abs(null @ null.T) > TOLERANCE
+    _, label = connected_components(csc_matrix(projector), directed=False)
+    return [np.flatnonzero(label == g) for g in np.unique(label[shares > TOLERANCE])]
+
+
+def _chosen(rows: NDArray[np.int64], null: Array) -> Dependence:
+    from scipy.linalg import qr
+
+    many = int(round(float(np.sum(null**2))))  # trace of the projector on their null vectors
+    prefer = 1.0 + 1e-6 * np.arange(len(rows)) / len(rows)
+    order = qr((null * prefer[:, None]).T, mode="economic", pivoting=True)[-1]
+    return Dependence(tuple(rows.tolist()), tuple(sorted(rows[order[:many]].tolist())))
 
 
 def constraint_jacobian(terms: Terms) -> csc_matrix:

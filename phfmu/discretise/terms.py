@@ -96,6 +96,9 @@ class Terms:
     observable_names: list[str] = field(default_factory=list)
     hidden: Hidden = field(default_factory=Hidden)
     impulses: Impulses | None = None
+    #: holonomic constraints at the start: multiplier -> natural size of Dg v; multipliers of those that rest
+    speeds: dict[int, float] = field(default_factory=dict)
+    resting: frozenset[int] = frozenset()
 
 
 class Locator:

@@ -110,6 +110,26 @@ def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[
     return sizes | {"late": int(late), "kernel": index(k)}
 
 
+def hold_values(plan: Plan) -> dict[str, Any]:
+    """Rows of each constraint, their diagonal entries, and all entries of A in them."""
+    row, col, hold = plan.matrix.row, plan.matrix.col, plan.hold
+    rows = hold.of(np.ones(len(hold), bool))
+    owner = np.full(plan.nw, -1)
+    owner[rows] = np.repeat(np.arange(len(hold)), [len(r) for r in hold.rows])
+    by_owner = np.argsort(owner[row], kind="stable")
+    silent = by_owner[np.searchsorted(owner[row][by_owner], 0) :]
+    own = np.full(plan.nw, -1)
+    own[row[row == col]] = np.flatnonzero(row == col)
+    return {
+        "nhold": len(hold),
+        "hold_ptr": np.cumsum([0] + [len(r) for r in hold.rows]),
+        "hold_row": rows,
+        "hold_own": own[rows],
+        "silent_ptr": np.searchsorted(owner[row[silent]], np.arange(len(hold) + 1)),
+        "silent": silent,
+    }
+
+
 def plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     late = plan.const_row >= plan.nw
     by_row = np.argsort(late, kind="stable")
@@ -130,6 +150,7 @@ def plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
             "varying": varying,
             "nderivative": plan.derivative.nnz,
             "nreg": len(plan.regularised),
+            **hold_values(plan),
             "nmean": len(plan.mean_a),
             "nwork": len(plan.work_pair),
             "lucap": capacity(plan),

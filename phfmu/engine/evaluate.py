@@ -46,6 +46,7 @@ class _GroupWork:
 class Evaluator:
     """Z, R, V, A and the ledger of one plan at given x, v, p and h.
 
+    `rests`: constraints that are left out, w = 0 in place of their rows;  `gap`: what they miss.
     Arrays belong to the evaluator and are overwritten by the next call.
     """
 
@@ -61,6 +62,7 @@ class Evaluator:
         self.V[0] = 1.0
         self.Y = np.zeros(plan.nv + plan.nz)
         self.R = np.zeros(plan.nrow)
+        self.rests, self.gap = plan.hold.rests.copy(), np.zeros(len(plan.hold))
         self._entry = {id(p): np.repeat(np.arange(p.nnz), np.diff(p.ptr)) for p in (plan.matrix, plan.derivative)}
 
     def residual(self, x: Array, v: Array, p: Array, h: float) -> Array:
@@ -68,6 +70,7 @@ class Evaluator:
         plan, y = self.plan, self.Y
         y[: plan.nv] = v
         y[plan.nv :] = 0.0
+        y[plan.hold.of(self.rests)] = 0.0  # exactly, whatever rounding the factor leaves
         for w in self._work:
             if w.group.stage == 0:
                 y[plan.nv :] += self._group(w, x, p, h, plan.nz)
@@ -75,6 +78,7 @@ class Evaluator:
         for w in self._work:
             if w.group.stage == 1:
                 r += self._group(w, x, p, h, plan.nrow)
+        self._rest(r)
         self.R = r
         return r
 
@@ -84,6 +88,21 @@ class Evaluator:
         w.values.call()
         self.V[g.slot : g.slot + g.n * g.kernel.nj] = w.values.res[1].ravel()
         return np.bincount(g.oi.ravel(), (w.values.res[0] * h**g.power).ravel(), size)
+
+    def _rest(self, r: Array) -> None:
+        """Rows at rest are 0, after a look at what they miss: the mean of the node rows is (g' - g) / h."""
+        plan = self.plan
+        for c in np.flatnonzero(self.rests):
+            rows = list(plan.hold.rows[c])
+            self.gap[c] = max(abs(plan.weights @ r[rows[: plan.k]]), *np.abs(r[rows[plan.k :]]), 0.0)
+            r[rows] = 0.0
+
+    def matrix(self, h: float) -> Array:
+        """Values of A from the current slots; rows at rest have 1 on the diagonal."""
+        lists = self.plan.matrix
+        values = self.products(lists, h)
+        rests = np.isin(lists.row, self.plan.hold.of(self.rests))
+        return np.where(rests, (lists.row == lists.col).astype(float), values)
 
     def products(self, lists: Products, h: float) -> Array:
         """Values of a sparse matrix from the current slots."""

@@ -23,8 +23,9 @@ SUMS = 16.0  # more of it in constraint rows: sums of values that are themselves
 STALLS = 2  # updates in a row that hardly shrink
 GROWN = 4.0  # an update that has grown by more does not stall
 ITERATIONS = 30
-DELTA = 1e-10  # on multiplier diagonals of the factor only: minimum-norm multipliers for redundant rows
+DELTA = 1e-10  # on multiplier diagonals of the factor only; with constraints where there is no pivot
 COLUMN = 1e-8  # no more than this of its column
+DEPENDENT = 4.0 * float(np.finfo(float).eps)  # a column that cancels down to this has no pivot
 SMALLEST = 1.0 / 64.0  # line search
 
 
@@ -57,26 +58,38 @@ class Newton:
 
     def factor(self, h: float) -> bool:
         """Factor the row-scaled matrix at the current slots; False if singular."""
-        from scipy.sparse import csc_matrix
-        from scipy.sparse.linalg import splu
-
         plan = self.plan
-        a = self.evaluator.products(plan.matrix, h)
+        a = self.evaluator.matrix(h)
         biggest = np.zeros(plan.nw)
         np.maximum.at(biggest, plan.matrix.row, np.abs(a))
         if not np.isfinite(biggest).all():
             return False
         self._scale = 1.0 / np.where(biggest > 0, biggest, 1.0)
         a = a * self._scale[plan.matrix.row]
-        # lambda enters as h: beside the Schur complement delta must not grow as steps become shorter; a column
-        # without entries (Dg = 0) gets all of it
+        if len(plan.hold):  # near a loss of rank delta is as large as what is left of the constraints
+            return self._split(a) or self._split(a + self._delta(a))
+        return self._split(a + self._delta(a))
+
+    def _delta(self, a: Array) -> Array:
+        """Lambda enters as h: delta must not grow beside the Schur complement; a column without entries gets all of it."""
+        plan = self.plan
         columns = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])[plan.matrix.row[plan.regularised]]
-        a[plan.regularised] += np.where(columns > 0, np.minimum(DELTA, COLUMN * columns), DELTA)
+        delta = np.zeros(len(a))
+        delta[plan.regularised] = np.where(columns > 0, np.minimum(DELTA, COLUMN * columns), DELTA)
+        return delta
+
+    def _split(self, a: Array) -> bool:
+        """LU of the matrix with entries a; False if a column cancels to rounding: it depends on the others."""
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        plan = self.plan
         try:
             self._lu = splu(csc_matrix((a, plan.matrix.row, plan.colptr), shape=(plan.nw, plan.nw)))
         except RuntimeError:
             return False
-        return True
+        original = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])
+        return bool((np.abs(self._lu.U.diagonal()[self._lu.perm_c]) > DEPENDENT * original).all())
 
     def solve(self, r: Array) -> Array:
         """The Newton correction -A^-1 r with the last factor."""
@@ -87,6 +100,7 @@ class Newton:
         """Iterate from w until rounding, then polish once with the old factor."""
         plan, h = self.plan, fixed[3]
         w, last, stalls, grew = w.copy(), np.inf, 0, False
+        w[plan.hold.of(self.evaluator.rests)] = 0.0
         out = Outcome(Status.NO_CONVERGENCE, w)
         r = self.residual(w, fixed)
         for i in range(ITERATIONS):
@@ -150,7 +164,7 @@ class Newton:
         constraint = np.zeros(plan.nw)
         constraint[plan.matrix.row[plan.regularised]] = nominal
         column = np.repeat(np.arange(plan.nw), np.diff(plan.colptr))
-        a = np.abs(self.evaluator.products(plan.matrix, h))
+        a = np.abs(self.evaluator.matrix(h))
         terms = a * (size[column] + constraint[plan.matrix.row] * plan.nominal[column])
         return np.finfo(float).eps * np.bincount(plan.matrix.row, terms, plan.nw)
 

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.engine import rest
 from phfmu.engine.attempts import Attempts
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.limits import LIMITS
-from phfmu.engine.newton import Newton, Outcome
+from phfmu.engine.newton import Fixed, Newton, Outcome
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
 
@@ -218,9 +219,23 @@ class PythonInstance:
         return np.concatenate([basis.value(float(c)) @ values for c in at])
 
     def _solve(self, h: float, u: Array) -> Outcome:
-        """Unknowns of a step of length h."""
-        s, x = self._s, self._old()
+        """Unknowns of a step of length h; constraints at rest that turn out not to be redundant come back."""
+        s, evaluator = self._s, self._step
+        evaluator.rests = s.rests.copy()
         s.counts["solves"] += 1
+        while True:
+            outcome = self._attempted(h, u)
+            called = rest.called(evaluator)
+            if outcome.status is not Status.OK or not called.any():
+                break
+            evaluator.rests &= ~called
+        if outcome.status is Status.OK:
+            s.counts["woken"] += int(np.sum(s.rests & ~evaluator.rests))
+            s.rests = evaluator.rests.copy()
+        return outcome
+
+    def _attempted(self, h: float, u: Array) -> Outcome:
+        s, x = self._s, self._old()
         attempts = Attempts(self._newton, s.w, s.h_last, lambda length: (x, np.append(u, length), s.p, length))
         outcome = attempts.solve(h)
         for name in ("iterations", "restarts", "line_searches"):
@@ -232,7 +247,7 @@ class PythonInstance:
         s, plan = self._s, self.model.step
         fixed = (self._old(), np.append(u, h), s.p, h)
         s.solved += 1
-        self._newton.residual(outcome.w, fixed)
+        w = self._evaluated(self._newton, outcome.w, fixed)
         stored, lost, numerical = self._step.ledger(fixed[0], s.p)
         y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
         u_nodes = self._step.Y[plan.pair_src].reshape(plan.k, plan.nq)
@@ -248,10 +263,32 @@ class PythonInstance:
         total = s.x[:-1] + change
         s.carry = change - (total - s.x[:-1])
         s.x[:-1] = total
-        a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * outcome.w[plan.mean_w], plan.na)
+        a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * w[plan.mean_w], plan.na)
         if plan.carries:
             s.a = a
+        if s.rests.any():
+            self._exchange(h)
         return y_nodes.copy(), a
+
+    def _evaluated(self, newton: Newton, w: Array, fixed: Fixed) -> Array:
+        """All rows at the solution w, its multipliers those of least norm where constraints rest."""
+        evaluator, rests = newton.evaluator, self._s.rests
+        if rests.any():
+            newton.residual(w, fixed)  # null vectors of the matrix there, not of the one Newton was content with
+            newton.factor(fixed[3])
+            w = rest.spread(newton, w, fixed[3])
+            evaluator.rests = np.zeros_like(rests)  # their rows are not looked at any more
+        newton.residual(w, fixed)
+        evaluator.rests = rests.copy()
+        return w
+
+    def _exchange(self, h: float) -> None:
+        """Another constraint rests where one has lost its share."""
+        s = self._s
+        found = rest.exchange(self._newton, s.w, h)
+        if found is not None:
+            s.rests = found
+            s.counts["exchanged"] += 1
 
     def _projected(self, y: Array, start: float, part: float) -> Array:
         """Outputs y (k x nq) at the nodes of a part of the step, as outputs at the nodes of the whole step.
@@ -367,6 +404,7 @@ class PythonInstance:
         """Solve the instant system for the present state (cached until something changes)."""
         s, plan = self._s, self.model.instant
         if s.end is None:
+            self._instant.rests = s.rests.copy()
             w = np.zeros(plan.nw)
             w[plan.mean_w] = s.a[plan.mean_a]
             fixed = (s.x, np.append(self._inputs(np.array([s.theta])), 1.0), s.p, 1.0)
@@ -379,10 +417,10 @@ class PythonInstance:
                     raise StepFailure(outcome.status, self.model.name, s.t, 0.0, equation=name,
                                       residual=outcome.residual, iterations=outcome.iterations)  # fmt: skip
                 w = outcome.w
-            r = self._instant.residual(s.x, np.concatenate([w, fixed[1]]), s.p, 1.0)
+            a, r = self._evaluated(self._solver, w, fixed), self._instant.R
             stored, *_ = self._instant.ledger(s.x, s.p)
             s.end = {
-                "w": w, "a": w[plan.mean_w], "y": r[plan.nw : plan.nw + plan.nq].copy(),
+                "w": w, "a": a[plan.mean_w], "y": r[plan.nw : plan.nw + plan.nq].copy(),
                 "o": r[plan.nw + plan.nq :].copy(), "H": stored,
             }  # fmt: skip
         return s.end
@@ -405,6 +443,7 @@ class PythonInstance:
         """D - C A^-1 B at w, one refinement against the regularisation of the factor."""
         plan, d = newton.plan, newton.plan.derivative
         nw, nu = plan.nw, plan.nu
+        newton.evaluator.rests = self._s.rests.copy()
         newton.residual(w, fixed)
         full = np.zeros((nw + nu, nw + nu))
         np.add.at(full, (d.row, d.col), newton.evaluator.products(d, fixed[3]))
@@ -412,7 +451,7 @@ class PythonInstance:
             return full[nw:, nw:]
         newton.factor(fixed[3])
         a = np.zeros((nw, nw))
-        a[plan.matrix.row, plan.matrix.col] = newton.evaluator.products(plan.matrix, fixed[3])
+        a[plan.matrix.row, plan.matrix.col] = newton.evaluator.matrix(fixed[3])
         dw = np.column_stack([newton.solve(b) for b in full[:nw, nw:].T])
         dw += np.column_stack([newton.solve(b) for b in (full[:nw, nw:] + a @ dw).T])
         return full[nw:, nw:] + full[nw:, :nw] @ dw

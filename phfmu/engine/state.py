@@ -12,7 +12,7 @@ from phfmu.discretise.model import Model
 
 Array = NDArray[Any]
 
-COUNTERS = ("steps", "solves", "iterations", "restarts", "line_searches", "substeps")
+COUNTERS = ("steps", "solves", "iterations", "restarts", "line_searches", "substeps", "exchanged", "woken")
 
 
 @dataclass
@@ -23,7 +23,8 @@ class State:
     inputs), p, t;  theta: where in its step a node input is read for end values;  x_old, u_old, solved: state and
     inputs at the start of the last step and how many solves it took;  y_step, energy: pair outputs and energies;
     y_node: pair outputs at the nodes of the last step (k x nq);
-    stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values.
+    stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values;
+    rests: constraints that are left out.
     """
 
     x: Array
@@ -47,6 +48,7 @@ class State:
     last: dict[str, Array] = field(default_factory=dict)
     end: dict[str, Array] | None = None
     counts: dict[str, int] = field(default_factory=dict)
+    rests: Array = field(default_factory=lambda: np.zeros(0, bool))
 
     @classmethod
     def at_start(cls, m: Model) -> State:
@@ -72,4 +74,5 @@ class State:
             dissipated=np.zeros(plan.ncomp),
             supplied=np.zeros(plan.ncomp),
             counts=dict.fromkeys(COUNTERS, 0),
+            rests=plan.hold.rests.copy(),
         )

@@ -35,6 +35,8 @@ void ph_eval(ph_system *s, int slots, int late) {
     int i = 0, nconst = late ? p->nconst : p->nconst_early;
     memset(z, 0, sizeof(double) * (size_t)p->nz);
     memset(r, 0, sizeof(double) * (size_t)p->nrow);
+    if (s->resting)
+        ph_rest_unknowns(s);
     for (int stage = 0; stage < 2; stage++) {
         for (; i < p->ngroup && p->groups[i].stage == stage; i++) {
             const ph_group *g = &p->groups[i];
@@ -51,6 +53,8 @@ void ph_eval(ph_system *s, int slots, int late) {
             for (int l = 0; l < nconst; l++)
                 r[p->const_row[l]] += s->constants[l] * y[p->const_src[l]];
     }
+    if (s->resting)
+        ph_rest_residual(s);
 }
 
 /* The rows after the residual, at a w and a Z found elsewhere. */
@@ -82,6 +86,8 @@ void ph_eval_matrix(ph_system *s) {
             sum += c[l] * v[ps[l]] * v[pt[l]];
         s->a[e] = sum;
     }
+    if (s->resting)
+        ph_rest_matrix(s);
 }
 
 /* out: nderivative. */

@@ -49,6 +49,7 @@ static void lay_state(ph_instance *in, block *b) {
     in->y_node = doubles(b, p->k > 1 ? p->nq * p->k : 0);
     in->step.last = doubles(b, p->nw);
     in->step.pivot = ints(b, p->nw);
+    in->step.rests = in->instant.rests = ints(b, p->nhold);
     in->instant.last = doubles(b, in->model->instant->nw);
     in->instant.pivot = ints(b, in->model->instant->nw);
 }
@@ -92,6 +93,8 @@ static void lay_system(ph_system *s, const ph_plan *p, block *b) {
     s->derivatives = doubles(b, p->derivative_ptr[p->nderivative]);
     s->constants = doubles(b, p->nconst);
     s->blocks = doubles(b, p->nderivative);
+    s->gap = doubles(b, p->nhold);
+    s->spread = doubles(b, p->nhold ? (2 * p->nhold + 4) * p->k : 0);
     lay_lu(&s->lu, p, b);
 }
 
@@ -117,7 +120,7 @@ static size_t lay_out(ph_instance *in, block *b) {
 static int plan_fits(const ph_plan *p, const ph_model *model) {
     const ph_plan *step = model->step;
     if (p->nx != step->nx || p->nu != step->nu || p->np != step->np || p->nq != step->nq ||
-        p->na != step->na || p->ncomp != step->ncomp || p->nv != p->nw + p->nu * p->k + 1 ||
+        p->na != step->na || p->nhold != step->nhold || p->ncomp != step->ncomp || p->nv != p->nw + p->nu * p->k + 1 ||
         p->nrow != p->nw + p->nq * p->k + p->nobs)
         return 0;
     for (int i = 0; i < p->ngroup; i++) {
@@ -203,6 +206,7 @@ int ph_reset(ph_instance *in) {
         if (s->plan->nw > 0)
             s->pivot[0] = -1;
     }
+    ph_rest_begin(in);
     if (ph_set_parameters(in, m->p0) || ph_set_x(in, m->t0, m->x0) || ph_set_algebraic(in, m->a0) ||
         ph_set_input(in, m->u0))
         return PH_VALUE;
@@ -278,12 +282,17 @@ void ph_save(const ph_instance *in, void *out) {
 }
 
 int ph_load(ph_instance *in, const void *from) {
+    const ptrdiff_t flags = (char *)in->step.rests - (char *)in->head;
+    const size_t length = sizeof(int) * (size_t)in->model->step->nhold;
     ph_head head;
-    int status;
+    int status, others;
     memcpy(&head, from, sizeof(head));
     if (head.token != in->model->token || head.size != in->state_size)
         return PH_ABI;
+    others = length > 0 && memcmp(in->step.rests, (const char *)from + flags, length) != 0;
     memcpy(in->head, from, in->state_size);
+    if (others)
+        ph_rest_take(in);
     status = ph_lu_adopt(&in->step.lu, in->step.pivot);
     return status ? status : ph_lu_adopt(&in->instant.lu, in->instant.pivot);
 }

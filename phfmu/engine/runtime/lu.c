@@ -209,3 +209,22 @@ void ph_lu_solve(ph_lu *lu, const double *b, double *x) {
             y[index[q]] -= value[q] * yj;
     }
 }
+
+/* x = A^-T b with the last factor; b and x: n, may not overlap. */
+void ph_lu_solve_transposed(ph_lu *lu, const double *b, double *x) {
+    double *restrict y = lu->work;
+    const double *restrict value = lu->value;
+    const int *restrict index = lu->index;
+    for (int j = 0; j < lu->n; j++) {
+        double sum = b[lu->order[j]];
+        for (int q = lu->start[j]; q < lu->lower[j]; q++)
+            sum -= value[q] * y[index[q]];
+        y[j] = sum * lu->inverse[j];
+    }
+    for (int j = lu->n - 1; j >= 0; j--) {
+        for (int l = lu->lower[j]; l < lu->start[j + 1]; l++)
+            y[j] -= value[l] * y[index[l]];
+        x[lu->pivot[j]] = y[j];
+    }
+    memset(y, 0, sizeof(double) * (size_t)lu->n);
+}

@@ -1,7 +1,8 @@
 /* Newton's method for one system from a given start: row scaling, damping, polish.
  *
- * The row-scaled matrix is factored, delta on the multiplier diagonals in the factor only; the residual
- * is exact, so redundant constraints get their minimum-norm multipliers. */
+ * The row-scaled matrix is factored. Delta on the diagonals of multipliers and node voltages, in the factor
+ * only, leads past dependent rows: always where there are no constraints, else where there is no pivot; near
+ * a loss of rank delta is as large as what is left of the constraints. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -71,8 +72,14 @@ int ph_newton_factor(ph_system *s) {
         return PH_SINGULAR;
     for (int e = 0; e < p->nnz; e++)
         scaled[e] = a[e] * scale[p->matrix_row[e]];
-    regularise(p, scaled);
+    if (p->nhold == 0)
+        regularise(p, scaled);
     status = ph_lu_factor(&s->lu, scaled, s->count);
+    if (status == PH_SINGULAR &&
+        p->nhold > 0) { /* rows depend on each other just here: delta leads past it */
+        regularise(p, scaled);
+        status = ph_lu_factor(&s->lu, scaled, s->count);
+    }
     if (status == PH_OK)
         memcpy(s->factored, s->a, bytes);
     return status;

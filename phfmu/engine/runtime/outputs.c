@@ -36,13 +36,15 @@ int ph_refresh(ph_instance *in) {
     status = solve_instant(in);
     if (status)
         return status;
+    memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
+    if (s->resting)
+        ph_rest_spread(s);
     for (int l = 0; l < p->nmean; l++)
         a[p->mean_a[l]] = 0.0;
     for (int l = 0; l < p->nmean; l++)
         a[p->mean_a[l]] += p->mean_c[l] * s->y[p->mean_w[l]];
     memcpy(in->table + in->offset[PH_Y_END], s->r + p->nw, sizeof(double) * (size_t)(p->nq + p->nobs));
     ph_eval_ledger(s, in->table + in->offset[PH_H], in->lost, in->numerical);
-    memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
     if (s->lu.ready)
         memcpy(s->pivot, s->lu.pivot, sizeof(int) * (size_t)p->nw);
     *s->last_h = 1.0;

@@ -123,6 +123,7 @@ typedef struct ph_plan {
     int nfixed, nvarying;             /* constant and varying parts of A */
     int nderivative;                  /* entries of the other derivative blocks */
     int nreg;                         /* regularised diagonal entries */
+    int nhold;                        /* holonomic constraints whose rows may rest, the same in both plans */
     int nupdate, nmean;               /* runs of the update, entries of the algebraic report */
     int nwork;                        /* rows with the work of impulses */
     int carries;                      /* 1: algebraic variables of the step's end enter the next; 0: means */
@@ -146,6 +147,13 @@ typedef struct ph_plan {
     const int *order;                 /* nw: pivot columns */
     const int *pivot_row;             /* nw: preferred row of each pivot column, or -1 */
     const int *regularised;           /* nreg: entries of A that get delta in the factor */
+    const int *hold_ptr;              /* nhold+1 */
+    const int *hold_row;              /* rows of a constraint: its k nodes, then the velocity level */
+    const int *hold_own;              /* their diagonal entries of A */
+    const int *hold_rests;            /* nhold: 1 = redundant at the start, w[row] = 0 in place of its rows */
+    const double *hold_size;          /* nhold: natural size of the velocity constraint */
+    const int *silent_ptr;            /* nhold+1 */
+    const int *silent;                /* all entries of A in the rows of a constraint */
     const int *derivative_row;        /* nderivative: residual row, or nw + output */
     const int *derivative_col;        /* nderivative: unknown, or nw + held input */
     const int *derivative_ptr;        /* nderivative+1 */

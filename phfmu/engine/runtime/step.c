@@ -47,6 +47,10 @@ static void accept(ph_instance *in, double h, double from, double weight) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     double *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
+    memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
+    *s->last_h = h;
+    if (s->resting)
+        ph_rest_spread(s);
     ph_eval_ledger(s, in->stored, in->lost, in->numerical);
     for (int c = 0; c < p->ncomp; c++) {
         in->row[PH_ROW_STORED][c] += in->stored[c];
@@ -79,35 +83,47 @@ static void accept(ph_instance *in, double h, double from, double weight) {
     ph_book_nodes(in, from, weight);
     move(in);
     in->head->parts++;
-    memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
-    *s->last_h = h;
+    if (s->resting)
+        ph_rest_exchange(in);
 }
 
-/* The Schur chord where the model has one, else, or where it does not converge, Newton's method. */
+/* The Schur chord where the model has one and it leaves out the constraints that rest; else, or where it does
+ * not converge, Newton's method. */
 static int solve(ph_instance *in, double h) {
     ph_system *s = &in->step;
-    if (!in->chord || ph_chord_solver.solve(in->chord, s, h) != PH_OK)
+    if (!in->chord || !in->planned || ph_chord_solver.solve(in->chord, s, h) != PH_OK)
         return ph_solve(s, h);
     ph_eval_h(s, h);
-    ph_eval_late(s);
+    if (!s->resting) {
+        ph_eval_late(s);
+        return PH_OK;
+    }
+    ph_eval(s, 0, 0); /* what those that rest miss */
     return PH_OK;
 }
 
-/* Solves the part [from, from + weight] of the communication step [t, t+h]; of the state only the time
- * changes. */
+/* Solves the part [from, from + weight] of the communication step [t, t+h]; of the state only the time and,
+ * if it succeeds, the constraints that rest change. */
 static int try_part(ph_instance *in, double t, double h, double from, double weight) {
     ph_system *s = &in->step;
-    int status;
+    int status, called = 0;
     in->table[s->plan->nx] = t + h * from;
     ph_resample(in, from, weight, s->y + s->plan->nw);
     in->count[PH_SOLVES]++;
-    status = solve(in, h * weight);
+    for (;;) {
+        status = solve(in, h * weight);
+        if (status || !s->resting || !ph_rest_wake(in))
+            break;
+        called = 1;
+    }
     if (status) {
         ph_explain(s, status, &in->report);
         in->report.instant = 0;
         in->report.time = t + h * from;
         in->report.h = h * weight;
     }
+    if (called)
+        ph_rest_settle(in, status == PH_OK);
     return status;
 }
 

@@ -28,6 +28,7 @@ int ph_lu_full(ph_lu *lu, const double *a);
 int ph_lu_refactor(ph_lu *lu, const double *a);
 int ph_lu_adopt(ph_lu *lu, const int *pivot);
 void ph_lu_solve(ph_lu *lu, const double *b, double *x);
+void ph_lu_solve_transposed(ph_lu *lu, const double *b, double *x);
 
 /* One plan with its work space. The first block points into the state of the instance. */
 typedef struct ph_system ph_system;
@@ -38,6 +39,7 @@ struct ph_system {
     double *last;       /* nw: last converged unknowns */
     double *last_h;     /* step they belong to, 0 = start values */
     int *pivot;         /* nw, pivots the state remembers; pivot[0] = -1: none */
+    int *rests;         /* nhold, one for both systems: PH_RESTS = left out */
 
     double *y;           /* nv+nz */
     double *r;           /* nrow */
@@ -54,9 +56,12 @@ struct ph_system {
     double *derivatives; /* derivative_value h^power */
     double *blocks;      /* nderivative */
     double *constants;   /* const_val h^pow */
+    double *gap;         /* nhold: what the constraints that rest miss */
+    double *spread;      /* 2 nhold k + 4 k: work of ph_rest_spread */
     double hp[3];        /* 1, h, h^2 */
     ph_lu lu;
-    int empty; /* row without entries at the last factorisation, or -1 */
+    int resting; /* constraints left out */
+    int empty;   /* row without entries at the last factorisation, or -1 */
     int iterations;
     double update;
     long long *count;
@@ -79,6 +84,18 @@ int ph_newton(ph_system *s, ph_newton_kind kind);
 int ph_solve(ph_system *s, double h);
 int ph_newton_factor(ph_system *s);
 void ph_explain(ph_system *s, int status, ph_report *report);
+
+enum { PH_AWAKE, PH_RESTS, PH_CALLED }; /* CALLED: needed again in the step being solved */
+
+void ph_rest_begin(ph_instance *in);
+void ph_rest_take(ph_instance *in);
+void ph_rest_unknowns(ph_system *s);
+void ph_rest_residual(ph_system *s);
+void ph_rest_matrix(ph_system *s);
+void ph_rest_spread(ph_system *s);
+void ph_rest_exchange(ph_instance *in);
+int ph_rest_wake(ph_instance *in);
+void ph_rest_settle(ph_instance *in, int accepted);
 
 /* Counters and switches of the state; doubles and pivots follow it. */
 typedef struct ph_head {
@@ -112,6 +129,7 @@ struct ph_instance {
     /* Work space. */
     ph_system step, instant;
     void *chord;       /* work space of the Schur chord, or NULL */
+    int planned;       /* 1: those constraints rest that the chord leaves out */
     void *backup;      /* state_size */
     double *stored;    /* ncomp */
     double *lost;      /* ncomp */
