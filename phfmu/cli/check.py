@@ -39,10 +39,11 @@ def _of_unit(path: str) -> tuple[list[str], int, int]:
 
 def _of_model(target: str) -> tuple[list[str], int, int]:
     from phfmu.cli.target import scene
-    from phfmu.declare.check import check
+    from phfmu.network.check_scene import check_scene
 
-    declaration = scene(target).declaration()
-    problems = check(declaration, strict=True)
+    chosen = scene(target)
+    declaration = chosen.declaration()
+    problems = check_scene(chosen, strict=True)
     errors = sum(p.severity == "error" for p in problems)
     if declaration.constraints and not errors:
         _print_rank(declaration)

@@ -57,10 +57,11 @@ def _from_file(target: str) -> Any:
         raise TargetError(f"no file '{path_text}'")
     if not function:
         raise TargetError(f"say which function of {path.name} builds the model: {path_text}:function")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    # a name of its own: a file called json.py or numpy.py must not take the place of that module
+    spec = importlib.util.spec_from_file_location(f"phfmu_target_{path.stem}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
+    sys.modules[module.__name__] = module
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:

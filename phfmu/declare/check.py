@@ -19,7 +19,7 @@ from phfmu.declare.check_names import names, nominals, shared_symbols, starts, u
 from phfmu.declare.check_problem import Problem as Problem
 from phfmu.declare.check_ranges import ranges
 from phfmu.declare.check_sample import Sample
-from phfmu.declare.phdae import PHDAE
+from phfmu.declare.phdae import PHDAE, require_declaration
 
 if TYPE_CHECKING:
     from phfmu.discretise.scheme import Scheme
@@ -47,9 +47,9 @@ def check(model: PHDAE, scheme: Scheme | None = None, *, strict: bool = False) -
 
     Matrices and energies are evaluated at the start and at seeded points around it, within the nominal size
     of each variable and with the parameters at their start values.  The equations are planned for `scheme`
-    (default: the default scheme of the model).  Never raises for a bad model.
+    (default: the default scheme of the model).  Never raises for a bad model; DeclarationError for what is none.
     """
-    found = _problems(model, scheme, strict)
+    found = _problems(require_declaration(model, "check"), scheme, strict)
     return found if strict else [p for p in found if p.severity == "error"]
 
 

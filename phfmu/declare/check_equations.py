@@ -153,6 +153,7 @@ def _split(text: str) -> tuple[str, str]:
 
 def hidden(model: Model, observables: np.ndarray) -> list[Problem]:
     """Hidden constraints (position, velocity, Kirchhoff) the start violates."""
+    from phfmu.declare.junction_words import junction_words
     from phfmu.discretise.model import CONSISTENCY
 
     found = []
@@ -169,10 +170,10 @@ def hidden(model: Model, observables: np.ndarray) -> list[Problem]:
                 if c.name in holonomic
                 else "sum of flows or efforts"
             )
+            said = junction_words(model.declaration, c.name, value) or f"{what} = {value:.6g}"
             found.append(
                 Problem("start", f"constraint of '{c.name}'",
-                        f"{what} = {value:.6g} at the start, allowed {CONSISTENCY * size:.3g} "
-                        f"(natural size {size:.3g})",
+                        f"{said} at the start, allowed {CONSISTENCY * size:.3g} (natural size {size:.3g})",
                         "choose start values (states, sources, inputs) that satisfy it")
             )  # fmt: skip
     return found

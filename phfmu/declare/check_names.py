@@ -18,6 +18,24 @@ _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
 _LEDGER = ("stored", "supplied", "dissipated", "residual")
 
 
+#: the longest name of a model: with what export adds it stays a file name everywhere
+LONGEST = 200
+
+
+def model_name(model: PHDAE) -> list[Problem]:
+    """The model's own name: free text, but of use as the name of a file and in XML."""
+    name, bad = model.name, sorted({c for c in str(model.name) if not c.isprintable() or c in "/\\"})
+    if not isinstance(name, str) or not name.strip():
+        text = f"its name is {name!r}"
+    elif len(name.encode()) > LONGEST:
+        text = f"its name is {len(name.encode())} bytes long, at most {LONGEST} fit into file names"
+    elif bad:
+        text = f"its name has {', '.join(map(repr, bad))}"
+    else:
+        return []
+    return [Problem("name", f"model {str(name)[:40]!r}", text, "give it a short name of letters, digits and _")]
+
+
 def variables(model: PHDAE) -> Iterator[tuple[Variable, str]]:
     """Every variable with the list it stands in."""
     for role in ("states", "algebraics", "parameters"):
@@ -49,7 +67,7 @@ def names(model: PHDAE) -> list[Problem]:
     for name, (n, entries) in _repeated(clear).items():
         text = f"{n} reported signals are called '{name}'"
         found.append(Problem("name", entries, text, "rename one of them"))
-    return found + _owners(model)
+    return found + _owners(model) + model_name(model)
 
 
 def _repeated(named: list[tuple[str, str]]) -> dict[str, tuple[int, str]]:

@@ -22,8 +22,8 @@ def stacked(where: Variable | tuple[Variable, ...]) -> tuple[Variable, ...]:
 
 
 def square(value: Any, n: int) -> ca.SX:
-    """A block of E in full: a scalar is a multiple of the identity, a column is a diagonal."""
-    matrix = ca.SX(_sx(value))
+    """A block of E in full: a scalar is a multiple of the identity, a column is a diagonal; zeros are left out."""
+    matrix = ca.sparsify(ca.SX(_sx(value)))
     if matrix.numel() == 1 and n > 1:
         return matrix * ca.SX.eye(n)
     return ca.diag(matrix) if matrix.shape == (n, 1) and n > 1 else matrix

@@ -7,13 +7,14 @@ semi-explicit: x = (x1, x2) with states x1 (E11 regular) and algebraic variables
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
 
 from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.port import Port, drive
 from phfmu.declare.variable import Variable, _sx, time
 
@@ -118,6 +119,8 @@ class PHDAE:
     description: str = ""
 
     def __post_init__(self) -> None:
+        for field_, kind, maker in _PARTS:
+            object.__setattr__(self, field_, _listed(self.name, field_, getattr(self, field_), kind, maker))
         known = {s.element_hash() for v in self.states for s in ca.vertsplit(v.sx)}
         object.__setattr__(self, "energies", tuple(resolve_kind(e, known) for e in self.energies))
         constraints = tuple(_driven(c) for c in self.constraints)
@@ -218,6 +221,49 @@ class PHDAE:
         close = get_close_matches(name, self.settable_names(), 5)
         hint = f"; did you mean {', '.join(close)}?" if close else ""
         return f"{self.name} has no parameter, state or input '{name}'{hint}"
+
+
+#: field, type of its items, how they are made
+_PARTS: tuple[tuple[str, type, str], ...] = (
+    ("states", Variable, "state(..)"),
+    ("algebraics", Variable, "algebraic(..)"),
+    ("parameters", Variable, "parameter(..)"),
+    ("energies", Energy, "energy(..)"),
+    ("structure", Block, "skew(..) or block(..)"),
+    ("dissipation", Block, "damping(..) or block(..)"),
+    ("ports", Port, "Port(..)"),
+    ("constraints", Holonomic, "Holonomic(..)"),
+    ("closed", ClosedPair, "ClosedPair(..)"),
+    ("observables", Observable, "observable(..)"),
+)
+
+
+def _listed(model: str, what: str, items: Any, kind: type, maker: str) -> tuple[Any, ...]:
+    """The items of a field as a tuple; DeclarationError if they are not a list of `kind`."""
+    if isinstance(items, kind):
+        raise DeclarationError(f"{model}: {what} is one {kind.__name__}, not a list of them; write {what}=(.. ,)")
+    found = tuple(items) if isinstance(items, Iterable) and not isinstance(items, str | Mapping) else (items,)
+    for i, item in enumerate(found):
+        if not isinstance(item, kind):
+            shown = f"{type(item).__name__} {str(item)[:40]!r}"
+            raise DeclarationError(f"{model}: entry {i + 1} of {what} is the {shown}; make it with {maker}")
+    return found
+
+
+def require_declaration(item: Any, what: str) -> PHDAE:
+    """`item`, if it is a declaration; DeclarationError with the remedy if it only leads to one."""
+    if isinstance(item, PHDAE):
+        return item
+    shown = f"{what} needs a declaration (PHDAE), got the {type(item).__name__} {str(item)[:60]!r}"
+    if hasattr(item, "compose"):
+        remedy = "compose the network first: network.compose()"
+    elif hasattr(item, "declaration"):
+        remedy = "take its declaration"
+    elif callable(item):
+        remedy = "call the function"
+    else:
+        remedy = "build it in Python, e.g. phfmu.components.library.build('dc_motor'); the command line takes names and files"
+    raise DeclarationError(f"{shown}; {remedy}")
 
 
 def _driven(c: Holonomic) -> Holonomic:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
 import casadi as ca
 import numpy as np
+
+from phfmu.declare.error import DeclarationError
 
 Role = Literal["state", "algebraic", "parameter"]
 Number = float | Sequence[float] | np.ndarray
@@ -17,7 +20,12 @@ time: ca.SX = ca.SX.sym("time")
 
 
 def _values(name: str, what: str, value: Number, size: int) -> tuple[float, ...]:
-    array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+    try:
+        array = np.atleast_1d(np.asarray(value, dtype=float)).ravel() if value is not None else None
+    except (TypeError, ValueError):
+        array = None
+    if array is None:
+        raise DeclarationError(f"{name}: {what} = {value!r}; give a number, or one for each of the {size} entries")
     if array.size == 1:
         array = np.full(size, array[0])
     if array.size != size:
@@ -32,6 +40,25 @@ class _Arithmetic:
 
     def __SX__(self) -> ca.SX:  # noqa: N807  (CasADi's conversion hook)
         return self.sx
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """NumPy's functions of a variable are CasADi's of its symbols, so that np.cos(v) is an expression."""
+        name = function.__name__
+        made = getattr(operator, _OPERATORS.get(name, ""), None) or getattr(ca, _FUNCTIONS.get(name, name), None)
+        try:
+            if made is not None and method == "__call__" and not options:
+                return made(
+                    *(ca.DM(np.asarray(i, float)) if isinstance(i, np.ndarray | np.generic) else _sx(i) for i in inputs)
+                )
+        except (NotImplementedError, TypeError):
+            pass
+        raise DeclarationError(f"numpy.{name} does not know symbols such as {self.sx}; write a function of CasADi")
+
+    def __float__(self) -> float:
+        name = getattr(self, "name", "it")
+        raise DeclarationError(
+            f"'{name}' is a symbol, not a number; write functions of CasADi, e.g. casadi.cos({name}.sx), not of math"
+        )
 
     def __getitem__(self, index: Any) -> ca.SX:
         return self.sx[index]
@@ -66,6 +93,12 @@ class _Arithmetic:
 
     def __matmul__(self, other: Any) -> ca.SX:
         return ca.mtimes(self.sx, _sx(other))
+
+
+#: NumPy's names of operators
+_OPERATORS = {"add": "add", "subtract": "sub", "multiply": "mul", "divide": "truediv", "power": "pow", "matmul": "matmul",
+              "negative": "neg", "absolute": "abs"}  # fmt: skip
+_FUNCTIONS = {"minimum": "fmin", "maximum": "fmax"}
 
 
 def _sx(value: Any) -> Any:

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.phdae import PHDAE, _starts
+from phfmu.declare.check_names import starts
+from phfmu.declare.error import DeclarationError
+from phfmu.declare.phdae import PHDAE, _starts, require_declaration
 from phfmu.declare.variable import Variable
 from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.extract import extract
@@ -72,6 +74,8 @@ def _stack(variables: tuple[Variable, ...]) -> Array:
 
 def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
     """Discretise `declaration`; DeclarationError names what does not fit.  Default: `default_scheme`."""
+    if bad := starts(require_declaration(declaration, "build_model")):
+        raise DeclarationError("; ".join(str(p) for p in bad))
     scheme = default_scheme(declaration) if scheme is None else scheme
     terms = extract(declaration, joint=scheme.joint)
     terms = at_start(terms)

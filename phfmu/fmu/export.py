@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from phfmu.declare.phdae import PHDAE
+from phfmu.declare.check_names import model_name
+from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.discretise.model import Model
 from phfmu.engine.compile import compile, host_target, suffix
 from phfmu.fmu import fmi2, fmi3, manifest, package, sources
@@ -48,6 +49,9 @@ def export(
     lists the ports as terminals.  `left_out`: lines about what the unit has not, for its documentation and manifest.
     The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
     """
+    require_declaration(declaration, "export")
+    if bad := model_name(declaration):
+        raise FMUError("; ".join(str(p) for p in bad))
     if not (math.isfinite(step) and step > 0):
         raise FMUError(f"{declaration.name}: step = {step} s must be positive")
     unknown = [v for v in versions if v not in VERSIONS]

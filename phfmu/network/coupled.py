@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.junction_words import spread_words
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.compose import require_members
 from phfmu.network.hidden import hidden_part, instant_sensitivity
 from phfmu.network.interface import interface
 from phfmu.network.members import MONOLITHIC, Member
-from phfmu.network.network import Network
+from phfmu.network.network import Junction, Network
 from phfmu.network.stepper import Booking, InconsistentState, Steps
 from phfmu.words import meant
 
@@ -123,15 +124,22 @@ class Coupled:
         sums = self.end_sums()
         size = np.abs(self.face.P.T) @ np.abs(np.concatenate([m.end_output() for m in self.members]))
         bad = []
-        for n, v, own in zip(self.face.sum_names(), sums, self.face.rows_of_sums(), strict=True):
+        joined = [j for j in self.network.junctions for _ in range(self.network.port_of(j.ends[0]).n)]
+        for j, n, v, own in zip(joined, self.face.sum_names(), sums, self.face.rows_of_sums(), strict=True):
             if not abs(v) <= 1e-7 * (size[own].max() + 1e-6):
                 pure = not self.face.C[own[0], : own[0]].any()
-                bad.append(f"{n}: sum {v:.6g}" if pure else f"{n}: joined outputs differ by {v:.6g}")
+                bad.append(f"{n}: sum {v:.6g}" if pure else f"{n}: {self._differ(j, v)}")
         if bad:
             raise InconsistentState(
                 f"{self.network.name}: inconsistent start: {'; '.join(bad)}. Joined flows of states must sum to zero "
                 f"and joined outputs must be equal at the start; change the start values, or {MONOLITHIC}"
             )
+
+    def _differ(self, junction: Junction, value: float) -> str:
+        ports = {e: self.network.port_of(e) for e in junction.ends}
+        shared = "effort" if junction.kind == "0" else "flow"
+        givers = {str(e): p for e, p in ports.items() if p.given != shared}
+        return spread_words(next(iter(givers.values())), tuple(givers), value)
 
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> None:
         """Members know their own constraints only; ValueError tells how to start."""

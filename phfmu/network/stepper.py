@@ -229,13 +229,15 @@ PROJECT = "let the run move the start onto it with --project (energy change book
 
 def require_consistent(model: Model, instance: Any, instead: str = PROJECT) -> None:
     """InconsistentState if a hidden constraint of the present state exceeds its tolerance; `instead` of better values."""
+    from phfmu.declare.junction_words import junction_words
     from phfmu.discretise.model import CONSISTENCY
 
     if not model.checks:
         return
     values = instance.signal("observables")[-len(model.checks) :]
     bad = [
-        f"{c.name}: {c.level} residual {v:.6g} (tolerance {CONSISTENCY * s:.3g})"
+        f"{c.name}: {junction_words(model.declaration, c.name, v) or f'{c.level} residual {v:.6g}'} "
+        f"(tolerance {CONSISTENCY * s:.3g})"
         for c, v, s in zip(model.checks, values, model.check_scale, strict=True)
         if not abs(v) <= CONSISTENCY * s
     ]

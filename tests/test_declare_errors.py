@@ -1,0 +1,193 @@
+"""What is not a declaration, or hardly one: accepted where it is clear, else one error with the remedy."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from phfmu import (
+    ELECTRICAL,
+    PHDAE,
+    Event,
+    Holonomic,
+    Network,
+    Port,
+    PythonInstance,
+    Scene,
+    algebraic,
+    build_model,
+    check,
+    damping,
+    energy,
+    export,
+    parameter,
+    skew,
+    state,
+)
+from phfmu.cli import main
+from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.discretise.terms import DeclarationError
+from phfmu.fmu.description import Unit
+from phfmu.fmu.sources import interface_text
+from phfmu.network.check_scene import check_scene
+
+
+def refused(call: Any, *words: str) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        call()
+    assert all(w in str(caught.value) for w in words), caught.value
+
+
+def model(**changes: Any) -> PHDAE:
+    x = state("x", start=1.0)
+    return replace(PHDAE("m", states=(x,), energies=(energy(x**2 / 2),), dissipation=(damping(x, 1.0),)), **changes)
+
+
+def value(expr: Any, v: Any, at: Any) -> np.ndarray:
+    return np.array(ca.Function("f", [v.sx], [expr])(at))
+
+
+def test_functions_of_numpy_take_variables():
+    x, v = state("x"), state("v", 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for f in (np.cos, np.exp, np.sqrt, np.arctan, np.abs):
+            assert np.allclose(value(f(x), x, 0.7), f(0.7))
+            assert np.allclose(value(f(v), v, [0.7, 0.2]).ravel(), f([0.7, 0.2]))
+        assert np.allclose(value(np.array([1.0, 2.0]) * v, v, [3, 4]).ravel(), [3, 8])
+        assert np.allclose(value(np.array([[0.0, 1.0], [2.0, 0.0]]) @ v, v, [3, 4]).ravel(), [4, 6])
+        assert np.allclose(value(np.float64(2.0) - x, x, 0.5), 1.5)
+        assert np.allclose(value(np.maximum(x, 2.0), x, 0.5), 2.0)
+    refused(lambda: np.heaviside(x, 1.0), "numpy.heaviside", "such as x")
+    refused(lambda: math.cos(x), "'x' is a symbol", "casadi.cos(x.sx)")
+
+
+def test_starts_are_numbers():
+    refused(lambda: state("x", start="one"), "x: start = 'one'; give a number")
+    refused(lambda: state("x", 2, start=None), "x: start = None", "each of the 2 entries")
+    bad = model().mapped(lambda v: replace(v, start=(math.nan,)), lambda p: p)
+    refused(lambda: build_model(bad), "the start of x is nan", "give a finite number")
+
+
+def test_parts_of_a_declaration_are_lists_of_what_they_should_be():
+    x = state("x")
+    refused(lambda: PHDAE("m", states=(x)), "states is one Variable", "write states=(.. ,)")
+    refused(lambda: PHDAE("m", states=(x,), energies=energy(x**2)), "energies is one Energy")
+    refused(lambda: PHDAE("m", states=("x",)), "entry 1 of states is the str 'x'", "make it with state(..)")
+    refused(lambda: PHDAE("m", states=(x,), energies=(x**2,)), "entry 1 of energies is the SX", "energy(..)")
+    port = Port("p", ELECTRICAL, "effort", {x: 1.0})
+    refused(lambda: PHDAE("m", states=(x,), ports=port), "ports is one Port")
+    assert PHDAE("m", states=[x], energies=[energy(x**2)]).states == (x,)
+
+
+def test_where_a_declaration_is_wanted():
+    net = Network("n")
+    for call, name in (check, "check"), (build_model, "build_model"):
+        refused(
+            lambda call=call: call("dc_motor"), f"{name} needs a declaration (PHDAE), got the str 'dc_motor'", "build("
+        )
+        refused(lambda call=call: call(Path("a.py")), "got the PosixPath" if sys.platform != "win32" else "got the")
+        refused(lambda call=call: call(dc_motor), "call the function")
+        refused(lambda call=call: call(net), "compose the network first")
+    refused(lambda: export("dc_motor", build_model(dc_motor()), ".", step=1.0), "export needs a declaration")
+
+
+@pytest.mark.parametrize("name", ["", "  ", "m" * 201, "a\0b", "../a", "a\\b", "two\nlines"])
+def test_names_that_no_file_can_have(name, tmp_path):
+    (found,) = check(model(name=name))
+    assert found.rule == "name" and found.remedy.startswith("give it a short name")
+    with pytest.raises(RuntimeError, match="its name"):
+        export(model(name=name), build_model(model(name=name)), tmp_path, step=0.1)
+    assert not list(tmp_path.iterdir())
+
+
+def test_names_do_not_end_comments():
+    m = model(name="a * */ int x; /* b")
+    text = interface_text(Unit(m, build_model(m), 0.1), "{}")
+    assert text.count("*/") == 1 == text.count("/* G")
+
+
+def pendulum(mass: Any) -> PHDAE:
+    q, v, lam = state("q", 2, start=(1.0, 0.0)), state("v", 2), algebraic("lam")
+    return PHDAE("p", states=(q, v), algebraics=(lam,), energies=(energy(ca.sumsqr(v.sx)), energy(19.62 * q[1])),
+                 E={v: mass}, structure=(skew(q, v, 1.0),), constraints=(Holonomic(lam, (ca.sumsqr(q.sx) - 1) / 2),))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "mass", [np.diag([2.0, 2.0]), [[2.0, 0.0], [0.0, 2.0]], ca.DM([[2, 0], [0, 2]]), ca.densify(2 * ca.SX.eye(2))],
+    ids=["numpy", "lists", "DM", "SX"],
+)  # fmt: skip
+def test_a_full_matrix_that_is_diagonal_is_diagonal(mass):
+    ends = []
+    for E in (2.0, mass):
+        assert check(pendulum(E)) == []
+        unit = PythonInstance(build_model(pendulum(E)))
+        unit.do_step(0.0, 0.01)
+        ends.append(unit.x)
+    assert np.array_equal(*ends)
+
+
+@pytest.mark.parametrize("name", ["json", "numpy", "casadi", "phfmu"])
+def test_a_model_file_may_be_called_like_a_module(name, tmp_path, capsys):
+    path = tmp_path / f"{name}.py"
+    path.write_text("from phfmu.components.electrical.dc_motor import dc_motor as m\n")
+    before = importlib.import_module(name)
+    assert main(["run", f"{path}:m", "--stop", "1e-3", "--step", "1e-3", "--engine", "python", "--quiet"]) == 0
+    assert sys.modules[name] is before and capsys.readouterr().err == ""
+
+
+CAPACITORS = """
+from phfmu import ELECTRICAL, PHDAE, Network, Port, energy, parameter, state
+def capacitor(q):
+    charge, C = state("charge", unit="C", start=q, nominal=0.01), parameter("C", 1e-3, unit="F")
+    port = Port("terminal", ELECTRICAL, "flow", {charge: 1.0})
+    return PHDAE("capacitor", states=(charge,), parameters=(C,), energies=(energy(charge**2 / (2 * C)),), ports=(port,))
+def tank():
+    net = Network("tank")
+    net.add("left", capacitor(0.02)), net.add("right", capacitor(0.01))
+    net.junction("node", ["left.terminal", "right.terminal"])
+    return net
+"""
+
+
+def test_two_capacitors_at_different_voltages_are_told_in_volts(tmp_path, capsys):
+    (tmp_path / "c.py").write_text(CAPACITORS)
+    target = f"{tmp_path / 'c.py'}:tank"
+    for line, code in (f"check {target}", 1), (f"run {target}", 2), (f"run {target} --coupling newton", 2):
+        assert main(line.split() + ["--engine", "python"] * line.startswith("run")) == code
+        said = "".join(capsys.readouterr())
+        assert "v of left.terminal and right.terminal differ by 10 V" in said  # 0.02 C and 0.01 C at 1 mF
+
+
+def test_events_of_a_scene_are_checked(tmp_path, capsys):
+    events = [(0.0, "R", 0.5), (0.01, "terminal.w", 1), (0.01, "flux", 1), (0.01, "d", math.nan), (9.0, "R", -1.0)]
+    scene = Scene("s", dc_motor(), 1.0, 0.01, tuple(Event(*e) for e in events))
+    assert check(scene.declaration()) == []
+    first, second, third = check_scene(scene)
+    assert "'terminal.w' is no parameter or free input; did you mean terminal.v" in str(first)
+    assert "'flux' is a state, which events do not set" in str(second) and "t = 0.01 s" in third.entry
+    assert "not finite" in third.message and {p.rule for p in (first, second, third)} == {"event"}
+    (found,) = check_scene(Scene("s", dc_motor(), 1.0, math.nan))
+    assert "step = nan s" in found.message
+    late = check_scene(Scene("s", dc_motor(), 10.0, 0.01, (Event(9.0, "R", -1.0),)))
+    assert [p.rule for p in late] == ["limit", "passivity"] and "after the event R = -1 at t = 9 s" in late[0].message
+    (tmp_path / "s.py").write_text(
+        "from phfmu import Event, Scene\nfrom phfmu.components.electrical.dc_motor import dc_motor\n"
+        "def s(): return Scene('s', dc_motor(), 1.0, 0.01, (Event(0.1, 'Rr', 1.0),))\n"
+    )
+    assert main(["check", f"{tmp_path / 's.py'}:s"]) == 1
+    assert "'Rr' is no parameter or free input; did you mean R" in capsys.readouterr().out
+
+
+def test_parameters_survive_what_numpy_gives():
+    p = parameter("p", np.float64(2.0), min=np.float64(0.0))
+    assert p.start == (2.0,) and p.min == (0.0,)
