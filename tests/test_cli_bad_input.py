@@ -124,7 +124,7 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         ("run models.py:nan_event", "event m = nan at t = 900000000.0 s must be finite"),
         ("run models.py:currents", "net: joint.v[3]: sum to -0.1 tolerance sum of currents"),
         ("run models.py:currents --coupling newton", "net: joint.v[3]: sum 0.1 change the start values"),
-        ("run models.py:rigid", "net: flange.force residual 0.3 change the start values"),
+        ("run models.py:rigid", "net: flange.force: velocity differ by 0.3 m/s change the start values"),
         ("run models.py:rigid --coupling newton", "velocity of a.flange and b.flange differ by 0.3 m/s"),
         ("run four_particle --set v[4]=1", "lambda[1]: velocity residual 1 change the start values"),
         ("run four_particle --set q[4]=1.1", "lambda[1]: position residual 0.105 change the start values"),

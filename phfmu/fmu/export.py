@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from phfmu.declare.check_names import model_name
+from phfmu.declare.check_names import unwritable
 from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.discretise.model import Model
 from phfmu.engine.compile import compile, host_target, suffix
@@ -50,7 +50,7 @@ def export(
     The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
     """
     require_declaration(declaration, "export")
-    if bad := model_name(declaration):
+    if bad := unwritable(declaration):
         raise FMUError("; ".join(str(p) for p in bad))
     if not (math.isfinite(step) and step > 0):
         raise FMUError(f"{declaration.name}: step = {step} s must be positive")
