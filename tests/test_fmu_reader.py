@@ -172,8 +172,9 @@ def test_directional_derivatives_of_other_pairs_are_refused(circuits, version: s
             ("line.i_step", "psi", "'psi' is not an input of a port"),
         ):
             with pytest.raises(FMUError, match=words):
-                unit._slave.derivative([ref[unknown]], ref[known])
-        end = unit._slave.derivative([ref["line.i"], ref["load.v"]], ref["line.v"])
+                unit._slave.derivative(unit._slave.references([unit.variable(unknown)]), unit.variable(known))
+        both = unit._slave.references([unit.variable("line.i"), unit.variable("load.v")])
+        end = unit._slave.derivative(both, unit.variable("line.v"))
         assert end == pytest.approx([1 / 0.7, 0.0]), "i = (v - v_C) / R at the present time, v_C is a state"
         adjoint = getattr(unit._slave.fmu, "getAdjointDerivative", None)
         if adjoint:

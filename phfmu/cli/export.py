@@ -25,6 +25,8 @@ def add_parser(verbs: Any) -> None:
                         help="optional port inputs at the nodes of a step, e.g. terminal.v_node[1,2] (order 4 or 6)")  # fmt: skip
     parser.add_argument("--outputs", default="ledger", choices=("ledger", "local"),
                         help="energies and residuals of constraints as outputs, or as local variables")  # fmt: skip
+    parser.add_argument("--arrays", action="store_true",
+                        help="vector ports as array variables in FMI 3.0 (in FMI 2.0 they are scalars)")  # fmt: skip
     parser.add_argument("--no-terminals", action="store_true",
                         help="leave terminalsAndIcons.xml out, which some importers of FMI 2.0 refuse")  # fmt: skip
     parser.add_argument("--platform", action="append", metavar="NAME", help="e.g. x86_64-linux; may be repeated")
@@ -56,7 +58,7 @@ def call(args: argparse.Namespace) -> int:
     left_out = _left_out(s, declaration)
     paths = export(declaration, model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
                    node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
-                   terminals=not args.no_terminals, left_out=left_out)  # fmt: skip
+                   terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays)  # fmt: skip
     for line in left_out:
         print(f"phfmu: not in the unit: {line}", file=sys.stderr)
     for path in paths:

@@ -24,12 +24,21 @@ LOG_CATEGORIES = {
 }
 
 
+@dataclass(frozen=True)
+class Span:
+    """An array: its name and number of entries, which are consecutive variables."""
+
+    name: str
+    size: int
+
+
 @dataclass(frozen=True, eq=False)
 class Unit:
     """A model to be exported.  `step`: longest internal and suggested communication step, s; `stop`: s.
 
     `node_inputs`: ports also have inputs and outputs at the nodes of a step.  `ledger_outputs`: energies and residuals of
-    constraints are outputs, else local variables.  `terminals`: ports are listed as terminals.  `left_out`: what the
+    constraints are outputs, else local variables.  `terminals`: ports are listed as terminals.  `arrays`: vector ports are arrays
+    in FMI 3.0.  `left_out`: what the
     declaration's scene has and the unit has not, a line each.
     """
 
@@ -41,6 +50,7 @@ class Unit:
     ledger_outputs: bool = True
     terminals: bool = True
     left_out: tuple[str, ...] = ()
+    arrays: bool = False
 
     @property
     def name(self) -> str:
@@ -57,6 +67,16 @@ class Unit:
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
         return variables(self.declaration, self.model, self.node_inputs, self.ledger_outputs)
+
+    @cached_property
+    def spans(self) -> dict[int, Span]:
+        """Value reference of the first entry -> the array of FMI 3.0 that begins there; empty without `arrays`."""
+        if not self.arrays:
+            return {}
+        place = {v.name: i for i, v in enumerate(self.variables)}
+        ports = [p for p in self.declaration.ports if p.size is not None]
+        groups = [g for p in ports for g in (p.input_names(), p.output_names(), p.output_names("_step"))]
+        return {place[g[0]]: Span(g[0].rpartition("[")[0], len(g)) for g in groups if g[0] in place}
 
     def outputs(self) -> list[int]:
         """Value references of the outputs."""

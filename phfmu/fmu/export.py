@@ -40,6 +40,7 @@ def export(
     ledger_outputs: bool = True,
     terminals: bool = True,
     left_out: Sequence[str] = (),
+    arrays: bool = False,
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions`.
 
@@ -47,6 +48,7 @@ def export(
     this machine.  `node_inputs`: optional port inputs at the nodes of a step, and the outputs there (order 4, 6).
     `ledger_outputs`: energies and residuals of constraints as outputs, else as local variables.  `terminals`: a file that
     lists the ports as terminals.  `left_out`: lines about what the unit has not, for its documentation and manifest.
+    `arrays`: vector ports as array variables in FMI 3.0.
     The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
     """
     require_declaration(declaration, "export")
@@ -62,7 +64,7 @@ def export(
             f"{declaration.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
-    unit = Unit(declaration, model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out))
+    unit = Unit(declaration, model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays)
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
     code = sources.complete(unit, equations, token)
@@ -109,7 +111,7 @@ def _files(
         target, folder2, folder3 = PLATFORMS[platform]
         folder = folder2 if version == "2.0" else folder3
         files[f"binaries/{folder}/{unit.identifier}{suffix(target)}"] = library
-    ports = terminals_of(unit)
+    ports = terminals_of(unit, version)
     if ports:
         files["terminalsAndIcons/terminalsAndIcons.xml"] = ports
     return files | {manifest.PATH: manifest.manifest(unit)} | package.documentation(unit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from phfmu.fmu import description
 from phfmu.fmu.description import Unit
@@ -34,18 +35,38 @@ def model_description(unit: Unit, token: str | None = None) -> bytes:
     description.add_log_categories(root)
     description.add_experiment(root, unit)
     listed = etree.SubElement(root, "ModelVariables")
+    inner = {first + i for first, span in unit.spans.items() for i in range(1, span.size)}
     for reference, v in enumerate(unit.variables):
-        _variable(listed, reference, v)
+        if reference in unit.spans:
+            _array(listed, reference, unit)
+        elif reference not in inner:
+            _variable(listed, reference, v)
     structure = etree.SubElement(root, "ModelStructure")
     for tag in ("Output", "InitialUnknown"):
-        for reference in unit.outputs():
+        for reference in (r for r in unit.outputs() if r not in inner):
             unknown = etree.SubElement(structure, tag, valueReference=str(reference))
-            if tag == "Output" and not unit.direct(unit.variables[reference]):
+            if tag == "Output" and not any(unit.direct(v) for v in _entries(unit, reference)):
                 unknown.set("dependencies", "")
     return text_of(root)
 
 
-def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
+def _entries(unit: Unit, reference: int) -> tuple[FMUVariable, ...]:
+    size = unit.spans[reference].size if reference in unit.spans else 1
+    return unit.variables[reference : reference + size]
+
+
+def _array(parent: Element, reference: int, unit: Unit) -> None:
+    """The entries as one variable; the nominal value is the largest of theirs, the standard has but one."""
+    entries, span = _entries(unit, reference), unit.spans[reference]
+    nominal = [v.nominal for v in entries if v.nominal is not None]
+    first = replace(entries[0], name=span.name, start=None, nominal=max(nominal, default=None))
+    array = _variable(parent, reference, first)
+    if entries[0].initial == "exact" or entries[0].causality == "input":
+        array.set("start", " ".join(number(v.start or 0.0) for v in entries))
+    etree.SubElement(array, "Dimension", start=str(span.size))
+
+
+def _variable(parent: Element, reference: int, v: FMUVariable) -> Element:
     scalar = etree.SubElement(parent, "Float64", name=v.name, valueReference=str(reference))
     scalar.set("description", v.description)
     scalar.set("causality", v.causality)
@@ -59,6 +80,7 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
         scalar.set("nominal", number(v.nominal))
     if v.start is not None:
         scalar.set("start", number(v.start))
+    return scalar
 
 
 def build_description(unit: Unit, sources: Sequence[str]) -> bytes:

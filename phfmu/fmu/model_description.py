@@ -110,7 +110,9 @@ class ModelDescription:
             self._leave_out(type_ or "untyped", name)
         elif "clocks" in own:
             self._leave_out(f"clocked {type_}", name)
-        elif dimensions:
+        elif dimensions and all("start" in d for d in dimensions):
+            self._array(type_, own, dimensions)
+        elif dimensions:  # their size may be the start of a variable that comes later
             self._waiting.append((type_, own, dimensions))
         else:
             scalar = self._scalar(type_, own, numbers, name, numbers.get("start"))

@@ -71,7 +71,6 @@ class FMUInstance:
         self._u = group(self.inputs, "input")
         self._y_end = group(self.outputs, "output")
         self._y_mean = self._y_end if self.estimated else group(means, "output")
-        self._mean_refs = [] if self.estimated else [v.reference for v in scalars(means, "output")]
         self._books = group([] if self.estimated else [self.interface.energy[s] for s in _STEP], "output")
         self._u_nodes = group(_in_order(self.ports, "node_inputs"), "input")
         self._y_nodes = group(_in_order(self.ports, "node_outputs"), "output")
@@ -230,7 +229,7 @@ class FMUInstance:
         s = np.zeros((self.nu, self.nu))
         try:
             for j, known in enumerate(self._u.scalars):
-                s[:, j] = self._slave.derivative(self._mean_refs, known.reference)
+                s[:, j] = self._slave.derivative(self._y_mean, known)
         except FMUError as error:
             raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)) from error
         return s

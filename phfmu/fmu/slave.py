@@ -178,9 +178,16 @@ class Slave:
     def deserialize(self, data: bytes) -> Any:
         return self.call(self.fmu.deserializeFMUState, data)
 
-    def derivative(self, unknowns: list[int], known: int) -> list[float]:
-        """d unknowns / d known."""
-        return self.call(self.fmu.getDirectionalDerivative, unknowns, [known], [1.0])
+    def derivative(self, unknowns: References, known: Scalar) -> Array:
+        """d unknowns / d known, all of type Float64."""
+        found, given = unknowns.blocks[0], Block("Float64", self.two, [known], [0])
+        seed, result = (type(b.address)() for b in (given, found))
+        seed[known.entry] = 1.0
+        sizes = ((), ()) if self.two else ((given.total,), (found.total,))
+        function = self.fmu.fmi2GetDirectionalDerivative if self.two else self.fmu.fmi3GetDirectionalDerivative
+        self.call(function, self.fmu.component, found.references, found.n, given.references, given.n, seed, *sizes[0],
+                  result, *sizes[1])  # fmt: skip
+        return np.ctypeslib.as_array(result)[found.picks]
 
     def free(self) -> None:
         if not self.dead:

@@ -26,7 +26,7 @@ RUNTIME = Path(__file__).parent / "runtime"
 HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 
 #: layers that belong to one version of the interface
-PROTOCOL = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c", "fmi3_absent.c")}
+PROTOCOL = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c", "fmi3_absent.c", "fmi3_arrays.c", "fmi3_arrays.h")}
 
 Sources = dict[str, str | Path]
 
@@ -100,6 +100,9 @@ def interface_text(unit: Unit, token: str) -> str:
     equations, equations_name = _strings("equations", model.row_names)
     end_equations, end_name = _strings("end_equations", model.instant_names)
     checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""
+    if unit.spans:
+        sizes = [str(unit.spans[i].size if i in unit.spans else 1) for i in range(len(rows))]
+        checks += f"static const int sizes[] = {{\n{_list(sizes)}}};\n"
     checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
     return f"""\
 /* Generated. Variables, start checks and names of the equations of {c_comment(unit.name)}. */
@@ -120,6 +123,7 @@ const fmu_interface fmu_the_interface = {{
     .ncheck = {len(limits)},
     .nrange = {len(ranges)},
     .variables = variables,
+    .sizes = {"sizes" if unit.spans else "0"},
     .checks = {"checks" if limits else "0"},
     .ranges = {"ranges" if ranges else "0"},
     .equations = {equations_name},

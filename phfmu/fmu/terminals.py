@@ -12,25 +12,27 @@ from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, text_of
 
 
-def terminals(unit: Unit) -> bytes | None:
-    """The document, or None without external ports or if it is not wanted."""
+def terminals(unit: Unit, version: str) -> bytes | None:
+    """Those of a unit of one FMI version: the document, or None without external ports or if it is not wanted."""
     ports = [p for p in unit.declaration.ports if p.external]
     if not ports or not unit.terminals:
         return None
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     listed = etree.SubElement(root, "Terminals")
     for port in ports:
-        _terminal(listed, port)
+        _terminal(listed, port, unit.arrays and version == "3.0" and port.size is not None)
     return text_of(root)
 
 
-def _terminal(parent: Element, port: Port) -> None:
+def _terminal(parent: Element, port: Port, array: bool) -> None:
     """Members are named by effort and flow, so that two terminals of a domain have the same members."""
     terminal = etree.SubElement(
         parent, "Terminal", name=port.name, matchingRule="plug", terminalKind=f"org.phfmu.{port.domain.name}"
     )
     terminal.set("description", f"{plain(port.description or port.name)}; power is positive into the component")
     efforts, flows = port.input_names(), port.output_names()
+    if array:
+        efforts, flows = ([names[0].rpartition("[")[0]] for names in (efforts, flows))
     if port.given == "flow":
         efforts, flows = flows, efforts
     balance = flows if port.domain.common == "effort" else efforts

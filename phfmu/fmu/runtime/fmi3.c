@@ -1,6 +1,7 @@
 /* FMI 3.0 for Co-Simulation: the functions this unit has. The others are in fmi3_absent.c. */
 #include "fmi3Functions.h"
 
+#include "fmi3_arrays.h"
 #include "fmu.h"
 
 #define STATUS(call) ((fmi3Status)(call))
@@ -72,24 +73,20 @@ fmi3Status fmi3Reset(fmi3Instance instance) {
     return STATUS(fmu_reset(instance, __func__));
 }
 
-static int count(const fmu *f, const char *function, size_t expected, size_t given) {
-    if (expected == given)
-        return FMU_OK;
-    return fmu_refuse(f, "%s: %zu values for %zu scalar variables", function, given, expected);
-}
-
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, fmi3Float64 values[], size_t nValues) {
-    if (count(instance, __func__, nValueReferences, nValues))
+    const unsigned *scalars;
+    if (fmi3_scalars(instance, __func__, 0, valueReferences, nValueReferences, nValues, &scalars))
         return fmi3Error;
-    return STATUS(fmu_get(instance, __func__, valueReferences, nValueReferences, values));
+    return STATUS(fmu_get(instance, __func__, scalars, nValues, values));
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, const fmi3Float64 values[], size_t nValues) {
-    if (count(instance, __func__, nValueReferences, nValues))
+    const unsigned *scalars;
+    if (fmi3_scalars(instance, __func__, 0, valueReferences, nValueReferences, nValues, &scalars))
         return fmi3Error;
-    return STATUS(fmu_set(instance, __func__, valueReferences, nValueReferences, values));
+    return STATUS(fmu_set(instance, __func__, scalars, nValues, values));
 }
 
 fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
@@ -126,20 +123,22 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
                                         size_t nUnknowns, const fmi3ValueReference knowns[], size_t nKnowns,
                                         const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[],
                                         size_t nSensitivity) {
-    if (count(instance, __func__, nKnowns, nSeed) || count(instance, __func__, nUnknowns, nSensitivity))
+    const unsigned *from, *to;
+    if (fmi3_scalars(instance, __func__, 0, knowns, nKnowns, nSeed, &from) ||
+        fmi3_scalars(instance, __func__, 1, unknowns, nUnknowns, nSensitivity, &to))
         return fmi3Error;
-    return STATUS(
-        fmu_derivative(instance, __func__, 0, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity));
+    return STATUS(fmu_derivative(instance, __func__, 0, to, nSensitivity, from, nSeed, seed, sensitivity));
 }
 
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
                                     size_t nUnknowns, const fmi3ValueReference knowns[], size_t nKnowns,
                                     const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[],
                                     size_t nSensitivity) {
-    if (count(instance, __func__, nUnknowns, nSeed) || count(instance, __func__, nKnowns, nSensitivity))
+    const unsigned *from, *to;
+    if (fmi3_scalars(instance, __func__, 0, unknowns, nUnknowns, nSeed, &to) ||
+        fmi3_scalars(instance, __func__, 1, knowns, nKnowns, nSensitivity, &from))
         return fmi3Error;
-    return STATUS(
-        fmu_derivative(instance, __func__, 1, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity));
+    return STATUS(fmu_derivative(instance, __func__, 1, to, nSeed, from, nSensitivity, seed, sensitivity));
 }
 
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint,

@@ -24,12 +24,14 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     const ph_plan *p = about->model->step;
     const size_t model = ph_size(about->model), length = strlen(name) + 1, nu = (size_t)p->nu;
     const size_t values = (size_t)p->nx + (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu;
+    const size_t scalars = about->sizes ? 2 * (size_t)about->nvariable : 0;
     char *block;
     fmu *f;
     double *place;
     if (model == 0)
         return NULL;
-    block = calloc(1, padded(sizeof(fmu)) + padded(model) + sizeof(double) * values + length);
+    block = calloc(1, padded(sizeof(fmu)) + padded(model) + sizeof(double) * values +
+                          sizeof(unsigned) * scalars + length);
     if (!block)
         return NULL;
     f = (fmu *)(void *)block;
@@ -41,7 +43,9 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     f->u = f->p + p->np;
     f->step_map = f->u + nu * (size_t)p->k;
     f->end_map = f->step_map + nu * nu;
-    f->name = (char *)(f->end_map + nu * nu);
+    if (scalars)
+        f->scalars = (unsigned *)(void *)(f->end_map + nu * nu);
+    f->name = (char *)(f->end_map + nu * nu) + sizeof(unsigned) * scalars;
     memcpy(f->name, name, length);
     return f;
 }

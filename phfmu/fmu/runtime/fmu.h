@@ -57,6 +57,7 @@ typedef struct fmu_interface {
     double step; /* longest internal step, s */
     int nvariable, ncheck, nrange;
     const fmu_variable *variables;    /* nvariable */
+    const int *sizes;                 /* nvariable, of FMI 3.0: scalars from here on; NULL without arrays */
     const fmu_check *checks;          /* ncheck */
     const fmu_range *ranges;          /* nrange */
     const char *const *equations;     /* rows of the step, step->nw */
@@ -93,6 +94,7 @@ struct fmu {
     double *x, *u, *p;          /* nx, nu*k, np: values being set */
     double *step_map, *end_map; /* nu*nu sensitivities, row-major */
     int step_known, end_known;  /* whether they belong to the present time */
+    unsigned *scalars;          /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
 };
 
 #if defined(__GNUC__)
