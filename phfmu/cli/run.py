@@ -12,6 +12,7 @@ from phfmu.words import counted
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.network.run import Result
+    from phfmu.network.scene import Event, Scene
 
 
 #: lines about what was left out that a run prints
@@ -83,8 +84,24 @@ def call(args: argparse.Namespace) -> int:
     if not summary.closed:
         places = dict.fromkeys(v.name for v in summary.violations)
         print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
+        if not is_fmu(args.target):
+            _print_signs_lost(scene, events, result, {v.name for v in summary.violations if v.kind == "dissipation"})
         return LEDGER
     return FINE
+
+
+def _print_signs_lost(scene: Scene, events: list[Event], result: Result, components: set[str]) -> None:
+    """Where R of components with a negative dissipation lost its sign."""
+    from phfmu.declare.sign_lost import sign_lost
+
+    declaration = scene.declaration()
+    for name in sorted(components & set(result.least)):
+        t, row = result.least[name]
+        values = {e.name: e.value for e in sorted(events, key=lambda e: e.t) if e.t < t}
+        values |= dict(zip(result.names, row, strict=True))
+        owner = name if name in declaration.members else declaration.members[0]
+        for lost in sign_lost(declaration, values, t, owner)[:3]:
+            print(f"phfmu: {name}: R is not positive semidefinite at t = {t:.6g} s: {lost}", file=sys.stderr)
 
 
 def _check(args: argparse.Namespace) -> None:

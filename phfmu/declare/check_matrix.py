@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -75,13 +77,24 @@ def _mirrored(entries: Entries, sample: Sample, what: str, sign: int, rule: str,
 
 def passivity(entries: Entries, sample: Sample) -> list[Problem]:
     """The sum W of all R blocks on variables and ports is positive semidefinite."""
+    found = []
+    for blocks, names, total in summed(entries, sample):
+        text = _indefinite(total, names, blocks, sample)
+        if text:
+            label = "; ".join(dict.fromkeys(b.label for b in blocks))
+            remedy = "dissipation must not create energy: correct its sign or coupling, or feed it by a port"
+            found.append(Problem("passivity", label, text, remedy))
+    return found
+
+
+def summed(entries: Entries, sample: Sample) -> Iterator[tuple[list[Entry], list[str], NDArray]]:
+    """Per group of blocks of R that share rows: the blocks, the names of the rows, and W there (points x n x n)."""
     variables = (*entries.model.states, *entries.model.algebraics, *entries.model.ports)
     names = [n for v in variables for n in v.names()]
     place = places(variables)
     blocks = entries.of("R")
     rows = [[place[key(v)] + j for v in e.rows for j in range(v.n)] for e in blocks]
     values = sample.of(blocks)
-    found = []
     for group in _connected(rows, len(names)):
         where = sorted({i for b in group for i in rows[b]})
         local = {i: j for j, i in enumerate(where)}
@@ -91,12 +104,7 @@ def passivity(entries: Entries, sample: Sample) -> list[Problem]:
             for r, i in enumerate(index):
                 for c, j in enumerate(index):
                     total[:, i, j] += values[b][:, r, c]
-        text = _indefinite(total, [names[i] for i in where], [blocks[b] for b in group], sample)
-        if text:
-            label = "; ".join(dict.fromkeys(blocks[b].label for b in group))
-            remedy = "dissipation must not create energy: correct its sign or coupling, or feed it by a port"
-            found.append(Problem("passivity", label, text, remedy))
-    return found
+        yield [blocks[b] for b in group], [names[i] for i in where], total
 
 
 def _connected(sets: list[list[int]], n: int) -> list[list[int]]:
@@ -115,25 +123,32 @@ def _indefinite(total: NDArray, names: list[str], blocks: list[Entry], sample: S
     """What is wrong with R (points x n x n), "" if it is positive semidefinite at every finite point."""
     worst, text = 0.0, ""
     for i, R in enumerate(total):
-        if not np.isfinite(R).all():
-            continue
-        R = (R + R.T) / 2
-        diagonal = np.abs(np.diag(R))
-        size = np.sqrt(np.where(diagonal > 0, diagonal, np.abs(R).max(axis=1)))
-        size[size == 0] = 1.0
-        # a congruence keeps the signs of the eigenvalues and makes units comparable
-        balanced, vectors = np.linalg.eigh(R / np.outer(size, size))
-        if balanced[0] < -RELATIVE * max(balanced[-1], 1.0) and balanced[0] < worst:
-            worst = balanced[0]
-            plain = np.linalg.eigvalsh(R)[0]
-            direction = int(np.argmax(np.abs(vectors[:, 0])))
+        size, value, direction = lowest(R)
+        if size < worst:
+            worst = size
             shown = ", ".join(names[:6]) + (", .." if len(names) > 6 else "")
-            lowest = plain if plain < 0 else balanced[0]
             text = (
-                f"the summed R on ({shown}) has the eigenvalue {lowest:.6g}, mostly along "
+                f"the summed R on ({shown}) has the eigenvalue {value:.6g}, mostly along "
                 f"'{names[direction]}', {sample.where(i, *(b.expr for b in blocks))}"
             )
     return text
+
+
+def lowest(R: NDArray) -> tuple[float, float, int]:
+    """The lowest eigenvalue of R with balanced rows, of R itself, and the row its direction is closest to; 0 if none is
+    negative or R is not finite."""
+    if not np.isfinite(R).all():
+        return 0.0, 0.0, 0
+    R = (R + R.T) / 2
+    diagonal = np.abs(np.diag(R))
+    size = np.sqrt(np.where(diagonal > 0, diagonal, np.abs(R).max(axis=1)))
+    size[size == 0] = 1.0
+    # a congruence keeps the signs of the eigenvalues and makes units comparable
+    balanced, vectors = np.linalg.eigh(R / np.outer(size, size))
+    if not balanced[0] < -RELATIVE * max(balanced[-1], 1.0):
+        return 0.0, 0.0, 0
+    plain = np.linalg.eigvalsh(R)[0]
+    return balanced[0], plain if plain < 0 else balanced[0], int(np.argmax(np.abs(vectors[:, 0])))
 
 
 def masses(entries: Entries, sample: Sample) -> list[Problem]:

@@ -36,10 +36,10 @@ class Sample:
     `known_z` (points x n1): where z was computed.  Points stay within `size` of the start, so that quantities
     whose start is not below their nominal value keep their sign.
     `settings`: parameter values at which all points are taken, one after the other (default: the start values);
-    `starts`: the places of the start itself.
+    `starts`: the places of the start itself, where `time` is `t`.
     """
 
-    def __init__(self, entries: Entries, settings: Sequence[Setting] = ()):
+    def __init__(self, entries: Entries, settings: Sequence[Setting] = (), t: float = 0.0):
         model = entries.model
         self._entries = entries
         rng = np.random.default_rng(1)
@@ -56,11 +56,11 @@ class Sample:
             model.x, ca.vertcat(*(v.z for v in model.states)), ca.vertcat(*(v.sx for v in model.algebraics)),
             ca.vertcat(*(q.u for q in model.ports)), ca.vertcat(*(v.sx for v in model.parameters)),
         ]  # fmt: skip
-        t = rng.uniform(0.0, 1.0, (len(FRACTIONS), 1))
-        t[0] = 0.0
+        times = rng.uniform(0.0, 1.0, (len(FRACTIONS), 1))
+        times[0] = t
         p = np.array([given.parameters for given in self.settings], float)
         points = [np.tile(v, (len(self.settings), 1)) for v in (x, z, a, u)]
-        self._values = [*points, np.repeat(p, len(FRACTIONS), axis=0), np.tile(t, (len(self.settings), 1))]
+        self._values = [*points, np.repeat(p, len(FRACTIONS), axis=0), np.tile(times, (len(self.settings), 1))]
         z = self.z
         self.known_z = np.zeros(z.shape, bool)
         if entries.complete:
@@ -127,6 +127,13 @@ class Sample:
         for pair, value in zip(entries.pairs, rest[len(blocks) :], strict=True):
             z[:, [i for v in pair.origin.variables for i in self.rows(v)]] = value[:, :, 0]
         return z
+
+    def at_start(self, expr: ca.SX) -> dict[str, float]:
+        """The values, at the start, of what `expr` depends on."""
+        wanted = {s.element_hash() for s in ca.symvar(expr)}
+        pairs = [(symbols[j], values[0, j]) for symbols, values in zip((*self._symbols, time), self._values, strict=True)
+                 for j in range(symbols.numel())]  # fmt: skip
+        return {self._entries.known[s.element_hash()][1]: float(v) for s, v in pairs if s.element_hash() in wanted}
 
     def where(self, i: int, *exprs: ca.SX) -> str:
         """The point in words: the values of some variables the expressions depend on."""

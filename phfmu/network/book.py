@@ -35,6 +35,9 @@ class Book:
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith("constraint.")]
         self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
         self._H = np.zeros(0)
+        #: component -> time and signals at the end of its step that dissipated least, where that was negative
+        self.least: dict[str, tuple[float, Array]] = {}
+        self._least = np.zeros(len(b.components))
         #: what the events did beside setting values, one line each
         self.notes: list[str] = []
 
@@ -110,8 +113,16 @@ class Book:
         )  # fmt: skip
         self.steps += n
         self.iterations += float(s.iterations.sum())
+        self._keep_least(t, h, s)
         for name, i in self._watch:
             self._worst[name] = max(self._worst[name], float(np.max(np.abs(s.signals[:, i]))))
+
+    def _keep_least(self, t: Array, h: Array, s: Steps) -> None:
+        least = s.dissipated.min(axis=0)
+        for c in np.flatnonzero(least < self._least):
+            i = int(np.argmin(s.dissipated[:, c]))
+            self._least[c] = least[c]
+            self.least[self.layout.components[c]] = float(t[i] + h[i]), s.signals[i].copy()
 
     def worst(self) -> dict[str, float]:
         return self._worst

@@ -45,6 +45,8 @@ class Result:
     interpolated: Array | None = None
     #: what the run left out or did beside what was asked for, one line each
     notes: tuple[str, ...] = ()
+    #: component -> time and signals at the end of the step in which it dissipated least, where that was negative
+    least: dict[str, tuple[float, Array]] = field(default_factory=dict)
 
     def column(self, name: str) -> Array:
         """One signal over time; KeyError lists close names."""
@@ -174,7 +176,17 @@ def run(
     facts |= {"interpolated": inside} if dense else {}
     notes = (*_unreached(events, stop - 1e-9 * step, stop), *book.notes, *march.notes())
     return Result(
-        stepper.names, time, values, ledger, book.steps, book.iterations, worst, projection, notes=notes, **facts
+        stepper.names,
+        time,
+        values,
+        ledger,
+        book.steps,
+        book.iterations,
+        worst,
+        projection,
+        notes=notes,
+        least=book.least,
+        **facts,
     )
 
 
