@@ -2,7 +2,7 @@
 
 Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry,
 passivity, costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability
-(equations);  limit (parameters);  dimension (units, warnings);  internal (the check itself stopped at an entry).
+(equations);  limit (parameters);  dimension, kink, bounded (warnings);  internal (the check itself stopped at an entry).
 """
 
 from __future__ import annotations
@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from phfmu.declare.check_bounds import bounded, constants
 from phfmu.declare.check_dimensions import dimensions
 from phfmu.declare.check_energy import closed_pairs, energies
 from phfmu.declare.check_entries import Entries, normal_form
 from phfmu.declare.check_equations import equations, unused, velocities
 from phfmu.declare.check_matrix import costates, finite, masses, passivity, skew_symmetry, symmetry
 from phfmu.declare.check_names import names, nominals, shared_symbols, starts, units
+from phfmu.declare.check_pieces import continuous, kinks
 from phfmu.declare.check_problem import Problem as Problem
 from phfmu.declare.check_ranges import ranges
 from phfmu.declare.check_sample import Sample
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
     from phfmu.discretise.scheme import Scheme
 
 #: rules that only warn: they run where warnings are asked for, on a model without errors
-WARNING_RULES: tuple[Callable[[Entries, Sample], list[Problem]], ...] = (dimensions,)
+WARNING_RULES: tuple[Callable[[Entries, Sample], list[Problem]], ...] = (dimensions, kinks, bounded, constants)
 
 #: a model with a problem of these rules is not discretised: the planner would only repeat it
 BLOCKING = {
@@ -66,7 +68,18 @@ def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem
         sample = Sample(entries)
     except Exception as e:  # a declaration is data from outside: whatever is wrong with it becomes a problem
         return [*found, _internal("sampling", model, e)] if not BLOCKING & {p.rule for p in found} else found
-    for rule in (ranges, finite, skew_symmetry, symmetry, passivity, masses, costates, energies, closed_pairs):
+    for rule in (
+        ranges,
+        finite,
+        skew_symmetry,
+        symmetry,
+        passivity,
+        masses,
+        costates,
+        energies,
+        continuous,
+        closed_pairs,
+    ):
         found += _safely(rule, entries, sample)
     for rule in (unused, velocities):
         found += _safely(rule, entries)

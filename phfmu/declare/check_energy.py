@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from phfmu.declare.check_entries import Entries, Entry, Pair
 from phfmu.declare.check_problem import Problem
 from phfmu.declare.check_sample import Sample
+from phfmu.declare.operations import piecewise
 
 RELATIVE = 1e-8
 SMALL = 1e-6  # increment over nominal at which a pair is compared with its limit
@@ -57,6 +58,14 @@ def _quadratic(
     """The Hessians of these expressions with respect to their states are constant."""
     exprs = [e for e in exprs if e[2].numel()]
     found = []
+    for label, expr, x in exprs:
+        if names := piecewise(expr, x):
+            found.append(
+                Problem(
+                    "energy", label, f"{symbol} is not quadratic: it is made of pieces ({', '.join(names)})", remedy
+                )
+            )
+    exprs = [e for e in exprs if not piecewise(e[1], e[2])]
     hessians = sample.values([ca.hessian(expr, x)[0] for _, expr, x in exprs])
     for (label, _, x), hessian in zip(exprs, hessians, strict=True):
         good = np.isfinite(hessian).all(axis=(1, 2))

@@ -74,6 +74,40 @@ def piecewise(expr: ca.SX, x: ca.SX) -> tuple[str, ...]:
     return tuple(found) or (("a comparison",) if tests else ())
 
 
+def switches(expr: ca.SX, x: ca.SX) -> ca.SX:
+    """Which piece of `expr` applies at x, as numbers (n x 1) that change where pieces meet only."""
+    f, rest = function_of(expr, x)
+    held: dict[int, ca.SX] = {}
+    found = [ca.SX(0)]
+    for n in instructions(f):
+        if n.op == ca.OP_INPUT:
+            held[n.outputs[0]] = (x if n.inputs[0] == 0 else rest)[n.inputs[1]]
+        elif n.op == ca.OP_CONST:
+            held[n.outputs[0]] = ca.SX(n.value)
+        elif n.op != ca.OP_OUTPUT:
+            given = [held[i] for i in n.inputs]
+            value = held[n.outputs[0]] = operation(n.op, given)
+            a, b = given[0], given[-1]
+            if n.op in TESTS or n.op in (ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL):
+                found.append(value)
+            elif n.op in (ca.OP_FABS, ca.OP_COPYSIGN):
+                found += [a >= 0, b >= 0]
+            elif n.op in (ca.OP_FMAX, ca.OP_FMIN):
+                found.append(a >= b)
+            elif n.op == ca.OP_IF_ELSE_ZERO:
+                found.append(ca.ne(a, 0))
+            elif n.op in (ca.OP_FMOD, ca.OP_REMAINDER):
+                found.append(ca.floor((a - value) / b + 0.5))
+            elif n.op == ca.OP_ATAN2:
+                found += [a >= 0, b >= 0]
+    return ca.vertcat(*found)
+
+
+def operation(op: int, given: list[ca.SX]) -> ca.SX:
+    """The operation `op` of one or two scalars."""
+    return ca.SX.binary(op, *given) if len(given) == 2 else ca.SX.unary(op, *given)
+
+
 def degree(expr: ca.SX, x: ca.SX, most: int = 8) -> int | None:
     """Degree of `expr` as a polynomial in x, or None if it is not one of degree <= `most`.
 

@@ -19,6 +19,8 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
         return
     for e in model.energies:
         states = _states_of(e.expr, locator)
+        if not states:  # a constant moves nothing
+            continue
         _require_kind(model, e, states)
         scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
         exprs = {"H": e.expr, "scale": scale}
@@ -47,7 +49,7 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
 def _require_kind(model: PHDAE, e: Energy, states: list[tuple[ca.SX, int]]) -> None:
     """DeclarationError if a term claims a constant Hessian (of H, of the invariant C) that its operations do not show."""
     what, expr = ("H", e.expr) if e.kind == "quadratic" else ("the invariant C", e.invariant)
-    if e.kind == "general" or expr is None or not states:
+    if e.kind == "general" or expr is None:
         return
     x = ca.vertcat(*(s for s, _ in states))
     if degree(expr, x) not in (0, 1, 2):
@@ -64,6 +66,8 @@ def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], g
     for e in group:
         total += e.expr
     states = _states_of(total, locator)
+    if not states:
+        return
     scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
     exprs = {"H": total, "scale": scale, "z": _costates(total, states, mass)}
     out.terms.append(make_term("joint", exprs, locator, "energy",

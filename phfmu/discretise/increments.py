@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from phfmu.declare.operations import operation
 from phfmu.discretise.quadrature import gauss
 
 #: below this change of its argument a function without a rule is the integral of its derivative by 4 Gauss points
@@ -68,8 +69,3 @@ def quotient(num: ca.SX, den: ca.SX, other: ca.SX) -> ca.SX:
     """num / den, `other` where den is 0."""
     there = ca.ne(den, 0)
     return ca.if_else(there, num / ca.if_else(there, den, 1), other)
-
-
-def operation(op: int, given: list[ca.SX]) -> ca.SX:
-    """The operation `op` of one or two scalars."""
-    return ca.SX.binary(op, *given) if len(given) == 2 else ca.SX.unary(op, *given)

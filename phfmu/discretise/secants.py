@@ -16,8 +16,8 @@ from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
-from phfmu.declare.operations import TESTS, function_of, instructions, piecewise
-from phfmu.discretise.increments import change, operation, quotient
+from phfmu.declare.operations import TESTS, function_of, instructions, operation, piecewise
+from phfmu.discretise.increments import change, quotient
 
 
 @dataclass(frozen=True)
