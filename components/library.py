@@ -6,6 +6,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
+from phfmu.words import meant
+
 _E, _M, _S = "phfmu.components.electrical.", "phfmu.components.mechanical.", "phfmu.components.scenes."
 
 LIBRARY: dict[str, tuple[str, str, str]] = {
@@ -32,13 +34,15 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "smib": ("scene", _S + "smib", "turbo generator at an infinite bus, torque step"),
     "smib_hydro": ("scene", _S + "smib", "hydro generator at an infinite bus, torque step"),
     "smib_folded": ("scene", _S + "smib", "smib with the line folded into the machine: full order"),
+    "ladder": ("scene", _S + "ladder", "two machines with loads along a line, torque step"),
     "two_machine": ("scene", _S + "two_machine", "two machines, line, load, three-phase fault"),
 }
 
-#: Arguments of components that have no defaults of their own, so that each can be inspected and stepped by name.
+#: Arguments of components that have no defaults of their own, or larger ones, so that each can be inspected and stepped by name.
 EXAMPLES: dict[str, dict[str, Any]] = {
     "rl_line": {"R": 0.02, "L": 8e-4},
     "infinite_bus": {"amplitude": 18.7e3},
+    "ladder": {"n": 2},
     "rlc_load": {"R": 0.96, "L": 0.0102, "C": 2.76e-4},
 }
 
@@ -46,11 +50,8 @@ EXAMPLES: dict[str, dict[str, Any]] = {
 def builder(name: str) -> Callable[..., Any]:
     """The function that builds the component or scene `name`; KeyError lists close names."""
     if name not in LIBRARY:
-        from difflib import get_close_matches
-
-        close = get_close_matches(name, LIBRARY, 3)
-        hint = f"did you mean {', '.join(close)}?" if close else f"there are: {', '.join(LIBRARY)}"
-        raise KeyError(f"no component or scene '{name}' in the library; {hint}")
+        there = f"there are: {', '.join(LIBRARY)}"
+        raise KeyError(f"no component or scene '{name}' in the library; {meant(name, LIBRARY, there)}")
     return getattr(import_module(LIBRARY[name][1]), name)
 
 

@@ -9,8 +9,8 @@ SHOWN = 12
 
 
 def counted(n: int, noun: str) -> str:
-    """`1 step`, `2 steps`."""
-    return f"{n} {noun}{'' if n == 1 else 's'}"
+    """`1 step`, `2 steps`, `3 line searches`."""
+    return f"{n} {noun}{'' if n == 1 else 'es' if noun.endswith('ch') else 's'}"
 
 
 def meant(name: str, known: Iterable[str], otherwise: str = "") -> str:

@@ -56,6 +56,14 @@ def misses(): return {}["key"]
 def leaves(): raise SystemExit(0)
 def number(): return 3
 def needs(a): return a
+def charged():
+    from phfmu.components.electrical.rlc_load import rlc_load
+    both = two(rlc_load(C=1e-3, v=(10.0, -5.0, -5.0)), rlc_load(C=1e-3, v=(5.0, -2.5, -2.5)))
+    return at_junction(both, "a.terminal", "b.terminal")
+def itself():
+    net = Network("net")
+    net.add("s", spring())
+    return net.connect("s.a", "s.a")
 """
 
 Cli = Callable[..., str]
@@ -126,6 +134,9 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         ("run models.py:currents --coupling newton", "net: joint.v[3]: sum 0.1 change the start values"),
         ("run models.py:rigid", "net: flange.force: velocity differ by 0.3 m/s change the start values"),
         ("run models.py:rigid --coupling newton", "velocity of a.flange and b.flange differ by 0.3 m/s"),
+        ("run models.py:charged", "v of a.terminal and b.terminal differ by 5 V"),
+        ("run models.py:charged --coupling newton", "v of a.terminal and b.terminal differ by 5 V"),
+        ("run models.py:itself", "s.a is joined to itself; name the port of another element"),
         ("run four_particle --set v[4]=1", "lambda[1]: velocity residual 1 change the start values"),
         ("run four_particle --set q[4]=1.1", "lambda[1]: position residual 0.105 change the start values"),
         ("run four_particle --order 4", "odd stages use --order 2 or 6"),
@@ -148,6 +159,8 @@ def test_refused(refused: Cli, line: str, said: str) -> None:
     "words, said",
     [
         ("--set mass1.qq=1", "no parameter, state or input 'mass1.qq'; did you mean mass1.q"),
+        ("--set mass1.q=1 --set mass1.q=2", "--set mass1.q and --set mass1.q are for the same number"),
+        ("--fmi 2.0", "--fmi 2.0 says what --engine fmu exports add --engine fmu"),
         ("--set mas1.q=1", "no parameter, state or input 'mas1.q'; did you mean mass1.q"),
         ("--set =1", "'' members: mass1, mass2, spring12"),
         ("--set mass1.q=nan", "--set mass1.q=nan: finite number"),

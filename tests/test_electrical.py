@@ -450,3 +450,23 @@ def test_scalar_sources():
         assert signals["y_end"][0] == pytest.approx(sign * (3.0 * np.sin(40.0 * h * n) + 1.0), rel=1e-12)
         assert signals["energy"][0] == pytest.approx(-signals["energy"][1], rel=1e-12)
         assert abs(signals["energy"][0]) > 0.01
+
+
+def test_entries_of_a_machine_that_would_be_ignored_are_refused() -> None:
+    """A misspelt entry of a mapping left its default in place without a word."""
+    from dataclasses import asdict
+
+    whole = asdict(machine_set("kundur555_1q"))
+    assert machine_set(whole) == machine_set("kundur555_1q")
+    for changed, said in (
+        ({"pole_pair": 2}, "unknown entry 'pole_pair'; did you mean pole_pairs"),
+        ({"H": 7.0}, "H = 7 s, but J gives 3.525 s"),
+        ({"Laa0": 1e-3}, "Laa0 without Laa2, Lab0"),
+        ({"Laa0": 2e-3, "Laa2": 0.0, "Lab0": 5e-4}, "Laa0, Laa2, Lab0 give 0.0025 H; leave one of them out"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            machine_set(whole | changed)
+    with pytest.raises(ValueError, match="no machine set 'kundur555'; did you mean kundur555_1q?"):
+        machine_set("kundur555")
+    moved = machine_set("kundur555_1q", Laa0=3.5e-3, Laa2=0.0, Lab0=1.5e-3)  # instead of the set's own
+    assert moved.Ld == pytest.approx(5e-3)

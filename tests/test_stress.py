@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from phfmu.cli import main
-from phfmu.stress import coupled, drive, linkage, matrix, particles
+from phfmu.stress import coupled, linkage, matrix, particles
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
+from phfmu.words import counted
 
 
 def case(measure):
@@ -25,6 +26,33 @@ def test_verdicts():
     assert lines[3].happened == "RuntimeError: words" and lines[2].happened == "no wheel"
     assert tally(lines) == "1 pass, 2 fail, 1 not supported"
     assert page(lines, "").count("| FAIL |") == 2
+
+
+def test_what_is_at_rest_is_counted_apart(capsys):
+    """A mass at rest meets every criterion about steps; only the refusals of bad values were put to the test."""
+    assert main(["stress", "mass"]) == 0
+    said = capsys.readouterr().out
+    assert "at rest        mass: h = 0: at rest: nothing was tested" in said and "8 at rest" in said.splitlines()[-1]
+    assert "pass           mass: an input that is not a number" in said
+    still = answer(case(lambda: Outcome("too much", False, tested=False)))
+    assert still.verdict is Verdict.FAIL  # what fails at rest fails
+    moving = answer(case(lambda: Outcome("fine", True)))
+    assert moving.verdict is Verdict.PASS
+
+
+def test_a_port_joined_to_itself_is_told_so():
+    """The case expects the words, so it fails if the advice is that of another mistake."""
+    from phfmu import Network
+    from phfmu.components.mechanical.translational import spring
+
+    net = Network("net")
+    net.add("s", spring(1.0))
+    for join in (lambda: net.connect("s.a", "s.a"), lambda: net.junction("j", ["s.a", "s.b", "s.a"])):
+        with pytest.raises(ValueError, match=r"s\.a.*to itself|joins s\.a to itself") as found:
+            join()
+        assert "junction(" not in str(found.value)  # a junction of one port is no way out
+    (own,) = [c for c in coupled.CASES if c.name == "a port joined to itself"]
+    assert own.measure().holds and "itself" in own.measure().happened
 
 
 def test_refused_asks_for_the_error_and_its_words():
@@ -89,7 +117,7 @@ def test_vanishing_masses_tend_to_the_motion_without_them():
 def test_sweeps_and_iterations_are_counted_apart():
     assert "sweeps a step" in particles.mass(1.0).happened and "iterations" not in particles.mass(1.0).happened
     assert "sweeps" not in particles.mass(1e-9).happened
-    assert [drive.counted(n, "line search") for n in (1, 2)] == ["1 line search", "2 line searches"]
+    assert [counted(n, "line search") for n in (1, 2)] == ["1 line search", "2 line searches"]
 
 
 def test_projection_moves_no_further_than_the_start_was_off():

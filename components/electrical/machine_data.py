@@ -11,11 +11,13 @@ from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from functools import lru_cache
 from importlib.resources import files
-from math import pi, sqrt
+from math import isclose, pi, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from phfmu.words import meant
 
 #: Peak stator-rotor mutual inductances M act as sqrt(3/2) M in orthonormal dq coordinates.
 COUPLING = sqrt(1.5)
@@ -111,26 +113,29 @@ def machine_names() -> list[str]:
 def machine_set(machine: str | Mapping[str, Any] | MachineData, **changes: Any) -> MachineData:
     """A checked data set: a built-in name, a mapping of `MachineData` entries or a set, with `changes`.
 
+    `pu` and `H` [s] of a data file may stand beside the entries; H must agree with J.
     Stator inductances are (Ld, Lq, L0), or (Laa0, Laa2, Lab0) of L_aa = Laa0 + Laa2 cos 2 theta,
     L_ab = -Lab0 + Laa2 cos(2 theta - 2 pi/3): Ld, Lq = Laa0 + Lab0 +- 1.5 Laa2, L0 = Laa0 - 2 Lab0.
-    MachineDataError lists every entry that is missing or impossible.
+    MachineDataError lists every entry that is missing, unknown, given twice or impossible.
     """
     if isinstance(machine, str):
         if machine not in _file():
-            names = ", ".join(machine_names())
-            raise MachineDataError(f"no machine set '{machine}'; there are: {names}; or give a mapping of its entries")
+            hint = meant(machine, machine_names())
+            raise MachineDataError(f"no machine set '{machine}'; {hint} Or give a mapping of its entries")
         machine = _file()[machine]
     base = asdict(machine) if isinstance(machine, MachineData) else dict(machine)
-    entries = {**_stator(base), **_stator(changes)}
     known = {f.name: f for f in fields(MachineData)}
-    problems = [f"unknown entry '{k}'; known: {', '.join(known)}" for k in _stator(changes) if k not in known]
+    problems = [*_unknown(base, known), *_unknown(changes, known), *_twice(base), *_twice(changes)]
+    entries = {**_stator(base), **_stator(changes)}
     missing = [k for k, f in known.items() if f.default is MISSING and k not in entries]
     if missing:
         problems.append(f"missing: {', '.join(missing)} (Ld, Lq, L0 may be given as Laa0, Laa2, Lab0)")
     data = None
+    if "H" in changes:
+        problems.append("H cannot be changed, it follows from J = 2 H Sn / omega^2; give J")
     if not problems:
         data = MachineData(**{k: _plain(v) for k, v in entries.items() if k in known})
-        problems = machine_problems(data)
+        problems = machine_problems(data) or _inertia(data, base)
     if problems or data is None:
         raise MachineDataError(f"machine set '{entries.get('name', '?')}': " + "; ".join(problems))
     return data
@@ -143,6 +148,46 @@ def _stator(entries: Mapping[str, Any]) -> dict[str, Any]:
         a0, a2, b0 = (float(out.pop(k)) for k in ("Laa0", "Laa2", "Lab0"))
         out = {"Ld": a0 + b0 + 1.5 * a2, "Lq": a0 + b0 - 1.5 * a2, "L0": a0 - 2.0 * b0} | out
     return out
+
+
+#: two ways to give the stator inductances
+PHASES, AXES = ("Laa0", "Laa2", "Lab0"), ("Ld", "Lq", "L0")
+#: entries of data files that a set has no use for: per-unit values for the reader, the inertia constant in s beside J
+BESIDE = ("pu", "H")
+
+
+def _unknown(entries: Mapping[str, Any], known: Mapping[str, Any]) -> list[str]:
+    """Entries that would be ignored: names that nobody knows, and some of Laa0, Laa2, Lab0 without the others."""
+    names = [*known, *PHASES, *BESIDE]
+    out = [f"unknown entry '{k}'; {meant(k, names)}" for k in entries if k not in names]
+    given = [k for k in PHASES if k in entries]
+    if 0 < len(given) < len(PHASES):
+        lacks = ", ".join(k for k in PHASES if k not in given)
+        out.append(f"{', '.join(given)} without {lacks}; the three give Ld, Lq, L0 together")
+    return out
+
+
+def _twice(entries: Mapping[str, Any]) -> list[str]:
+    """Ld, Lq or L0 beside what they would be computed from, where the two differ."""
+    if not all(k in entries for k in PHASES):
+        return []
+    computed = _stator({k: entries[k] for k in PHASES})
+    return [
+        f"{k} = {float(entries[k]):.9g} H, but {', '.join(PHASES)} give {computed[k]:.9g} H; leave one of them out"
+        for k in AXES
+        if k in entries and not isclose(float(entries[k]), computed[k], rel_tol=1e-6)
+    ]
+
+
+def _inertia(data: MachineData, base: Mapping[str, Any]) -> list[str]:
+    """H = J omega^2 / (2 Sn) of a mapping that gives both; nothing if J or a rating was changed."""
+    if "H" not in base or "J" not in base:
+        return []
+    own = data.J_electrical * data.omega**2 / (2.0 * data.Sn)
+    changed = any(float(base.get(k, v)) != v for k, v in (("J", data.J), ("Sn", data.Sn), ("fn", data.fn)))
+    if changed or isclose(float(base["H"]), own, rel_tol=1e-2):
+        return []
+    return [f"H = {float(base['H']):.6g} s, but J gives {own:.6g} s; leave one of them out"]
 
 
 def _plain(value: Any) -> Any:

@@ -33,6 +33,7 @@ from phfmu.components.electrical.park import (
     phase_inductance,
     sinc,
 )
+from phfmu.words import meant
 
 Coordinates = Literal["dq-flux", "abc-flux", "current"]
 
@@ -112,7 +113,7 @@ def _build(
 ) -> PHDAE:
     builders = {"dq-flux": _dq_flux, "abc-flux": _abc_flux, "current": _current}
     if coordinates not in builders:
-        raise ValueError(f"coordinates '{coordinates}' unknown; there are: {', '.join(builders)}")
+        raise ValueError(f"coordinates '{coordinates}' unknown; {meant(coordinates, builders)}")
     return builders[coordinates](_Common(data, start, line))
 
 

@@ -28,6 +28,8 @@ def stepper_for(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
     """Stepper, scene and a label for the run's head line."""
     from phfmu.network.network import Network
 
+    if args.fmi is not None and args.engine != "fmu":
+        raise ValueError(f"--fmi {args.fmi} says what --engine fmu exports; add --engine fmu, or leave out --fmi")
     if is_fmu(args.target):
         return _fmu_run(args)
     s = scene(args.target)
@@ -172,7 +174,7 @@ def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: flo
     folder = tempfile.mkdtemp(prefix="phfmu-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     step = step if args.step is None else args.step
-    (path,) = export(declaration, build_model(declaration, scheme), folder, versions=(args.fmi,), step=step)
+    (path,) = export(declaration, build_model(declaration, scheme), folder, versions=(args.fmi or "3.0",), step=step)
     return FMUInstance(path)
 
 

@@ -98,8 +98,8 @@ def tolerance(rtol: float, option: str = "--rtol") -> float:
 
 
 def settings(items: list[str]) -> dict[str, float]:
-    """NAME=VALUE items; ValueError names the bad one."""
-    out = {}
+    """NAME=VALUE items; ValueError names the bad one, or two for one number."""
+    out: dict[str, float] = {}
     for item in items:
         name, sign, text = item.partition("=")
         try:
@@ -108,7 +108,12 @@ def settings(items: list[str]) -> dict[str, float]:
             value = float("nan")
         if not sign or value != value or value in (float("inf"), float("-inf")):
             raise ValueError(f"--set {item}: expected NAME=VALUE with a finite number")
-        out[name.strip()] = value
+        name = name.strip()
+        bare = name.partition("[")[0]
+        twice = [n for n in out if n == name or (n.partition("[")[0] == bare and bare in (n, name))]
+        if twice:
+            raise ValueError(f"--set {name} and --set {twice[0]} are for the same number; leave one of them out")
+        out[name] = value
     return out
 
 

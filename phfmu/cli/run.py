@@ -29,7 +29,7 @@ def add_parser(verbs: Any) -> None:
     options.add_scheme(parser)
     parser.add_argument("--engine", default="auto", choices=("auto", "python", "native", "fmu"),
                         help="auto: native if a C compiler is there, else python")  # fmt: skip
-    parser.add_argument("--fmi", default="3.0", choices=("2.0", "3.0"), help="FMI version of --engine fmu")
+    parser.add_argument("--fmi", choices=("2.0", "3.0"), help="FMI version of --engine fmu (default 3.0)")
     parser.add_argument("--coupling", default="monolithic", choices=("monolithic", "newton"),
                         help="monolithic: one composed model; newton: members stepped apart")  # fmt: skip
     options.add_steps(parser)

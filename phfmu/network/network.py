@@ -8,12 +8,12 @@ With power positive into every component the powers of the joined ports add to z
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import Literal
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.units import parse_unit
+from phfmu.words import meant
 
 Kind = Literal["0", "1"]
 
@@ -71,6 +71,8 @@ class Network:
         """
         ends = (self._end(a), self._end(b))
         pa, pb = (self._port(e) for e in ends)
+        if ends[0] == ends[1]:
+            raise ConnectionError(f"{a} is joined to itself; name the port of another element as the other end")
         self._check_fit(ends)
         if pa.given == pb.given:
             other = "0-junction" if pa.given == "effort" else "1-junction"
@@ -118,8 +120,12 @@ class Network:
                 raise ConnectionError(
                     f"{e} is joined at '{taken[str(e)]}' already; add it there as one more port of a single junction"
                 )
-        if len(set(junction.ends)) < len(junction.ends):
-            raise ConnectionError(f"junction '{junction.name}' lists a port twice")
+        twice = [str(e) for e in junction.ends if junction.ends.count(e) > 1]
+        if twice:
+            raise ConnectionError(
+                f"junction '{junction.name}' joins {twice[0]} to itself: it is listed {twice.count(twice[0])} times; list each "
+                "port once"
+            )
         if junction.name in {j.name for j in self.junctions} | set(self.members):
             raise ConnectionError(f"the name '{junction.name}' is taken by another junction or member")
         self.junctions.append(junction)
@@ -134,10 +140,10 @@ class Network:
     def _end(self, text: str) -> End:
         member, _, port = text.partition(".")
         if member not in self.members:
-            raise ConnectionError(f"{self.name} has no member '{member}'{_close(member, list(self.members))}")
+            raise ConnectionError(f"{self.name} has no member '{member}'; {meant(member, self.members)}")
         names = [p.name for p in self.members[member].ports if p.external]
         if port not in names:
-            raise ConnectionError(f"member '{member}' has no free port '{port}'{_close(port, names)}")
+            raise ConnectionError(f"member '{member}' has no free port '{port}'; {meant(port, names)}")
         return End(member, port)
 
     def _port(self, end: End) -> Port:
@@ -164,8 +170,3 @@ class Network:
 
     def _free_name(self, ends: tuple[End, ...]) -> str:
         return "_".join(f"{e.member}_{e.port}" for e in ends)
-
-
-def _close(name: str, names: list[str]) -> str:
-    close = get_close_matches(name, names, 3)
-    return f"; did you mean {', '.join(close)}?" if close else f"; there are: {', '.join(names) or 'none'}"

@@ -10,15 +10,20 @@ from enum import Enum
 class Verdict(Enum):
     PASS = "pass"
     FAIL = "FAIL"
+    AT_REST = "at rest"
     NOT_SUPPORTED = "not supported"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What happened, in numbers, and whether it meets the criterion; `holds` is None where the case cannot be posed."""
+    """What happened, in numbers, and whether it meets the criterion; `holds` is None where the case cannot be posed.
+
+    `tested`: False if nothing moved, so that the criterion could not have failed.
+    """
 
     happened: str
     holds: bool | None
+    tested: bool = True
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,8 @@ def answer(case: Case) -> Line:
         return Line(case, f"{type(error).__name__}: {error}", Verdict.FAIL)
     if found.holds is None:
         return Line(case, found.happened, Verdict.NOT_SUPPORTED)
+    if found.holds and not found.tested:
+        return Line(case, f"at rest: nothing was tested ({found.happened})", Verdict.AT_REST)
     return Line(case, found.happened, Verdict.PASS if found.holds else Verdict.FAIL)
 
 

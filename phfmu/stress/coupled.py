@@ -175,7 +175,7 @@ def wrong(what: str) -> Outcome:
     calls = {
         "sign": (lambda: net.connect("m.flange", "s.a", signs=(1, 1)), ("create power",)),
         "domain": (lambda: net.connect("m.flange", "line.a"), ("m.flange", "line.a")),
-        "self": (lambda: net.connect("s.a", "s.a"), ()),
+        "self": (lambda: net.connect("s.a", "s.a"), ("s.a", "itself")),
         "twice": (
             lambda: [net.junction("a", ["m.flange", "m2.flange"]), net.junction("b", ["m.flange", "m2.flange"])],
             ("joined",),

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.words import counted
+
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
 
@@ -95,11 +97,6 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
         sweeps / n,
         ", ".join(extra),
     )  # fmt: skip
-
-
-def counted(n: int, word: str) -> str:
-    """A number of things: 1 restart, 2 restarts, 3 line searches."""
-    return f"{n} {word}" if n == 1 else f"{n} {word}{'es' if word.endswith('ch') else 's'}"
 
 
 def effort(r: Record) -> str:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from phfmu.stress.case import Case, Outcome, not_supported, refused
-from phfmu.stress.drive import counted, effort, instance, record
+from phfmu.stress.drive import effort, instance, record
+from phfmu.words import counted
 
 H = 0.01
 TARGET = "four_particle"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,15 @@ def cases(name: str, scene: Any) -> tuple[Case, ...]:
         made[0].reset()
         return made[0]
 
+    moves: list[bool] = []
+
     def case(what: str, criterion: str, measure: Callable[[], Outcome]) -> Case:
-        return Case(name, what, criterion, measure)
+        def judged() -> Outcome:
+            if not moves:
+                moves.append(moving(unit(), h))
+            return replace(measure(), tested=moves[0])
+
+        return Case(name, what, criterion, judged)
 
     return (
         case("h = 0", "state bitwise the same, nothing booked", lambda: nothing(unit(), h)),
@@ -35,7 +43,7 @@ def cases(name: str, scene: Any) -> tuple[Case, ...]:
           for f in (10.0, 100.0, 1000.0)),
         case("one step of 1000 parts", "as 1000 steps: state to 1e-12", lambda: parts(unit(), h)),
         case("a state saved and restored", "the same bits follow", lambda: restored(unit(), h)),
-        case("an input that is not a number", "refused, nothing changed", lambda: poisoned(unit(), h)),
+        Case(name, "an input that is not a number", "refused, nothing changed", lambda: poisoned(unit(), h)),
     )  # fmt: skip
 
 
@@ -46,6 +54,18 @@ def size(unit: Any, x: np.ndarray) -> np.ndarray:
         place = slice(len(out), len(out) + v.n)
         out += [max(float(np.abs(x[place]).max(initial=0.0)), *v.nominal)] * v.n
     return np.array(out)
+
+
+def moving(unit: Any, h: float) -> bool:
+    """Whether some state changes or some energy flows in the steps that the cases take; True if that cannot be said."""
+    from phfmu import StepFailure
+
+    x0 = unit.x
+    try:
+        r = record(unit, h, STEPS)
+    except StepFailure:
+        return True
+    return bool((r.x != x0).any() or any(np.any(unit.ledger()[k]) for k in ("stored", "dissipated", "supplied")))
 
 
 def nothing(unit: Any, h: float) -> Outcome:
