@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
 
 FLUSH_ROWS = 1024
-FLUSH_SECONDS = 0.25
+FLUSH_SECONDS = 0.1
 
 _VERSIONS_KEY = b"phfmu.audit.versions"
 _PACKAGES = ("phfmu", "casadi", "numpy", "pyarrow")

@@ -25,7 +25,7 @@ Row = tuple[Array, Array, Array]
 Rows = Iterator[Row]
 
 BLOCK = 4096  # most steps of a block
-BLOCK_SECONDS = 0.15  # wall time that a block should take
+BLOCK_SECONDS = 0.25  # wall time that a block should take
 GROWTH = 64  # most that a block may have more steps than the one before it
 
 
