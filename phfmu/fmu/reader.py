@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.slave import Slave
-from phfmu.fmu.values import References
+from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 
 Array = NDArray[np.float64]
@@ -219,6 +220,12 @@ class FMUInstance:
         """Port outputs at the present time (nu)."""
         return self._slave.get(self._y_end) * self._sign
 
+    @cached_property
+    def _derivatives(self) -> list[Derivative]:
+        """Of the mean outputs, by each input."""
+        two = self.interface.version == "2.0"
+        return [Derivative(self._y_mean, known, two) for known in self._u.scalars]
+
     def sensitivity(self) -> Array:
         """S = d(mean outputs)/d(held inputs) of the last step (nu x nu).
 
@@ -228,8 +235,8 @@ class FMUInstance:
             raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h)
         s = np.zeros((self.nu, self.nu))
         try:
-            for j, known in enumerate(self._u.scalars):
-                s[:, j] = self._slave.derivative(self._y_mean, known)
+            for j, d in enumerate(self._derivatives):
+                s[:, j] = self._slave.derivative(d)
         except FMUError as error:
             raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)) from error
         return s

@@ -22,7 +22,7 @@ from phfmu.fmu import exit_guard
 from phfmu.fmu.archive import Archive
 from phfmu.fmu.interface import Scalar
 from phfmu.fmu.refusal import UnitCallError, said
-from phfmu.fmu.values import Block, References
+from phfmu.fmu.values import Block, Derivative, References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.words import plain
 
@@ -104,24 +104,27 @@ class Slave:
 
     def set(self, r: References) -> None:
         """Values of the buffer into the unit."""
+        if r.direct is not None:
+            self._call_block(r.direct.setter, r.direct)
+            return
         for b in r.blocks:
-            if b is not r.direct:
-                if not b.filled:
-                    self._call_block(b.getter, b)  # entries of arrays that stay as they are
-                r.spread(b)
+            if not b.filled:
+                self._call_block(b.getter, b)  # entries of arrays that stay as they are
+            r.spread(b)
             self._call_block(b.setter, b)
 
     def get(self, r: References) -> Array:
         """Values of the unit, in the buffer."""
+        if r.direct is not None:
+            self._call_block(r.direct.getter, r.direct)
+            return r.values
         for b in r.blocks:
             self._call_block(b.getter, b)
-            if b is not r.direct:
-                r.gather(b)
+            r.gather(b)
         return r.values
 
     def _call_block(self, function: str, b: Block) -> None:
-        count = () if self.two else (b.total,)
-        self.call(getattr(self.fmu, function), self.fmu.component, b.references, b.n, b.address, *count)
+        self.call(getattr(self.fmu, function), self.fmu.component, *b.arguments)
 
     def enter(self, start: float, stop: float | None) -> None:
         """Into Initialization Mode."""
@@ -178,16 +181,11 @@ class Slave:
     def deserialize(self, data: bytes) -> Any:
         return self.call(self.fmu.deserializeFMUState, data)
 
-    def derivative(self, unknowns: References, known: Scalar) -> Array:
-        """d unknowns / d known, all of type Float64."""
-        found, given = unknowns.blocks[0], Block("Float64", self.two, [known], [0])
-        seed, result = (type(b.address)() for b in (given, found))
-        seed[known.entry] = 1.0
-        sizes = ((), ()) if self.two else ((given.total,), (found.total,))
+    def derivative(self, d: Derivative) -> Array:
+        """Its values at the present time, in its buffer."""
         function = self.fmu.fmi2GetDirectionalDerivative if self.two else self.fmu.fmi3GetDirectionalDerivative
-        self.call(function, self.fmu.component, found.references, found.n, given.references, given.n, seed, *sizes[0],
-                  result, *sizes[1])  # fmt: skip
-        return np.ctypeslib.as_array(result)[found.picks]
+        self.call(function, self.fmu.component, *d.arguments)
+        return d.buffer[d.picks]
 
     def free(self) -> None:
         if not self.dead:

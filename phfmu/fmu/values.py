@@ -43,6 +43,8 @@ class Block:
         self.address = (element * max(total, 1))()
         self.buffer: NDArray[Any] = np.ctypeslib.as_array(self.address)[:total]
         self.picks, self.places = np.array(own, int), np.array(places, int)
+        #: of the functions of the library, after the instance
+        self.arguments = (self.references, self.n, self.address, *(() if two else (self.total,)))
         self.boolean = type_ == "Boolean"
         #: whether every place of the buffer has a scalar; whether they are the same, in order
         self.filled, self.whole = len(set(own)) == total, own == list(range(total))
@@ -79,3 +81,25 @@ class References:
     def gather(self, block: Block) -> None:
         """Values of a block into the group."""
         self.values[block.places] = block.buffer[block.picks]
+
+
+class Derivative:
+    """d unknowns / d known, all of type Float64: the arguments of the call, made once."""
+
+    def __init__(self, unknowns: References, known: Scalar, two: bool):
+        found, given = unknowns.blocks[0], Block(known.type, two, [known], [0])
+        given.buffer[known.entry] = 1.0
+        result = type(found.address)()
+        self.buffer: Array = np.ctypeslib.as_array(result)
+        self.picks = found.picks
+        ends = ((), ()) if two else ((given.total,), (found.total,))
+        self.arguments = (
+            found.references,
+            found.n,
+            given.references,
+            given.n,
+            given.address,
+            *ends[0],
+            result,
+            *ends[1],
+        )

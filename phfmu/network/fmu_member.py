@@ -52,7 +52,10 @@ class FMUMember:
             self.places[p.name] = slice(start, start + len(p.inputs))
             start += len(p.inputs)
         self.names = _columns(unit)
-        self._outputs = np.array([i for i, n in enumerate(self.names) if unit.variable(n).causality == "output"], int)
+        # units of this package refuse a step before an output is not finite
+        foreign = unit.estimated
+        watched = [i for i, n in enumerate(self.names) if foreign and unit.variable(n).causality == "output"]
+        self._watched = np.array(watched, int)
         self._inside = _fed_from_inside(unit)
         self.booking = _booking(unit, name)
         self._u = unit.start_inputs()
@@ -117,11 +120,11 @@ class FMUMember:
         return self.unit.energies()
 
     def read(self) -> Array:
-        """All columns; UnitFailure if an output is not finite."""
+        """All columns; UnitFailure if an output of a foreign unit is not finite."""
         values = self.unit.get(self.names)
-        if not np.isfinite(values[self._outputs]).all():
-            names = [self.names[i] for i in self._outputs]
-            raise self.unit.not_finite(names, values[self._outputs], self.unit.time)
+        if self._watched.size and not np.isfinite(values[self._watched]).all():
+            names = [self.names[i] for i in self._watched]
+            raise self.unit.not_finite(names, values[self._watched], self.unit.time)
         return values
 
     def check_start(self) -> None:
