@@ -135,7 +135,7 @@ def test_rows_close_by_the_sign_rule():
     assert network.unexplained == a.residual + b.residual
     summary = ledger.summary()
     # in play in b: |H0| = 2, for want of its energies' changes, what it was supplied with, and its ports
-    assert summary.components[1].worst_relative == pytest.approx(0.125 / (2.0 + 0.875 + 0.875), rel=0.01)
+    assert summary.components[1].worst_relative == pytest.approx(0.125 / (2.0 + 0.875 + 0.875), rel=0.05)
     (bus,) = summary.junctions
     assert (bus.residual, bus.exchanged) == (0.25, 0.625)
     assert summary.components[1].dissipated is None

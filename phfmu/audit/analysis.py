@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .block import Block, Layout, PortKey, make_block
-from .judge import DEFAULT_RTOL, EPS, FLOOR, Violation
+from .judge import DEFAULT_RTOL, EPS, ULPS, Violation
 from .ledger import Ledger
 from .reading import Batches, Interned, Rows
 from .rows import ESTIMATED, EXACT, SILENT
@@ -265,7 +265,7 @@ class _Reader:
         """A violation where a row's column differs from what follows from other rows by more than rounding."""
         said, there = rows.numbers[column]
         with np.errstate(invalid="ignore", over="ignore"):
-            allowed = FLOOR * EPS * size
+            allowed = ULPS * EPS * size
             bad = there & ~(np.abs(said - derived) <= allowed) & (np.isfinite(said) | np.isfinite(derived))
         if bad.any():
             k = int(np.argmax(bad))

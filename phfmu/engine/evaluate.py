@@ -109,14 +109,15 @@ class Evaluator:
         terms = lists.value * h**lists.power * self.V[lists.s] * self.V[lists.t]
         return np.bincount(self._entry[id(lists)], terms, lists.nnz)
 
-    def ledger(self, x: Array, p: Array) -> tuple[Array, Array, Array]:
-        """Per component: sums of `stored`, `lost` and `numerical` at the last residual's Y."""
+    def ledger(self, x: Array, p: Array) -> tuple[Array, Array, Array, Array]:
+        """Per component: sums of `stored`, |stored|, `lost` and `numerical` at the last residual's Y."""
         n = self.plan.ncomp
-        sums = np.zeros((3, n))
+        sums, moved = np.zeros((3, n)), np.zeros(n)
         for w in self._work:
             if w.ledger is not None:
                 w.gather(w.ledger, x, self.Y, p)
                 w.ledger.call()
                 for total, values in zip(sums, w.ledger.res, strict=False):
                     total += np.bincount(w.group.owner, values[:, 0], n)
-        return sums[0], sums[1], sums[2]
+                moved += np.bincount(w.group.owner, np.abs(w.ledger.res[0][:, 0]), n)
+        return sums[0], moved, sums[1], sums[2]

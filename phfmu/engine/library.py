@@ -27,6 +27,7 @@ RECORD: tuple[str, ...] = (
     "dissipated",
     "supplied",
     "numerical",
+    "moved",
     "unknowns",
     "energy",
     "counts",

@@ -113,7 +113,7 @@ class NativeInstance:
     ) -> dict[str, Floats]:
         """Steps k = first..first+n-1 from t0 + k h without leaving C; `inputs`: n x nu, one row held over each.
 
-        `record`: names from RECORD, a row a step each.  pairs, stored, dissipated, supplied, numerical: ledger of
+        `record`: names from RECORD, a row a step each.  pairs, stored, dissipated, supplied, numerical, moved: ledger of
         that step; unknowns: w of its last solve; energy: H per component at its end; counts: iterations and
         solves; signals: see `layout`.
         """
@@ -167,7 +167,7 @@ class NativeInstance:
         return values[:, : plan.nu].copy()
 
     def ledger(self) -> dict[str, Floats]:
-        """Of the last communication step: stored, dissipated, supplied, numerical per component, pairs [J]."""
+        """Of the last communication step: stored, dissipated, supplied, numerical, moved per component, pairs [J]."""
         names, plan = enums()["ph_row"], self.model.step
         sizes = {name: plan.nq if name == "pairs" else plan.ncomp for name in names}
         return {n: view(self._lib.ph_ledger(self._in, i), sizes[n]).copy() for i, n in enumerate(names)}

@@ -59,7 +59,7 @@ class PythonInstance:
     def _nothing(self) -> dict[str, Array]:
         """The ledger of a step in which nothing moved."""
         plan = self.model.step
-        sums = {n: np.zeros(plan.ncomp) for n in ("stored", "dissipated", "supplied", "numerical")}
+        sums = {n: np.zeros(plan.ncomp) for n in ("stored", "dissipated", "supplied", "numerical", "moved")}
         return sums | {"pairs": np.zeros(plan.nq)}
 
     def get_state(self) -> State:
@@ -248,7 +248,7 @@ class PythonInstance:
         fixed = (self._old(), np.append(u, h), s.p, h)
         s.solved += 1
         w = self._evaluated(self._newton, outcome.w, fixed)
-        stored, lost, numerical = self._step.ledger(fixed[0], s.p)
+        stored, moved, lost, numerical = self._step.ledger(fixed[0], s.p)
         y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
         u_nodes = self._step.Y[plan.pair_src].reshape(plan.k, plan.nq)
         pairs = h * plan.weights @ (y_nodes * u_nodes)
@@ -256,6 +256,7 @@ class PythonInstance:
         s.last["stored"] += stored
         s.last["dissipated"] += h * lost
         s.last["numerical"] += numerical
+        s.last["moved"] += moved
         s.last["pairs"] += pairs
         s.last["supplied"] += np.bincount(plan.pair_owner, pairs, plan.ncomp)
         s.w, s.h_last = outcome.w.copy(), h
@@ -378,7 +379,7 @@ class PythonInstance:
         return self._s.y_node[:, : self.model.step.nu].copy()
 
     def ledger(self) -> dict[str, Array]:
-        """Of the last communication step: stored, dissipated, supplied, numerical per component, pairs per scalar pair [J]."""
+        """Of the last communication step: stored, dissipated, supplied, numerical, moved per component, pairs per pair [J]."""
         return {k: v.copy() for k, v in self._s.last.items()}
 
     @property

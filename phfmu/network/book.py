@@ -109,7 +109,7 @@ class Book:
         lost = s.numerical if s.numerical is not None and s.numerical.any() else None
         self.ledger.add_block(
             self.layout, k, t, h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, H0=before, newton=newton,
-            numerical=lost,
+            numerical=lost, moved=s.moved,
         )  # fmt: skip
         self.steps += n
         self.iterations += float(s.iterations.sum())

@@ -168,7 +168,8 @@ class Coupled:
             books = [m.ledger() for m in self.members]
             parts = [np.concatenate([b[key] for b in books]) for key in ("stored", "dissipated", "supplied", "pairs")]
             damped = [b.get("numerical", np.zeros(len(b["stored"]))) for b in books]
-            rows.append((*now, *parts, np.array(float(self.iterations)), np.concatenate(damped)))
+            moved = [b.get("moved", np.abs(m.energies())) for m, b in zip(self.members, books, strict=True)]
+            rows.append((*now, *parts, np.array(float(self.iterations)), np.concatenate(damped), np.concatenate(moved)))
         return Steps.stacked(rows)
 
     # -- one step ---------------------------------------------------------------------------------------------------

@@ -35,6 +35,8 @@ class Steps:
     iterations: Array
     #: lost by a damping scheme (n x components), None where there is none
     numerical: Array | None = None
+    #: sum over the energies of a component of |change| (n x components), None where only their sum is known
+    moved: Array | None = None
     #: rows within each step (n x rows x names), None unless asked for
     between: Array | None = None
 
@@ -48,12 +50,16 @@ class Steps:
         """One after the other; a part without numerical loss has 0 where others have one."""
         names = ("signals", "H", "stored", "dissipated", "supplied", "pairs", "iterations")
         arrays = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
+        moved = [p.moved for p in parts if p.moved is not None]
         lossy = any(p.numerical is not None for p in parts)
         lost = [np.zeros_like(p.H) if p.numerical is None else p.numerical for p in parts]
         between = (
             None if parts[0].between is None else np.concatenate([p.between for p in parts if p.between is not None])
         )
-        return cls(**arrays, numerical=np.concatenate(lost) if lossy else None, between=between)
+        return cls(
+            **arrays, numerical=np.concatenate(lost) if lossy else None,
+            moved=np.concatenate(moved) if len(moved) == len(parts) else None, between=between,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -206,7 +212,7 @@ class Monolithic:
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
-        wanted = ("signals", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
+        wanted = ("signals", "energy", "stored", "dissipated", "supplied", "moved", "pairs", "counts")
         if instance.model.loses_energy:
             wanted += ("numerical",)
         if self.dense is None:
@@ -220,7 +226,7 @@ class Monolithic:
     def _steps(self, r: dict[str, Array]) -> Steps:
         return Steps(
             self._columns.pick(r["signals"]), r["energy"], r["stored"], r["dissipated"], r["supplied"], r["pairs"],
-            r["counts"][:, 0], r.get("numerical"),
+            r["counts"][:, 0], r.get("numerical"), r["moved"],
         )  # fmt: skip
 
 

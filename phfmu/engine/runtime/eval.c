@@ -99,16 +99,17 @@ void ph_eval_derivatives(ph_system *s, double *out) {
             out[e] += s->derivatives[l] * s->v[p->derivative_s[l]] * s->v[p->derivative_t[l]];
 }
 
-/* stored, lost, numerical: ncomp each, overwritten; lost is a rate, to be multiplied by the step. */
-void ph_eval_ledger(ph_system *s, double *stored, double *lost, double *numerical) {
+/* stored, moved, lost, numerical: ncomp each, overwritten; lost is a rate, to be multiplied by the step. */
+void ph_eval_ledger(ph_system *s, double *stored, double *moved, double *lost, double *numerical) {
     const ph_plan *p = s->plan;
     const ph_point at = {s->x, s->y, s->p, s->hp};
     memset(stored, 0, sizeof(double) * (size_t)p->ncomp);
+    memset(moved, 0, sizeof(double) * (size_t)p->ncomp);
     memset(lost, 0, sizeof(double) * (size_t)p->ncomp);
     memset(numerical, 0, sizeof(double) * (size_t)p->ncomp);
     for (int i = 0; i < p->ngroup; i++) {
         const ph_kernel *kernel = &ph_kernels[p->groups[i].kernel];
         if (kernel->ledger)
-            kernel->ledger(&p->groups[i], &at, stored, lost, numerical);
+            kernel->ledger(&p->groups[i], &at, stored, moved, lost, numerical);
     }
 }

@@ -35,7 +35,7 @@ void ph_layout(const ph_model *model, int *offset) {
 
 static void lay_state(ph_instance *in, block *b) {
     const ph_plan *p = in->model->step;
-    const int length[PH_NROW] = {p->ncomp, p->ncomp, p->ncomp, p->ncomp, p->nq};
+    const int length[PH_NROW] = {p->ncomp, p->ncomp, p->ncomp, p->ncomp, p->ncomp, p->nq};
     in->head = take(b, sizeof(ph_head));
     in->table = doubles(b, in->offset[PH_NBLOCK]);
     in->rest = doubles(b, p->nx);
@@ -110,6 +110,7 @@ static size_t lay_out(ph_instance *in, block *b) {
         in->chord = take(b, ph_chord_solver.size(in->model->step));
     in->backup = take(b, in->state_size);
     in->stored = doubles(b, in->model->step->ncomp);
+    in->moved = doubles(b, in->model->step->ncomp);
     in->lost = doubles(b, in->model->step->ncomp);
     in->numerical = doubles(b, in->model->step->ncomp);
     in->basis = doubles(b, in->model->step->k);

@@ -44,7 +44,7 @@ int ph_refresh(ph_instance *in) {
     for (int l = 0; l < p->nmean; l++)
         a[p->mean_a[l]] += p->mean_c[l] * s->y[p->mean_w[l]];
     memcpy(in->table + in->offset[PH_Y_END], s->r + p->nw, sizeof(double) * (size_t)(p->nq + p->nobs));
-    ph_eval_ledger(s, in->table + in->offset[PH_H], in->lost, in->numerical);
+    ph_eval_ledger(s, in->table + in->offset[PH_H], in->moved, in->lost, in->numerical);
     if (s->lu.ready)
         memcpy(s->pivot, s->lu.pivot, sizeof(int) * (size_t)p->nw);
     *s->last_h = 1.0;

@@ -58,6 +58,7 @@ typedef enum ph_row {
     PH_ROW_DISSIPATED, /* ncomp */
     PH_ROW_SUPPLIED,   /* ncomp */
     PH_ROW_NUMERICAL,  /* ncomp lost by the scheme itself, zero unless it is Radau */
+    PH_ROW_MOVED,      /* ncomp sum over the energies of |change| */
     PH_ROW_PAIRS,      /* nq energy through each pair */
     PH_NROW
 } ph_row;
@@ -154,13 +155,15 @@ typedef struct ph_record {
     ph_column dissipated;   /* ncomp of the step */
     ph_column supplied;     /* ncomp of the step */
     ph_column numerical;    /* ncomp of the step */
+    ph_column moved;        /* ncomp of the step */
     ph_column unknowns;     /* step.nw of its last solve */
     ph_column energy;       /* ncomp stored energy at the end of the step */
     ph_column counts;       /* 2: iterations and solves of the step */
 } ph_record;
 
 /* Steps k = first..first+n-1 from t0 + k h, so that a run gives the same bits however it is cut; *done: steps
- * accepted. record may be NULL. A step whose end values are recorded but cannot be solved for is taken back. */
+ * accepted. record may be NULL. A step whose end values are recorded but cannot be solved for is taken back.
+ */
 PH_API int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record, int *done);
 
 /* offset: PH_NBLOCK+1 places of the blocks in the signal table, the last one its length. */

@@ -204,11 +204,13 @@ typedef struct ph_point {
 
 /* One entry of the kernel table: loops over a group with kernel and gather inlined (group.inc).
  * value: target += h^power out; full: the same and the Jacobian slots into V;
- * ledger: stored[owner] += , lost[owner] += , numerical[owner] += (NULL if the kernel has none). */
+ * ledger: stored[owner] += , moved[owner] += |stored|, lost[owner] += , numerical[owner] += (NULL if the
+ * kernel has none). */
 typedef struct ph_kernel {
     void (*value)(const ph_group *, const ph_point *, double *target);
     void (*full)(const ph_group *, const ph_point *, double *target, double *slots);
-    void (*ledger)(const ph_group *, const ph_point *, double *stored, double *lost, double *numerical);
+    void (*ledger)(const ph_group *, const ph_point *, double *stored, double *moved, double *lost,
+                   double *numerical);
     int nx, ny, np, no, nj;
 } ph_kernel;
 

@@ -51,11 +51,12 @@ static void accept(ph_instance *in, double h, double from, double weight) {
     *s->last_h = h;
     if (s->resting)
         ph_rest_spread(s);
-    ph_eval_ledger(s, in->stored, in->lost, in->numerical);
+    ph_eval_ledger(s, in->stored, in->moved, in->lost, in->numerical);
     for (int c = 0; c < p->ncomp; c++) {
         in->row[PH_ROW_STORED][c] += in->stored[c];
         in->row[PH_ROW_DISSIPATED][c] += h * in->lost[c];
         in->row[PH_ROW_NUMERICAL][c] += in->numerical[c];
+        in->row[PH_ROW_MOVED][c] += in->moved[c];
     }
     for (int j = 0; j < p->nq; j++) {
         double y = 0.0, power = 0.0, energy;
@@ -302,6 +303,7 @@ static void write_row(ph_instance *in, const ph_record *r, int row) {
     put(&r->dissipated, row, in->row[PH_ROW_DISSIPATED], p->ncomp);
     put(&r->supplied, row, in->row[PH_ROW_SUPPLIED], p->ncomp);
     put(&r->numerical, row, in->row[PH_ROW_NUMERICAL], p->ncomp);
+    put(&r->moved, row, in->row[PH_ROW_MOVED], p->ncomp);
     put(&r->unknowns, row, in->step.last, p->nw);
     put(&r->energy, row, in->table + offset[PH_H], p->ncomp);
 }

@@ -72,7 +72,7 @@ void ph_eval(ph_system *s, int slots, int late);
 void ph_eval_late(ph_system *s);
 void ph_eval_matrix(ph_system *s);
 void ph_eval_derivatives(ph_system *s, double *out);
-void ph_eval_ledger(ph_system *s, double *stored, double *lost, double *numerical);
+void ph_eval_ledger(ph_system *s, double *stored, double *moved, double *lost, double *numerical);
 
 typedef enum ph_newton_kind {
     PH_CHORD,  /* keeps the matrix while that contracts */
@@ -132,6 +132,7 @@ struct ph_instance {
     int planned;       /* 1: those constraints rest that the chord leaves out */
     void *backup;      /* state_size */
     double *stored;    /* ncomp */
+    double *moved;     /* ncomp */
     double *lost;      /* ncomp */
     double *numerical; /* ncomp */
     double *basis;     /* k */
