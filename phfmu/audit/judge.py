@@ -188,7 +188,7 @@ class Judge:
             bad &= judged | ~size_known
         if not bad.any():
             return
-        for i in np.flatnonzero(bad.any(axis=0)):
+        for i in np.flatnonzero(bad.any(axis=0)).tolist():
             at = np.flatnonzero(bad[:, i])
             k = at[int(np.argmax(ratio(size[at, i], allowed[at, i])))]
             numbers = (int(block.step[k]), float(block.t0[k]), float(block.h[k]))

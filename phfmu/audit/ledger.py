@@ -110,7 +110,8 @@ class Ledger:
         network = NetworkRow(**{name: float(column[0]) for name, column in block.network.items()}, status=status)
         if self._sink is not None:
             qualities = [block.layout.quality(row.component) for row in components]
-            judged = zip(components, qualities, block.relative[0], strict=True)
+            relative = np.zeros(len(qualities)) if block.relative is None else block.relative[0]
+            judged = zip(components, qualities, relative, strict=True)
             booked = [replace(row, quality=quality, relative=float(found)) for row, quality, found in judged]
             self._sink.write_step(step, t0, h, booked, ports, joined, network)
         return network

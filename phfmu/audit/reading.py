@@ -123,9 +123,7 @@ class Batches:
             raise ValueError(f"{shown} is damaged: {error}") from error
 
     def _batches(self) -> Iterator["pa.RecordBatch"]:
-        import pyarrow as pa
-
-        if isinstance(self._source, pa.Table):
+        if not isinstance(self._source, str | os.PathLike):
             yield from self._source.to_batches(max_chunksize=BATCH_ROWS)
             return
         path = there(self._source)
