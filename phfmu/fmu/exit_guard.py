@@ -55,7 +55,7 @@ def _leave(_: object) -> None:
         return
     unit, function = current
     print(f"phfmu: the unit '{unit}' ended the process in {getattr(function, '__name__', function)} (its library called "
-          "exit); the run is not finished, what was written so far is readable", file=sys.stderr, flush=True)  # fmt: skip
+          "exit); the run is not finished: rows are in the .partial file of -o, `phfmu audit recover` reads an audit", file=sys.stderr, flush=True)  # fmt: skip
     try:
         sys.stdout.flush()
     finally:
