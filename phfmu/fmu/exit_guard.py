@@ -54,8 +54,13 @@ def _leave(_: object) -> None:
     if current is None:
         return
     unit, function = current
-    print(f"phfmu: the unit '{unit}' ended the process in {getattr(function, '__name__', function)} (its library called "
-          "exit); the run is not finished: rows are in the .partial file of -o, `phfmu audit recover` reads an audit", file=sys.stderr, flush=True)  # fmt: skip
+    call = getattr(function, "__name__", function)
+    print(
+        f"phfmu: the unit '{unit}' ended the process in {call} (its library called exit); the run is not finished: rows are "
+        "in the .partial file of -o, `phfmu audit recover` reads an audit",
+        file=sys.stderr,
+        flush=True,
+    )
     try:
         sys.stdout.flush()
     finally:
