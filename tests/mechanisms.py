@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import casadi as ca
@@ -80,8 +81,21 @@ def bricard() -> tuple[PHDAE, list[Particle]]:
     return body.build(), [points[j] for j in moving]
 
 
-def windows(n: int, angle: float = 0.0) -> PHDAE:
-    """n + 1 parallel cranks of 1 m with 1 kg at their ends, joined by bars: flat, with a loss of rank, twice a turn."""
+def hung(scales: Sequence[float]) -> PHDAE:
+    """A load that swings on one bar, declared once for each scale of the constraint."""
+    body = Multibody("hung", 2)
+    body.gravity((0.0, -G))
+    load = body.particle(3.0, (1.0, 0.0))
+    for i, scale in enumerate(scales):
+        body.constraint(lambda at, s=scale: 0.5 * s * (ca.sumsqr(at(load)) - 1.0), f"bar {i + 1}")
+    return body.build()
+
+
+def windows(n: int, angle: float = 0.0, pull: float = 0.0) -> PHDAE:
+    """n + 1 parallel cranks of 1 m with 1 kg at their ends, joined by bars: flat, with a loss of rank, twice a turn.
+
+    `pull`: a spring on the first crank [N/m].
+    """
     body = Multibody("windows", 2)
     body.gravity((0.0, -G))
     arm, speed = (np.sin(angle), np.cos(angle)), (np.cos(angle), -np.sin(angle))
@@ -90,6 +104,8 @@ def windows(n: int, angle: float = 0.0) -> PHDAE:
         body.bar(body.support((float(i), 0.0)), end)
         if i:
             body.bar(ends[i - 1], end)
+    if pull:
+        body.linear_spring(body.support((0.0, 2.0)), ends[0], pull, 1.0)
     return body.build()
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import phfmu.discretise.rest as at_rest
-from phfmu import Collocated, NativeInstance, PythonInstance, build_model
+from phfmu import Collocated, NativeInstance, PythonInstance, build_model, constraint_rank
 from phfmu.discretise.model import Model
 from phfmu.discretise.rank import Dependence
-from tests.mechanisms import bricard, bricard_reference, doubled, frame, hinge
+from tests.mechanisms import bricard, bricard_reference, doubled, frame, hinge, hung, windows
 
 ENGINES = (PythonInstance, NativeInstance)
 MECHANISMS = {"frame": frame, "doubled": doubled, "hinge": hinge}
@@ -113,3 +114,72 @@ def test_engines_exchange_alike(ill_chosen: Model) -> None:
     assert python.counts["exchanged"] == native.counts["exchanged"] == 1
     assert np.abs(rows[0]["x"] - rows[1]["x"]).max() <= 1e-13
     assert rows[0]["a"] == pytest.approx(rows[1]["a"], rel=1e-9, abs=1e-9)
+
+
+# -- momentary loss of rank --------------------------------------------------------------------------------------
+
+
+STEPS = (0.0005, 0.001, 0.002, 0.0025, 0.004, 0.005, 0.00625, 0.008, 0.01, 0.0125, 0.016)
+
+
+@pytest.fixture(scope="module")
+def cranks() -> dict[tuple[int, bool], NativeInstance]:
+    """By order, and whether the chord is used."""
+    found = {}
+    for order in (2, 6):
+        m = model(windows(2), order)
+        found[order, True] = NativeInstance(m)
+        found[order, False] = NativeInstance(replace(m, step=replace(m.step, chord=None)))
+    return found
+
+
+@pytest.mark.parametrize("h", [pytest.param(h, marks=[] if h in (0.005, 0.016) else pytest.mark.slow) for h in STEPS])
+@pytest.mark.parametrize("chord", [True, False])
+@pytest.mark.parametrize("order", [2, 6])
+def test_parallel_cranks_pass_flat_positions_without_halving(cranks: Any, order: int, chord: bool, h: float) -> None:
+    """20 s, twice a turn flat; the cranks follow one another.  The chord stops at its own tolerance."""
+    instance = cranks[order, chord]
+    instance.reset()
+    g, w, energy = errors(instance, h, round(20.0 / h))
+    q = instance.x[:6].reshape(3, 2) - [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
+    assert g <= 1e-12 and energy <= 1e-9 and np.abs(q - q[0]).max() <= 1e-6
+    if not chord:
+        assert g <= 1e-14 and w <= 1e-13 and energy <= 1e-12
+
+
+@pytest.mark.parametrize("order", [2, 6])
+def test_rows_come_back_where_the_rank_rises(order: int) -> None:
+    """A start flat, where two of five rows are redundant for an instant; one crank is pulled, so all bars work."""
+    m = model(windows(2, np.pi / 2, pull=50.0), order)
+    assert np.sum(m.step.hold.rests) == 2
+    native, python = NativeInstance(m), PythonInstance(m)
+    g, w, energy = errors(native, 0.002, 500)
+    assert native.counts["woken"] == 2
+    assert g <= 1e-14 and w <= 1e-13 and energy <= 2e-12
+    native.reset()
+    x = [e.run(0.0, 0.002, 5, ("x",))["x"] for e in (native, python)]
+    assert python.counts["woken"] == 2 and np.abs(x[0] - x[1]).max() <= 1e-12
+
+
+# -- forces ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_forces_are_of_least_norm_and_do_not_feel_scales(engine: Any) -> None:
+    """A load on three equal bars, one of them declared a thousand times as large: a third each."""
+    instance = engine(model(hung((1.0, 1.0, 1e3)), 2))
+    instance.run(0.0, 0.01, 5)
+    for block in ("a", "a_end"):
+        lam = instance.signal(block) * [1.0, 1.0, 1e3]
+        assert lam == pytest.approx(np.full(3, lam.sum() / 3), rel=1e-12)
+    single = engine(model(hung((1.0,)), 2))
+    single.run(0.0, 0.01, 5)
+    assert lam.sum() == pytest.approx(single.signal("a_end")[0], rel=1e-12)
+
+
+def test_the_report_names_rows_that_depend_on_each_other() -> None:
+    found = constraint_rank(bricard()[0])
+    assert (found.rows, found.rank) == (39, 38)
+    ((names, many),) = found.groups
+    assert many == 1 and found.redundant[0].name in names and set(found.redundant[0].of) < set(names)
+    assert f"1 of these is too many: {', '.join(names)}" in found.report()

@@ -92,6 +92,8 @@ class PythonInstance:
         self._array([t], 1)
         self._s.x[:-1], self._s.x[-1], self._s.t = self._array(x, self.model.step.nx), t, t
         self._s.carry[:] = 0.0
+        if np.sum(self._s.rests) < np.sum(self.model.step.hold.rests):  # those that came back rest as at the start
+            self._s.rests = self.model.step.hold.rests.copy()
         self._s.end = None
 
     def continue_from(self, other: PythonInstance) -> None:
@@ -110,6 +112,8 @@ class PythonInstance:
         if old.t != s.t:  # its own last step is no longer the one before the next
             level = mine.increments[mine.mean_w] == 0
             s.w[mine.mean_w[level]], s.h_last = s.a[mine.mean_a[level]], 0.0
+        if len(s.rests) != len(old.rests):
+            s.rests = old.rests
         self._s = s
 
     # -- stepping ---------------------------------------------------------------------------------------------------

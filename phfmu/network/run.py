@@ -146,7 +146,7 @@ def run(
         whole = monolithic(stepper, "--dense")
         whole.dense = Dense(whole.instance, dense)
     rows = _Rows(keep, progress)
-    first, projection = True, None
+    first, projection, before = True, None, _rest_changes(stepper)
     try:
         for start, end, here in segments(t0, stop, events, close=1e-9 * step):
             for e in here:
@@ -174,7 +174,8 @@ def run(
     time, values, inside = rows.joined(len(stepper.names))
     worst, facts = book.worst(), march.facts()
     facts |= {"interpolated": inside} if dense else {}
-    notes = (*_unreached(events, stop - 1e-9 * step, stop), *book.notes, *march.notes())
+    changes = _rest_changes(stepper) - before
+    notes = (*_unreached(events, stop - 1e-9 * step, stop), *book.notes, *march.notes(), *_rest_notes(changes))
     return Result(
         stepper.names,
         time,
@@ -250,3 +251,18 @@ def _control(rtol: float, atol: float | None, step: float, smallest: float, larg
     from phfmu.network.adaptive import Control
 
     return Control(rtol, rtol if atol is None else atol, step, smallest, largest)
+
+
+def _rest_changes(stepper: Any) -> NDArray[np.int64]:
+    """How often the instances of a run let another redundant constraint rest, and how many they needed again."""
+    instances = [getattr(m, "instance", None) for m in getattr(stepper, "members", (stepper,))]
+    counts = [getattr(i, "counts", {}) for i in instances]
+    return np.array([sum(c.get(name, 0) for c in counts) for name in ("exchanged", "woken")])
+
+
+def _rest_notes(changes: NDArray[np.int64]) -> list[str]:
+    if not changes.any():
+        return []
+    return [
+        f"redundant constraints: {changes[0]} exchanged, {changes[1]} needed again; the motion does not depend on it"
+    ]

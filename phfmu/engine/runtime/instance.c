@@ -121,8 +121,8 @@ static size_t lay_out(ph_instance *in, block *b) {
 static int plan_fits(const ph_plan *p, const ph_model *model) {
     const ph_plan *step = model->step;
     if (p->nx != step->nx || p->nu != step->nu || p->np != step->np || p->nq != step->nq ||
-        p->na != step->na || p->nhold != step->nhold || p->ncomp != step->ncomp || p->nv != p->nw + p->nu * p->k + 1 ||
-        p->nrow != p->nw + p->nq * p->k + p->nobs)
+        p->na != step->na || p->nhold != step->nhold || p->ncomp != step->ncomp ||
+        p->nv != p->nw + p->nu * p->k + 1 || p->nrow != p->nw + p->nq * p->k + p->nobs)
         return 0;
     for (int i = 0; i < p->ngroup; i++) {
         const ph_group *g = &p->groups[i];
@@ -232,6 +232,7 @@ int ph_set_x(ph_instance *in, double t, const double *x) {
     in->table[nx] = t;
     for (int i = 0; i < nx; i++)
         in->rest[i] = 0.0;
+    ph_rest_again(in);
     in->head->dirty = 1;
     return PH_OK;
 }
@@ -271,6 +272,7 @@ int ph_continue(ph_instance *in, const ph_instance *from) {
         ph_seed(in, in->table + in->offset[PH_A]);
     in->head->parts = 0;
     in->head->dirty = 1;
+    ph_rest_continue(in, from);
     return ph_set_input(in, from->u);
 }
 

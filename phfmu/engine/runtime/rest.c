@@ -38,6 +38,25 @@ void ph_rest_begin(ph_instance *in) {
     ph_rest_take(in);
 }
 
+/* A state placed anew: constraints that have come back in motion rest as at the start. */
+void ph_rest_again(ph_instance *in) {
+    int n = 0;
+    for (int c = 0; c < in->step.plan->nhold; c++)
+        n += in->step.plan->hold_rests[c];
+    if (in->step.resting < n)
+        ph_rest_begin(in);
+}
+
+/* Those of another instance of the declaration rest. */
+void ph_rest_continue(ph_instance *in, const ph_instance *from) {
+    const int n = in->step.plan->nhold;
+    if (n > 0 && n == from->step.plan->nhold) {
+        memcpy(in->step.rests, from->step.rests, sizeof(int) * (size_t)n);
+        in->step.pivot[0] = in->instant.pivot[0] = -1;
+        ph_rest_take(in);
+    }
+}
+
 /* w = 0 exactly, whatever rounding the factor leaves. */
 void ph_rest_unknowns(ph_system *s) {
     const ph_plan *p = s->plan;

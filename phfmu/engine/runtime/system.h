@@ -88,6 +88,8 @@ void ph_explain(ph_system *s, int status, ph_report *report);
 enum { PH_AWAKE, PH_RESTS, PH_CALLED }; /* CALLED: needed again in the step being solved */
 
 void ph_rest_begin(ph_instance *in);
+void ph_rest_again(ph_instance *in);
+void ph_rest_continue(ph_instance *in, const ph_instance *from);
 void ph_rest_take(ph_instance *in);
 void ph_rest_unknowns(ph_system *s);
 void ph_rest_residual(ph_system *s);
