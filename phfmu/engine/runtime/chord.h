@@ -36,8 +36,8 @@ typedef double ph_lane __attribute__((vector_size(8 * PH_LANES), aligned(8)));
 
 /* Rows are nearly dependent where n pivots of this size beside the diagonal would be: the last pivot of a
  * straight chain of n links is 1/n of its diagonal without any weakness. Multipliers of nearly dependent
- * constraints change much while F does not, and the turn of G that the sweep neglects acts on them: the sparse
- * Newton takes such steps. Springs have their compliance. */
+ * constraints change much while F does not, and the turn of G that the sweep neglects acts on them: the
+ * sparse Newton takes such steps. Springs have their compliance. */
 #define WEAK 3e-3
 #define WEAK_SOFT 3e-4
 
