@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phfmu.declare.energy import Energy, energy, resolve_kind
+from phfmu.declare.summands import summands
 from phfmu.declare.variable import Variable
 from phfmu.discretise import coordinate, gradients
 from phfmu.discretise.gradients import Gradient
@@ -103,6 +104,9 @@ def discrete_gradient(
     terms = [t if isinstance(t, Energy) else energy(t) for t in (H if isinstance(H, (list, tuple)) else [H])]
     if method == "joint-gonzalez":
         terms = [energy(sum((t.expr for t in terms), ca.SX(0)))]
+    else:
+        entries = {states[i].element_hash() for i in range(states.numel())}
+        terms = [part for t in terms for part in summands(resolve_kind(t, entries), entries)]
     total = sum((_gradient(method, t, states, d, _nominals(x)) for t in terms), ca.SX.zeros(states.numel(), 1))
     return _two_point(ca.densify(total), states, d, p, vector=True)
 

@@ -7,6 +7,7 @@ import casadi as ca
 from phfmu.declare.energy import Energy
 from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.summands import summands
 from phfmu.discretise.terms import DeclarationError, Locator, Terms, WithIncrement, make_term, member
 
 
@@ -17,7 +18,8 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
             group = [e for e in model.energies if e.owner == owner]
             _joint(model, out, locator, mass, group)
         return
-    for e in model.energies:
+    known = {s.element_hash() for v in model.states for s in ca.vertsplit(v.sx)}
+    for e in (part for whole in model.energies for part in summands(whole, known)):
         states = _states_of(e.expr, locator)
         if not states:  # a constant moves nothing
             continue
