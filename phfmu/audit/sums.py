@@ -48,28 +48,34 @@ def extend(sums: Sequence[CompensatedSum], x: Floats) -> Floats:
     return high + low
 
 
-def _running(x: Floats, high: ArrayLike = 0.0, low: ArrayLike = 0.0) -> tuple[Floats, Floats]:
-    """`CompensatedSum.add` along the first axis of x; the running high and low parts, each shaped as x."""
-    shape = (len(x) + 1, *x.shape[1:])
-    order = "F" if len(x) > x[0].size else "C"  # sums run over what lies side by side in memory
-    sums, lows = np.empty(shape, order=order), np.empty(shape, order=order)
+def _running(x: Floats, high: ArrayLike, low: ArrayLike) -> tuple[Floats, Floats]:
+    """`CompensatedSum.add` down the columns of x [n,m]; the running high and low parts [n,m]."""
+    x, shape = np.asfortranarray(x), (len(x) + 1, x.shape[1])  # a sum runs over what lies side by side
+    sums, lows = np.empty(shape, order="F"), np.empty(shape, order="F")
     sums[0], lows[0], sums[1:] = high, low, x
     with np.errstate(invalid="ignore", over="ignore"):
         np.cumsum(sums, axis=0, out=sums)
-        before, after = sums[:-1], sums[1:]
-        part = after - before
-        error = (before - (after - part)) + (x - part)
-        lows[1:] = error if np.isfinite(error).all() else np.where(np.isfinite(error), error, 0.0)
+        lows[1:] = _error(sums[:-1], x, sums[1:])
         np.cumsum(lows, axis=0, out=lows)
-    return after, lows[1:]
+    return sums[1:], lows[1:]
+
+
+def _error(before: Floats, x: Floats, after: Floats) -> Floats:
+    """What the addition after = before + x has rounded off."""
+    part = after - before
+    error = (before - (after - part)) + (x - part)
+    return error if np.isfinite(error).all() else np.where(np.isfinite(error), error, 0.0)
 
 
 def across(x: Floats) -> Floats:
     """Sum over the columns of x [n,m], each row compensated; zeros for m = 0."""
-    if x.shape[1] == 0:
-        return np.zeros(x.shape[0])
-    high, low = _running(x.T)
-    return high[-1] + low[-1]
+    high, low = np.zeros(len(x)), np.zeros(len(x))
+    with np.errstate(invalid="ignore", over="ignore"):
+        for column in np.ascontiguousarray(x.T):
+            after = high + column
+            low += _error(high, column, after)
+            high = after
+    return high + low
 
 
 def larger(a: float, b: float) -> float:
