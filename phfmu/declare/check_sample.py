@@ -88,14 +88,17 @@ class Sample:
         if extra is not None:
             symbols.append(extra[0])
             given.append(extra[1])
-        stacked = ca.densify(ca.vertcat(*(ca.vec(e) for e in exprs)))
+        # only nonzeros: blocks of large models are sparse
+        stacked = ca.vertcat(ca.SX(0, 1), *(ca.vec(e.nz[:]) for e in exprs))
         f = ca.Function("values", symbols, [stacked]).map(self.n)
-        rows = f(*(v.T for v in given)).full().T
+        rows = np.asarray(f(*(v.T for v in given)).full()).T
         out, at = [], 0
         for e in exprs:
-            part = rows[:, at : at + e.numel()]
-            out.append(part.reshape(self.n, e.shape[1], e.shape[0]).transpose(0, 2, 1))
-            at += e.numel()
+            value = np.zeros((self.n, *e.shape))
+            r, c = e.sparsity().get_triplet()
+            value[:, r, c] = rows[:, at : at + e.nnz()]
+            out.append(value)
+            at += e.nnz()
         return out
 
     def of(self, entries: Sequence[Entry]) -> list[Array]:
@@ -198,4 +201,7 @@ def places(variables: Sequence[HasSymbols]) -> dict[int, int]:
 def _solved(matrix: Array, right: Array) -> Array:
     if undetermined(matrix) >= 0:
         return np.full(len(right), np.nan)
+    diagonal = np.diag(matrix)
+    if np.count_nonzero(matrix) == np.count_nonzero(diagonal):
+        return np.asarray(right / diagonal, np.float64)
     return np.asarray(np.linalg.solve(matrix, right), np.float64)
