@@ -391,3 +391,30 @@ def test_the_library_has_no_such_warning():
         normal_form(entries)
         sample = Sample(entries)
         assert [p for rule in (continuous, kinks, bounded, constants) for p in rule(entries, sample)] == []
+
+
+@cache
+def all_operations() -> PHDAE:
+    """An energy with every operation in it; jumps are multiplied by what vanishes where they are."""
+
+    def of(q: ca.SX) -> ca.SX:
+        total = ca.SX(0)
+        for i, name in enumerate(OPERATIONS):
+            shifted = q * (0.5 + 0.01 * i) - 0.1
+            total += 0.01 * ca.cos(i + 0.0) * applied(name, shifted, 0.3 * q + 0.7) * shifted**2
+        return total
+
+    return oscillator(of)
+
+
+@pytest.mark.slow
+def test_native_units_take_every_operation(compiler):
+    """What is stored is the difference of H in generated C too."""
+    model = all_operations()
+    unit = NativeInstance(build_model(model))
+    h = ca.Function("h", [model.x], [model.hamiltonian])
+    states, stored = run(unit, (0.9, 0.3), 0.02, 20)
+    values = np.array([float(h(x)) for x in states])
+    assert np.cumsum(stored) == pytest.approx(values[1:] - values[0], abs=1e-12 * np.max(np.abs(values)))
+    twin, _ = run(PythonInstance(build_model(model)), (0.9, 0.3), 0.02, 20)
+    assert np.max(np.abs(states - twin)) <= 1e-10
