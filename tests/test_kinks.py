@@ -35,6 +35,8 @@ from phfmu.discretise import gradients
 from phfmu.discretise.coordinate import itoh_abe
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.terms import DeclarationError
+from phfmu.fmu.export import export
+from phfmu.fmu.reader import FMUInstance
 
 EPS = np.finfo(float).eps
 Q = ca.SX.sym("q")
@@ -418,3 +420,15 @@ def test_native_units_take_every_operation(compiler):
     assert np.cumsum(stored) == pytest.approx(values[1:] - values[0], abs=1e-12 * np.max(np.abs(values)))
     twin, _ = run(PythonInstance(build_model(model)), (0.9, 0.3), 0.02, 20)
     assert np.max(np.abs(states - twin)) <= 1e-10
+
+
+def test_a_unit_keeps_its_energy_over_kinks(compiler, tmp_path):
+    """The stop as FMI 3.0 unit: its states keep H, and so does the energy it reports."""
+    model = instance("stop", "order 2", True).model
+    (path,) = export(model.declaration, model, tmp_path, ("3.0",), step=0.05, stop=2.0)
+    with FMUInstance(path) as unit:
+        for i in range(40):
+            unit.do_step(0.05 * i, 0.05)
+            q, p, stored = unit.get(["q", "p", "energy.stored"])
+            assert energies("stop", np.array([[q, p]]))[0] == pytest.approx(22.0, rel=1e-12)
+            assert stored == pytest.approx(22.0, rel=1e-12)
