@@ -96,7 +96,7 @@ static int run3(void *library, const char *token, plan *p) {
     FUNCTION(fmi3DoStepTYPE, step, "fmi3DoStep");
     FUNCTION(fmi3TerminateTYPE, terminate, "fmi3Terminate");
     FUNCTION(fmi3FreeInstanceTYPE, release, "fmi3FreeInstance");
-    fmi3Instance c = instantiate("host", token, NULL, 0, 0, 0, 0, NULL, 0, NULL, logger3, NULL);
+    fmi3Instance c = instantiate("host", token, NULL, 0, 1, 0, 0, NULL, 0, NULL, logger3, NULL);
     unsigned in = (unsigned)p->input;
     if (!c)
         return 1;

@@ -358,6 +358,33 @@ def test_a_host_without_interpreter_runs_it(exported, tmp_path: Path, version: s
     assert wrong.returncode == 1 and "has the token '{another}'" in wrong.stderr
 
 
+@needs_cc
+def test_two_source_units_link_into_one_program(exported, tmp_path: Path) -> None:
+    """Compiled with their prefixes, as the standard has it for static libraries; every other name is the model's too."""
+    command, objects, expected = [str(tmp_path / "linked")], [], []
+    for name, variable in (("pendulum", "q[1]"), ("line", "flux[1]")):
+        _, _, h, paths = exported(name)
+        folder, prefix = tmp_path / name, paths["3.0"].name.removesuffix("_fmi3.fmu")
+        zipfile.ZipFile(paths["3.0"]).extractall(folder)
+        files = sorted(folder.glob("sources/*.c"))
+        flags = ["-std=c11", "-O0", "-DPH_API=", f"-DFMI3_FUNCTION_PREFIX={prefix}_", "-isystem", str(sources.HEADERS)]
+        subprocess.run(["cc", *flags, "-c", *map(str, files)], cwd=folder, check=True)
+        objects += sorted(map(str, folder.glob("*.o")))
+        listed = subprocess.run(["nm", "-g", "--defined-only", *folder.glob("*.o")], capture_output=True, text=True)
+        names = {line.split()[2] for line in listed.stdout.splitlines() if len(line.split()) == 3}
+        assert len(names) > 100 and not {n for n in names if not n.startswith(f"{prefix}_")}
+        with FMUInstance(paths["3.0"]) as unit:
+            command += [unit.interface.token, repr(h), str(unit.interface.variables[variable].reference)]
+            for k in range(40):
+                unit.do_step(k * h, h)
+            expected.append(unit.get([variable])[0])
+    host = ["cc", "-std=c11", "-DFIRST=pendulum_", "-DSECOND=rl_line_", "-isystem", str(sources.HEADERS)]
+    subprocess.run([*host, str(HERE / "fmu_linked.c"), *objects, "-o", command[0], "-lm"], check=True)
+    done = subprocess.run([*command, "40"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_allclose([float(line) for line in done.stdout.split()], expected, rtol=1e-11)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("cmake"), reason="needs cmake")
 @pytest.mark.parametrize("version", ["2.0", "3.0"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,25 +17,27 @@ SHORTEST = 0.125  # part of a step whose solution may lead to that of the whole
 class Attempts:
     """Solves a step from the unknowns `last` of the step h_last before (0: none).
 
-    `fixed`: what is fixed in a step of given length;  after `solve`, `iterations` spent, and whether it took a
-    restart or a line search.
+    `fixed`: what is fixed in a step of given length;  `most`: iterations after which no attempt begins;  after `solve`,
+    `iterations` spent, and whether it took a restart or a line search.
     """
 
     newton: Newton
     last: Array
     h_last: float
     fixed: Callable[[float], Fixed]
+    most: int
     iterations: int = 0
     restarts: int = 0
     line_searches: int = 0
+    outcome: Outcome = field(init=False)
 
     def solve(self, h: float) -> Outcome:
         """From the last step, from rest, from shorter steps, then from the first two with line search."""
         starts = [True] if self.h_last == 0 else [False, True]
-        outcome = Outcome(Status.NO_CONVERGENCE, self.last)
+        self.outcome = outcome = Outcome(Status.NO_CONVERGENCE, self.last)
         for damped in (False, True):
             for rest in starts:
-                outcome = self._newton(self._start(h, rest), h, damped)
+                outcome = self._attempt(h, rest, damped)
                 if outcome.status is Status.OK:
                     self.restarts, self.line_searches = int(rest and len(starts) == 2), int(damped)
                     return outcome
@@ -55,16 +57,22 @@ class Attempts:
         part, outcome = 1.0, Outcome(Status.NO_CONVERGENCE, self.last)
         while outcome.status is not Status.OK and part > SHORTEST:
             part /= 2
-            outcome = self._newton(self._start(part * h, self.h_last == 0), part * h)
+            outcome = self._attempt(part * h, self.h_last == 0)
         while outcome.status is Status.OK and part < 1.0:
             part *= 2
             outcome = self._newton(self._scaled(outcome.w, 2.0), part * h)
         return outcome
 
+    def _attempt(self, h: float, rest: bool, damped: bool = False) -> Outcome:
+        """From the last step or from rest; where there were enough iterations, how the last attempt failed."""
+        if self.iterations >= self.most:
+            return replace(self.outcome, status=Status.NO_CONVERGENCE)
+        return self._newton(self._start(h, rest), h, damped)
+
     def _newton(self, w: Array, h: float, damped: bool = False) -> Outcome:
-        outcome = self.newton.attempt(w, self.fixed(h), damped)
-        self.iterations += outcome.iterations
-        return outcome
+        self.outcome = self.newton.attempt(w, self.fixed(h), damped)
+        self.iterations += self.outcome.iterations
+        return self.outcome
 
     def _start(self, h: float, rest: bool) -> Array:
         """Increments zero and algebraic values as they were, or the last step carried over to the step size h."""

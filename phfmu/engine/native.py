@@ -230,5 +230,5 @@ class NativeInstance:
         tried = "two starts, " + ("line search" if r.instant else "shorter steps, line search and 64 substeps")
         raise StepFailure(
             status, name, r.time, r.h, equation=equation, residual=r.residual, floor=r.floor,
-            update=r.update, iterations=r.iterations, tried=tried,
+            update=r.update, iterations=r.iterations, spent=r.spent, tried=tried,
         )  # fmt: skip

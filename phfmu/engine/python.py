@@ -34,6 +34,7 @@ class PythonInstance:
         self.model = model
         self._step, self._instant = Evaluator(model.step), Evaluator(model.instant)
         self._newton, self._solver = Newton(self._step), Newton(self._instant)
+        self._begun = self._most = 0.0  # of the iterations: at the start of the internal step, at most in all
         self.reset()
 
     # -- state ------------------------------------------------------------------------------------------------------
@@ -140,8 +141,10 @@ class PythonInstance:
         s.x_old, s.u_old, s.solved = self._old().copy(), s.u.copy(), 0
         s.last = self._nothing()
         y, a, nodes_y = np.zeros(plan.nq), np.zeros(plan.na), np.zeros((plan.k, plan.nq))
+        self._most = s.counts["iterations"] + LIMITS["MOST_ITERATIONS"] + parts * LIMITS["MORE_ITERATIONS"]
         try:
             for i in range(parts):
+                self._begun = s.counts["iterations"]
                 for y_part, a_part, start, weight in self._advance(t, h, i / parts, 1.0 / parts, 0):
                     y += weight * (plan.weights @ y_part)
                     a += weight * a_part
@@ -195,13 +198,15 @@ class PythonInstance:
         s.x[-1] = t + h * start
         u = self._inputs(start + part * self.model.nodes)
         outcome = self._solve(h * part, u)
+        energies = self._weigh(outcome, h * part, u) if outcome.status is Status.OK else {}
         if outcome.status is Status.OK:
-            return [(*self._accept(outcome, h * part, u), start, part)]
-        if depth == DEPTH:
+            return [(*self._accept(outcome, h * part, energies), start, part)]
+        spent = s.counts["iterations"] - self._begun
+        if depth == DEPTH or self._left() <= 0:
             name = self.model.row_names[outcome.row] if outcome.row >= 0 else ""
             raise StepFailure(
                 outcome.status, self.model.name, t + h * start, h * part, equation=name, residual=outcome.residual,
-                floor=outcome.floor, update=outcome.update, iterations=outcome.iterations,
+                floor=outcome.floor, update=outcome.update, iterations=outcome.iterations, spent=spent,
                 tried=f"two starts, shorter steps, line search and {2**DEPTH} substeps",
             )  # fmt: skip
         s.counts["substeps"] += 1
@@ -222,6 +227,11 @@ class PythonInstance:
             return np.tile(values[0], len(at))
         return np.concatenate([basis.value(float(c)) @ values for c in at])
 
+    def _left(self) -> int:
+        """Newton iterations the present internal step may still take."""
+        most = min(self._begun + LIMITS["MOST_ITERATIONS"], self._most)
+        return int(most) - self._s.counts["iterations"]
+
     def _solve(self, h: float, u: Array) -> Outcome:
         """Unknowns of a step of length h; constraints at rest that turn out not to be redundant come back."""
         s, evaluator = self._s, self._step
@@ -240,40 +250,49 @@ class PythonInstance:
 
     def _attempted(self, h: float, u: Array) -> Outcome:
         s, x = self._s, self._old()
-        attempts = Attempts(self._newton, s.w, s.h_last, lambda length: (x, np.append(u, length), s.p, length))
+        attempts = Attempts(
+            self._newton, s.w, s.h_last, lambda length: (x, np.append(u, length), s.p, length), self._left()
+        )
         outcome = attempts.solve(h)
         for name in ("iterations", "restarts", "line_searches"):
             s.counts[name] += getattr(attempts, name)
         return outcome
 
-    def _accept(self, outcome: Outcome, h: float, u: Array) -> tuple[Array, Array]:
-        """Book the ledger at the converged unknowns and move the state; node outputs and mean algebraic variables."""
+    def _weigh(self, outcome: Outcome, h: float, u: Array) -> dict[str, Array]:
+        """Energies and node outputs of a solved part; the outcome fails if they, or the sums they go into, overflow."""
         s, plan = self._s, self.model.step
         fixed = (self._old(), np.append(u, h), s.p, h)
+        with np.errstate(over="ignore", invalid="ignore"):
+            w = self._evaluated(self._newton, outcome.w, fixed)
+            stored, moved, lost, numerical = self._step.ledger(fixed[0], s.p)
+            y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
+            u_nodes = self._step.Y[plan.pair_src].reshape(plan.k, plan.nq)
+            pairs = h * plan.weights @ (y_nodes * u_nodes)
+            np.add.at(pairs, plan.work_pair, self._step.R[plan.work_row])
+            part = {"stored": stored, "dissipated": h * lost, "numerical": numerical, "moved": moved, "pairs": pairs}
+            part |= {"supplied": np.bincount(plan.pair_owner, pairs, plan.ncomp), "y": y_nodes.copy(), "w": w}
+            sums = (s.x[:-1], s.energy, s.stored, s.dissipated, s.supplied, *part.values())
+            if not all((np.abs(v) <= LIMITS["LARGEST"]).all() for v in sums):
+                outcome.status, outcome.row = Status.NOT_FINITE, -1
+        return part
+
+    def _accept(self, outcome: Outcome, h: float, part: dict[str, Array]) -> tuple[Array, Array]:
+        """Book the ledger at the converged unknowns and move the state; node outputs and mean algebraic variables."""
+        s, plan = self._s, self.model.step
         s.solved += 1
-        w = self._evaluated(self._newton, outcome.w, fixed)
-        stored, moved, lost, numerical = self._step.ledger(fixed[0], s.p)
-        y_nodes = self._step.R[plan.nw : plan.nw + plan.nq * plan.k].reshape(plan.k, plan.nq)
-        u_nodes = self._step.Y[plan.pair_src].reshape(plan.k, plan.nq)
-        pairs = h * plan.weights @ (y_nodes * u_nodes)
-        np.add.at(pairs, plan.work_pair, self._step.R[plan.work_row])
-        s.last["stored"] += stored
-        s.last["dissipated"] += h * lost
-        s.last["numerical"] += numerical
-        s.last["moved"] += moved
-        s.last["pairs"] += pairs
-        s.last["supplied"] += np.bincount(plan.pair_owner, pairs, plan.ncomp)
+        for name, row in s.last.items():
+            row += part[name]
         s.w, s.h_last = outcome.w.copy(), h
         change = np.bincount(plan.update_x, plan.update_c * outcome.w[plan.update_w], plan.nx) + s.carry
         total = s.x[:-1] + change
         s.carry = change - (total - s.x[:-1])
         s.x[:-1] = total
-        a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * w[plan.mean_w], plan.na)
+        a = np.bincount(plan.mean_a, plan.mean_c * h**plan.mean_pow * part["w"][plan.mean_w], plan.na)
         if plan.carries:
             s.a = a
         if s.rests.any():
             self._exchange(h)
-        return y_nodes.copy(), a
+        return part["y"], a
 
     def _evaluated(self, newton: Newton, w: Array, fixed: Fixed) -> Array:
         """All rows at the solution w, its multipliers those of least norm where constraints rest."""
@@ -424,6 +443,8 @@ class PythonInstance:
                 w = outcome.w
             a, r = self._evaluated(self._solver, w, fixed), self._instant.R
             stored, *_ = self._instant.ledger(s.x, s.p)
+            if not np.isfinite(np.concatenate([r, stored])).all():
+                raise StepFailure(Status.NOT_FINITE, self.model.name, s.t, 0.0)
             s.end = {
                 "w": w, "a": a[plan.mean_w], "y": r[plan.nw : plan.nw + plan.nq].copy(),
                 "o": r[plan.nw + plan.nq :].copy(), "H": stored,

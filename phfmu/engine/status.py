@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import Any
 
+from phfmu.engine.limits import LIMITS
+
 
 class Status(Enum):
     """Outcome of a solve; order and messages are those of `ph_status` in `runtime/phfmu.h`, then those of units."""
@@ -28,9 +30,10 @@ class StepFailure(RuntimeError):
 
     `component`: name of the model; `time`, `h`: start and length (s) of the refused step or substep, h = 0 if
     the values at one instant failed; `equation`: name of the row with the largest scaled residual `residual`, of
-    which rounding alone leaves `floor`; `update`: last scaled change of the unknowns (1 = nominal); `tried`: what
-    was attempted; `joined`: members were being joined, `history` the scaled residuals of that.  A run adds `asked`, the step
-    it asked for, and `longest`, the longest it had solved.  The remedy follows from these (`phfmu.engine.remedy`).
+    which rounding alone leaves `floor`; `update`: last scaled change of the unknowns (1 = nominal); `iterations` of the
+    last attempt, `spent` by all at this internal step; `tried`: what was attempted; `joined`: members were being joined,
+    `history` the scaled residuals of that.  A run adds `asked`, the step it asked for, and `longest`, the longest it had
+    solved.  The remedy follows from these (`phfmu.engine.remedy`).
     """
 
     def __init__(
@@ -45,6 +48,7 @@ class StepFailure(RuntimeError):
         floor: float = 0.0,
         update: float = float("nan"),
         iterations: int = 0,
+        spent: int = 0,
         tried: str = "",
         joined: bool = False,
         history: Sequence[float] = (),
@@ -58,6 +62,7 @@ class StepFailure(RuntimeError):
         self.floor = floor
         self.update = update
         self.iterations = iterations
+        self.spent = spent
         self.tried = tried
         self.joined, self.history = joined, tuple(history)
         self.asked, self.longest = 0.0, 0.0
@@ -84,6 +89,8 @@ class StepFailure(RuntimeError):
             text += f", last update {self.update:.3g}"
         if self.iterations:
             text += f", {self.iterations} iterations"
+        if self.spent >= LIMITS["MOST_ITERATIONS"]:
+            text += f", {self.spent} with all attempts: no step may take more"
         if self.tried:
             text += f"; tried {self.tried}"
         advice = remedy(self)

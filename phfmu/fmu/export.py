@@ -99,7 +99,7 @@ def _files(
     unit: Unit, version: str, token: str, code: sources.Sources, libraries: dict[str, bytes]
 ) -> dict[str, bytes]:
     """Content of the archive of one version."""
-    own = sources.of_version(code, version)
+    own = sources.of_version(code, version, unit.identifier)
     files = {f"sources/{n}": s.read_bytes() if isinstance(s, Path) else s.encode() for n, s in own.items()}
     compiled = sorted(n for n in own if n.endswith(".c"))
     files["sources/buildDescription.xml"] = fmi3.build_description(unit, compiled)

@@ -45,6 +45,7 @@ class Slave:
         self.words: deque[str] = deque(maxlen=KEPT)
         #: after a fatal error nothing may be called any more, not even to free it
         self.dead = False
+        ours = bool(about.energy)  # quiet unless something is wrong; other units may say anything
         common: dict[str, Any] = {
             "guid": about.token, "modelIdentifier": about.identifier, "unzipDirectory": str(archive.folder),
             "instanceName": name,
@@ -54,10 +55,12 @@ class Slave:
         try:
             if self.two:
                 self.fmu: Any = FMU2Slave(libraryPath=str(archive.folder / archive.library), **common)
-                self.fmu.instantiate(callbacks=self._callbacks())
+                self.fmu.instantiate(callbacks=self._callbacks(), loggingOn=ours)
             else:
                 self.fmu = FMU3Slave(**common)
-                self.fmu.instantiate(logMessage=lambda _environment, status, _category, text: self._log(status, text))
+                self.fmu.instantiate(
+                    loggingOn=ours, logMessage=lambda _environment, status, _category, text: self._log(status, text)
+                )
         except Exception as error:  # the bindings raise plain Exception for a library that does not load
             raise FMUError(f"{archive.path}: {plain(str(error))}{said(self._last_words())}") from error
         finally:

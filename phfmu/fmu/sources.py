@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable
 from math import isfinite
 from pathlib import Path
@@ -59,10 +60,24 @@ def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
     return {**fixed(), **equations, "interface.c": interface_text(unit, token)}
 
 
-def of_version(sources: Sources, version: str) -> Sources:
-    """The sources an importer of one version can compile."""
+def of_version(sources: Sources, version: str, identifier: str) -> Sources:
+    """The sources an importer of one version can compile, with names of their own: `identifier` before each."""
     others = {name for v, names in PROTOCOL.items() if v != version for name in names}
-    return {name: source for name, source in sources.items() if name not in others}
+    own = {name: source for name, source in sources.items() if name not in others}
+    return own | {"names.h": names_text(own, identifier)}
+
+
+def names_text(sources: Sources, identifier: str) -> str:
+    """names.h: what the headers declare for the linker, renamed."""
+    found: set[str] = set()
+    for name, source in sources.items():
+        if name.endswith(".h"):
+            text = source.read_text() if isinstance(source, Path) else source
+            found.update(re.findall(r"\b((?:ph|fmu)_\w+)\(", text))
+            found.update(re.findall(r"^extern const [^;=]*?(\w+)(?:\[\])?;", text, flags=re.M))
+    found.add("ph_the_model")
+    lines = "".join(f"#define {name} {identifier}_{name}\n" for name in sorted(found))
+    return f"/* Generated. Names of {identifier}, for programs that several units are linked into. */\n{lines}"
 
 
 def headers() -> Sources:

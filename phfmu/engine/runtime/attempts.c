@@ -32,8 +32,11 @@ static void start_rest(ph_system *s) {
         s->y[i] = s->plan->increments[i] ? 0.0 : s->last[i];
 }
 
-/* Newton's method for a step h, from the last step or from rest. */
+/* Newton's method for a step h, from the last step or from rest; nothing where there were enough iterations.
+ */
 static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
+    if (s->count[PH_ITERATIONS] >= s->most)
+        return PH_NO_CONVERGENCE;
     if (rest)
         start_rest(s);
     else

@@ -113,6 +113,9 @@ static size_t lay_out(ph_instance *in, block *b) {
     in->moved = doubles(b, in->model->step->ncomp);
     in->lost = doubles(b, in->model->step->ncomp);
     in->numerical = doubles(b, in->model->step->ncomp);
+    in->energies = doubles(b, in->model->step->nq);
+    in->means = doubles(b, in->model->step->nq);
+    in->unspread = doubles(b, in->model->step->nhold > 0 ? in->model->step->nw : 0);
     in->basis = doubles(b, in->model->step->k);
     in->change = doubles(b, in->model->step->nx);
     return b->used;

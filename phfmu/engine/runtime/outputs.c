@@ -8,6 +8,7 @@
 static int solve_instant(ph_instance *in) {
     ph_system *s = &in->instant;
     const double *mean = in->table + in->offset[PH_A];
+    long long begun;
     int status;
     for (int l = 0; in->head->parts > 0 && l < s->plan->nmean; l++)
         s->last[s->plan->mean_w[l]] = mean[s->plan->mean_a[l]];
@@ -15,11 +16,14 @@ static int solve_instant(ph_instance *in) {
     s->lu.ready = s->lu.filled = 0;
     ph_inputs_at(in, in->head->theta, s->y + s->plan->nw);
     in->count[PH_INSTANTS]++;
+    begun = in->count[PH_ITERATIONS];
+    s->most = begun + PH_MOST_ITERATIONS;
     status = ph_solve(s, 1.0);
     if (status == PH_OK)
         return status;
     ph_explain(s, status, &in->report);
     in->report.instant = 1;
+    in->report.spent = (int)(in->count[PH_ITERATIONS] - begun);
     in->report.time = in->table[s->plan->nx];
     in->report.h = 0.0;
     ph_lu_adopt(&s->lu, s->pivot);
@@ -45,6 +49,12 @@ int ph_refresh(ph_instance *in) {
         a[p->mean_a[l]] += p->mean_c[l] * s->y[p->mean_w[l]];
     memcpy(in->table + in->offset[PH_Y_END], s->r + p->nw, sizeof(double) * (size_t)(p->nq + p->nobs));
     ph_eval_ledger(s, in->table + in->offset[PH_H], in->moved, in->lost, in->numerical);
+    if (!ph_finite(a, in->offset[PH_NBLOCK] - in->offset[PH_A_END])) {
+        in->report = (ph_report){.status = PH_NOT_FINITE, .row = -1, .column = -1, .instant = 1};
+        in->report.time = in->table[p->nx];
+        ph_lu_adopt(&s->lu, s->pivot);
+        return PH_NOT_FINITE;
+    }
     if (s->lu.ready)
         memcpy(s->pivot, s->lu.pivot, sizeof(int) * (size_t)p->nw);
     *s->last_h = 1.0;

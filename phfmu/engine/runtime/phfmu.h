@@ -87,6 +87,7 @@ typedef struct ph_report {
     int row;         /* row of the largest scaled residual, or the row without entries */
     int column;      /* unknown without a pivot */
     int iterations;  /* of the last attempt */
+    int spent;       /* of all attempts at the internal step */
     int instant;     /* 1: in the system of the end values, 0: in a step */
     double residual; /* its scaled value */
     double floor;    /* what rounding alone leaves of it */

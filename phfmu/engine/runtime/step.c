@@ -41,34 +41,66 @@ static void move(ph_instance *in) {
     }
 }
 
-/* Ledger, means and state after a converged solve of the part [from, from + weight] of the communication
- * step. */
-static void accept(ph_instance *in, double h, double from, double weight) {
+static int within(const double *restrict values, int n) {
+    int beyond = 0;
+    for (int i = 0; i < n; i++)
+        beyond |= !(fabs(values[i]) <= PH_LARGEST);
+    return !beyond;
+}
+
+/* Energies of a solved part of length h: in->stored, moved, lost, numerical, energies and means. Refused if
+ * they, the states, or the sums they go into are so large that these may not be finite. Nothing of the state
+ * changes. */
+static int weigh(ph_instance *in, double h) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
-    double *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
-    memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
-    *s->last_h = h;
-    if (s->resting)
+    const double *sum = in->table + in->offset[PH_ENERGY];
+    double most = 0.0; /* sum of sizes: not a number if a term is none */
+    int fits = within(in->table, p->nx);
+    if (s->resting) {
+        memcpy(in->unspread, s->y, sizeof(double) * (size_t)p->nw);
         ph_rest_spread(s);
-    ph_eval_ledger(s, in->stored, in->moved, in->lost, in->numerical);
-    for (int c = 0; c < p->ncomp; c++) {
-        in->row[PH_ROW_STORED][c] += in->stored[c];
-        in->row[PH_ROW_DISSIPATED][c] += h * in->lost[c];
-        in->row[PH_ROW_NUMERICAL][c] += in->numerical[c];
-        in->row[PH_ROW_MOVED][c] += in->moved[c];
     }
+    ph_eval_ledger(s, in->stored, in->moved, in->lost, in->numerical);
     for (int j = 0; j < p->nq; j++) {
-        double y = 0.0, power = 0.0, energy;
+        double y = 0.0, power = 0.0;
         for (int i = 0; i < p->k; i++) {
             double part = p->weights[i] * s->r[p->nw + i * p->nq + j];
             y += part;
             power += part * s->y[p->pair_src[i * p->nq + j]];
         }
-        energy = h * power;
-        mean[j] += weight * y;
-        in->row[PH_ROW_PAIRS][j] += energy;
-        in->row[PH_ROW_SUPPLIED][p->pair_owner[j]] += energy;
+        in->means[j] = y;
+        in->energies[j] = h * power;
+        fits &= fabs(in->energies[j]) + fabs(sum[j]) <= PH_LARGEST;
+    }
+    for (int l = 0; l < p->nwork; l++)
+        most += fabs(s->r[p->work_row[l]]);
+    sum += p->nq;
+    for (int c = 0; c < p->ncomp; c++) {
+        const double *cumulative = sum + c;
+        in->lost[c] *= h;
+        most += (in->moved[c] + fabs(in->lost[c])) + (fabs(in->numerical[c]) + fabs(cumulative[0])) +
+                (fabs(cumulative[p->ncomp]) + fabs(cumulative[2 * p->ncomp]));
+    }
+    return fits && most <= PH_LARGEST ? PH_OK : PH_NOT_FINITE;
+}
+
+/* Ledger, means and state after a converged and weighed solve of the part [from, from + weight] of the
+ * communication step. */
+static void accept(ph_instance *in, double h, double from, double weight) {
+    ph_system *s = &in->step;
+    const ph_plan *p = s->plan;
+    double *a = in->table + in->offset[PH_A], *mean = in->table + in->offset[PH_Y_STEP];
+    for (int c = 0; c < p->ncomp; c++) {
+        in->row[PH_ROW_STORED][c] += in->stored[c];
+        in->row[PH_ROW_DISSIPATED][c] += in->lost[c];
+        in->row[PH_ROW_NUMERICAL][c] += in->numerical[c];
+        in->row[PH_ROW_MOVED][c] += in->moved[c];
+    }
+    for (int j = 0; j < p->nq; j++) {
+        mean[j] += weight * in->means[j];
+        in->row[PH_ROW_PAIRS][j] += in->energies[j];
+        in->row[PH_ROW_SUPPLIED][p->pair_owner[j]] += in->energies[j];
     }
     for (int l = 0; l < p->nwork; l++) {
         double energy = s->r[p->work_row[l]];
@@ -84,6 +116,8 @@ static void accept(ph_instance *in, double h, double from, double weight) {
     ph_book_nodes(in, from, weight);
     move(in);
     in->head->parts++;
+    memcpy(s->last, s->resting ? in->unspread : s->y, sizeof(double) * (size_t)p->nw);
+    *s->last_h = h;
     if (s->resting)
         ph_rest_exchange(in);
 }
@@ -117,9 +151,12 @@ static int try_part(ph_instance *in, double t, double h, double from, double wei
             break;
         called = 1;
     }
-    if (status) {
+    if (status)
         ph_explain(s, status, &in->report);
-        in->report.instant = 0;
+    else if (weigh(in, h * weight))
+        in->report = (ph_report){.status = status = PH_NOT_FINITE, .row = -1, .column = -1};
+    if (status) {
+        in->report.spent = (int)(in->count[PH_ITERATIONS] - in->begun);
         in->report.time = t + h * from;
         in->report.h = h * weight;
     }
@@ -143,12 +180,18 @@ static int walk(ph_instance *in, double t, double h, int i, int n, int refused) 
                 accept(in, h * weight, from, weight);
                 break;
             }
-            if (length == 1)
+            if (length == 1 || in->count[PH_ITERATIONS] >= in->step.most)
                 return status;
             in->count[PH_SUBSTEPS]++;
         }
     }
     return PH_OK;
+}
+
+/* An internal step begins: it may take so many iterations, `all` those of the communication step. */
+static void allow(ph_instance *in, long long all) {
+    in->begun = in->count[PH_ITERATIONS];
+    in->step.most = in->begun + PH_MOST_ITERATIONS < all ? in->begun + PH_MOST_ITERATIONS : all;
 }
 
 static void clear(double *values, int n) {
@@ -249,11 +292,13 @@ static int whole(ph_instance *in, double t, double h) {
 }
 
 int ph_step_parts(ph_instance *in, double t, double h, int n) {
+    const long long all = in->count[PH_ITERATIONS] + PH_MOST_ITERATIONS + (long long)n * PH_MORE_ITERATIONS;
     int refused = 0;
     if (!isfinite(t + h) || n < 1)
         return PH_ARGUMENT;
     if (h != 0.0 && is_sliver(in, t, h))
         return ph_skip(in, t + h);
+    allow(in, all);
     if (n == 1 && h != 0.0) {
         if (whole(in, t, h) == PH_OK)
             return PH_OK;
@@ -271,7 +316,10 @@ int ph_step_parts(ph_instance *in, double t, double h, int n) {
     }
     begin(in, h);
     for (int i = 0; i < n; i++) {
-        int status = walk(in, t, h, i, n, refused);
+        int status;
+        if (i > 0)
+            allow(in, all);
+        status = walk(in, t, h, i, n, refused);
         if (status == PH_OK)
             continue;
         in->count[PH_FAILED]++;

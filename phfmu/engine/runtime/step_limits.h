@@ -7,4 +7,12 @@
 #define PH_SLIVER_CLOCK 2
 #define PH_SLIVER_STEP 1e-9
 
+/* Newton iterations an internal step may take, all attempts and substeps together; a communication step may
+ * take this and some more for each internal step. */
+#define PH_MOST_ITERATIONS 2500
+#define PH_MORE_ITERATIONS 100
+
+/* Energies, states and outputs of a step may be this large: sums of a million of them are still finite. */
+#define PH_LARGEST 1e302
+
 #endif

@@ -65,6 +65,7 @@ struct ph_system {
     int iterations;
     double update;
     long long *count;
+    long long most; /* count[PH_ITERATIONS] from which on no attempt begins */
 };
 
 void ph_eval_h(ph_system *s, double h);
@@ -137,8 +138,12 @@ struct ph_instance {
     double *moved;     /* ncomp */
     double *lost;      /* ncomp */
     double *numerical; /* ncomp */
+    double *energies;  /* nq: of the pairs, inputs times outputs */
+    double *means;     /* nq: of their outputs */
+    double *unspread;  /* nw if constraints may rest: unknowns before ph_rest_spread */
     double *basis;     /* k */
     double *change;    /* nx */
+    long long begun;   /* count[PH_ITERATIONS] at the start of the internal step */
     long long count[PH_NCOUNT];
     ph_report report;
 };

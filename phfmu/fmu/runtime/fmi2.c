@@ -34,8 +34,10 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     (void)visible;
     if (fmuType != fmi2CoSimulation || !functions)
         return NULL;
-    return fmu_create(instanceName, fmuGUID, loggingOn, sink, (void (*)(void))functions->logger,
-                      functions->componentEnvironment);
+    /* here loggingOn is about messages for debugging; why a call was refused is told until somebody objects
+     */
+    return fmu_create(instanceName, fmuGUID, loggingOn ? FMU_LOG_ALL : FMU_LOG_ERRORS, sink,
+                      (void (*)(void))functions->logger, functions->componentEnvironment);
 }
 
 void fmi2FreeInstance(fmi2Component c) {
@@ -44,12 +46,7 @@ void fmi2FreeInstance(fmi2Component c) {
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
-    (void)nCategories;
-    (void)categories;
-    if (!c)
-        return fmi2Error;
-    ((fmu *)c)->logging = loggingOn;
-    return fmi2OK;
+    return STATUS(fmu_log(c, __func__, loggingOn, nCategories, categories));
 }
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,

@@ -28,8 +28,8 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     (void)earlyReturnAllowed;
     (void)requiredIntermediateVariables;
     (void)intermediateUpdate;
-    f = fmu_create(instanceName, instantiationToken, loggingOn, sink, (void (*)(void))logMessage,
-                   instanceEnvironment);
+    f = fmu_create(instanceName, instantiationToken, loggingOn ? FMU_LOG_ALL : 0, sink,
+                   (void (*)(void))logMessage, instanceEnvironment);
     if (!f || (!eventModeUsed && nRequiredIntermediateVariables == 0))
         return f;
     fmu_refuse(f, "%s: there is no event mode and no intermediate update", __func__);
@@ -43,12 +43,7 @@ void fmi3FreeInstance(fmi3Instance instance) {
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories,
                                const fmi3String categories[]) {
-    (void)nCategories;
-    (void)categories;
-    if (!instance)
-        return fmi3Error;
-    ((fmu *)instance)->logging = loggingOn;
-    return fmi3OK;
+    return STATUS(fmu_log(instance, __func__, loggingOn, nCategories, categories));
 }
 
 fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean toleranceDefined,

@@ -53,10 +53,10 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
 fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink, void (*callback)(void),
                 void *environment) {
     const fmu_interface *about = &fmu_the_interface;
-    fmu nobody = {.sink = sink, .callback = callback, .environment = environment, .name = (char *)name};
+    fmu nobody = {.logging = logging, .sink = sink, .callback = callback, .environment = environment};
     fmu *f;
-    if (!name || !*name) {
-        nobody.name = "";
+    nobody.name = name ? (char *)name : "";
+    if (!*nobody.name) {
         fmu_refuse(&nobody, "the name of an instance must not be empty");
         return NULL;
     }
@@ -210,8 +210,8 @@ int fmu_do_step(fmu *f, const char *function, double t, double h) {
     if (status)
         return fmu_solver(f, function, status);
     f->phase.steps++;
-    if (f->logging && count[PH_SUBSTEPS] > halved)
-        fmu_say(f, FMU_OK, "logNonlinearSystems", "the step from t = %.9g s of %.9g s was halved %lld times",
-                t, h, count[PH_SUBSTEPS] - halved);
+    if (count[PH_SUBSTEPS] > halved)
+        fmu_say(f, FMU_OK, FMU_LOG_HALVED, "the step from t = %.9g s of %.9g s was halved %lld times", t, h,
+                count[PH_SUBSTEPS] - halved);
     return FMU_OK;
 }

@@ -70,6 +70,9 @@ extern const fmu_interface fmu_the_interface;
 
 typedef struct fmu fmu;
 
+/* Categories of messages, a mask; names in fmu_log.c. */
+enum { FMU_LOG_ERRORS = 1, FMU_LOG_HALVED = 2, FMU_LOG_ALL = 3 };
+
 /* Passes a message on to the importer through `callback`. */
 typedef void (*fmu_sink)(const fmu *f, int status, const char *category, const char *text);
 
@@ -85,7 +88,7 @@ struct fmu {
     const fmu_interface *about;
     ph_instance *in;
     fmu_phase phase;
-    int logging;
+    int logging; /* categories that are passed on */
     fmu_sink sink;
     void (*callback)(void); /* the importer's logger, cast back by the sink */
     void *environment;
@@ -104,8 +107,9 @@ struct fmu {
 #endif
 
 /* fmu_log.c; both return their status */
-int fmu_say(const fmu *f, int status, const char *category, const char *format, ...) FMU_FORMAT(4, 5);
+int fmu_say(const fmu *f, int status, int category, const char *format, ...) FMU_FORMAT(4, 5);
 int fmu_refuse(const fmu *f, const char *format, ...) FMU_FORMAT(2, 3);
+int fmu_log(fmu *f, const char *function, int on, size_t n, const char *const *categories); /* n = 0: all */
 int fmu_allow(const fmu *f, const char *function, int modes);
 int fmu_solver(const fmu *f, const char *what, int status);
 

@@ -1,19 +1,27 @@
 /* Messages: what was refused, with the numbers and the next move. */
 #include <stdarg.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "fmu.h"
 
-static int say(const fmu *f, int status, const char *category, const char *format, va_list values) {
+static const struct {
+    int category;
+    const char *name;
+} categories[] = {{FMU_LOG_ERRORS, "logStatusError"}, {FMU_LOG_HALVED, "logNonlinearSystems"}};
+
+#define CATEGORIES (sizeof(categories) / sizeof(categories[0]))
+
+static int say(const fmu *f, int status, int category, const char *format, va_list values) {
     char text[1024];
-    if (!f || !f->sink || !f->callback)
+    if (!f || !f->sink || !f->callback || !(f->logging & category))
         return status;
     vsnprintf(text, sizeof(text), format, values);
-    f->sink(f, status, category, text);
+    f->sink(f, status, categories[category == FMU_LOG_HALVED].name, text);
     return status;
 }
 
-int fmu_say(const fmu *f, int status, const char *category, const char *format, ...) {
+int fmu_say(const fmu *f, int status, int category, const char *format, ...) {
     va_list values;
     va_start(values, format);
     say(f, status, category, format, values);
@@ -24,9 +32,26 @@ int fmu_say(const fmu *f, int status, const char *category, const char *format, 
 int fmu_refuse(const fmu *f, const char *format, ...) {
     va_list values;
     va_start(values, format);
-    say(f, FMU_ERROR, "logStatusError", format, values);
+    say(f, FMU_ERROR, FMU_LOG_ERRORS, format, values);
     va_end(values);
     return FMU_ERROR;
+}
+
+int fmu_log(fmu *f, const char *function, int on, size_t n, const char *const *names) {
+    int logging = n == 0 ? FMU_LOG_ALL : 0;
+    if (!f)
+        return FMU_ERROR;
+    for (size_t i = 0; on && i < n; i++) {
+        size_t c = 0;
+        while (c < CATEGORIES && names && names[i] && strcmp(names[i], categories[c].name) != 0)
+            c++;
+        if (c == CATEGORIES || !names || !names[i])
+            return fmu_refuse(f, "%s: there is no category '%s', only '%s' and '%s'", function,
+                              names && names[i] ? names[i] : "", categories[0].name, categories[1].name);
+        logging |= categories[c].category;
+    }
+    f->logging = on ? logging : 0;
+    return FMU_OK;
 }
 
 static const char *mode_name(int mode) {
@@ -61,8 +86,8 @@ int fmu_solver(const fmu *f, const char *what, int status) {
     return fmu_refuse(
         f,
         "%s: %s. Worst: %s, scaled residual %.3g (rounding floor %.2g), last update %.3g after %d "
-        "iterations, in [%.9g s, "
-        "%.9g s]. The component is back at t = %.9g s; try a smaller step, or look at its inputs",
+        "iterations (%d with all attempts), in [%.9g s, %.9g s]. The component is back at t = %.9g s; try a "
+        "smaller step, or look at its inputs",
         what, ph_status_text(status), place >= 0 && place < plan->nw ? names[place] : "none", r->residual,
-        r->floor, r->update, r->iterations, r->time, r->time + r->h, fmu_time(f));
+        r->floor, r->update, r->iterations, r->spent, r->time, r->time + r->h, fmu_time(f));
 }

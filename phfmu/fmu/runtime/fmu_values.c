@@ -66,6 +66,9 @@ int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double 
     }
     for (size_t i = 0; i < n; i++)
         values[i] = value_of(f, &f->about->variables[ref[i]]);
+    for (size_t i = 0; i < n; i++) /* sums over components may overflow where their terms do not */
+        if (!isfinite(values[i]))
+            return fmu_refuse(f, "%s: '%s' is not finite", function, f->about->variables[ref[i]].name);
     return FMU_OK;
 }
 
