@@ -73,7 +73,7 @@ def names_text(sources: Sources, identifier: str) -> str:
     for name, source in sources.items():
         if name.endswith(".h"):
             text = source.read_text() if isinstance(source, Path) else source
-            found.update(re.findall(r"\b((?:ph|fmu)_\w+)\(", text))
+            found.update(re.findall(r"\b((?:ph|fmu|fmi[23])_\w+)\(", text))
             found.update(re.findall(r"^extern const [^;=]*?(\w+)(?:\[\])?;", text, flags=re.M))
     found.add("ph_the_model")
     lines = "".join(f"#define {name} {identifier}_{name}\n" for name in sorted(found))

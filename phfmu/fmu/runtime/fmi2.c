@@ -94,7 +94,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
     (void)FMUstate;
-    if (!c)
+    if (!c || fmu_given(c, __func__, size != NULL))
         return fmi2Error;
     *size = fmu_state_size(c);
     return fmi2OK;
@@ -124,14 +124,14 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
-    if (!c || s != fmi2LastSuccessfulTime)
+    if (!c || !value || s != fmi2LastSuccessfulTime)
         return fmi2Discard;
     *value = fmu_time(c);
     return fmi2OK;
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
-    if (!c || s != fmi2Terminated)
+    if (!c || !value || s != fmi2Terminated)
         return fmi2Discard;
     *value = fmi2False;
     return fmi2OK;

@@ -98,7 +98,7 @@ fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
     (void)FMUState;
-    if (!instance)
+    if (!instance || fmu_given(instance, __func__, size != NULL))
         return fmi3Error;
     *size = fmu_state_size(instance);
     return fmi3OK;

@@ -111,6 +111,7 @@ int fmu_say(const fmu *f, int status, int category, const char *format, ...) FMU
 int fmu_refuse(const fmu *f, const char *format, ...) FMU_FORMAT(2, 3);
 int fmu_log(fmu *f, const char *function, int on, size_t n, const char *const *categories); /* n = 0: all */
 int fmu_allow(const fmu *f, const char *function, int modes);
+int fmu_given(const fmu *f, const char *function, int given); /* refuses a null pointer */
 int fmu_solver(const fmu *f, const char *what, int status);
 
 /* fmu.c. NULL if the token is another model's or there is no memory. */

@@ -2,6 +2,8 @@
  *
  * Outputs of a step (names in _step): sensitivity of the step map, by the implicit function theorem at
  * the last step. Outputs at the present time: derivative of the algebraic equations there. */
+#include <math.h>
+
 #include "fmu.h"
 
 static int output_place(const fmu *f, const char *function, unsigned ref, const int *block) {
@@ -49,7 +51,9 @@ int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *un
                    const unsigned *known, size_t nk, const double *seed, double *result) {
     const double *map;
     int block = -1, width;
-    if (fmu_allow(f, function, FMU_INITIALIZATION | FMU_STEP))
+    if (fmu_allow(f, function, FMU_INITIALIZATION | FMU_STEP) ||
+        fmu_given(f, function, (nu == 0 || unknown) && (nk == 0 || known)) ||
+        fmu_given(f, function, ((adjoint ? nu : nk) == 0 || seed) && ((adjoint ? nk : nu) == 0 || result)))
         return FMU_ERROR;
     width = f->about->model->step->nu;
     for (size_t i = 0; i < nu; i++) {
@@ -75,5 +79,8 @@ int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *un
                 map[f->about->variables[unknown[i]].first * width + f->about->variables[known[j]].first];
             result[adjoint ? j : i] += s * seed[adjoint ? i : j];
         }
+    for (size_t i = 0; i < (adjoint ? nk : nu); i++)
+        if (!isfinite(result[i]))
+            return fmu_refuse(f, "%s: a derivative times its seed is not finite", function);
     return FMU_OK;
 }

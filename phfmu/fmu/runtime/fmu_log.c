@@ -75,6 +75,10 @@ int fmu_allow(const fmu *f, const char *function, int modes) {
     return fmu_refuse(f, "%s is not allowed in the mode '%s'", function, mode_name(f->phase.mode));
 }
 
+int fmu_given(const fmu *f, const char *function, int given) {
+    return given ? FMU_OK : fmu_refuse(f, "%s: a null pointer for values that are asked for", function);
+}
+
 /* The last failure of the solver; the instance is back at its last accepted step. */
 int fmu_solver(const fmu *f, const char *what, int status) {
     const ph_report *r = ph_last_report(f->in);

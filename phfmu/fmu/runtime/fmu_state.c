@@ -35,7 +35,7 @@ size_t fmu_state_size(const fmu *f) {
 
 int fmu_save(fmu *f, const char *function, void **state) {
     saved *to;
-    if (fmu_allow(f, function, FMU_ANY))
+    if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state != NULL))
         return FMU_ERROR;
     if (!*state)
         *state = malloc(fmu_state_size(f));
@@ -86,9 +86,9 @@ int fmu_forget(fmu *f, void **state) {
 
 int fmu_write(fmu *f, const char *function, const void *state, void *bytes, size_t size) {
     saved head;
-    if (fmu_allow(f, function, FMU_ANY))
+    if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state && bytes))
         return FMU_ERROR;
-    if (!state || size < fmu_state_size(f))
+    if (size < fmu_state_size(f))
         return fmu_refuse(f, "%s: %zu bytes given, the state has %zu", function, size, fmu_state_size(f));
     memcpy(&head, state, sizeof(head));
     head.sum = sum_of(state, fmu_state_size(f));
@@ -99,7 +99,7 @@ int fmu_write(fmu *f, const char *function, const void *state, void *bytes, size
 
 int fmu_read(fmu *f, const char *function, const void *bytes, size_t size, void **state) {
     saved head;
-    if (fmu_allow(f, function, FMU_ANY))
+    if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state && bytes))
         return FMU_ERROR;
     if (size != fmu_state_size(f))
         return fmu_refuse(f, "%s: %zu bytes given, the state has %zu", function, size, fmu_state_size(f));

@@ -51,7 +51,8 @@ static double value_of(const fmu *f, const fmu_variable *v) {
 
 int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double *values) {
     int stale = 0;
-    if (fmu_allow(f, function, FMU_INITIALIZATION | FMU_STEP | FMU_TERMINATED))
+    if (fmu_allow(f, function, FMU_INITIALIZATION | FMU_STEP | FMU_TERMINATED) ||
+        fmu_given(f, function, n == 0 || (ref && values)))
         return FMU_ERROR;
     for (size_t i = 0; i < n; i++) {
         const fmu_variable *v = find(f, function, ref[i]);
@@ -122,7 +123,8 @@ static int set_inputs(fmu *f) {
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values) {
     const ph_plan *plan = f ? f->about->model->step : NULL;
     int changed[3] = {0};
-    if (fmu_allow(f, function, FMU_INSTANTIATED | FMU_INITIALIZATION | FMU_STEP))
+    if (fmu_allow(f, function, FMU_INSTANTIATED | FMU_INITIALIZATION | FMU_STEP) ||
+        fmu_given(f, function, n == 0 || (ref && values)))
         return FMU_ERROR;
     for (size_t i = 0; i < n; i++)
         if (check_set(f, function, ref[i], values[i]))
