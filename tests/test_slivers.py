@@ -110,7 +110,8 @@ def test_units_take_slivers(host: Path, tmp_path: Path, name: str, version: str)
         about, names = unit.interface, unit.names
     references = [str(about.variables[n].reference) for n in names]
     more = ",".join(f"{s:.17g}" for s in slivers)
-    command = [host, tmp_path / "unit.so", version, about.token, repr(h), "30", "-1", "0", more, *references]
+    drive = next((v.reference for v in about.variables.values() if v.causality == "input"), -1)
+    command = [host, tmp_path / "unit.so", version, about.token, repr(h), "30", drive, "1.5", more, *references]
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     before, *after = np.array([float(v) for v in done.stdout.split()]).reshape(1 + len(slivers), len(names))
