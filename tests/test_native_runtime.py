@@ -272,8 +272,9 @@ def test_parameters_and_reset() -> None:
 def test_messages_and_layouts_agree_with_the_header() -> None:
     inst = NativeInstance(oscillator())
     lib = load(inst.build.path)
-    assert [lib.ph_status_text(i).decode() for i in range(len(Status))] == [s.value for s in Status]
-    assert lib.ph_status_text(len(Status)) == b"unknown status"
+    own = [s for s in Status if s is not Status.UNIT]
+    assert [lib.ph_status_text(i).decode() for i in range(len(own))] == [s.value for s in own]
+    assert lib.ph_status_text(len(own)) == b"unknown status"
     table = ctypes_structures()["ph_model"].from_address(inst._tables.pointer)
     assert table.stamp == stamp()
     table.stamp += 1

@@ -13,7 +13,7 @@ from __future__ import annotations
 import casadi as ca
 
 from phfmu.declare.operations import degree
-from phfmu.discretise.gradients import GUARD, SMALLEST, Gradient, at, guarded, significant
+from phfmu.discretise.gradients import SMALLEST, Gradient, at, guarded, significant
 from phfmu.discretise.quadrature import gauss
 from phfmu.discretise.secants import secants
 
@@ -27,7 +27,8 @@ def itoh_abe(h: ca.SX, x: ca.SX, d: ca.SX, *, symmetric: bool) -> Gradient:
     if degree(h, x) is not None:
         return w, ca.dot(w, d)
     change = secants(h, x, x, d).change
-    return w, at(h, x, x + d) - h if change is None else change
+    assert change is not None  # H is no polynomial
+    return w, change
 
 
 def _ordered(h: ca.SX, x: ca.SX, d: ca.SX, order: list[int]) -> ca.SX:
@@ -42,8 +43,6 @@ def _ordered(h: ca.SX, x: ca.SX, d: ca.SX, order: list[int]) -> ca.SX:
 
 def _divided(h: ca.SX, x: ca.SX, point: ca.SX, d: ca.SX, j: int) -> ca.SX:
     """Divided difference of H in coordinate j from `point` to `point` + d_j e_j."""
-    end = ca.SX(point)
-    end[j] = point[j] + d[j]
     # a function of coordinate j alone, which starts at x_j
     smooth = secants(at(h, x, point), x[j], x[j], d[j])
     slope, p = ca.gradient(smooth.expr, x[j]), degree(smooth.expr, x[j])
@@ -53,8 +52,6 @@ def _divided(h: ca.SX, x: ca.SX, point: ca.SX, d: ca.SX, j: int) -> ca.SX:
         total += float(weight) * at(slope, x[j], x[j] + float(t) * d[j])
     if p is not None:
         return smooth.back(total)[0]
-    if smooth.change is not None:
-        defect = significant(smooth.change, total * d[j])
-        return smooth.back(total + guarded(defect * d[j], d[j] ** 2, SMALLEST))[0]
-    defect = at(h, x, end) - at(h, x, point) - total * d[j]
-    return total + guarded(defect * d[j], d[j] ** 2, GUARD)
+    assert smooth.change is not None
+    defect = significant(smooth.change, total * d[j])
+    return smooth.back(total + guarded(defect * d[j], d[j] ** 2, SMALLEST))[0]

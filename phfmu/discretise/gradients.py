@@ -16,15 +16,12 @@ import numpy as np
 
 from phfmu.declare.operations import degree
 from phfmu.discretise.quadrature import Nodes, gauss
-from phfmu.discretise.secants import Smooth, secants
+from phfmu.discretise.secants import secants
 
-#: Below this squared relative increment a corrected gradient drops its correction: the quadrature defect is then
-#: smaller than the round-off of the quotient.
-GUARD = 1e-6
 #: Threshold on |dx|^2 of quotients with a plain difference as numerator.
 QUOTIENT_GUARD = 1e-12
-#: The same of quotients whose numerator has no cancellation (the joint Gonzalez gradient, energies in pieces): only 0/0 and
-#: its underflow are kept out.
+#: The same of quotients whose numerator has no cancellation: only 0/0 and its underflow are kept out, so that the balance
+#: is exact whatever the units of the states are.
 SMALLEST = 1e-100
 #: What rounding leaves of a defect whose parts are summed without cancellation.
 NOISE = 16 * np.finfo(float).eps
@@ -89,17 +86,11 @@ def general(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> Grad
         # the path integral of the same quadrature: H(x') - H(x) without the cancellation
         dh = sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
     else:
-        dh = _change(smooth, x, x, step)
-        w = _corrected(w, dh, d, nd, metric, exact=smooth.change is not None)
+        assert smooth.change is not None
+        dh = smooth.change
+        w = _corrected(w, dh, d, nd, metric)
     w, dh = smooth.back(w, dh)
     return w, dh
-
-
-def _change(h: Smooth, x: ca.SX, start: ca.SX, step: ca.SX) -> ca.SX:
-    """H(start + step) - H(start)."""
-    if h.change is not None:
-        return h.change
-    return at(h.expr, x, start + step) - at(h.expr, x, start)
 
 
 def projected(values: list[ca.SX], m: int, nd: Nodes) -> ca.SX:
@@ -114,13 +105,12 @@ def projected(values: list[ca.SX], m: int, nd: Nodes) -> ca.SX:
     return ca.horzcat(*columns)
 
 
-def _corrected(w: ca.SX, dh: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray, *, exact: bool) -> ca.SX:
-    """Node gradients with the correction that closes the balance; `exact`: dH has no cancellation."""
+def _corrected(w: ca.SX, dh: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> ca.SX:
+    """Node gradients with the correction that closes the balance, for a dH without cancellation."""
     md = ca.mtimes(ca.diag(ca.DM(metric)), d)
     work = sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
     den = sum((nd.b[i] * ca.dot(d[:, i], md[:, i]) for i in range(nd.k)), ca.SX(0))
-    alpha = guarded(significant(dh, work), den, SMALLEST) if exact else guarded(dh - work, den, GUARD)
-    return w + alpha * md
+    return w + guarded(significant(dh, work), den, SMALLEST) * md
 
 
 def significant(a: ca.SX, b: ca.SX) -> ca.SX:
@@ -153,7 +143,8 @@ def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes, change: ca.SX |
 
     `change`: C(x') - C(x), default sum b_i cd_i.  Polynomial phi: dH by its Taylor series, without cancellation.
     """
-    change = ca.mtimes(cd, ca.DM(nd.b)) if change is None else change
+    total = ca.mtimes(cd, ca.DM(nd.b))
+    change = total if change is None else change
     smooth = secants(phi, s, c, change)
     dphi = ca.gradient(smooth.expr, s)
 
@@ -166,8 +157,11 @@ def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes, change: ca.SX |
     if p is not None:
         dh = _difference(smooth.expr, s, c, change, p)
     else:
-        dh = _change(smooth, s, c, change)
-        node = _corrected(node, dh, cd, nd, np.ones(1), exact=smooth.change is not None)
+        # closed for the increments along which the stresses work: in a rotation they are rounding, and so is what is
+        # between them and `change`
+        closing, dh = secants(phi, s, c, total).change, smooth.change
+        assert closing is not None and dh is not None
+        node = _corrected(node, closing, cd, nd, np.ones(1))
     node, dh = smooth.back(node, dh)
     return node, dh
 
@@ -188,9 +182,7 @@ def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     """The seed's gradient over all of x (k = 1): W = grad H(m) + (dH - grad H(m)^T D)/|D|^2 D.
 
     The numerator has no cancellation near x' = x.  Polynomial H: the exact odd Taylor remainder
-    sum_j D^jH(m)[D..D]/(2^(j-1) j!), j = 3, 5, ..; H in pieces: from its exact change; else, for
-    |D|^2 <= GUARD, the integral of (grad H(x + s D) - grad H(m))^T D by 4 Gauss points, whose error there is far below
-    rounding.
+    sum_j D^jH(m)[D..D]/(2^(j-1) j!), j = 3, 5, ..; else from the change of H, summed without cancellation.
     """
     if nd.k != 1:
         raise ValueError(
@@ -203,11 +195,9 @@ def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     grad, p = at(slope, x, m), degree(h, x)
     if p is not None:
         num = _taylor_remainder(h, x, d, m, p)
-    elif smooth.change is not None:
-        num = significant(smooth.change, ca.dot(grad, d))
     else:
-        near = sum((w * (at(slope, x, x + t * d) - grad) for t, w in zip(*gauss(4), strict=True)), ca.SX(0))
-        num = ca.if_else(length2 > GUARD, at(h, x, x + d) - h - ca.dot(grad, d), ca.dot(near, d))
+        assert smooth.change is not None
+        num = significant(smooth.change, ca.dot(grad, d))
     w, dh = smooth.back(grad + guarded(num, length2, SMALLEST) * d, num + ca.dot(grad, d))
     return w, dh
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
-from phfmu.declare.operations import TESTS, function_of, instructions, operation, piecewise
+from phfmu.declare.operations import TESTS, degree, function_of, instructions, operation, piecewise
 from phfmu.discretise.increments import change, quotient
 
 
@@ -24,7 +24,7 @@ from phfmu.discretise.increments import change, quotient
 class Smooth:
     """`expr`, analytic in x, and the symbols of its secants with their values as expressions of the ends of the step.
 
-    `change`: the difference over the step, summed without cancellation; None if the function has no kinks.
+    `change`: the difference over the step, summed without cancellation; None for a polynomial.
     """
 
     expr: ca.SX
@@ -51,8 +51,11 @@ class _Value:
 
 
 def secants(expr: ca.SX, x: ca.SX, start: ca.SX, step: ca.SX) -> Smooth:
-    """`expr`, a scalar function of x, on the step from `start` to `start + step`; itself if it is analytic."""
-    return _Walk(x, start, step).smooth(expr) if piecewise(expr, x) else Smooth(expr)
+    """`expr`, a scalar function of x, on the step from `start` to `start + step`; the same expression if it is analytic."""
+    if degree(expr, x) is not None:
+        return Smooth(expr)
+    found = _Walk(x, start, step).smooth(expr)
+    return found if piecewise(expr, x) else replace(found, expr=expr)
 
 
 @dataclass
