@@ -45,6 +45,7 @@ _WHERE = {
     "phfmu.discretise.start": ("Projection", "project_start"),
 }  # fmt: skip
 _OWNER = {name: module for module, names in _WHERE.items() for name in names}
+__all__ = tuple(_OWNER)  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
     from phfmu.declare.check import Problem as Problem

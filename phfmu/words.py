@@ -13,6 +13,11 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 'es' if noun.endswith('ch') else 's'}"
 
 
+def shown(text: str) -> str:
+    r"""Text of a file as one line that a terminal takes as text: control characters are written out, `\x1b`."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def meant(name: str, known: Iterable[str], otherwise: str = "") -> str:
     """`did you mean a, b?`; where nothing is close, `otherwise` or what there is."""
     names = list(dict.fromkeys(known))

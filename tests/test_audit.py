@@ -334,7 +334,7 @@ def test_stream_is_readable_while_it_is_written_and_flushed_in_time(tmp_path: Pa
         add_rows(ledger, {name: x[20:] for name, x in arrays.items()})
         assert read(sink.stream).num_rows >= 20 * 8 + 1024
         assert summarise(read(sink.stream)).steps > 20
-        with pytest.raises(FileNotFoundError, match="phfmu audit recover"):
+        with pytest.raises(FileNotFoundError, match="still writing it; what is complete so far: `phfmu audit "):
             read(sink.path)
     with pytest.raises(ValueError, match="closed"):
         sink.flush()
@@ -611,7 +611,7 @@ def test_estimated_ports_are_not_judged(tmp_path: Path):
         Ledger(sink).add_step(0, 0.0, 1.0, [a], [PortRow("a", "p", 0.5, quality="estimated")])
     table = read(tmp_path / "x.parquet")
     assert verdict(table) == []
-    assert "estimated" in audit_table(table)
+    assert "estimated" in audit_table(table) and "closed" not in audit_table(table)
 
 
 def test_a_unit_without_ports_and_books_has_no_verdict(tmp_path: Path):
@@ -619,8 +619,30 @@ def test_a_unit_without_ports_and_books_has_no_verdict(tmp_path: Path):
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
         ledger.add_block(Layout(("foreign",), silent=frozenset({"foreign"})), **arrays)
-    assert ledger.summary().components[0].verdict == "none"
-    assert summarise(tmp_path / "x.parquet") == ledger.summary()
+    summary = ledger.summary()
+    assert summary.network is not None
+    assert (summary.components[0].verdict, summary.network.verdict) == ("none", "none")
+    assert "closed" not in audit_table(summary)
+    assert summarise(tmp_path / "x.parquet") == summary
+
+
+def test_names_in_a_log_are_text_on_a_terminal():
+    """Control characters would move the cursor, and make up rows of the table."""
+    ledger = Ledger()
+    component = "a\x1b[31m\nb  closed"
+    ledger.add_block(Layout((component,)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[1.0]])
+    lines = audit_table(ledger.summary()).splitlines()
+    assert all(line.isprintable() for line in lines)
+    assert any(line.startswith(r"a\x1b[31m\nb  closed ") and line.endswith("VIOLATED") for line in lines)
+
+
+def test_a_log_without_a_column_of_steps_is_no_log(tmp_path: Path):
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        ledger = Ledger(sink)
+        ledger.add_block(Layout(("a",)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[0.0]])
+    table = read(tmp_path / "x.parquet").drop_columns(["step"])
+    with pytest.raises(ValueError, match="not an audit log: it has no column step"):
+        summarise(table)
 
 
 def test_energy_that_changes_between_steps_is_reported():

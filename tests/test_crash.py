@@ -180,6 +180,9 @@ def test_a_log_belongs_to_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
             said = capfd.readouterr().err
             assert said.count("\n") == 1 and f"being written by process {other.pid} " in said
         assert read("a.arrows").num_rows == 0
+        assert main(["audit", "a.parquet"]) == 2
+        said = capfd.readouterr().err
+        assert f"process {other.pid} " in said and "still writing" in said and "recover" not in said
         other.kill()
     assert main(["run", "mass", "--audit", "a.parquet"]) == 2
     assert "left from a run that did not end" in capfd.readouterr().err

@@ -184,3 +184,9 @@ def test_events_of_a_scene_are_checked(tmp_path, capsys):
 def test_parameters_survive_what_numpy_gives():
     p = parameter("p", np.float64(2.0), min=np.float64(0.0))
     assert p.start == (2.0,) and p.min == (0.0,)
+
+
+def test_star_import_brings_all_public_names() -> None:
+    names: dict[str, object] = {}
+    exec("from phfmu import *", names)
+    assert {"PHDAE", "Port", "ELECTRICAL", "state", "parameter", "energy", "check", "build_model"} <= names.keys()

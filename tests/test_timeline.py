@@ -65,7 +65,7 @@ def test_input_wins_over_the_scene_and_set_beside_it_is_refused(go: Run) -> None
 def test_events_and_rows_outside_the_run_are_told(go: Run) -> None:
     Path("in.csv").write_text("time,flange.force\n-2,7\n-1,6\n0.5,5\n1,4\n2,3\n")
     code, said = go("models.py:pushed", "--input", "in.csv")
-    assert code == 0 and "not reached before the end at 1 s: flange.force = 4 at t = 1 s and 2 more" in said
+    assert code == 0 and "not reached before the end at 1 s: flange.force = 4 at t = 1 s and 1 more" in said
     assert "in.csv: 2 rows before the start, from t = -2 s; the last of them holds at 0 s" in said
     assert "in.csv: 1 row after the end at 1 s, from t = 2 s, not used" in said
     assert "not reached" not in go("mass", "--stop", "0.01")[1]

@@ -121,7 +121,7 @@ def machine_set(machine: str | Mapping[str, Any] | MachineData, **changes: Any) 
     if isinstance(machine, str):
         if machine not in _file():
             hint = meant(machine, machine_names())
-            raise MachineDataError(f"no machine set '{machine}'; {hint} Or give a mapping of its entries")
+            raise MachineDataError(f"no machine set '{machine}'; {hint}; or give a mapping of its entries")
         machine = _file()[machine]
     base = asdict(machine) if isinstance(machine, MachineData) else dict(machine)
     known = {f.name: f for f in fields(MachineData)}

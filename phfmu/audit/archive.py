@@ -212,9 +212,20 @@ def there(path: str | os.PathLike[str]) -> Path:
     path = Path(path)
     if not path.exists():
         stream = path.with_suffix(".arrows")
-        hint = f"; its run did not end: `phfmu audit recover {stream}`" if stream.exists() else ""
+        hint = f"; {_state(stream)}" if stream.exists() else ""
         raise FileNotFoundError(f"no audit log {path}{hint}")
     return path
+
+
+def _state(stream: Path) -> str:
+    """What a stream without its Parquet file tells of its run."""
+    try:
+        with held(stream):
+            return f"its run did not end: `phfmu audit recover {stream}`"
+    except LogInUse:
+        return f"{_writer(stream)} is still writing it; what is complete so far: `phfmu audit {stream}`"
+    except OSError:
+        return f"its rows are in {stream}"
 
 
 def check_schema(metadata: Mapping[bytes, bytes] | None, path: Path) -> None:

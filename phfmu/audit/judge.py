@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .block import Block, per_owner
-from .rows import EXACT
+from .rows import ESTIMATED, EXACT, SILENT
 from .sums import CompensatedSum, Floats, extend, ratio
 
 DEFAULT_RTOL = 1e-11
@@ -200,6 +200,12 @@ class Judge:
         known = self._found.get(key)
         worst = violation if known is None or violation.ratio > known.ratio else known
         self._found[key] = replace(worst, steps=violation.steps + (known.steps if known else 0))
+
+    @property
+    def quality(self) -> str:
+        """Of the network: estimated where a component is, none where no component tells anything."""
+        found = {account.quality for account in self.accounts.values()}
+        return ESTIMATED if ESTIMATED in found else SILENT if found == {SILENT} else EXACT
 
     def jump(self, component: str, energy: float) -> None:
         """An event between the steps added energy [J] to a component's H."""

@@ -284,7 +284,7 @@ class Ledger:
             junction_residual=get("junction_residual"),
             unexplained=get("unexplained") or 0.0,
             worst_unexplained=self._unexplained,
-            verdict=word(found, ("unexplained",), "network"),
+            verdict=word(found, ("unexplained",), "network", self._judge.quality),
             numerical=get("numerical"),
         )
 

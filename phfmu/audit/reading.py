@@ -114,6 +114,9 @@ class Batches:
         shown = "the audit table" if isinstance(self._source, pa.Table) else str(self._source)
         try:
             for batch in self._batches():
+                missing = [name for name in _COMMON if name not in batch.schema.names]
+                if missing and batch.num_rows:
+                    raise ValueError(f"{shown} is not an audit log: it has no column {', '.join(missing)}")
                 yield self._by_kind(batch)
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError, pa.ArrowTypeError, pa.ArrowKeyError) as error:
             raise ValueError(f"{shown} is not an audit log: {error}") from error

@@ -4,7 +4,7 @@ import io
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from phfmu.words import counted
+from phfmu.words import counted, shown
 
 from .analysis import summarise
 from .judge import DEFAULT_RTOL, VIOLATED
@@ -79,9 +79,9 @@ def _parts(summary: LedgerSummary) -> Iterator[Any]:
         yield _table(
             f"{VIOLATED}: what does not close; allowed: {summary.rtol:.1e} of the energies in play, and rounding"
         )
-        yield from map(str, summary.violations)
+        yield from (shown(str(v)) for v in summary.violations)
     if summary.events:
-        yield "events: " + ", ".join(f"{count} {kind}" for kind, count in summary.events.items())
+        yield "events: " + ", ".join(f"{count} {shown(kind)}" for kind, count in summary.events.items())
 
 
 def _component_columns(summary: LedgerSummary) -> dict[str, Callable[[Any], str]]:
@@ -110,7 +110,7 @@ def _filled_table(
         table.add_column(header, justify="left" if header in words else "right", no_wrap=header != "junction")
     for row in rows:
         first = name(row) if name else getattr(row, title)
-        table.add_row(first, *(cell(row) for cell in columns.values()))
+        table.add_row(*(shown(text) for text in (first, *(cell(row) for cell in columns.values()))))
     return table
 
 

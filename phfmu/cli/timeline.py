@@ -36,7 +36,7 @@ def timeline(args: argparse.Namespace, scene: Scene, known: list[str], stop: flo
         )
     first = float(rows.time[0])
     events = _without(events, set(rows.names), lambda e: e.t >= first, args.input, known, notes)
-    return [*events, *rows.events()], notes + _outside(args.input, rows, stop)
+    return [*events, *(e for e in rows.events() if e.t <= stop)], notes + _outside(args.input, rows, stop)
 
 
 def _covered(names: Iterable[str], known: list[str]) -> set[str]:
