@@ -106,6 +106,17 @@ def test_outputs_that_are_not_finite_end_the_run(units: dict[str, Path], refused
 
 
 @pytest.mark.parametrize("version", VERSIONS)
+def test_rows_before_an_output_that_is_not_finite_are_kept(
+    units: dict[str, Path], tmp_path: Path, version: str
+) -> None:
+    """y is 2 u + t until the step from 0.2 s to 0.3 s, after which it is nan."""
+    table = tmp_path / "o.csv"
+    assert main(["run", str(units[version]), "--set", f"mode={NOT_A_NUMBER}", "-o", str(table)]) == 3
+    kept = np.genfromtxt(table, delimiter=",", names=True)
+    assert kept["time"] == pytest.approx([0.0, 0.1, 0.2]) and kept["y"] == pytest.approx(kept["time"])
+
+
+@pytest.mark.parametrize("version", VERSIONS)
 def test_words_are_cut_in_length_and_number(refused: Cli, version: str) -> None:
     said = refused(version, CHATTER)
     assert "x" * 400 in said and len(said) < 2500 and "more characters)" in said

@@ -240,8 +240,9 @@ def test_values_that_are_not_finite_or_not_settable_are_refused_by_name(circuits
         assert bits(unit) == before
         with pytest.raises(ValueError, match="2 finite inputs"):
             unit.set_input([np.inf, 0.0])
-        with pytest.raises(StepFailure, match="the step starts at t = 1 s, the component is at t = 0 s"):
+        with pytest.raises(StepFailure, match="the step starts at t = 1 s, the component is at t = 0 s") as failure:
             unit.do_step(1.0, STEP)
+        assert "Step from where the last step ended" in str(failure.value) and "Gauss" not in str(failure.value)
         with pytest.raises(StepFailure, match="must be positive"):
             unit.do_step(0.0, -STEP)
         with pytest.raises(FMUError, match="has no variable 'psy'; did you mean psi"):

@@ -193,10 +193,10 @@ class FMUInstance:
             self._slave.do_step(t, h)
             after = self._slave.get(self._y_end).copy() if self.estimated else self._after
         except UnitCallError as error:
-            if self.estimated:
+            status = None if self.estimated else next((s for s in Status if s.value in str(error)), None)
+            if status is None:  # its words and no remedy of ours
                 raise UnitFailure(self.name, t, h, error.function, error.answer, error.words) from error
-            status = next((s for s in Status if s.value in str(error)), Status.ARGUMENT)
-            raise StepFailure(status, self.name, t, h, tried=f"its own means: {error}") from error
+            raise StepFailure(status, self.name, t, h, tried=f"in the unit: {error}") from error
         if not np.isfinite(after).all():
             raise self.not_finite(self.outputs, after, t + h)
         self.time, self._h = t + h, h

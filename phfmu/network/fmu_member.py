@@ -180,12 +180,13 @@ class FMUStepper:
         for k in range(n):
             try:
                 self.unit.do_step(t0 + (first + k) * h, h)
+                values = self.read()
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
                 raise
             book = self.member.ledger()
             parts = [book[key] for key in ("stored", "dissipated", "supplied", "pairs")]
-            rows.append((self.read(), self.energies(), *parts, np.array(0.0)))
+            rows.append((values, self.energies(), *parts, np.array(0.0)))
         return Steps.stacked(rows)
 
 
