@@ -201,7 +201,7 @@ class PythonInstance:
         energies = self._weigh(outcome, h * part, u) if outcome.status is Status.OK else {}
         if outcome.status is Status.OK:
             return [(*self._accept(outcome, h * part, energies), start, part)]
-        spent = s.counts["iterations"] - self._begun
+        spent = int(s.counts["iterations"] - self._begun)
         if depth == DEPTH or self._left() <= 0:
             name = self.model.row_names[outcome.row] if outcome.row >= 0 else ""
             raise StepFailure(
