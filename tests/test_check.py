@@ -300,7 +300,7 @@ BAD = {
         lambda: oscillator(dissipation=(damping(V, 1 / (Q - 0.3) ** 2),)),
         "is inf at the start",
     ),
-    "start: observable": ("start", lambda: oscillator(observables=(observable("r", 1 / (Q - 0.3)),)), "inf"),
+    "start: observable": ("start", lambda: oscillator(observables=(observable("r", 1 / (Q - 0.3)),)), "not finite"),
     "start: position": ("start", lambda: holonomic(("unit",)).with_starts({"r[1]": 1.1}), "g(q) = 0.105"),
     "start: velocity": ("start", lambda: holonomic(("unit",)).with_starts({"w[1]": 0.1}), "Dg(q) v = 0.1"),
     "start: bar": ("start", lambda: four_particle().with_starts({"v[4]": 0.5}), "lambda[1]"),

@@ -23,7 +23,9 @@ LOST = 0.6  # s, what a kill may cost
 
 # the command line, with the wall time at which the run had taken how many steps, before anything else sees them
 WATCHED = """
-import os, sys, time
+import os, signal, sys, time
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a test run under nohup hands down that it ignores some
+    signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 from phfmu.cli import main
 from phfmu.network.adaptive import Adaptive
 from phfmu.network.coupled import Coupled

@@ -154,8 +154,10 @@ def test_impossible_data_is_refused_with_the_name_of_the_entry(changes, words):
 
 
 def test_unknown_names_are_refused_with_the_names_there_are():
-    with pytest.raises(MachineDataError, match="krause_hydro325, kundur555_1q"):
+    with pytest.raises(MachineDataError, match=r"did you mean kundur555_1q\?"):
         machine_set("kundur")
+    with pytest.raises(MachineDataError, match="krause_hydro325, kundur555_1q"):
+        machine_set("?")
     with pytest.raises(MachineDataError, match="missing: .*Ra.* Ld"):
         machine_set({"name": "mine", "Sn": 1.0})
     with pytest.raises(ValueError, match="abc-flux"):

@@ -28,6 +28,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.discretise.quadrature import nodes
+from phfmu.fmu.values import Derivative
 from phfmu.fmu.variables import FMUError
 
 ENGINES = (PythonInstance, NativeInstance)
@@ -317,8 +318,8 @@ def test_wrong_node_inputs_are_refused(units):
                 unit.set_node_inputs(bad)
         unit.do_step(0.0, 0.1)
         with pytest.raises(FMUError, match=r"'flange.force_node\[1\]' is an input at a node; derivatives"):
-            refs = unit.interface.references(["flange.velocity_step", "flange.force_node[1]"], "variable")
-            unit._slave.derivative(refs[:1], refs[1])
+            means = unit._slave.references(unit.interface.scalars(["flange.velocity_step"], "variable"))
+            unit._slave.derivative(Derivative(means, unit.variable("flange.force_node[1]"), False))
 
 
 def test_export_from_the_command_line(tmp_path, capsys):

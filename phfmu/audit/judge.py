@@ -2,11 +2,11 @@
 
 A step is measured against the energies in play in it and, as rounding, against those that were in play so far,
 
-    |residual| <= allowed = rtol P + FLOOR eps max(P, |sum dH|),
+    |residual| <= allowed = rtol P + FLOOR eps max(P, |sum dH|) + ULPS eps max(|H0|, |H1|),
     P = (moved or max(|H0|, |H1|)) + |dissipated| + |numerical| + |supplied| + sum |port energies|,
 
 with the maximum over the run up to the step. `moved` is the sum over the component's energies of |change|: a constant in
-H is in none of these. Of H itself, which carries it, only changes are judged, with ULPS eps max |H| beside.
+H is in these only by its rounding, which a closed-form pair leaves in a difference of large energies.
 """
 
 import math
@@ -112,7 +112,8 @@ class Judge:
         in_play = np.where(np.isfinite(block.in_play), block.in_play, np.nan)
         reach = _running([a.reach for a in accounts], np.maximum(_finite(in_play), _finite(np.abs(stored))))
         with np.errstate(invalid="ignore", over="ignore"):
-            allowed = self.rtol * in_play + FLOOR * EPS * reach
+            stored_energy = np.maximum(_finite(np.abs(block.H0)), _finite(np.abs(block.H1)))
+            allowed = self.rtol * in_play + EPS * (FLOOR * reach + ULPS * stored_energy)
             self._mark("balance", names, block.residual, allowed, block, judged)
             if block.dissipated is not None:
                 self._mark("dissipation", names, np.minimum(block.dissipated, 0.0), allowed, block, judged)

@@ -65,9 +65,13 @@ class Attempts:
 
     def _attempt(self, h: float, rest: bool, damped: bool = False) -> Outcome:
         """From the last step or from rest; where there were enough iterations, how the last attempt failed."""
-        if self.iterations >= self.most:
-            return replace(self.outcome, status=Status.NO_CONVERGENCE)
-        return self._newton(self._start(h, rest), h, damped)
+        for bare in (False,) if damped else self.newton.bare_too():
+            self.newton.bare = bare
+            if self.iterations >= self.most:
+                return replace(self.outcome, status=Status.NO_CONVERGENCE)
+            if self._newton(self._start(h, rest), h, damped).status is Status.OK:
+                break
+        return self.outcome
 
     def _newton(self, w: Array, h: float, damped: bool = False) -> Outcome:
         self.outcome = self.newton.attempt(w, self.fixed(h), damped)

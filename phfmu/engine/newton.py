@@ -50,6 +50,12 @@ class Newton:
         self.plan = evaluator.plan
         self._lu = None
         self._scale = np.ones(self.plan.nw)
+        #: factors without delta, see `bare_too`
+        self.bare = False
+
+    def bare_too(self) -> tuple[bool, ...]:
+        """The values of `bare` to try: near a loss of rank delta is as large as what is left of the constraints."""
+        return (False, True) if len(self.plan.hold) else (False,)
 
     def residual(self, w: Array, fixed: Fixed) -> Array:
         """Rows [0, nw) at w; `fixed` = (x, [u | h], p, h)."""
@@ -66,9 +72,7 @@ class Newton:
             return False
         self._scale = 1.0 / np.where(biggest > 0, biggest, 1.0)
         a = a * self._scale[plan.matrix.row]
-        if len(plan.hold):  # near a loss of rank delta is as large as what is left of the constraints
-            return self._split(a) or self._split(a + self._delta(a))
-        return self._split(a + self._delta(a))
+        return self.bare and self._split(a) or self._split(a + self._delta(a))
 
     def _delta(self, a: Array) -> Array:
         """Lambda enters as h: delta must not grow beside the Schur complement; a column without entries gets all of it."""

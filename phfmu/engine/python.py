@@ -299,6 +299,7 @@ class PythonInstance:
         evaluator, rests = newton.evaluator, self._s.rests
         if rests.any():
             newton.residual(w, fixed)  # null vectors of the matrix there, not of the one Newton was content with
+            newton.bare = True
             newton.factor(fixed[3])
             w = rest.spread(newton, w, fixed[3])
             evaluator.rests = np.zeros_like(rests)  # their rows are not looked at any more
@@ -433,9 +434,7 @@ class PythonInstance:
             w[plan.mean_w] = s.a[plan.mean_a]
             fixed = (s.x, np.append(self._inputs(np.array([s.theta])), 1.0), s.p, 1.0)
             if plan.nw:
-                outcome = self._solver.attempt(w, fixed, False)
-                if outcome.status is not Status.OK:
-                    outcome = self._solver.attempt(w, fixed, True)
+                outcome = self._at_instant(w, fixed)
                 if outcome.status is not Status.OK:
                     name = self.model.instant_names[outcome.row] if outcome.row >= 0 else ""
                     raise StepFailure(outcome.status, self.model.name, s.t, 0.0, equation=name,
@@ -450,6 +449,17 @@ class PythonInstance:
                 "o": r[plan.nw + plan.nq :].copy(), "H": stored,
             }  # fmt: skip
         return s.end
+
+    def _at_instant(self, w: Array, fixed: tuple[Array, Array, Array, float]) -> Outcome:
+        """The solution of the instant system from w, with line search where it takes one."""
+        outcome = Outcome(Status.NO_CONVERGENCE, w)
+        for damped in (False, True):
+            for bare in (False,) if damped else self._solver.bare_too():
+                self._solver.bare = bare
+                outcome = self._solver.attempt(w, fixed, damped)
+                if outcome.status is Status.OK:
+                    return outcome
+        return outcome
 
     def sensitivity(self, end: bool = False) -> Array:
         """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu): implicit function theorem.

@@ -32,16 +32,21 @@ static void start_rest(ph_system *s) {
         s->y[i] = s->plan->increments[i] ? 0.0 : s->last[i];
 }
 
-/* Newton's method for a step h, from the last step or from rest; nothing where there were enough iterations.
- */
+/* Newton's method for a step h, from the last step or from rest, and again without delta where there are
+ * constraints and no line search; nothing where there were enough iterations. */
 static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
-    if (s->count[PH_ITERATIONS] >= s->most)
-        return PH_NO_CONVERGENCE;
-    if (rest)
-        start_rest(s);
-    else
-        start_guess(s, s->last, h / *s->last_h);
-    return ph_newton(s, kind);
+    int status = PH_NO_CONVERGENCE;
+    for (int bare = 0; status && bare <= (s->plan->nhold > 0 && kind != PH_DAMPED); bare++) {
+        if (s->count[PH_ITERATIONS] >= s->most)
+            return PH_NO_CONVERGENCE;
+        ph_newton_bare(s, bare);
+        if (rest)
+            start_rest(s);
+        else
+            start_guess(s, s->last, h / *s->last_h);
+        status = ph_newton(s, kind);
+    }
+    return status;
 }
 
 /* From the solution of a shorter step, h/2, h/4 or h/8, by doubling. It stays on the branch that starts at h

@@ -1,8 +1,9 @@
 /* Newton's method for one system from a given start: row scaling, damping, polish.
  *
  * The row-scaled matrix is factored. Delta on the diagonals of multipliers and node voltages, in the factor
- * only, leads past dependent rows: always where there are no constraints, else where there is no pivot; near
- * a loss of rank delta is as large as what is left of the constraints. */
+ * only, leads past dependent rows, and past pivots that light masses leave to rounding. A model with
+ * constraints is tried without it too (s->bare), where delta then only helps where there is no pivot: near a
+ * loss of rank delta is as large as what is left of the constraints. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -43,6 +44,13 @@ static void regularise(const ph_plan *p, double *scaled) {
     }
 }
 
+/* Whether factors are taken without delta; those of the other kind are not used again. */
+void ph_newton_bare(ph_system *s, int bare) {
+    if (s->bare != bare)
+        s->lu.filled = 0;
+    s->bare = bare;
+}
+
 /* Scale of every row = 1 / its largest entry, scaled matrix, factors. A matrix that has not changed since
  * (a linear model) is not factored again. */
 int ph_newton_factor(ph_system *s) {
@@ -72,11 +80,10 @@ int ph_newton_factor(ph_system *s) {
         return PH_SINGULAR;
     for (int e = 0; e < p->nnz; e++)
         scaled[e] = a[e] * scale[p->matrix_row[e]];
-    if (p->nhold == 0)
+    if (!s->bare)
         regularise(p, scaled);
     status = ph_lu_factor(&s->lu, scaled, s->count);
-    if (status == PH_SINGULAR &&
-        p->nhold > 0) { /* rows depend on each other just here: delta leads past it */
+    if (status == PH_SINGULAR && s->bare) { /* rows depend on each other just here: delta leads past it */
         regularise(p, scaled);
         status = ph_lu_factor(&s->lu, scaled, s->count);
     }

@@ -178,6 +178,7 @@ void ph_rest_spread(ph_system *s) {
     const int resting = s->resting;
     ph_eval(s, 1, 0);
     ph_eval_matrix(s);
+    ph_newton_bare(s, 1);
     if (ph_newton_factor(s) == PH_OK)
         spread(s, s->y);
     s->resting = 0; /* their rows are not looked at any more */

@@ -61,6 +61,7 @@ struct ph_system {
     double hp[3];        /* 1, h, h^2 */
     ph_lu lu;
     int resting; /* constraints left out */
+    int bare;    /* 1: factors without delta */
     int empty;   /* row without entries at the last factorisation, or -1 */
     int iterations;
     double update;
@@ -83,6 +84,7 @@ typedef enum ph_newton_kind {
 
 int ph_newton(ph_system *s, ph_newton_kind kind);
 int ph_solve(ph_system *s, double h);
+void ph_newton_bare(ph_system *s, int bare);
 int ph_newton_factor(ph_system *s);
 void ph_explain(ph_system *s, int status, ph_report *report);
 
