@@ -77,7 +77,7 @@ typedef enum ph_count {
     PH_SWEEPS,        /* its sweeps */
     PH_INSTANTS,      /* evaluations of the end values */
     PH_EXCHANGED,     /* redundant constraints that rest in place of others */
-    PH_WOKEN,      /* constraints at rest that were needed again */
+    PH_WOKEN,         /* constraints at rest that were needed again */
     PH_NCOUNT
 } ph_count;
 
