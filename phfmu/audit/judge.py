@@ -113,7 +113,8 @@ class Judge:
         reach = _running([a.reach for a in accounts], np.maximum(_finite(in_play), _finite(np.abs(stored))))
         with np.errstate(invalid="ignore", over="ignore"):
             stored_energy = np.maximum(_finite(np.abs(block.H0)), _finite(np.abs(block.H1)))
-            allowed = self.rtol * in_play + EPS * (FLOOR * reach + ULPS * stored_energy)
+            in_step = self.rtol * in_play + FLOOR * EPS * reach
+            allowed = in_step + ULPS * EPS * stored_energy
             self._mark("balance", names, block.residual, allowed, block, judged)
             if block.dissipated is not None:
                 self._mark("dissipation", names, np.minimum(block.dissipated, 0.0), allowed, block, judged)
@@ -121,7 +122,7 @@ class Judge:
             if names:
                 booked = supplied - per_owner(layout, block.port_energy)
                 self._mark("ports", names, booked, allowed, block, judged)
-            self._changes(accounts, block, allowed)
+            self._changes(accounts, block, in_step)  # adds the rounding of H once, not in every step
             self._joined(block, np.where(judged, allowed, np.abs(block.residual)))
         found = ratio(block.residual, allowed)
         for i, account in enumerate(accounts):
