@@ -23,7 +23,6 @@ import resource, sys
 import fmpy
 from phfmu.fmu.inspect import fmu_info
 from phfmu.fmu.variables import FMUError
-from tests import foreign
 pages = int(open("/proc/self/statm").read().split()[0])
 resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + {ROOM},) * 2)
 try:
