@@ -64,21 +64,44 @@ def test_blocks_are_of_known_kinds(page: Path) -> None:
         assert language != "console" or commands(body)
 
 
+def prose(page: Path) -> str:
+    """The page without its fenced blocks."""
+    return BLOCK.sub("", page.read_text(encoding="utf-8"))
+
+
 def anchors(page: Path) -> set[str]:
     """Anchors of the headings, as GitHub makes them."""
-    titles = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    titles = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", t.lower()).replace(" ", "-") for t in titles}
+
+
+def links(page: Path) -> list[tuple[Path, str]]:
+    """(file, anchor) of the links and pictures of a page that stay in the tree."""
+    targets = [t.partition("#") for t in re.findall(r"\]\(([^)\s]+)\)", prose(page)) if "://" not in t]
+    return [((page.parent / path).resolve() if path else page, anchor) for path, _, anchor in targets]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
-        if "://" in target:
-            continue
-        path, _, anchor = target.partition("#")
-        found = page.parent / path if path else page
-        assert found.exists(), f"{name(page)} links to {target}"
-        assert not anchor or anchor in anchors(found), f"{name(page)} links to {target}"
+    for found, anchor in links(page):
+        assert found.exists(), f"{name(page)} links to {found}"
+        assert not anchor or anchor in anchors(found), f"{name(page)} links to {found}#{anchor}"
+
+
+def test_the_index_lists_every_page() -> None:
+    index = ROOT / "docs" / "index.md"
+    assert {p.resolve() for p in PAGES if p.parent != index.parent} == {found for found, _ in links(index)}
+    titles = re.findall(r"^## (\w+)$", prose(index), re.MULTILINE)
+    assert {p.parent.name for p in PAGES if p.parent.parent == index.parent} == {t.lower() for t in titles}
+
+
+def test_code_names_pages_that_exist() -> None:
+    sources = [
+        p for folder in ("phfmu", "components", "tests") for p in (ROOT / folder).rglob("*") if p.suffix != ".pyc"
+    ]
+    for source in (p for p in sources if p.is_file()):
+        for page in re.findall(rb"\bdocs/[\w/-]+\.(?:md|py)\b", source.read_bytes()):
+            assert (ROOT / page.decode()).exists(), f"{name(source)} names {page.decode()}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

@@ -4,7 +4,7 @@
     z~ = U^-1 (z o phi),      H~ = H o phi.
 
 The transformed system is a pHDAE with the same inputs, outputs and power balance.
-Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, section 5.1 and appendix D.1; docs/concepts/transformations.md.
+Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, section 5.1 and appendix D.1; docs/proofs/transformations.md.
 """
 
 from __future__ import annotations

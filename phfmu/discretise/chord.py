@@ -3,7 +3,7 @@
     q' = v + M^-1 Dg^T mu,   M v' = f(q, q', u) - DV(q) - Dg^T lambda - (v^T D2g)^T mu,   Dg q' = 0 at the nodes, Dg v = 0
 
 with constant diagonal M, quadratic g, and V a sum of quadratic terms and of phi(C(q)) with quadratic C.  The iteration
-is described in docs/concepts/native-engine.md.
+is described in docs/internals/native-engine.md.
 """
 
 from __future__ import annotations

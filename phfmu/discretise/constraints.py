@@ -7,7 +7,7 @@ Two-level (GGL form, odd k): with a second multiplier mu and a shift n of the ve
     G_i z_v,i + r_i = 0,   Dg(q', t') v' + g_t(q', t') = 0,
 
 where (K, S) is a discrete gradient of w(q, v) = Dg v + g_t: both levels and the power balance are exact (extends
-O. Gonzalez, Comput. Methods Appl. Mech. Engrg. 174, 1999, to ports and dissipation; docs/concepts/constraints.md).
+O. Gonzalez, Comput. Methods Appl. Mech. Engrg. 174, 1999, to ports and dissipation; docs/proofs/constraints.md).
 A moving constraint does work; it is the output of its `drive` port.
 """
 

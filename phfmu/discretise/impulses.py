@@ -12,7 +12,7 @@ leaves at the end.  T m is the n-point midpoint rule of  A^(1/2) = 2/pi int_0^(p
     (cos^2 t_l S1 + sin^2 t_l S0) r_l = S0 m,   m' = sigma/n sum r_l,   t_l = (2 l - 1) pi / (4 n),
 
 whose relative error ((1 - sqrt a)/(1 + sqrt a))^(2 n) is below rounding for the change a of S over a step; every row is
-a sum over members.  docs/concepts/bare-nodes.md has the proofs.  Needs (dL/dx) L = 0 and (dS/dx) L = 0.
+a sum over members.  docs/proofs/bare-nodes.md has the proofs.  Needs (dL/dx) L = 0 and (dS/dx) L = 0.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ class Holds:
 
 @dataclass(frozen=True)
 class Plan:
-    """One discretised system; see the module text for the spaces and `docs/concepts/plan.md` for the use.
+    """One discretised system; see the module text for the spaces and `docs/internals/plan.md` for the use.
 
     `matrix` is A in CSC order (columns ascending, rows ascending inside a column).
     `derivative` holds the other blocks of d[residual | mean pair outputs]/d[w | held inputs].

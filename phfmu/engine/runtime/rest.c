@@ -1,7 +1,7 @@
 /* Constraints at rest: of redundant rows of Dg as many as needed are left out, w = 0 in their place, so that
  * the rest are independent. Which ones may change in motion, and one that is no longer redundant comes back.
  * The motion depends on neither; multipliers of least norm are given, whichever rests.
- * docs/concepts/constraints.md. */
+ * docs/proofs/constraints.md. */
 #include <float.h>
 #include <math.h>
 #include <string.h>
