@@ -119,7 +119,8 @@ class Plan:
     `order[j]`: j-th pivot column, `pivot_row[j]`: its preferred row or -1.
     `mean_*`: algebraic reports a[mean_a] = sum mean_c h^mean_pow w[mean_w].
     `work_*`: pairs that get the energy R[work_row] beside h sum b y u.
-    `regularised`: entries of A that get +delta after row scaling, in the factor only; with `hold` where it has no pivot.
+    `regularised`: entries of A that get +delta after row scaling, in the factor only; with `hold` an
+    attempt that fails is made again without it.
     `hold`: constraints whose rows may rest; none where the scheme cannot leave rows out.
     `chord`: what the fast solver of constrained particles needs besides, or None where it does not apply.
     `carries`: 1 if the reported algebraic variables belong to the end of a step and enter the next one; else they are

@@ -65,7 +65,7 @@ class Attempts:
 
     def _attempt(self, h: float, rest: bool, damped: bool = False) -> Outcome:
         """From the last step or from rest; where there were enough iterations, how the last attempt failed."""
-        for bare in (False,) if damped else self.newton.bare_too():
+        for bare in self.newton.bare_too(damped):
             self.newton.bare = bare
             if self.iterations >= self.most:
                 return replace(self.outcome, status=Status.NO_CONVERGENCE)

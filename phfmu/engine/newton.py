@@ -23,7 +23,7 @@ SUMS = 16.0  # more of it in constraint rows: sums of values that are themselves
 STALLS = 2  # updates in a row that hardly shrink
 GROWN = 4.0  # an update that has grown by more does not stall
 ITERATIONS = 30
-DELTA = 1e-10  # on multiplier diagonals of the factor only; with constraints where there is no pivot
+DELTA = 1e-10  # on multiplier diagonals of the factor only, see `bare_too`
 COLUMN = 1e-8  # no more than this of its column
 DEPENDENT = 4.0 * float(np.finfo(float).eps)  # a column that cancels down to this has no pivot
 SMALLEST = 1.0 / 64.0  # line search
@@ -50,12 +50,15 @@ class Newton:
         self.plan = evaluator.plan
         self._lu = None
         self._scale = np.ones(self.plan.nw)
-        #: factors without delta, see `bare_too`
+        #: factors without delta where there are pivots, see `bare_too`
         self.bare = False
 
-    def bare_too(self) -> tuple[bool, ...]:
-        """The values of `bare` to try: near a loss of rank delta is as large as what is left of the constraints."""
-        return (False, True) if len(self.plan.hold) else (False,)
+    def bare_too(self, damped: bool) -> tuple[bool, ...]:
+        """The values of `bare` to try in turn, with delta first: it leads past pivots that light masses leave to rounding.
+
+        Near a loss of rank it is as large as what is left of the constraints: an attempt that fails is made again without.
+        """
+        return (False, True) if len(self.plan.hold) and not damped else (False,)
 
     def residual(self, w: Array, fixed: Fixed) -> Array:
         """Rows [0, nw) at w; `fixed` = (x, [u | h], p, h)."""

@@ -454,7 +454,7 @@ class PythonInstance:
         """The solution of the instant system from w, with line search where it takes one."""
         outcome = Outcome(Status.NO_CONVERGENCE, w)
         for damped in (False, True):
-            for bare in (False,) if damped else self._solver.bare_too():
+            for bare in self._solver.bare_too(damped):
                 self._solver.bare = bare
                 outcome = self._solver.attempt(w, fixed, damped)
                 if outcome.status is Status.OK:
