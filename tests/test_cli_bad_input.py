@@ -128,6 +128,8 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         ("run models.py:umlaut", "member name 'größe' letters a-z"),
         ("run models.py:nothing", "network 'net' has no members network.add"),
         ("run models.py:bad_event", "no parameter, state or input 'flange.forc'; did you mean flange.force?"),
+        ("run models.py:bad_event --stop 1", "no parameter, state or input 'flange.forc'; did you mean flange.force?"),
+        ("run models.py:nan_event --stop 1", "event m = nan at t = 900000000.0 s must be finite"),
         ("run models.py:state_event", "'q' follows from the equations; set a parameter"),
         ("run models.py:nan_event", "event m = nan at t = 900000000.0 s must be finite"),
         ("run models.py:currents", "net: joint.v[3]: sum to -0.1 tolerance sum of currents"),
@@ -315,3 +317,4 @@ def test_units(refused: Cli) -> None:
     Path("in.csv").write_text("time,m\n0,1\n")
     refused(2, "run mass_fmi3.fmu --input in.csv", "unknown input 'm'; there are: flange.force")
     refused(2, "run two_machine --engine fmu", "fault.G = 20: parameters of an FMU are fixed during a run")
+    assert main("run two_machine --engine fmu --stop 0.01 --quiet".split()) == 0  # it does not come to that

@@ -151,6 +151,51 @@ def test_the_values_of_a_run_are_checked_before_it(tmp_path: Path, capsys, monke
     assert main("run dc_motor --set R=-1.5 --stop 0.01 --engine python --no-check --quiet".split()) == 0
 
 
+MODELS = """
+import casadi as ca
+from phfmu import Event, PHDAE, Scene, block, energy, parameter, state
+def oscillator(potential, turn=-1.0, **more):
+    q, p = state('q', start=0.5), state('p', start=1.0)
+    return PHDAE('oscillator', states=(q, p), energies=(energy(p**2 / 2), energy(potential(q.sx))), **more,
+                 structure=(block([q, p], ca.DM([[0, 1], [turn, 0]])),))
+def jumps():
+    return Scene('jumps', oscillator(lambda q: q**2 + ca.if_else(q > 1, 3.0, 0.0)), 0.02, 1e-3)
+def later():
+    c = parameter('c', 0.0)
+    model = oscillator(lambda q: q**2 + ca.if_else(q > 1, c.sx, 0.0), parameters=(c,))
+    return Scene('later', model, 0.02, 1e-3, (Event(0.01, 'c', 3.0),))
+def turned():
+    return Scene('turned', oscillator(lambda q: q**2, turn=+1.0), 0.02, 1e-3)
+"""
+
+
+@pytest.mark.parametrize("verb", ["run", "export"])
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [("jumps", ("energy term 2", "H jumps by 3 J at q = 1")), ("turned", ("J[q, p] = 1 but J[p, q] = 1", "skew"))],
+)
+def test_energies_that_jump_and_numbers_that_are_not_skew_are_refused_before_a_step(
+    verb, scene, words, tmp_path: Path, capsys, monkeypatch
+):
+    """The steps from 0.5 m do not reach the jump at 1 m, and the ledger of what does not move stays closed."""
+    monkeypatch.chdir(tmp_path)
+    Path("models.py").write_text(MODELS)
+    assert main([verb, f"models.py:{scene}"]) == 2
+    err = capsys.readouterr().err
+    assert all(w in err for w in (*words, "--no-check goes on anyway")), err
+    assert [f.name for f in tmp_path.iterdir() if f.suffix != ".pyc" and f.is_file()] == ["models.py"]
+
+
+def test_a_jump_that_an_event_makes_is_refused_and_the_brave_go_on(tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("models.py").write_text(MODELS)
+    line = ["run", "models.py:later", "--engine", "python", "--quiet"]
+    assert main(line) == 2
+    assert "H jumps by 3 J at q = 1, after the event c = 3 at t = 0.01 s" in capsys.readouterr().err
+    assert main([*line, "--no-check"]) == 0
+    assert main([*line, "--stop", "0.005"]) == 0  # the event is not reached
+
+
 def test_the_check_of_values_costs_little():
     model = Scene("s", build("smib").system, 1.0, 1.0).declaration()
     spent = []

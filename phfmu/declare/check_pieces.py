@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from phfmu.declare.check_entries import Entries
 from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample
-from phfmu.declare.operations import piecewise, switches
+from phfmu.declare.check_sample import Sample, Setting
+from phfmu.declare.operations import analytic, piecewise, switches
 
 POINTS = 129  # of a line on which pieces are looked for
 REACH = 3.0  # half its length, in sizes of the states
@@ -21,7 +21,7 @@ JUMP = 1e-7  # of the largest value on the line
 
 @dataclass(frozen=True)
 class _Seam:
-    """Where two pieces meet: the states there, the jump of H in joule, and whether its gradient jumps."""
+    """Where two pieces meet: the states there in words, the jump of H in joule, and whether its gradient jumps."""
 
     where: str
     jump: float
@@ -66,19 +66,27 @@ def kinks(entries: Entries, sample: Sample) -> list[Problem]:
 def _found(entries: Entries, sample: Sample) -> list[_Pieces]:
     named = [(e.label, e.expr) for e in entries.of("H")]
     named += [(p.label, ca.SX(p.origin.hamiltonian)) for p in entries.pairs]
+    if analytic([expr for _, expr in named]):
+        return []
     out = []
     for label, expr in named:
         x = ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()][0] == "x"))
         names = piecewise(expr, x) if x.numel() else ()
         if names:
-            out.append(_Pieces(label, names, _seams(entries, sample, expr, x)))
+            settings = sample.settings if ca.depends_on(expr, _parameters(entries)) else sample.settings[:1]
+            seams = [seam for s in settings for seam in _seams(entries, sample, expr, x, s)]
+            out.append(_Pieces(label, names, sorted(seams, key=lambda s: (-abs(s.jump), not s.bends))))
     return out
 
 
-def _seams(entries: Entries, sample: Sample, expr: ca.SX, x: ca.SX) -> list[_Seam]:
-    """Where pieces meet on lines through the start, the worst first: a jump before a bend."""
-    p = ca.vertcat(ca.SX(0, 1), *(v.sx for v in entries.model.parameters))
-    values = np.array([s for v in entries.model.parameters for s in v.start], float)
+def _parameters(entries: Entries) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *(v.sx for v in entries.model.parameters))
+
+
+def _seams(entries: Entries, sample: Sample, expr: ca.SX, x: ca.SX, setting: Setting) -> list[_Seam]:
+    """Where pieces meet on lines through the start, with the parameters of `setting`."""
+    p, values = _parameters(entries), np.array(setting.parameters)
+    since = f", {setting.since}" * bool(setting.since)
     both = ca.vertcat(expr, ca.gradient(expr, x))
     f, piece = (ca.Function("f", [x, p], [ca.densify(e)]) for e in (both, switches(expr, x)))
     at = [sample.place[x[j].element_hash()] for j in range(x.numel())]
@@ -94,8 +102,8 @@ def _seams(entries: Entries, sample: Sample, expr: ca.SX, x: ca.SX) -> list[_Sea
             a, b = (np.array(f(e, values)).ravel() for e in ends)
             apart = np.abs(b - a) > JUMP * scale
             names = ", ".join(f"{entries.known[x[j].element_hash()][1]} = {v:.4g}" for j, v in enumerate(ends[1][:4]))
-            out.append(_Seam(names, float(b[0] - a[0]) if apart[0] else 0.0, bool(apart[1:].any())))
-    return sorted(out, key=lambda s: (-abs(s.jump), not s.bends))
+            out.append(_Seam(names + since, float(b[0] - a[0]) if apart[0] else 0.0, bool(apart[1:].any())))
+    return out
 
 
 def _halved(piece: ca.Function, p: NDArray, a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:

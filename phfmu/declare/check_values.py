@@ -1,7 +1,7 @@
 """The check of the numbers of one run: settings, starts and what events make of the parameters.
 
-It is the part of `check` that depends on values and is cheap: limits of parameters, finite starts, J skew, R symmetric
-and semidefinite, E regular, all evaluated at once from one set of compiled expressions.
+It is the part of `check` that is cheap and that a closed ledger may hide: limits of parameters, finite starts, J skew, R
+symmetric and semidefinite, E regular, all evaluated at once from one set of compiled expressions; H without jumps.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.check_entries import Entries, normal_form
+from phfmu.declare.check_entries import Entries, Entry, normal_form
 from phfmu.declare.check_matrix import finite, masses, passivity, skew_symmetry, symmetry
 from phfmu.declare.check_names import starts
+from phfmu.declare.check_pieces import continuous
 from phfmu.declare.check_problem import Problem
 from phfmu.declare.check_ranges import ranges
 from phfmu.declare.check_sample import Sample, Setting
@@ -47,12 +48,16 @@ def check_values(
         return found
     entries = Entries(model)
     normal_form(entries)
-    # numbers do not change with the run: left to `check`, but for those that others are added to
-    entries.sound = [e for e in entries.sound if e.what in ("R", "E") or ca.symvar(e.expr)]
+    # numbers do not change with the run: looked at where others are added to them, or where they are not skew
+    entries.sound = [e for e in entries.sound if e.what in ("R", "E") or ca.symvar(e.expr) or _not_skew(e)]
     sample = Sample(entries, settings(model, events))
-    for rule in (ranges, finite, skew_symmetry, symmetry, passivity, masses):
+    for rule in (ranges, finite, skew_symmetry, symmetry, passivity, masses, continuous):
         found += rule(entries, sample)
     return found
+
+
+def _not_skew(entry: Entry) -> bool:
+    return entry.what == "J" and not (entry.expr + entry.expr.T).is_zero()
 
 
 def settings(model: PHDAE, events: Sequence[Change]) -> list[Setting]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -52,6 +52,12 @@ def function_of(expr: ca.SX, x: ca.SX) -> tuple[ca.Function, ca.SX]:
     own = {x[j].element_hash() for j in range(x.numel())}
     rest = ca.vertcat(ca.SX(0, 1), *(s for s in ca.symvar(expr) if s.element_hash() not in own))
     return ca.Function("f", [x, rest], [expr]), rest
+
+
+def analytic(exprs: Sequence[ca.SX]) -> bool:
+    """True if no operation in the expressions is in pieces, in whatever symbol."""
+    f = ca.Function("f", ca.symvar(ca.vertcat(ca.SX(0, 1), *exprs)), list(exprs))
+    return {f.instruction_id(i) for i in range(f.n_instructions())} <= ANALYTIC
 
 
 def piecewise(expr: ca.SX, x: ca.SX) -> tuple[str, ...]:

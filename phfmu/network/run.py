@@ -133,7 +133,7 @@ def run(
     from phfmu.audit import Ledger
 
     _check_times(t0, stop, step)
-    _check_events(stepper, [e for e in events if not e.t >= stop])
+    _check_events(stepper, events, stop)
     ledger = Ledger(sink, audit_rtol)
     book = Book(stepper, ledger)
     if rtol is None:
@@ -235,16 +235,19 @@ def _check_times(t0: float, stop: float, step: float) -> None:
         raise ValueError(f"--step {step} s is lost in the rounding of times near --stop {stop} s; take a longer one")
 
 
-def _check_events(stepper: Stepper, events: Sequence[Event]) -> None:
-    """ValueError for numbers that are not finite, KeyError for unknown names, before the first step."""
+def _check_events(stepper: Stepper, events: Sequence[Event], stop: float) -> None:
+    """ValueError for numbers that are not finite, KeyError for unknown names, before the first step, of late events too."""
     for e in events:
         if not np.isfinite(e.t) or not np.isfinite(e.value):
             raise ValueError(f"event {e.name} = {e.value} at t = {e.t} s: time and value must be finite")
     names = stepper.settable()
     known = {*names, *(n.partition("[")[0] for n in names)}
-    for e in events:
-        if e.name not in known:
+    for e in (e for e in events if e.name not in known):
+        try:
             stepper.set_value(e.name, e.value)  # raises with what there is instead
+        except ValueError:  # a parameter that is fixed here: no matter where it is not reached
+            if e.t < stop:
+                raise
 
 
 def _control(rtol: float, atol: float | None, step: float, smallest: float, largest: float) -> Control:
