@@ -1,8 +1,9 @@
-"""Tables of transformations and singular E; printed by `make_tables.py`."""
+"""Table of docs/results/transformations.md: a singular mass matrix against two degrees of freedom."""
 
 from __future__ import annotations
 
 import numpy as np
+from pages import Made, slopes, table
 from scipy.linalg import expm
 
 from phfmu import Collocated, PythonInstance, build_model
@@ -21,10 +22,8 @@ def two_degrees_of_freedom() -> np.ndarray:
     return expm(A * END)[:4] @ [0.1, 0.05, 0.3, -0.5, 1.0]
 
 
-def mass_spring_orders() -> str:
+def mass_spring_orders() -> Made:
     """Two masses with a singular mass matrix, reduced: largest error of positions and speeds, and the balance."""
-    from make_tables import slopes, table
-
     exact, rows = two_degrees_of_freedom(), []
     declaration = mass_spring(m1=M1, m2=M2, k1=K1, k2=K2, d1=D1, d2=D2, elongations=(0.1, -0.05), speeds=(0.3, -0.8))
     for k in (1, 2, 3):

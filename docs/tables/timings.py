@@ -1,41 +1,26 @@
-"""Prints the tables of times: `python docs/make_timings.py [--write] [NAME ...]` (a few minutes; needs a C compiler).
+"""Tables of times: docs/results/work-precision.md and scaling.md, with their pictures.
 
-NAME is a table of `TABLES`; without a name all are made.  `--write` puts them into docs/results below the line with their
-command, and the pictures into docs/results/img.  Times change with the machine and its load, which stand below each table.
+Times change with the machine and its load, which stand below each table.
 """
 
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+from pages import DOCS, Made, table
 
 from phfmu.bench import machine
 from phfmu.bench.families import FAMILIES, member
 from phfmu.cli.target import scene
 
-RESULTS = Path(__file__).parent / "results"
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """A Markdown table; floats with three digits."""
-    text = [[f"{x:.3g}" if isinstance(x, float) else str(x) for x in row] for row in rows]
-    return "\n".join("| " + " | ".join(r) + " |" for r in [head, ["---"] * len(head), *text])
+RESULTS = DOCS / "results"
 
 
 def numbers(text: str) -> tuple[float, ...]:
     return tuple(float(t) for t in text.split(","))
-
-
-@dataclass(frozen=True)
-class Made:
-    """Table and notes as Markdown; `draw` puts a picture into a folder."""
-
-    text: str
-    draw: Callable[[Path], None] = lambda folder: None
 
 
 def work_precision(target: str, steps: str, errors: str, stop: float, repeat: int, peers: tuple[str, ...]) -> Made:
@@ -48,9 +33,10 @@ def work_precision(target: str, steps: str, errors: str, stop: float, repeat: in
     choice = Choice(steps=numbers(steps), errors=numbers(errors), repeat=repeat, peers=peers)
     found = compare(problem, choice)
 
-    def draw(folder: Path) -> None:
-        picture = folder / f"work_precision_{problem.name}.png"
+    def draw() -> Sequence[Path]:
+        picture = RESULTS / "img" / f"work_precision_{problem.name}.png"
         write_png(picture, problem, found.table, f"{found.caption}\n{machine.versions()}")
+        return (picture,)
 
     rows = [
         [r.method, r.setting, 1e3 * r.cpu, r.judged.errors[-1], r.judged.energy, r.judged.drift, r.ledger or "",
@@ -68,8 +54,8 @@ def work_precision(target: str, steps: str, errors: str, stop: float, repeat: in
         "steps",
         "iterations",
     ]
-    notes = [*found.ratios, *found.table.remarks, *found.about]
-    return Made(table(head, rows) + "\n\n" + "\n".join(f"- {n}" for n in notes), draw)
+    notes = (*found.ratios, *found.table.remarks, *found.about)
+    return table(head, rows, ".3g", notes=notes, draw=draw)
 
 
 def four_particle() -> Made:
@@ -109,22 +95,24 @@ def scaling(name: str, sizes: Sequence[int]) -> Made:
     parts = FAMILIES[name].parts
     head = [parts, "unknowns", "declare s", "plan s", "C kB", "compile s", "memory MB", "µs/step", "its", "µs/it"]
     about = f"{machine.processor()}; load {before} before, {machine.load()} after; process CPU time"
-    return Made(f"{table(head, rows)}\n\n- {about}", draw_scaling)
+    return table(head, rows, ".3g", notes=(about,), draw=draw_scaling)
 
 
-def draw_scaling(folder: Path) -> None:
+def draw_scaling() -> Sequence[Path]:
     """The tables on the page about scaling as one picture."""
     from phfmu.bench.scaling import Size, write_png
 
     page, sizes = (RESULTS / "scaling.md").read_text(encoding="utf-8"), []
-    for name, body in re.findall(r"make_timings\.py scaling_(\w+)\n\n((?:\|.*\n)+)", page):
+    for name, body in re.findall(r"docs/tables scaling_(\w+)\n\n((?:\|.*\n)+)", page):
         for line in body.splitlines()[2:-1]:
             n, unknowns, declare, plan, code, compiled, memory, step, iterations, _ = (
                 float(cell) for cell in line.strip("| ").split("|")
             )
             sizes.append(Size(name, int(n), int(unknowns), declare, plan, int(1e3 * code), compiled, int(1e6 * memory), 0,
                               1e-6 * step, iterations))  # fmt: skip
-    write_png(folder / "scaling.png", sizes, f"{machine.processor()}; {machine.versions()}")
+    picture = RESULTS / "img" / "scaling.png"
+    write_png(picture, sizes, f"{machine.processor()}; {machine.versions()}")
+    return (picture,)
 
 
 def scaling_chain() -> Made:
@@ -140,31 +128,3 @@ def scaling_net() -> Made:
 def scaling_ladder() -> Made:
     """Machines along a line, h = 0.1 ms."""
     return scaling("ladder", (3, 10, 30, 100, 300))
-
-
-TABLES: dict[str, Callable[[], Made]] = {
-    f.__name__: f for f in (four_particle, chain_10, chain_50, scaling_chain, scaling_net, scaling_ladder)
-}
-
-
-def write(name: str, text: str) -> None:
-    """Replace table and notes below the command `python docs/make_timings.py <name>`."""
-    below = re.compile(
-        rf"(^    python docs/make_timings\.py {name}\n)\n?(?:\|.*\n)*(?:\n(?:- .*\n)+)?\n?", re.MULTILINE
-    )
-    for page in RESULTS.glob("*.md"):
-        old = page.read_text(encoding="utf-8")
-        page.write_text(below.sub(lambda m: f"{m[1]}\n{text}\n\n", old).rstrip() + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    machine.one_thread()
-    names = [a for a in sys.argv[1:] if a != "--write"] or list(TABLES)
-    for name in names:
-        if name not in TABLES:
-            sys.exit(f"no table '{name}'; there are: {', '.join(TABLES)}")
-        made = TABLES[name]()
-        print(f"### {name}\n\n{TABLES[name].__doc__}\n\n{made.text}\n", flush=True)
-        if "--write" in sys.argv:
-            write(name, made.text)
-            made.draw(RESULTS / "img")

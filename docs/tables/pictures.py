@@ -1,15 +1,14 @@
-"""Draws the pictures of README and docs: `python docs/make_figures.py` (needs matplotlib and a C compiler).
-
-Every picture is made from a run of phfmu; nothing is drawn from stored numbers.
-"""
+"""The pictures of README and docs, each from a run; nothing is drawn from stored numbers."""
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pages import DOCS, Made
 
 from phfmu import NativeInstance, build_model, default_scheme
 from phfmu.audit import AuditWriter, read
@@ -17,7 +16,7 @@ from phfmu.components.library import build
 from phfmu.network.run import Result, run
 from phfmu.network.stepper import Monolithic
 
-IMAGES = Path(__file__).parent / "img"
+IMAGES = DOCS / "img"
 COLOURS = {"gen": "#1f6fb4", "line": "#d1711b", "grid": "#5b8c3a"}
 
 
@@ -58,8 +57,12 @@ def largest(values: np.ndarray, window: int) -> np.ndarray:
     return np.abs(values).reshape(-1, window).max(axis=1)
 
 
-def smib() -> Path:
-    """Stator current and rotor speed after the torque step, and the ledger of every step."""
+def smib_picture() -> Made:
+    """docs/img/smib.png: stator current and rotor speed after the torque step, and the ledger of every step."""
+    return Made(draw=_draw_smib)
+
+
+def _draw_smib() -> Sequence[Path]:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -118,9 +121,4 @@ def smib() -> Path:
     path = IMAGES / "smib.png"
     figure.savefig(path, dpi=150)
     plt.close(figure)
-    return path
-
-
-if __name__ == "__main__":
-    IMAGES.mkdir(exist_ok=True)
-    print(smib())
+    return (path,)

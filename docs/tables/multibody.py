@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
+from pages import Made, independent, table
 
 from phfmu import Collocated, NativeInstance, build_model
 from phfmu.components.mechanical.chain import chain as chain_component
 from phfmu.components.mechanical.heavy_top import heavy_top
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "reference"))
-
-import chain_reference  # noqa: E402
-import heavy_top_reference  # noqa: E402
-
 SWING = {"n": 5, "damping": 0.3, "bending": 10.0, "speed": 2.0}
 
 
-def chain() -> str:
+def chain() -> Made:
     """Damped chain of five links, t = 0.4 s: errors and slopes of q, v, lambda_end, lambda (mean of the last step)."""
-    q, v, lam = chain_reference.chain(0.4, **SWING)
+    solve = independent("chain_reference").chain
+    q, v, lam = solve(0.4, **SWING)
     nodes, weights = np.polynomial.legendre.leggauss(5)
     rows, last = [], None
     for k, steps in ((1, (40, 80, 160, 320)), (3, (10, 20, 40))):
         for n in steps:
             h = 0.4 / n
-            mean = sum(w / 2 * chain_reference.chain(0.4 - h * (1 - c) / 2, **SWING)[2]
+            mean = sum(w / 2 * solve(0.4 - h * (1 - c) / 2, **SWING)[2]
                        for c, w in zip(nodes, weights, strict=True))  # fmt: skip
             instance = NativeInstance(build_model(chain_component(**SWING), Collocated(k, two_level=True)))
             r = instance.run(0.0, h, n, ("x", "a", "stored", "dissipated", "signals"))
@@ -40,12 +35,12 @@ def chain() -> str:
             rows.append([2 * k, f"{h:g}", *_slopes(errors, last if n != steps[0] else None), f"{balance:.0e}",
                          f"{np.max(checks[:, 5:]):.0e}", f"{np.max(checks[:, :5]):.0e}"])  # fmt: skip
             last = errors
-    return _table(["order", "h / s", "q", "v", "lambda_end", "lambda", "balance / J", "g", "Dg v"], rows)
+    return table(["order", "h / s", "q", "v", "lambda_end", "lambda", "balance / J", "g", "Dg v"], rows)
 
 
-def top() -> str:
+def top() -> Made:
     """Heavy top in directors, singular M, t = 0.1 s: errors and slopes of q, v, and v of the director without mass."""
-    q, v = heavy_top_reference.heavy_top(0.1, precession=1.0)
+    q, v = independent("heavy_top_reference").heavy_top(0.1, precession=1.0)
     rows, last = [], None
     for k, steps in ((1, (50, 100, 200)), (3, (16, 32, 64))):
         for n in steps:
@@ -59,15 +54,10 @@ def top() -> str:
             rows.append([2 * k, f"{0.1 / n:.3g}", *_slopes(errors, last if n != steps[0] else None), f"{drift:.0e}",
                          f"{checks:.0e}"])  # fmt: skip
             last = errors
-    return _table(["order", "h / s", "q", "v", "v of d_3", "dH / H", "g and Dg v"], rows)
+    return table(["order", "h / s", "q", "v", "v of d_3", "dH / H", "g and Dg v"], rows)
 
 
 def _slopes(errors: Sequence[float], last: Sequence[float] | None) -> list[str]:
     if last is None:
         return [f"{e:.2e}" for e in errors]
     return [f"{e:.2e} ({np.log2(b / e):.2f})" for e, b in zip(errors, last, strict=True)]
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    lines = ["| " + " | ".join(map(str, row)) + " |" for row in (head, ["---"] * len(head), *rows)]
-    return "\n".join(lines)

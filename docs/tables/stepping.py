@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from pages import Made, table
 
 from phfmu import Collocated, Monolithic, NativeInstance, build_model, default_scheme, run
 from phfmu.components.mechanical.four_particle import four_particle
@@ -13,15 +13,13 @@ from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.discretise.scheme import Scheme
 
-Array = NDArray[Any]
-
 
 def stepper(declaration: Any, scheme: Scheme) -> Monolithic:
     model = build_model(declaration, scheme)
     return Monolithic(model, NativeInstance(model))
 
 
-def restart() -> str:
+def restart() -> Made:
     """Voltage of phase b at the load of two_machine in V, at the fault and after the next steps of 100 us; lost energy."""
     scene, rows = two_machine(), []
     cases = {"order 2": (1, {}), "order 4": (2, {}), "order 2, one restart step": (1, {"restart": 1}),
@@ -33,10 +31,10 @@ def restart() -> str:
         network = r.ledger.summary().network
         lost = 0.0 if network is None else network.numerical or 0.0
         rows.append([label, *(f"{value:.0f}" for value in v), f"{lost:.3g}"])
-    return _table(["steps", "at the fault", "1", "2", "3", "4", "5", "lost in J"], rows)
+    return table(["steps", "at the fault", "1", "2", "3", "4", "5", "lost in J"], rows)
 
 
-def tolerance() -> str:
+def tolerance() -> Made:
     """Largest error of a state at the end, relative to 1 + its size, divided by rtol; in brackets the steps."""
     tolerances, rows = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8), []
     scene = smib()
@@ -56,10 +54,10 @@ def tolerance() -> str:
                 error = np.max(np.abs(s.instance.x - exact) / (1 + np.abs(exact)))
                 cells.append(f"{error / rtol:.2g} ({r.steps})")
             rows.append([label, f"{name} {order}", *cells, *[""] * (len(tolerances) - len(cells))])
-    return _table(["model", "scheme", *(f"{t:g}" for t in tolerances)], rows)
+    return table(["model", "scheme", *(f"{t:g}" for t in tolerances)], rows)
 
 
-def between() -> str:
+def between() -> Made:
     """Largest g, Dg v and distance of H from a straight line within the steps of four_particle, 1 s."""
     rows = []
     for order in (2, 6):
@@ -72,9 +70,4 @@ def between() -> str:
             stored = r.column("energy.stored")
             line = np.interp(r.time, r.time[~inside], stored[~inside])
             rows.append([f"{order}", f"{h:g}", f"{g:.1e}", f"{w:.1e}", f"{np.abs(stored - line).max():.1e}"])
-    return _table(["order", "h in s", "g in m2", "Dg v in m2/s", "H in J"], rows)
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return table(["order", "h in s", "g in m2", "Dg v in m2/s", "H in J"], rows)

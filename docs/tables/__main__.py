@@ -1,0 +1,64 @@
+"""Makes the tables and pictures of the documentation: `python docs/tables [--write] NAME ...` (needs a C compiler).
+
+Without a NAME all names are listed.  `--write` puts a table into the pages, below the line with its command, and
+pictures where the pages show them.  Errors are measured against tests/reference, independent solutions of high accuracy,
+or against closed forms; pictures are drawn from runs, never from stored numbers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from importlib import import_module
+
+from phfmu.bench import machine
+
+machine.one_thread()  # before numpy is imported
+
+from pages import ROOT, Made, write  # noqa: E402
+
+#: module -> what it makes; the docstring of each function says what is measured
+MAKERS = {
+    "pictures": ("smib_picture",),
+    "particles": ("four_particle_convergence", "four_particle_balance", "four_particle_large_steps"),
+    "machines": (
+        "oscillator_coupling",
+        "smib_convergence",
+        "smib_folded_convergence",
+        "smib_coordinates",
+        "two_machine_order",
+    ),
+    "multibody": ("chain", "top"),
+    "stepping": ("restart", "tolerance", "between"),
+    "library": ("orders",),
+    "singular_mass": ("mass_spring_orders",),
+    "timings": ("four_particle", "chain_10", "chain_50", "scaling_chain", "scaling_net", "scaling_ladder"),
+}
+MODULE = {name: module for module, names in MAKERS.items() for name in names}
+
+
+def maker(name: str) -> Callable[[], Made]:
+    return getattr(import_module(MODULE[name]), name)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python docs/tables", description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help="what to make; none: list them")
+    parser.add_argument("--write", action="store_true", help="into the pages, below the line with the command")
+    args = parser.parse_args()
+    unknown = [n for n in args.names if n not in MODULE]
+    if unknown:
+        parser.error(f"there is no '{unknown[0]}'; there are: {', '.join(MODULE)}")
+    for name in args.names:
+        made = maker(name)()
+        print(f"### {name}\n\n{maker(name).__doc__}\n\n{made}\n", flush=True)
+        if args.write:
+            for path in (*write(name, made), *made.draw()):
+                print(f"wrote {path.relative_to(ROOT)}", file=sys.stderr)
+    for name in () if args.names else MODULE:
+        print(f"{name:<28} {(maker(name).__doc__ or '').splitlines()[0]}")
+
+
+if __name__ == "__main__":
+    main()

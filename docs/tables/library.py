@@ -1,0 +1,13 @@
+"""Table of docs/results/orders.md."""
+
+from __future__ import annotations
+
+from pages import Made
+
+from phfmu.bench.orders import measure
+from phfmu.bench.orders import table as markdown
+
+
+def orders() -> Made:
+    """Slopes and worst ledger closure of every scheme on everything in the library."""
+    return Made(markdown(measure()))
