@@ -30,7 +30,12 @@ DOMAIN = {
     "common": "common",
 }
 #: attributes of the energies of one step
-ENERGY = {"stored_step": "storedStep", "supplied_step": "suppliedStep", "dissipated_step": "dissipatedStep"}
+ENERGY = {
+    "stored_step": "storedStep",
+    "supplied_step": "suppliedStep",
+    "dissipated_step": "dissipatedStep",
+    "moved_step": "movedStep",
+}
 
 TEXT = (
     "power ports with conjugate pairs: (length of the step) * input * step output is the energy supplied "

@@ -22,7 +22,7 @@ from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 
 Array = NDArray[np.float64]
-_STEP = ("storedStep", "dissipatedStep", "suppliedStep")
+_STEP, _MOVED = ("storedStep", "dissipatedStep", "suppliedStep"), "movedStep"
 
 
 @dataclass(eq=False)
@@ -72,7 +72,8 @@ class FMUInstance:
         self._u = group(self.inputs, "input")
         self._y_end = group(self.outputs, "output")
         self._y_mean = self._y_end if self.estimated else group(means, "output")
-        self._books = group([] if self.estimated else [self.interface.energy[s] for s in _STEP], "output")
+        told = () if self.estimated else (*_STEP, *(s for s in (_MOVED,) if s in self.interface.energy))
+        self._books = group([self.interface.energy[s] for s in told], "output")
         self._u_nodes = group(_in_order(self.ports, "node_inputs"), "input")
         self._y_nodes = group(_in_order(self.ports, "node_outputs"), "output")
         self._require_pairs()
@@ -327,9 +328,15 @@ class FMUInstance:
             return np.array([self._supplied.sum()])
         return self.get([self.interface.energy["stored"]])
 
+    def gap(self) -> float | None:
+        """H - H(start) - sum of stored [J]: what the ledger of the unit cannot explain; None if it does not tell."""
+        name = None if self.estimated else self.interface.energy.get("gap")
+        return None if name is None else float(self.get([name])[0])
+
     def ledger(self) -> dict[str, Array]:
         """Of the last step: stored, dissipated, supplied (1 each) and energy through each pair (nu) [J].
 
+        `moved` (1), the sum over its energies of |change|, is there if the unit tells it; what cannot close is small to it.
         An estimated unit keeps to itself what it dissipates: stored is what was supplied.
         """
         if self.estimated:
@@ -346,7 +353,8 @@ class FMUInstance:
         else:
             u = self._u_nodes.values.reshape(-1, self.nu)
             pairs = self._h * np.array(self.interface.weights) @ (u * self.node_output())
-        return {"stored": books[:1], "dissipated": books[1:2], "supplied": books[2:], "pairs": pairs}
+        moved = {"moved": books[3:]} if len(books) > len(_STEP) else {}
+        return {"stored": books[:1], "dissipated": books[1:2], "supplied": books[2:3], "pairs": pairs, **moved}
 
 
 def _in_order(ports: Sequence[PortMap], field: str) -> list[str]:

@@ -61,11 +61,13 @@ class FMUVariable:
     @property
     def depends_on_inputs(self) -> bool:
         """False if a new input changes the value only after the next step."""
-        return self.block not in ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL")
+        return self.block not in _OF_STATE
 
 
+#: energies, which no input changes before the next step
+_OF_STATE = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL", "FMU_GAP")
 #: where outputs of the ledger and residuals of constraints come from: to be looked at, not to be connected
-_BOOKS = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL", "PH_OBSERVABLES")
+_BOOKS = (*_OF_STATE, "PH_OBSERVABLES")
 
 
 def variables(
@@ -236,12 +238,14 @@ LEDGER = (
         "PH_RESIDUAL",
         "change of stored + dissipated - supplied energy since the start",
     ),
+    ("gap", "FMU_GAP", "change of stored energy since the start that the ledgers of the steps do not explain"),
 )
 #: the same of one communication step, free of the cancellation of differences
 STEP_LEDGER = (
     ("stored_step", "FMU_ROW_STORED", "change of stored energy in the last step"),
     ("supplied_step", "FMU_ROW_SUPPLIED", "energy supplied through ports in the last step"),
     ("dissipated_step", "FMU_ROW_DISSIPATED", "energy dissipated in the last step"),
+    ("moved_step", "FMU_ROW_MOVED", "sum over the energies of |change| in the last step"),
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -177,17 +178,24 @@ class FMUStepper:
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         rows: list[tuple[Array, ...]] = []
+        moved: list[Array] = []
         for k in range(n):
             try:
                 self.unit.do_step(t0 + (first + k) * h, h)
                 values = self.read()
             except StepFailure as failure:
-                failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
+                failure.recorded = {"steps": _taken(rows, moved)} if rows else {}
                 raise
             book = self.member.ledger()
+            moved += [book["moved"]] if "moved" in book else []
             parts = [book[key] for key in ("stored", "dissipated", "supplied", "pairs")]
             rows.append((values, self.energies(), *parts, np.array(0.0)))
-        return Steps.stacked(rows)
+        return _taken(rows, moved)
+
+
+def _taken(rows: list[tuple[Array, ...]], moved: list[Array]) -> Steps:
+    """The steps so far; units of other tools do not tell what moved."""
+    return replace(Steps.stacked(rows), moved=np.array(moved) if moved else None)
 
 
 def fmu_scene(unit: FMUInstance) -> Scene:

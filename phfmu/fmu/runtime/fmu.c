@@ -23,7 +23,8 @@ static size_t padded(size_t bytes) {
 static fmu *allocate(const fmu_interface *about, const char *name) {
     const ph_plan *p = about->model->step;
     const size_t model = ph_size(about->model), length = strlen(name) + 1, nu = (size_t)p->nu;
-    const size_t values = (size_t)p->nx + (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu;
+    const size_t nc = (size_t)p->ncomp;
+    const size_t values = (size_t)p->nx + (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu + 3 * nc;
     const size_t scalars = about->sizes ? 2 * (size_t)about->nvariable : 0;
     char *block;
     fmu *f;
@@ -43,9 +44,12 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     f->u = f->p + p->np;
     f->step_map = f->u + nu * (size_t)p->k;
     f->end_map = f->step_map + nu * nu;
+    f->books.start = f->end_map + nu * nu;
+    f->books.booked = f->books.start + nc;
+    f->books.rest = f->books.booked + nc;
     if (scalars)
-        f->scalars = (unsigned *)(void *)(f->end_map + nu * nu);
-    f->name = (char *)(f->end_map + nu * nu) + sizeof(unsigned) * scalars;
+        f->scalars = (unsigned *)(void *)(f->books.rest + nc);
+    f->name = (char *)(f->books.rest + nc) + sizeof(unsigned) * scalars;
     memcpy(f->name, name, length);
     return f;
 }
@@ -136,6 +140,25 @@ static int check_starts(const fmu *f, const char *function) {
         function, f->about->variables[worst->variable].name, value, worst->limit);
 }
 
+/* From here on the ledger has to explain every change of the stored energy. */
+static void open_books(fmu *f) {
+    const double *energy = ph_signals(f->in) + f->offset[PH_H];
+    for (int c = 0; c < f->about->model->step->ncomp; c++) {
+        f->books.start[c] = energy[c];
+        f->books.booked[c] = f->books.rest[c] = 0.0;
+    }
+}
+
+/* The change of stored energy that the last step booked, compensated. */
+static void book(fmu *f) {
+    const double *stored = ph_ledger(f->in, PH_ROW_STORED);
+    for (int c = 0; c < f->about->model->step->ncomp; c++) {
+        double term = stored[c] - f->books.rest[c], sum = f->books.booked[c] + term;
+        f->books.rest[c] = (sum - f->books.booked[c]) - term;
+        f->books.booked[c] = sum;
+    }
+}
+
 int fmu_leave(fmu *f, const char *function) {
     int status;
     if (fmu_allow(f, function, FMU_INITIALIZATION) || fmu_check_ranges(f, function))
@@ -145,6 +168,7 @@ int fmu_leave(fmu *f, const char *function) {
         return fmu_solver(f, function, status);
     if (check_starts(f, function))
         return FMU_ERROR;
+    open_books(f);
     f->phase.mode = FMU_STEP;
     return FMU_OK;
 }
@@ -210,6 +234,7 @@ int fmu_do_step(fmu *f, const char *function, double t, double h) {
     if (status)
         return fmu_solver(f, function, status);
     f->phase.steps++;
+    book(f);
     if (count[PH_SUBSTEPS] > halved)
         fmu_say(f, FMU_OK, FMU_LOG_HALVED, "the step from t = %.9g s of %.9g s was halved %lld times", t, h,
                 count[PH_SUBSTEPS] - halved);

@@ -16,14 +16,18 @@ enum { FMU_OK = 0, FMU_WARNING = 1, FMU_ERROR = 3 };
 /* Modes of an instance; functions name the ones they are allowed in as a mask. */
 enum { FMU_INSTANTIATED = 1, FMU_INITIALIZATION = 2, FMU_STEP = 4, FMU_TERMINATED = 8, FMU_ANY = 15 };
 
-/* Places of values that are not in the signal table; the rows of the ledger in the order of ph_row. An
- * input is held: it stands for the values at all nodes of a step, of which FMU_NODE_INPUT is one. */
+/* Places of values that are not in the signal table; the rows of the ledger in the order of ph_row. FMU_GAP:
+ * what the ledger does not explain of the stored energy. An input is held: it stands for the values at all
+ * nodes of a step, of which FMU_NODE_INPUT is one. */
 enum {
     FMU_PARAMETER = PH_NBLOCK,
     FMU_INPUT,
     FMU_ROW_STORED,
     FMU_ROW_DISSIPATED,
     FMU_ROW_SUPPLIED,
+    FMU_ROW_NUMERICAL,
+    FMU_ROW_MOVED,
+    FMU_GAP,
     FMU_NODE_INPUT,
     FMU_NODE_OUTPUT
 };
@@ -84,6 +88,13 @@ typedef struct fmu_phase {
     double steps; /* taken since the start */
 } fmu_phase;
 
+/* The stored energy and what was booked as its change, ncomp each. */
+typedef struct fmu_books {
+    double *start;  /* H when initialization ended */
+    double *booked; /* sum of its changes by the ledgers of all steps */
+    double *rest;   /* what compensated summation still owes `booked`, to be subtracted */
+} fmu_books;
+
 struct fmu {
     const fmu_interface *about;
     ph_instance *in;
@@ -95,6 +106,7 @@ struct fmu {
     char *name;                 /* owned */
     int offset[PH_NBLOCK + 1];  /* of the signal table */
     double *x, *u, *p;          /* nx, nu*k, np: values being set */
+    fmu_books books;            /* saved with the state, as one stretch of 3*ncomp */
     double *step_map, *end_map; /* nu*nu sensitivities, row-major */
     int step_known, end_known;  /* whether they belong to the present time */
     unsigned *scalars;          /* 2*nvariable, room for the scalars of arrays; NULL without arrays */

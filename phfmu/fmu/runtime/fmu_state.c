@@ -1,4 +1,5 @@
-/* Saved states: the token, the mode and a copy of the model's state, in one block without pointers.
+/* Saved states: the token, the mode, the books and a copy of the model's state, in one block without
+ * pointers.
  *
  * Serialized states carry a checksum: they come from files, and the model trusts its state. */
 #include <stdlib.h>
@@ -29,8 +30,13 @@ static unsigned long long sum_of(const void *bytes, size_t size) {
                size - sizeof(head));
 }
 
+/* Bytes of the books, which lie between the head and the state of the model. */
+static size_t books_size(const fmu *f) {
+    return 3 * sizeof(double) * (size_t)f->about->model->step->ncomp;
+}
+
 size_t fmu_state_size(const fmu *f) {
-    return sizeof(saved) + ph_state_size(f->in);
+    return sizeof(saved) + books_size(f) + ph_state_size(f->in);
 }
 
 int fmu_save(fmu *f, const char *function, void **state) {
@@ -46,7 +52,8 @@ int fmu_save(fmu *f, const char *function, void **state) {
     memcpy(to->token, f->about->token, FMU_TOKEN);
     to->size = fmu_state_size(f);
     to->phase = f->phase;
-    ph_save(f->in, to + 1);
+    memcpy(to + 1, f->books.start, books_size(f));
+    ph_save(f->in, (char *)(to + 1) + books_size(f));
     return FMU_OK;
 }
 
@@ -66,9 +73,10 @@ int fmu_restore(fmu *f, const char *function, const void *state) {
         return fmu_refuse(f, "%s: there is no state", function);
     if (check(f, function, from))
         return FMU_ERROR;
-    status = ph_load(f->in, from + 1);
+    status = ph_load(f->in, (const char *)(from + 1) + books_size(f));
     if (status)
         return fmu_refuse(f, "%s: %s", function, ph_status_text(status));
+    memcpy(f->books.start, from + 1, books_size(f));
     f->phase = from->phase;
     f->step_known = f->end_known = 0;
     return FMU_OK;

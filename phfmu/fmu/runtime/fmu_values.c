@@ -16,7 +16,7 @@ static const fmu_variable *find(const fmu *f, const char *function, unsigned ref
 static int solved(const fmu *f, int block) {
     if (block == PH_A || block == PH_Y_STEP || block == FMU_NODE_OUTPUT)
         return f->phase.mode == FMU_INITIALIZATION;
-    return block >= PH_A_END && block < PH_NBLOCK;
+    return (block >= PH_A_END && block < PH_NBLOCK) || block == FMU_GAP;
 }
 
 /* Where the entries of a block begin. */
@@ -32,16 +32,32 @@ static const double *block_of(const fmu *f, int block) {
     case FMU_ROW_STORED:
     case FMU_ROW_DISSIPATED:
     case FMU_ROW_SUPPLIED:
+    case FMU_ROW_NUMERICAL:
+    case FMU_ROW_MOVED:
         return ph_ledger(f->in, PH_ROW_STORED + block - FMU_ROW_STORED);
     default:
         return ph_signals(f->in) + f->offset[block];
     }
 }
 
+/* H - H(start) - booked changes; before the start nothing is asked of the ledger. Parameters and states are
+ * fixed from then on, so no jump of H has to be booked. */
+static double gap_of(const fmu *f, const fmu_variable *v) {
+    const double *energy = ph_signals(f->in) + f->offset[PH_H];
+    double sum = 0.0;
+    for (int c = v->first; f->phase.mode != FMU_INITIALIZATION && c < v->first + v->count; c++)
+        sum += (energy[c] - f->books.start[c]) - f->books.booked[c] + f->books.rest[c];
+    return sum;
+}
+
 static double value_of(const fmu *f, const fmu_variable *v) {
     const ph_plan *p = f->about->model->step;
-    const double *from = block_of(f, v->block);
-    double sum = from[v->first];
+    const double *from;
+    double sum;
+    if (v->block == FMU_GAP)
+        return gap_of(f, v);
+    from = block_of(f, v->block);
+    sum = from[v->first];
     for (int i = 1; v->block == FMU_INPUT && i < p->k; i++) /* of values at nodes, their mean */
         sum += p->weights[i] * (from[i * p->nu + v->first] - from[v->first]);
     for (int i = 1; i < v->count; i++)
