@@ -727,6 +727,52 @@ def test_claims_of_a_file_are_not_believed(tmp_path: Path):
         assert any(f"calls its books '{claim}'; by its ports they are 'exact'" in str(v) for v in found)
 
 
+def inflated(path: Path, arrays: dict[str, np.ndarray], at: Callable[[np.ndarray], np.ndarray], rtol: float) -> Path:
+    """A log whose rows of component a say `at` of what moved in it."""
+    with AuditWriter(path) as sink:
+        add_blocks(Ledger(sink, rtol), arrays, 20)
+    table = read(path)
+    row, component = (np.array(table[name].cast("string").to_pylist(), object) for name in ("row", "component"))
+    own = (row == "component") & (component == "a")
+    moved = table["moved"].to_numpy().copy()
+    moved[own] = at(moved[own])
+    place = table.column_names.index("moved")
+    pa.parquet.write_table(table.set_column(place, "moved", pa.array(moved, from_pandas=True)), path)
+    return path
+
+
+@pytest.mark.parametrize("rtol", [1e-11, 1e-6, 1e-13])
+@pytest.mark.parametrize(
+    "at", [lambda m: np.full_like(m, 1e9), lambda m: np.where(np.arange(len(m)), m, 1e13)], ids=["all", "first"]
+)
+def test_a_moved_that_was_not_recorded_hides_nothing(
+    tmp_path: Path, rtol: float, at: Callable[[np.ndarray], np.ndarray]
+):
+    """1e9 J in every step, or 1e13 J in the first, whose rounding counts from then on, would allow the 1 mJ that is missing."""
+    arrays = run_arrays(20, leak=0.0)
+    arrays["moved"] = np.ones((20, 2))
+    assert verdict(inflated(tmp_path / "sound.parquet", arrays, np.copy, rtol)) == []
+    arrays["dissipated"][5, 0] += 1e-3
+    arrays["dissipated"][0], arrays["supplied"][0], arrays["port_energy"][0] = 0.0, 0.0, 0.0
+    arrays["dH"][0] = 0.0  # nothing is missing in the first step, whatever moves in it
+    arrays["H"] = 10.0 + np.cumsum(arrays["dH"], axis=0)
+    assert {("balance", "a")} <= {
+        (v.kind, v.name) for v in verdict(inflated(tmp_path / "x.parquet", arrays, np.copy, rtol))
+    }
+    found = verdict(inflated(tmp_path / "y.parquet", arrays, at, rtol))
+    (told,) = [v for v in found if v.kind == "file"]
+    assert told.name == "component a" and "says residual_rel" in str(told)
+
+
+def test_a_moved_that_no_ratio_bears_is_told(tmp_path: Path):
+    arrays = run_arrays(20, leak=0.0) | {"moved": np.ones((20, 2))}
+    table = read(inflated(tmp_path / "x.parquet", arrays, np.copy, 1e-11))
+    (a, b) = verdict(table.drop_columns("residual_rel"))
+    assert (
+        str(a).startswith("component a: the row of step 0 says moved without residual_rel") and a.steps == b.steps == 20
+    )
+
+
 def test_rows_that_are_missing_are_found(tmp_path: Path):
     table = read(write_run(tmp_path / "x.parquet", leak=0.0))
     rows = table.to_pylist()

@@ -8,9 +8,10 @@ if TYPE_CHECKING:
     from .archive import Recovered, metadata, read, recover
     from .block import Block, Layout, PortKey, make_block
     from .judge import DEFAULT_RTOL, Judge, Violation
-    from .ledger import Ledger, Sink
+    from .ledger import Ledger
     from .report import audit_table
     from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+    from .sink import Sink
     from .stream import AuditWriter
     from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
 
@@ -19,9 +20,10 @@ _HOME = {
     "archive": ("Recovered", "metadata", "read", "recover"),
     "block": ("Block", "Layout", "PortKey", "make_block"),
     "judge": ("DEFAULT_RTOL", "Judge", "Violation"),
-    "ledger": ("Ledger", "Sink"),
+    "ledger": ("Ledger",),
     "report": ("audit_table",),
     "rows": ("ComponentRow", "EventRow", "JunctionRow", "NetworkRow", "PortRow"),
+    "sink": ("Sink",),
     "stream": ("AuditWriter",),
     "summary": ("ComponentSummary", "JunctionSummary", "LedgerSummary", "NetworkSummary", "PortSummary"),
 }

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block, Layout, PortKey, make_block
-from .judge import DEFAULT_RTOL, EPS, ULPS, Violation
+from .block import Layout, PortKey, make_block
+from .contradictions import Contradictions
+from .judge import DEFAULT_RTOL, Violation
 from .ledger import Ledger
 from .reading import Batches, Interned, Rows
 from .rows import ESTIMATED, EXACT, SILENT
@@ -65,7 +66,7 @@ class _Reader:
         self._interned = interned
         self._waiting: dict[str, Rows] = {}
         self._layouts: dict[tuple[bytes, ...], Layout] = {}
-        self._played = 0.0  # sum of all energies in play so far
+        self._contradictions = Contradictions(self.ledger, interned)
         self._next: int | None = None
 
     def take(self, batch: Mapping[str, Rows]) -> None:
@@ -94,7 +95,7 @@ class _Reader:
         """Say what is left."""
         self._book_events(self._waiting.pop("event", None), None)
         for kind, rows in self._waiting.items():
-            self._contradiction(
+            self._contradictions.tell(
                 int(rows.step[0]), f"{rows.n} {kind} rows from step {rows.step[0]} on have no network row"
             )
 
@@ -104,7 +105,7 @@ class _Reader:
         if len(jumps):
             k = int(jumps[0])
             before = int(found[k - 1]) if k else int(expected) - 1
-            self._contradiction(
+            self._contradictions.tell(
                 int(found[k]), f"step {before} is followed by step {found[k]}: rows are missing or doubled"
             )
         self._next = int(steps[-1]) + 1
@@ -115,7 +116,9 @@ class _Reader:
         known = steps[place] == rows.step
         if not known.all():
             lost = int(rows.step[~known][0])
-            self._contradiction(lost, f"{(~known).sum()} {kind} rows, the first of step {lost}, have no network row")
+            self._contradictions.tell(
+                lost, f"{(~known).sum()} {kind} rows, the first of step {lost}, have no network row"
+            )
             rows = rows.take(known)
         return _grouped(rows, steps)
 
@@ -177,7 +180,7 @@ class _Reader:
             layout, network.step, network.values("t0"), network.values("h"), H1, dH, lost, gained,
             required(ports, "supplied", q), H0=H0, moved=moved, numerical=damped,
         )  # fmt: skip
-        self._hold(self.ledger.take(block), tables)
+        self._contradictions.hold(self.ledger.take(block), tables)
 
     def _layout(self, tables: Mapping[str, tuple[Rows, int]]) -> Layout:
         """Names of the columns, from the first step."""
@@ -219,69 +222,13 @@ class _Reader:
                 claimed, found = name(code) or EXACT, layout.quality(component)
                 if claimed != found:
                     step = int(parts["component"].step[0])
-                    self._contradiction(
+                    self._contradictions.tell(
                         step, f"{component}: step {step} calls its books '{claimed}'; by its ports they are '{found}'"
                     )
         if len(set(components)) < len(components):
             step = int(parts["component"].step[0])
-            self._contradiction(step, f"step {step} has two rows of one component")
+            self._contradictions.tell(step, f"step {step} has two rows of one component")
         return layout
-
-    def _hold(self, block: Block, tables: Mapping[str, tuple[Rows, int]]) -> None:
-        """Compare what the rows say with what follows from the others."""
-        size = np.nan_to_num(block.in_play, posinf=0.0).sum(axis=1)
-        size += np.nan_to_num(np.abs(block.port_energy), posinf=0.0).sum(axis=1)
-        if "component" in tables:
-            rows, c = tables["component"]
-            for i, name in enumerate(block.layout.components):
-                part = rows.take(slice(i, None, c))
-                self._same(block, f"component {name}", part, "residual", block.residual[:, i], size)
-                self._same(block, f"component {name}", part, "t0", block.t0, np.abs(block.t0))
-                self._same(block, f"component {name}", part, "h", block.h, np.abs(block.h))
-        self._hold_junctions(block, tables.get("junction"), size)
-        network = tables["network"][0]
-        played = self._played + np.cumsum(size)
-        self._played = float(played[-1])
-        for column, values in block.network.items():
-            scale = (
-                played if column.startswith("cum_") else size + (np.abs(block.H1).sum(axis=1) if column == "H" else 0.0)
-            )
-            self._same(block, "network", network, column, values, scale)
-
-    def _hold_junctions(self, block: Block, table: tuple[Rows, int] | None, size: Floats) -> None:
-        step = int(block.step[0])
-        named = [] if table is None else [self._interned.name(code) for code in table[0].names["junction"][: table[1]]]
-        if sorted(map(str, named)) != sorted(block.layout.junctions):
-            there, told = ", ".join(map(str, named)) or "none", ", ".join(block.layout.junctions) or "none"
-            self._contradiction(step, f"step {step} has rows of the junctions {there}; by its ports there are {told}")
-            return
-        for j, name in enumerate(block.layout.junctions):
-            assert table is not None
-            part = table[0].take(slice(named.index(name), None, table[1]))
-            self._same(block, f"junction {name}", part, "residual", block.junction_residual[:, j], size)
-            self._same(block, f"junction {name}", part, "exchanged", block.junction_exchanged[:, j], size)
-
-    def _same(self, block: Block, where: str, rows: Rows, column: str, derived: Floats, size: Floats) -> None:
-        """A violation where a row's column differs from what follows from other rows by more than rounding."""
-        said, there = rows.numbers[column]
-        with np.errstate(invalid="ignore", over="ignore"):
-            allowed = ULPS * EPS * size
-            bad = there & ~(np.abs(said - derived) <= allowed) & (np.isfinite(said) | np.isfinite(derived))
-        if bad.any():
-            k = int(np.argmax(bad))
-            self._contradiction(
-                int(block.step[k]),
-                f"{where}: the row of step {block.step[k]} says {column} = {said[k]:.9g}; the other rows make {derived[k]:.9g}",
-                float(said[k] - derived[k]),
-                float(allowed[k]),
-                int(bad.sum()),
-            )
-
-    def _contradiction(
-        self, step: int, note: str, size: float = math.nan, allowed: float = 0.0, steps: int = 1
-    ) -> None:
-        where = note.split(":")[0]
-        self.ledger.contradiction(Violation("file", where, step, math.nan, math.nan, size, allowed, steps, note))
 
 
 def _index(rows: Rows) -> Iterator[NDArray[Any]]:

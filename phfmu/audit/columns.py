@@ -39,7 +39,7 @@ COLUMNS = {
     "numerical": "f64",  # [J] lost by a damping scheme (Radau); null elsewhere
     "external": "f64",  # [J] supplied through ports without a junction
     "residual": "f64",  # [J] component: dH + dissipated + numerical - supplied; junction: sum of supplied
-    "residual_rel": "f64",  # rtol |residual| / allowed: closed if not above rtol
+    "residual_rel": "f64",  # r |residual| / (what r = 1e-11 allows), whatever --audit-rtol: closed at r if not above r
     "moved": "f64",  # [J] sum over the component's energies of |change|; where null, max(|H0|, |H1|) counts
     "exchanged": "f64",  # [J] junction: half the sum of |supplied|
     "junction_residual": "f64",  # [J] network: sum over the junctions

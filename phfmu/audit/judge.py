@@ -105,16 +105,20 @@ class Judge:
         self._found: dict[tuple[str, str], Violation] = {}
 
     def steps(self, block: Block, stored: Floats) -> Floats:
-        """Judge a block; `stored` [n,c] are the sums of dH up to each step. rtol |residual| / allowed [n,c]."""
+        """Judge a block; `stored` [n,c] are the sums of dH up to each step.
+
+        Returns DEFAULT_RTOL |residual| / allowed [n,c] with what DEFAULT_RTOL allows: it does not depend on `rtol`.
+        """
         layout, names = block.layout, block.layout.components
         accounts = [self._account(name, block, i) for i, name in enumerate(names)]
         judged = np.array([layout.quality(name) == EXACT for name in names], bool)
         in_play = np.where(np.isfinite(block.in_play), block.in_play, np.nan)
         reach = _running([a.reach for a in accounts], np.maximum(_finite(in_play), _finite(np.abs(stored))))
         with np.errstate(invalid="ignore", over="ignore"):
-            stored_energy = np.maximum(_finite(np.abs(block.H0)), _finite(np.abs(block.H1)))
-            in_step = self.rtol * in_play + FLOOR * EPS * reach
-            allowed = in_step + ULPS * EPS * stored_energy
+            H = np.maximum(_finite(np.abs(block.H0)), _finite(np.abs(block.H1)))
+            rounding = FLOOR * EPS * reach
+            in_step = self.rtol * in_play + rounding
+            allowed, usual = (x + ULPS * EPS * H for x in (in_step, DEFAULT_RTOL * in_play + rounding))
             self._mark("balance", names, block.residual, allowed, block, judged)
             if block.dissipated is not None:
                 self._mark("dissipation", names, np.minimum(block.dissipated, 0.0), allowed, block, judged)
@@ -122,13 +126,13 @@ class Judge:
             if names:
                 booked = supplied - per_owner(layout, block.port_energy)
                 self._mark("ports", names, booked, allowed, block, judged)
-            self._changes(accounts, block, in_step)  # adds the rounding of H once, not in every step
+            self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
             self._joined(block, np.where(judged, allowed, np.abs(block.residual)))
         found = ratio(block.residual, allowed)
         for i, account in enumerate(accounts):
             account.reach = float(reach[-1, i])
             self._keep_worst(account, block, found[:, i], i)
-        return self.rtol * found
+        return DEFAULT_RTOL * (found if self.rtol == DEFAULT_RTOL else ratio(block.residual, usual))
 
     def _account(self, name: str, block: Block, i: int) -> Account:
         account = self.accounts.get(name)
@@ -140,13 +144,13 @@ class Judge:
             account.quality = quality
         return account
 
-    def _changes(self, accounts: list[Account], block: Block, allowed: Floats) -> None:
-        """H from step to step and within each, against what is booked."""
+    def _changes(self, accounts: list[Account], block: Block, allowed: Floats, H: Floats) -> None:
+        """H from step to step and within each, against what is booked; `H` [n,c]: max(|H0|, |H1|)."""
         names = block.layout.components
         before = np.empty_like(block.H0)
         before[0] = [a.H_end + a.jumps for a in accounts]
         before[1:] = block.H1[:-1]
-        largest = _running([a.largest for a in accounts], _finite(np.maximum(np.abs(block.H0), np.abs(block.H1))))
+        largest = _running([a.largest for a in accounts], H)
         permitted = allowed + ULPS * EPS * largest
         between, within = block.H0 - before, block.H1 - block.H0 - block.dH
         self._mark("gap", names, between, permitted, block)

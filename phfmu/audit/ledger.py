@@ -12,61 +12,23 @@ reports no energy) lies outside the balance: what it takes from a junction leave
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .block import Block, Layout, PortKey, make_block
+from .block import Block, Layout, make_block
 from .events import EventCount
 from .judge import COMPONENT, DEFAULT_RTOL, Judge, Violation, word
-from .rows import ESTIMATED, EXACT, SILENT, ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+from .one_step import block_of, junction_rows
+from .rows import ESTIMATED, EXACT, ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+from .sink import Sink
 from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
-from .sums import CompensatedSum, Floats, extend, larger, largest
-
-
-class Sink(Protocol):
-    """Where rows go while the run is under way; `AuditWriter` is one."""
-
-    def write_step(
-        self,
-        step: int,
-        t0: float,
-        h: float,
-        components: Sequence[ComponentRow],
-        ports: Sequence[PortRow],
-        junctions: Sequence[JunctionRow],
-        network: NetworkRow,
-    ) -> None: ...
-
-    def write_block(self, block: Block) -> None: ...
-
-    def write_event(self, event: EventRow) -> None: ...
-
-    def flush(self) -> None: ...
-
+from .sums import Floats, Sums, larger, largest
 
 #: columns of the network that have running sums beside them
 CUMULATIVE = ("dissipated", "external", "junction_residual", "unexplained")
-
-
-class _Sums:
-    """Compensated sums by name; one that was never added to is absent."""
-
-    def __init__(self) -> None:
-        self._parts: dict[tuple[str, ...], CompensatedSum] = {}
-
-    def __getitem__(self, key: tuple[str, ...]) -> CompensatedSum:
-        return self._parts.setdefault(key, CompensatedSum())
-
-    def extend(self, keys: Sequence[tuple[str, ...]], x: Floats) -> Floats:
-        """Add columns of x [n,m] to m sums; the running sums [n,m]."""
-        return extend([self[key] for key in keys], x) if keys else x
-
-    def get(self, *key: str) -> float | None:
-        return self._parts[key].value if key in self._parts else None
 
 
 class Ledger:
@@ -79,7 +41,7 @@ class Ledger:
     def __init__(self, sink: Sink | None = None, rtol: float = DEFAULT_RTOL) -> None:
         self._sink = sink
         self._judge = Judge(rtol)
-        self._sums = _Sums()
+        self._sums = Sums()
         self._ports: dict[tuple[str, str], tuple[str | None, str]] = {}
         self._junctions: dict[str, float] = {}
         self._estimated: set[str] = set()
@@ -104,8 +66,8 @@ class Ledger:
         Residual and exchange of a junction are those of its ports; `junctions` adds what its solver knows.
         Errors: ValueError for a junction without ports.
         """
-        block = _block_of(step, t0, h, components, ports)
-        joined = _junction_rows(block, junctions)
+        block = block_of(step, t0, h, components, ports)
+        joined = junction_rows(block, junctions)
         block = self.take(block)
         network = NetworkRow(**{name: float(column[0]) for name, column in block.network.items()}, status=status)
         if self._sink is not None:
@@ -287,44 +249,3 @@ class Ledger:
             verdict=word(found, ("unexplained",), "network", self._judge.quality),
             numerical=get("numerical"),
         )
-
-
-def _block_of(step: int, t0: float, h: float, components: Sequence[ComponentRow], ports: Sequence[PortRow]) -> Block:
-    """One step's rows as a block."""
-    absent = {
-        (row.component, name)
-        for row in components
-        for name in ("dissipated", "supplied", "numerical")
-        if getattr(row, name) is None
-    }
-    layout = Layout(
-        tuple(row.component for row in components),
-        tuple(PortKey(r.component, r.port, r.index, r.junction, r.kind, r.quality) for r in ports),
-        frozenset(row.component for row in components if row.quality == SILENT),
-        frozenset(absent),
-    )
-
-    def column(name: str) -> list[list[float]] | None:
-        values = [getattr(row, name) for row in components]
-        return None if all(v is None for v in values) else [[v or 0.0 for v in values]]
-
-    moved = [[max(abs(r.H0), abs(r.H1)) if r.moved is None else r.moved for r in components]]
-    H0, H1, dH = ([[getattr(row, name) for row in components]] for name in ("H0", "H1", "dH"))
-    return make_block(
-        layout, [step], [t0], h, H1, dH, column("dissipated"), column("supplied"), [[row.supplied for row in ports]],
-        H0=H0, moved=moved, numerical=column("numerical"),
-    )  # fmt: skip
-
-
-def _junction_rows(block: Block, known: Iterable[JunctionRow]) -> list[JunctionRow]:
-    """A row for every junction of a block of one step, with what its solver knows."""
-    rows = {row.junction: row for row in known}
-    for name in rows:
-        if name not in block.layout.junctions:
-            raise ValueError(f"junction {name!r} has no port in this step; give one")
-    return [
-        replace(rows.get(name, JunctionRow(name)), residual=float(r), exchanged=float(e))
-        for name, r, e in zip(
-            block.layout.junctions, block.junction_residual[0], block.junction_exchanged[0], strict=True
-        )
-    ]

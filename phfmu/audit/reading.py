@@ -91,7 +91,10 @@ class Rows:
 
 
 _NEEDED = {
-    "component": ("H0", "H1", "dH", "dissipated", "supplied", "numerical", "moved", "residual", "component", "quality"),
+    "component": (
+        *("H0", "H1", "dH", "dissipated", "supplied", "numerical", "moved", "residual", "residual_rel"),
+        *("component", "quality"),
+    ),
     "port": ("supplied", "index", "component", "port", "junction", "quality"),
     "junction": ("junction", "residual", "exchanged"),
     "network": tuple(name for name in FIELDS["network"] if name != "status"),

@@ -67,6 +67,23 @@ def _error(before: Floats, x: Floats, after: Floats) -> Floats:
     return error if np.isfinite(error).all() else np.where(np.isfinite(error), error, 0.0)
 
 
+class Sums:
+    """Compensated sums by name; one that was never added to is absent."""
+
+    def __init__(self) -> None:
+        self._parts: dict[tuple[str, ...], CompensatedSum] = {}
+
+    def __getitem__(self, key: tuple[str, ...]) -> CompensatedSum:
+        return self._parts.setdefault(key, CompensatedSum())
+
+    def extend(self, keys: Sequence[tuple[str, ...]], x: Floats) -> Floats:
+        """Add columns of x [n,m] to m sums; the running sums [n,m]."""
+        return extend([self[key] for key in keys], x) if keys else x
+
+    def get(self, *key: str) -> float | None:
+        return self._parts[key].value if key in self._parts else None
+
+
 def across(x: Floats) -> Floats:
     """Sum over the columns of x [n,m], each row compensated; zeros for m = 0."""
     high, low = np.zeros(len(x)), np.zeros(len(x))

@@ -1,0 +1,85 @@
+"""Rows of a log that say other than what follows from the others."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from .block import Block
+from .judge import EPS, ULPS, Violation
+from .ledger import Ledger
+from .reading import Interned, Rows
+from .sums import Floats
+
+
+class Contradictions:
+    """Holds recorded rows against the block that was made of them and judged again; tells the ledger what differs."""
+
+    def __init__(self, ledger: Ledger, interned: Interned) -> None:
+        self._ledger, self._name = ledger, interned.name
+        self._played = 0.0  # sum of all energies in play so far
+
+    def hold(self, block: Block, tables: Mapping[str, tuple[Rows, int]]) -> None:
+        """Compare what the rows say with what follows from the others."""
+        size = np.nan_to_num(block.in_play, posinf=0.0).sum(axis=1)
+        size += np.nan_to_num(np.abs(block.port_energy), posinf=0.0).sum(axis=1)
+        if "component" in tables:
+            rows, c = tables["component"]
+            for i, name in enumerate(block.layout.components):
+                part = rows.take(slice(i, None, c))
+                self._same(block, f"component {name}", part, "residual", block.residual[:, i], size)
+                self._scale(block, f"component {name}", part, i)
+                self._same(block, f"component {name}", part, "t0", block.t0, np.abs(block.t0))
+                self._same(block, f"component {name}", part, "h", block.h, np.abs(block.h))
+        self._junctions(block, tables.get("junction"), size)
+        network = tables["network"][0]
+        played = self._played + np.cumsum(size)
+        self._played = float(played[-1])
+        for column, values in block.network.items():
+            scale = (
+                played if column.startswith("cum_") else size + (np.abs(block.H1).sum(axis=1) if column == "H" else 0.0)
+            )
+            self._same(block, "network", network, column, values, scale)
+
+    def _scale(self, block: Block, where: str, rows: Rows, i: int) -> None:
+        """What a residual is measured against holds the recorded `moved`: the recorded ratio must be made with it."""
+        assert block.relative is not None
+        relative = block.relative[:, i]
+        self._same(block, where, rows, "residual_rel", relative, np.abs(relative))
+        bare = np.flatnonzero(rows.numbers["moved"][1] & ~rows.numbers["residual_rel"][1])
+        if len(bare):
+            step = int(block.step[bare[0]])
+            self.tell(step, f"{where}: the row of step {step} says moved without residual_rel", steps=len(bare))
+
+    def _junctions(self, block: Block, table: tuple[Rows, int] | None, size: Floats) -> None:
+        step = int(block.step[0])
+        named = [] if table is None else [self._name(code) for code in table[0].names["junction"][: table[1]]]
+        if sorted(map(str, named)) != sorted(block.layout.junctions):
+            there, told = ", ".join(map(str, named)) or "none", ", ".join(block.layout.junctions) or "none"
+            self.tell(step, f"step {step} has rows of the junctions {there}; by its ports there are {told}")
+            return
+        for j, name in enumerate(block.layout.junctions):
+            assert table is not None
+            part = table[0].take(slice(named.index(name), None, table[1]))
+            self._same(block, f"junction {name}", part, "residual", block.junction_residual[:, j], size)
+            self._same(block, f"junction {name}", part, "exchanged", block.junction_exchanged[:, j], size)
+
+    def _same(self, block: Block, where: str, rows: Rows, column: str, derived: Floats, size: Floats) -> None:
+        """A violation where a row's column differs from what follows from other rows by more than rounding."""
+        said, there = rows.numbers[column]
+        with np.errstate(invalid="ignore", over="ignore"):
+            allowed = ULPS * EPS * size
+            bad = there & ~(np.abs(said - derived) <= allowed) & (np.isfinite(said) | np.isfinite(derived))
+        if bad.any():
+            k = int(np.argmax(bad))
+            self.tell(
+                int(block.step[k]),
+                f"{where}: the row of step {block.step[k]} says {column} = {said[k]:.9g}; the other rows make {derived[k]:.9g}",
+                float(said[k] - derived[k]),
+                float(allowed[k]),
+                int(bad.sum()),
+            )
+
+    def tell(self, step: int, note: str, size: float = math.nan, allowed: float = 0.0, steps: int = 1) -> None:
+        where = note.split(":")[0]
+        self._ledger.contradiction(Violation("file", where, step, math.nan, math.nan, size, allowed, steps, note))
