@@ -13,6 +13,20 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 'es' if noun.endswith('ch') else 's'}"
 
 
+def folded(names: Iterable[str]) -> str:
+    """Names in a row, entries of a vector that follow each other as one: `q[1], v[1..3]`."""
+    runs: list[tuple[str, int, int]] = []
+    for name in names:
+        base, _, index = name.partition("[")
+        i = int(index[:-1]) if index else 0
+        if runs and index and runs[-1][0] == base and runs[-1][2] == i - 1:
+            runs[-1] = (base, runs[-1][1], i)
+        else:
+            runs.append((base, i, i))
+    texts = ((base, f"{a}..{b}" if b > a else f"{a}") for base, a, b in runs)
+    return ", ".join(f"{base}[{text}]" if text != "0" else base for base, text in texts)
+
+
 def shown(text: str) -> str:
     r"""Text of a file as one line that a terminal takes as text: control characters are written out, `\x1b`."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,14 @@ import pytest
 
 import phfmu.discretise.rest as at_rest
 from phfmu import Collocated, NativeInstance, PythonInstance, build_model, constraint_rank
+from phfmu.cli import main
 from phfmu.discretise.model import Model
 from phfmu.discretise.rank import Dependence
 from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
+from phfmu.network.run import run
+from phfmu.network.stepper import Monolithic
+from phfmu.words import folded
 from tests.mechanisms import bricard, bricard_reference, doubled, frame, hinge, hung, windows
 
 ENGINES = (PythonInstance, NativeInstance)
@@ -74,6 +79,25 @@ def test_a_row_that_loses_its_share_is_exchanged(ill_chosen: Model) -> None:
     g, w, energy = errors(instance, 0.01, 400)
     assert instance.counts["exchanged"] == 1 and instance.counts["woken"] == 0
     assert g <= 1e-14 and w <= 1e-13 and energy <= 1e-13
+    (change,) = instance.rest_changes
+    (rested,) = np.array(ill_chosen.hold_names)[ill_chosen.step.hold.rests]
+    assert change.needed == rested and 0.9 < change.time < 1.1
+    instance.reset()
+    assert not instance.rest_changes
+
+
+def test_a_run_tells_when_which_row_rests(ill_chosen: Model) -> None:
+    """By multiplier and by the name of the declaration; what a refused trial step changed is not told."""
+    instance = NativeInstance(ill_chosen)
+    saved = instance.get_state()
+    instance.run(0.0, 0.01, 120)
+    instance.set_state(saved)
+    result = run(Monolithic(ill_chosen, instance), stop=1.2, step=0.01)
+    (change,) = instance.rest_changes
+    assert change.number == 1 and change.needed is not None and re.fullmatch(r"lambda\[\d+\] \(bar .*\)", change.needed)
+    text = f"at t = {change.time:.6g} s {change.rests} rests instead of {change.needed}"
+    assert result.notes[-2:] == ("redundant constraints: 1 change; the motion does not depend on which rests", text)
+    assert not any("redundant" in n for n in run(Monolithic(ill_chosen, instance), t0=1.2, stop=1.3, step=0.01).notes)
 
 
 def test_an_exchange_is_reversible(ill_chosen: Model) -> None:
@@ -111,6 +135,7 @@ def test_engines_exchange_alike(ill_chosen: Model) -> None:
     native.initialise()
     rows = [e.run(0.9, 0.01, 6, ("x", "a")) for e in (python, native)]
     assert python.counts["exchanged"] == native.counts["exchanged"] == 1
+    assert python.rest_changes == native.rest_changes
     assert np.abs(rows[0]["x"] - rows[1]["x"]).max() <= 1e-13
     assert rows[0]["a"] == pytest.approx(rows[1]["a"], rel=1e-9, abs=1e-9)
 
@@ -178,6 +203,10 @@ def test_rows_come_back_where_the_rank_rises(order: int) -> None:
     native.reset()
     x = [e.run(0.0, 0.002, 5, ("x",))["x"] for e in (native, python)]
     assert python.counts["woken"] == 2 and np.abs(x[0] - x[1]).max() <= 1e-12
+    assert python.rest_changes == native.rest_changes
+    assert [str(c) for c in native.rest_changes] == [
+        f"at t = 0.002 s {name} is needed again" for name, r in zip(m.hold_names, m.step.hold.rests, strict=True) if r
+    ]
 
 
 # -- forces ------------------------------------------------------------------------------------------------------
@@ -202,3 +231,28 @@ def test_the_report_names_rows_that_depend_on_each_other() -> None:
     ((names, many),) = found.groups
     assert many == 1 and found.redundant[0].name in names and set(found.redundant[0].of) < set(names)
     assert f"1 of these is too many: {', '.join(names)}" in found.report()
+    assert set(found.redundant[0].support) == set(names)
+    assert len(found.unique) == 39 - len(names) and not set(found.unique) & set(names)
+
+
+def test_unique_forces_are_those_that_no_null_vector_touches(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A hinge on two pins with a corner: the pins and the bar between them share a force along it, the door's bars none."""
+    found = constraint_rank(hinge())
+    bars, pins = ("lambda[1]", "lambda[2]"), found.groups[0][0]
+    assert set(bars) <= set(found.unique) and "lambda[3]" in pins
+    # the bar lies in the plane x = 0: forces along x at the pins are unique as well
+    assert set(found.unique) == {*bars, "lambda[4]", "lambda[7]"}
+    script = tmp_path / "scene.py"
+    script.write_text("from tests.mechanisms import hinge\n")
+    assert main(["info", f"{script}:hinge"]) == 0
+    text = capsys.readouterr().out
+    assert "constraints: 9 rows of rank 8 at the start" in text
+    assert "unique forces: lambda[1..2], lambda[4], lambda[7]" in text
+    assert f"it is {found.redundant[0].label}" in text and found.redundant[0].label
+
+
+def test_names_in_a_row_are_folded() -> None:
+    assert folded(["a", "b[1]", "b[2]", "b[3]", "b[5]", "c[6]", "c", "d"]) == "a, b[1..3], b[5], c[6], c, d"
+    assert folded([]) == ""

@@ -130,7 +130,7 @@ class Declaration:
             if ca.depends_on(g, time):
                 name = self.drive_name(c, g)
                 port = drives.setdefault(name, drive(name, description=f"work of the moving constraints of {name}"))
-            out.append(Holonomic(lam.part(first, g.numel()), ca.vec(g), drive=port))
+            out.append(Holonomic(lam.part(first, g.numel()), ca.vec(g), drive=port, label=c.label))
             first += g.numel()
         return tuple(out), (lam,)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.declare.parameter_limits import Limit
+    from phfmu.declare.phdae import PHDAE
     from phfmu.declare.variable import Variable
 
 
@@ -61,12 +62,25 @@ def call(args: argparse.Namespace) -> int:
         size = f"[1..{p.size}]" if p.size else ""
         names = f"{p.name}.{p.domain.effort if p.given == 'effort' else p.domain.flow}{size}"
         print(f"  {p.name:<28} {p.domain.name:<14} input {names} [{p.input_unit}] ({how}), output [{p.output_unit}]")
+    if d.constraints:
+        print(_rank(d, args.target))
     if d.observables:
         print("observables:")
     for o in d.observables:
         size = f"[1..{o.expr.numel()}]" if o.expr.numel() > 1 else ""
         print(f"  {o.name + size:<28} {o.unit:<12} {o.description}".rstrip())
     return 0
+
+
+def _rank(declaration: PHDAE, target: str) -> str:
+    """Rank of the constraints, which of them are redundant, and whose forces are unique."""
+    from phfmu.declare.error import DeclarationError
+    from phfmu.discretise.rank import constraint_rank
+
+    try:
+        return constraint_rank(declaration).report()
+    except DeclarationError:
+        return f"constraints: their rank is not known, the declaration has problems (phfmu check {target})"
 
 
 def _limit(limits: dict[str, Limit], v: Variable) -> str:

@@ -64,12 +64,14 @@ class Holonomic:
 
     drive: port at which the work lambda^T g_t of constraints that depend on `time` is booked (one may serve several);
            None = `<multiplier>_drive` if it is needed
+    label: what it is, for reports (`bar particle 1-particle 2`)
     """
 
     multiplier: Variable
     g: ca.SX
     owner: str = ""
     drive: Port | None = None
+    label: str = ""
 
 
 @dataclass(frozen=True, eq=False)

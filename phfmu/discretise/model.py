@@ -16,7 +16,7 @@ from phfmu.discretise.extract import extract
 from phfmu.discretise.instant import Check, instant_plan
 from phfmu.discretise.onestep import step_plan
 from phfmu.discretise.plan import Kernel, Plan
-from phfmu.discretise.rest import at_start
+from phfmu.discretise.rest import at_start, hold_names
 from phfmu.discretise.scales import check_scales
 from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.terms import Terms
@@ -51,6 +51,8 @@ class Model:
     instant_names: tuple[str, ...] = ()
     members: tuple[str, ...] = ("",)
     observable_names: tuple[str, ...] = ()
+    #: of the constraints that may rest: multiplier, and what the declaration calls it
+    hold_names: tuple[str, ...] = ()
 
     @property
     def kernels(self) -> list[Kernel]:
@@ -87,7 +89,7 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
         declaration.name, declaration, scheme, step, instant, x0, _stack(declaration.algebraics), np.array(u0, float), p0,
         checks=tuple(checks), check_scale=check_scales(terms, checks, x0, p0), row_names=tuple(layout.names()),
         instant_names=tuple(_instant_equation_names(terms, instant)), members=tuple(terms.members),
-        observable_names=tuple(terms.observable_names),
+        observable_names=tuple(terms.observable_names), hold_names=hold_names(terms) if len(step.hold) else (),
     )  # fmt: skip
 
 

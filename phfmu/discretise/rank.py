@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.arguments import EMPTY
 from phfmu.discretise.terms import Term, Terms
+from phfmu.words import folded
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix, csr_matrix
@@ -26,29 +27,41 @@ FLOOR = 1e-14  # keeps the factor of Dg Dg^T regular
 
 @dataclass(frozen=True)
 class Redundant:
-    """A row of Dg that is sum `of`[name] * row(name) of others that stay; `gap`: its g minus the same sum of theirs."""
+    """A row of Dg that is sum `of`[name] * row(name) of others that stay; `gap`: its g minus the same sum of theirs.
+
+    It rests at the start.  `label`: what the declaration calls it.
+    """
 
     name: str
     of: dict[str, float]
     gap: float
+    label: str = ""
+
+    @property
+    def support(self) -> tuple[str, ...]:
+        """Rows with a share in the null vector of Dg^T that this one has with those that stay."""
+        return (self.name, *self.of)
 
     def __str__(self) -> str:
         terms = [f"{c:.6g} {n}" for n, c in self.of.items()]
         combination = " + ".join(terms) if terms else "0: its gradient is zero"
-        return f"constraint {self.name} is redundant: Dg row = {combination}; values differ by {self.gap:.3g}"
+        label = f"; it is {self.label}" if self.label else ""
+        return f"constraint {self.name} is redundant: Dg row = {combination}; values differ by {self.gap:.3g}{label}"
 
 
 @dataclass(frozen=True)
 class ConstraintRank:
     """Rank of Dg (rows x velocities) at the start and its redundant rows, in the order of the declaration.
 
-    `groups`: (rows that depend on each other, how many of them are too many).
+    `groups`: (rows that depend on each other, how many of them are too many);  `unique`: rows with no share in any null
+    vector of Dg^T, whose forces are determined.
     """
 
     rows: int
     rank: int
     redundant: tuple[Redundant, ...]
     groups: tuple[tuple[tuple[str, ...], int], ...] = ()
+    unique: tuple[str, ...] = ()
 
     def report(self) -> str:
         """Lines for the rank, for each group of dependent rows and for each redundant row."""
@@ -58,9 +71,10 @@ class ConstraintRank:
             for names, many in self.groups
         ]
         if self.groups:
-            lines.append(
+            text = (
                 "the motion does not depend on which rests; their forces are not unique, those of least norm are given"
             )
+            lines += [text, f"unique forces: {folded(self.unique) or 'none'}"]
         return "\n".join([*lines, *map(str, self.redundant)])
 
 
@@ -72,6 +86,7 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
     jacobian, values = constraint_jacobian(terms), constraint_values(terms)
     names = [n for v in model.algebraics for n in v.names()]
     rows = [names[t.rows[0][1]] for t in terms.terms if t.kind == "constraint"]
+    labels = constraint_labels(model)
     redundant: dict[int, Redundant] = {}
     groups = []
     for d in dependences(jacobian):
@@ -81,10 +96,17 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
             c = np.linalg.lstsq(jacobian[kept].toarray().T, row, rcond=None)[0] if kept else np.zeros(0)
             most = max(1.0, float(np.max(abs(c), initial=0.0)))
             of = {rows[k]: float(v) for k, v in zip(kept, c, strict=True) if abs(v) > 1e-9 * most}
-            redundant[r] = Redundant(rows[r], of, float(values[r] - c @ values[kept]))
+            redundant[r] = Redundant(rows[r], of, float(values[r] - c @ values[kept]), labels.get(rows[r], ""))
         groups.append((tuple(rows[i] for i in d.rows), len(d.resting)))
     found = tuple(redundant[r] for r in sorted(redundant))
-    return ConstraintRank(len(rows), len(rows) - len(found), found, tuple(groups))
+    shared = {n for names, _ in groups for n in names}
+    unique = tuple(n for n in rows if n not in shared)
+    return ConstraintRank(len(rows), len(rows) - len(found), found, tuple(groups), unique)
+
+
+def constraint_labels(model: PHDAE) -> dict[str, str]:
+    """Multiplier -> what the declaration calls its constraint, where it has a name for it."""
+    return {n: c.label for c in model.constraints if c.label for n in c.multiplier.names()}
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Holds
-from phfmu.discretise.rank import constraint_jacobian, dependences
+from phfmu.discretise.rank import constraint_jacobian, constraint_labels, dependences
 from phfmu.discretise.terms import Terms
 
 
@@ -34,3 +34,10 @@ def holds(layout: Layout) -> Holds:
     rows = [[w["a", a, i] for i in range(layout.k)] + [w[u] for u in [("m", a, 0)] if u in w] for a in terms.speeds]
     rests = np.array([a in terms.resting for a in terms.speeds], bool)
     return Holds(tuple(map(tuple, rows)), rests, np.array(list(terms.speeds.values())))
+
+
+def hold_names(terms: Terms) -> tuple[str, ...]:
+    """The constraints in order: multiplier, and what the declaration calls it."""
+    names, labels = [n for v in terms.model.algebraics for n in v.names()], constraint_labels(terms.model)
+    own = [names[a] for a in terms.speeds]
+    return tuple(f"{n} ({labels[n]})" if n in labels else n for n in own)

@@ -57,6 +57,12 @@ class Record(ctypes.Structure):
     _fields_ += [(name, Column) for name in RECORD]
 
 
+class RestChange(ctypes.Structure):
+    """ph_rest_change."""
+
+    _fields_ = [("time", ctypes.c_double), ("rests", ctypes.c_int), ("needed", ctypes.c_int)]
+
+
 @cache
 def enums() -> dict[str, tuple[str, ...]]:
     """Names of signal blocks, ledger rows and counters, from the enumerations of phfmu.h."""
@@ -87,6 +93,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_node_outputs": (pointer, [pointer]),
         "ph_continue": (integer, [pointer, pointer]),
         "ph_unknowns": (pointer, [pointer]),
+        "ph_rest_changes": (ctypes.POINTER(RestChange), [pointer, ctypes.POINTER(integer)]),
         "ph_step": (integer, [pointer, real, real]),
         "ph_step_parts": (integer, [pointer, real, real, integer]),
         "ph_run": (integer, [pointer, real, real, integer, ctypes.POINTER(Record), ctypes.POINTER(integer)]),

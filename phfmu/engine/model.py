@@ -17,7 +17,7 @@ class Model(Protocol):
 
     Starts x0 (nx), a0 (na), u0 (nu), p0 (np) in SI units, t0 in s.  Both plans share states, inputs,
     parameters, pairs, algebraics and components; `instant` has k = 1.
-    `row_names`, `instant_names`: a name per residual row, for messages.
+    `row_names`, `instant_names`: a name per residual row, `hold_names`: of the constraints that may rest, for messages.
     """
 
     @property
@@ -38,6 +38,8 @@ class Model(Protocol):
     def t0(self) -> float: ...
     @property
     def row_names(self) -> tuple[str, ...]: ...
+    @property
+    def hold_names(self) -> tuple[str, ...]: ...
     @property
     def instant_names(self) -> tuple[str, ...]: ...
 

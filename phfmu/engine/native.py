@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.library import RECORD, Column, Record, build, enums, load, view
+from phfmu.engine.limits import LIMITS
 from phfmu.engine.model import Model, kernels
+from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.tables import CTables
 
@@ -155,6 +157,14 @@ class NativeInstance:
         names = enums()["ph_count"]
         values = view(self._lib.ph_counts(self._in), len(names), np.int64)
         return {n: int(v) for n, v in zip(names, values, strict=True)}
+
+    @property
+    def rest_changes(self) -> list[RestChange]:
+        """Which redundant constraints rest instead of which others, the last changes since the start."""
+        n, kept = ctypes.c_int(), int(LIMITS["KEPT_CHANGES"])
+        ring = self._lib.ph_rest_changes(self._in, n)
+        found = ((i, ring[i % kept]) for i in range(max(0, n.value - kept), n.value))
+        return named(((i + 1, c.time, c.rests, c.needed) for i, c in found), self.model.hold_names)
 
     def output(self) -> Floats:
         """Step-conjugate means of the external pairs (nu)."""

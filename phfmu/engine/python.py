@@ -15,6 +15,7 @@ from phfmu.engine.attempts import Attempts
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.newton import Fixed, Newton, Outcome
+from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
 
@@ -245,7 +246,7 @@ class PythonInstance:
             evaluator.rests &= ~called
         if outcome.status is Status.OK:
             s.counts["woken"] += int(np.sum(s.rests & ~evaluator.rests))
-            s.rests = evaluator.rests.copy()
+            s.change_rest(evaluator.rests, s.x[-1] + h)
         return outcome
 
     def _attempted(self, h: float, u: Array) -> Outcome:
@@ -312,7 +313,7 @@ class PythonInstance:
         s = self._s
         found = rest.exchange(self._newton, s.w, h)
         if found is not None:
-            s.rests = found
+            s.change_rest(found, s.x[-1] + h)
             s.counts["exchanged"] += 1
 
     def _projected(self, y: Array, start: float, part: float) -> Array:
@@ -393,6 +394,11 @@ class PythonInstance:
     def counts(self) -> dict[str, int]:
         """steps, solves, iterations, restarts, line_searches, substeps since the reset."""
         return dict(self._s.counts)
+
+    @property
+    def rest_changes(self) -> list[RestChange]:
+        """Which redundant constraints rest instead of which others, the last changes since the start."""
+        return named(self._s.changes, self.model.hold_names)
 
     def output(self) -> Array:
         """Step-conjugate means of the external pairs (nu)."""

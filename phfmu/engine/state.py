@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.engine.limits import LIMITS
 
 Array = NDArray[Any]
 
@@ -24,7 +26,7 @@ class State:
     inputs at the start of the last step and how many solves it took;  y_step, energy: pair outputs and energies;
     y_node: pair outputs at the nodes of the last step (k x nq);
     stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values;
-    rests: constraints that are left out.
+    rests: constraints that are left out;  changes: (number, time, rests, needed), the last of them.
     """
 
     x: Array
@@ -49,6 +51,15 @@ class State:
     end: dict[str, Array] | None = None
     counts: dict[str, int] = field(default_factory=dict)
     rests: Array = field(default_factory=lambda: np.zeros(0, bool))
+    changes: list[tuple[int, float, int, int]] = field(default_factory=list)
+
+    def change_rest(self, rests: Array, time: float) -> None:
+        """Other constraints are left out from `time` on: each new one instead of one that is needed, as far as they go."""
+        more, less = np.flatnonzero(rests & ~self.rests).tolist(), np.flatnonzero(self.rests & ~rests).tolist()
+        n = self.changes[-1][0] if self.changes else 0
+        new = [(n + 1 + k, time, i, j) for k, (i, j) in enumerate(zip_longest(more, less, fillvalue=-1))]
+        self.changes = [*self.changes, *new][-int(LIMITS["KEPT_CHANGES"]) :]
+        self.rests = rests.copy()
 
     @classmethod
     def at_start(cls, m: Model) -> State:

@@ -13,10 +13,12 @@ from phfmu.network.book import Book
 from phfmu.network.march import AdaptiveSteps, FixedSteps, Row, monolithic
 from phfmu.network.scene import Event
 from phfmu.network.stepper import Stepper
+from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger
     from phfmu.discretise.start import Projection
+    from phfmu.engine.rest_changes import RestChange
     from phfmu.network.adaptive import Control
 
 Array = NDArray[Any]
@@ -174,8 +176,8 @@ def run(
     time, values, inside = rows.joined(len(stepper.names))
     worst, facts = book.worst(), march.facts()
     facts |= {"interpolated": inside} if dense else {}
-    changes = _rest_changes(stepper) - before
-    notes = (*_unreached(events, stop - 1e-9 * step, stop), *book.notes, *march.notes(), *_rest_notes(changes))
+    rest_notes = _rest_notes(before, _rest_changes(stepper))
+    notes = (*_unreached(events, stop - 1e-9 * step, stop), *book.notes, *march.notes(), *rest_notes)
     return Result(
         stepper.names,
         time,
@@ -256,16 +258,31 @@ def _control(rtol: float, atol: float | None, step: float, smallest: float, larg
     return Control(rtol, rtol if atol is None else atol, step, smallest, largest)
 
 
-def _rest_changes(stepper: Any) -> NDArray[np.int64]:
-    """How often the instances of a run let another redundant constraint rest, and how many they needed again."""
-    instances = [getattr(m, "instance", None) for m in getattr(stepper, "members", (stepper,))]
-    counts = [getattr(i, "counts", {}) for i in instances]
-    return np.array([sum(c.get(name, 0) for c in counts) for name in ("exchanged", "woken")])
+def _instances(stepper: Any) -> list[tuple[str, Any]]:
+    """The instances of a run by the names of their members, "" for a whole system."""
+    members = getattr(stepper, "members", None)
+    whole = [("", stepper)] if members is None else [(m.name, m) for m in members]
+    return [(name, getattr(m, "instance", None)) for name, m in whole]
 
 
-def _rest_notes(changes: NDArray[np.int64]) -> list[str]:
-    if not changes.any():
-        return []
-    return [
-        f"redundant constraints: {changes[0]} exchanged, {changes[1]} needed again; the motion does not depend on it"
-    ]
+def _rest_changes(stepper: Any) -> dict[str, list[RestChange]]:
+    """Member -> the last changes of its constraints at rest."""
+    return {name: getattr(i, "rest_changes", []) for name, i in _instances(stepper)}
+
+
+def _rest_notes(before: dict[str, list[RestChange]], now: dict[str, list[RestChange]]) -> list[str]:
+    """How often other redundant constraints rested in a run or were needed again, and the last of these changes."""
+    lines = []
+    for name, changes in now.items():
+        old = before[name][-1].number if before[name] else 0
+        new = [c for c in changes if c.number > old]
+        if not new:
+            continue
+        where = f"{name}: " if name else ""
+        many, dropped = new[-1].number - old, new[0].number - old - 1
+        last = f", the last {len(new)} of them" if dropped else ""
+        lines.append(
+            f"{where}redundant constraints: {counted(many, 'change')}{last}; the motion does not depend on which rests"
+        )
+        lines += [f"{where}{c}" for c in new]
+    return lines

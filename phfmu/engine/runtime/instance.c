@@ -47,6 +47,7 @@ static void lay_state(ph_instance *in, block *b) {
     in->x_old = doubles(b, p->nx + 1 + p->na);
     in->u_old = doubles(b, p->nu * p->k);
     in->y_node = doubles(b, p->k > 1 ? p->nq * p->k : 0);
+    in->changes = take(b, p->nhold > 0 ? sizeof(ph_rest_change) * PH_KEPT_CHANGES : 0);
     in->step.last = doubles(b, p->nw);
     in->step.pivot = ints(b, p->nw);
     in->step.rests = in->instant.rests = ints(b, p->nhold);
@@ -313,6 +314,11 @@ const double *ph_ledger(const ph_instance *in, int row) {
 
 const double *ph_unknowns(const ph_instance *in) {
     return in->step.last;
+}
+
+const ph_rest_change *ph_rest_changes(const ph_instance *in, int *n) {
+    *n = in->head->changes;
+    return in->changes;
 }
 
 const long long *ph_counts(const ph_instance *in) {

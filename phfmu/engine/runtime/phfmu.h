@@ -96,6 +96,12 @@ typedef struct ph_report {
     double h;        /* its length */
 } ph_report;
 
+/* Which redundant constraint rests from the end of a step on, and which one does not any longer; -1: none. */
+typedef struct ph_rest_change {
+    double time;
+    int rests, needed;
+} ph_rest_change;
+
 typedef struct ph_instance ph_instance;
 
 /* Bytes of memory an instance needs; 0 if model and runtime do not belong together. */
@@ -177,6 +183,8 @@ PH_API int ph_refresh(ph_instance *in);
 PH_API const double *ph_ledger(const ph_instance *in, int row);
 /* Solved unknowns of the last solve of a step: w of the plan, nw values. */
 PH_API const double *ph_unknowns(const ph_instance *in);
+/* The last PH_KEPT_CHANGES of them, number i at i % PH_KEPT_CHANGES; *n: how many since the start. */
+PH_API const ph_rest_change *ph_rest_changes(const ph_instance *in, int *n);
 /* S: nu*nu row-major, S[i,j] = d (step mean of external output i) / d (held input j), last step. */
 PH_API int ph_sensitivity(ph_instance *in, double *s);
 /* The same for the outputs at the present time. */

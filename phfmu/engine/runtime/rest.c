@@ -229,10 +229,16 @@ static int share_is_small(ph_system *s) {
     return largest(s, &whose) > SHARE;
 }
 
+/* Remembers a change at the end of a step. */
+static void note(ph_instance *in, double time, int rests, int needed) {
+    in->changes[in->head->changes % PH_KEPT_CHANGES] = (ph_rest_change){time, rests, needed};
+    in->head->changes++;
+}
+
 /* Another constraint rests in place of one whose share in their dependence has become small: without it the
  * others would soon depend on each other. The last unknowns move along the dependence until they are 0 there.
  */
-void ph_rest_exchange(ph_instance *in) {
+void ph_rest_exchange(ph_instance *in, double time) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     int from = -1, to = -1, whose;
@@ -263,6 +269,7 @@ void ph_rest_exchange(ph_instance *in) {
     in->step.rests[to] = PH_RESTS;
     s->pivot[0] = in->instant.pivot[0] = -1; /* those of another matrix */
     ph_rest_take(in);
+    note(in, time, to, from);
     in->count[PH_EXCHANGED]++;
 }
 
@@ -281,13 +288,16 @@ int ph_rest_wake(ph_instance *in) {
 }
 
 /* Those that have come back stay if the step is accepted, else they rest as before. */
-void ph_rest_settle(ph_instance *in, int accepted) {
+void ph_rest_settle(ph_instance *in, double time, int accepted) {
     int found = 0;
     for (int c = 0; c < in->step.plan->nhold; c++)
         if (in->step.rests[c] == PH_CALLED) {
             in->step.rests[c] = accepted ? PH_AWAKE : PH_RESTS;
-            in->count[PH_WOKEN] += accepted;
             found = 1;
+            if (accepted) {
+                note(in, time, -1, c);
+                in->count[PH_WOKEN]++;
+            }
         }
     if (found && !accepted)
         ph_rest_take(in);

@@ -119,7 +119,7 @@ static void accept(ph_instance *in, double h, double from, double weight) {
     memcpy(s->last, s->resting ? in->unspread : s->y, sizeof(double) * (size_t)p->nw);
     *s->last_h = h;
     if (s->resting)
-        ph_rest_exchange(in);
+        ph_rest_exchange(in, in->table[p->nx] + h);
 }
 
 /* The Schur chord where the model has one and it leaves out the constraints that rest; else, or where it does
@@ -161,7 +161,7 @@ static int try_part(ph_instance *in, double t, double h, double from, double wei
         in->report.h = h * weight;
     }
     if (called)
-        ph_rest_settle(in, status == PH_OK);
+        ph_rest_settle(in, t + h * (from + weight), status == PH_OK);
     return status;
 }
 

@@ -15,4 +15,7 @@
 /* Energies, states and outputs of a step may be this large: sums of a million of them are still finite. */
 #define PH_LARGEST 1e302
 
+/* Changes of the constraints at rest that an instance remembers, the last ones. */
+#define PH_KEPT_CHANGES 16
+
 #endif

@@ -98,9 +98,9 @@ void ph_rest_unknowns(ph_system *s);
 void ph_rest_residual(ph_system *s);
 void ph_rest_matrix(ph_system *s);
 void ph_rest_spread(ph_system *s);
-void ph_rest_exchange(ph_instance *in);
+void ph_rest_exchange(ph_instance *in, double time);
 int ph_rest_wake(ph_instance *in);
-void ph_rest_settle(ph_instance *in, int accepted);
+void ph_rest_settle(ph_instance *in, double time, int accepted);
 
 /* Counters and switches of the state; doubles and pivots follow it. */
 typedef struct ph_head {
@@ -111,7 +111,7 @@ typedef struct ph_head {
     int held;         /* inputs are held values */
     int dirty;        /* end values are out of date */
     int parts;        /* substeps of the last communication step, 0 = none yet */
-    int pad;
+    int changes;      /* of the constraints at rest since the start */
 } ph_head;
 
 struct ph_instance {
@@ -125,11 +125,12 @@ struct ph_instance {
     double *rest;       /* nx: what compensated summation still owes x */
     double *table_rest; /* nq + 3 ncomp: the same for the cumulative energies */
     double *row[PH_NROW];
-    double *u;      /* nu*k */
-    double *p;      /* np */
-    double *x_old;  /* nx+1+na: states, time, algebraic variables at the start of the last step */
-    double *u_old;  /* nu*k: inputs of the last step */
-    double *y_node; /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
+    double *u;               /* nu*k */
+    double *p;               /* np */
+    double *x_old;           /* nx+1+na: states, time, algebraic variables at the start of the last step */
+    double *u_old;           /* nu*k: inputs of the last step */
+    double *y_node;          /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
+    ph_rest_change *changes; /* PH_KEPT_CHANGES if constraints may rest */
 
     /* Work space. */
     ph_system step, instant;
