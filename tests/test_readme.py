@@ -95,6 +95,31 @@ def test_the_index_lists_every_page() -> None:
     assert {p.parent.name for p in PAGES if p.parent.parent == index.parent} == {t.lower() for t in titles}
 
 
+#: coined words and their places in the glossary; pages that explain one themselves need no link
+COINED = {
+    r"bare nodes?": ("bare-node", "bare-nodes.md"),
+    r"impulse pairs?": ("impulse-pair", "bare-nodes.md"),
+    r"two-level (?:form|scheme|steps)": ("two-level", "constraints.md native-engine.md plan.md work-precision.md"),
+    r"Schur chord": ("schur-chord", "native-engine.md stress.md"),
+    r"step-conjugate": ("step-conjugate", "sign-convention-and-ports.md fmu.md"),
+    r"interface Newton": ("interface-newton", "couplings.md plan.md"),
+    r"strain form": ("strain-form", "schemes.md constraints.md"),
+    r"closed-form pair": ("closed-form-pair", "schemes.md ledger.md plan.md"),
+    r"hidden constraint": ("hidden-constraint", "plan.md ledger.md fmu.md"),
+    r"restart steps": ("restart-steps", "steps.md"),
+    r"held inputs?": ("held", "fmu.md plan.md"),
+}
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name not in ("glossary.md", "index.md")], ids=name)
+def test_coined_words_are_explained(page: Path) -> None:
+    text = re.sub(r"^(?:#|    ).*$", "", prose(page), flags=re.MULTILINE)
+    linked = {anchor for found, anchor in links(page) if found.name == "glossary.md"}
+    for word, (anchor, pages) in COINED.items():
+        if page.name not in pages and re.search(rf"(?<![\[/-]){word}", text):
+            assert anchor in linked, f"{name(page)} uses '{word}' without a link to glossary.md#{anchor}"
+
+
 def test_code_names_pages_that_exist() -> None:
     sources = [
         p for folder in ("phfmu", "components", "tests") for p in (ROOT / folder).rglob("*") if p.suffix != ".pyc"

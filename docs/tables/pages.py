@@ -65,6 +65,20 @@ def reference(name: str) -> dict[str, Array]:
     return independent("reference_tools").read(name)
 
 
+def declared(page: str, name: str) -> Callable[..., Any]:
+    """The function `name` as the Python block of docs/<page> that holds it defines it."""
+    space: dict[str, Any] = {}
+    for block in re.findall(
+        r"^```python\n(.*?)^```$", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    ):
+        imports = re.findall(r"^from .*$", block, re.MULTILINE)
+        exec("\n".join(imports), space)
+        if re.search(rf"^def {name}\(", block, re.MULTILINE):
+            exec(block, space)
+            return space[name]
+    raise KeyError(f"docs/{page} has no function '{name}'")
+
+
 def write(name: str, made: Made) -> list[Path]:
     """Replace what stands below the line `python docs/tables <name>` of each page; the pages that hold it."""
     notes = r"(?:\n(?:- .*\n)+)?" if made.notes else ""
