@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import secrets
+from contextlib import suppress
 from pathlib import Path
+
+ENDING = ".partial"
 
 
 def beside(target: Path) -> Path:
@@ -13,12 +16,20 @@ def beside(target: Path) -> Path:
     It has the permissions of any new file (by the umask). Errors: OSError if the folder cannot be written.
     """
     while True:
-        path = target.with_name(f"{target.name}.{secrets.token_hex(4)}.partial")
+        path = target.with_name(f"{target.name}.{secrets.token_hex(4)}{ENDING}")
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         except FileExistsError:
             continue
         return path
+
+
+def remains(target: Path) -> list[Path]:
+    """Files for `target` that were never moved there, the last written first."""
+    with suppress(OSError, ValueError):  # no such folder; no name of a folder
+        found = [p for p in target.parent.iterdir() if p.name.startswith(f"{target.name}.") and p.suffix == ENDING]
+        return sorted(found, key=lambda p: p.stat().st_mtime, reverse=True)
+    return []
 
 
 def require_writable(target: Path, shown: str) -> None:

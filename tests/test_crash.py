@@ -124,6 +124,29 @@ def test_kill_loses_a_moment(started: Callable[[str], Started], kind: str, compi
     assert code == -signal.SIGKILL and lost(run, at) <= LOST
 
 
+@pytest.mark.parametrize("table", ["o.csv", "o.parquet"])
+def test_recover_tells_where_the_table_is(
+    started: Callable[[str], Started], table: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From another folder, too; a table of another name is not meant."""
+    for name in (f"x{table}.1.partial", "o.csv.partial"):
+        Path(name).write_text("")
+    Path("results").mkdir()
+    run = started(RUNS["python"] + f" -o results/{table}")
+    run.wait_for(0.5)
+    run.end(signal.SIGKILL)
+    (left,) = Path("results").resolve().glob("*.partial")
+    os.chdir("results")
+    assert main(["audit", "recover", "../a.arrows"]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("recovered ") and str(left) in second
+    if table == "o.csv":
+        assert "is in" in second and len(left.read_text().splitlines()) > 10
+    else:
+        assert "may be deleted" in second
+    assert str(left) not in str(pq.read_metadata("../a.parquet").metadata)  # not in a log that is passed on
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", RUNS)
 def test_kill_at_any_time_loses_a_moment(started: Callable[[str], Started], kind: str, compiler: None) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phfmu.files import beside, require_writable
+from phfmu.files import beside, remains, require_writable
 
 from .columns import COLUMNS, SCHEMA_VERSION
 from .lock import try_lock
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 SCHEMA_KEY = b"phfmu.audit.schema"
-#: process and machine that write a stream; not in the Parquet file
+#: process and machine that write a stream, and the table they write beside it; not in the Parquet file
 WRITER_KEY = b"phfmu.audit.writer"
 _ROW_GROUP = 1 << 17
 
@@ -74,10 +74,22 @@ def held(stream: Path) -> Iterator[None]:
 
 def _writer(stream: Path) -> str:
     try:
-        found = json.loads((Stream(stream).schema.metadata or {})[WRITER_KEY])
+        found = _written_by(stream)
         return f"process {found['pid']} on {found['host']}"
     except (ValueError, KeyError, TypeError):
         return "another process"
+
+
+def _written_by(stream: Path) -> Any:
+    return json.loads((Stream(stream).schema.metadata or {})[WRITER_KEY])
+
+
+def _left_of_table(stream: Path) -> tuple[Path, ...]:
+    """The unfinished tables of the run that wrote the stream."""
+    try:
+        return tuple(remains(Path(_written_by(stream)["table"])))
+    except (ValueError, KeyError, TypeError):
+        return ()
 
 
 class Stream:
@@ -160,11 +172,15 @@ def _table(batches: list["pa.RecordBatch"], schema: "pa.Schema") -> "pa.Table":
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What came out of a broken run's stream; torn if it ended in an incomplete batch."""
+    """What came out of a broken run's stream; torn if it ended in an incomplete batch.
+
+    `tables`: what is left of the table the run wrote too, the last written first (earlier ones are of earlier runs).
+    """
 
     path: Path
     rows: int
     torn: bool
+    tables: tuple[Path, ...] = ()
 
 
 def recover(path: str | os.PathLike[str]) -> Recovered:
@@ -179,8 +195,9 @@ def recover(path: str | os.PathLike[str]) -> Recovered:
     target = stream.with_suffix(".parquet")
     with held(stream):
         rows, torn = compact(stream, target)
+        tables = _left_of_table(stream)
     stream.unlink()
-    return Recovered(target, rows, torn)
+    return Recovered(target, rows, torn, tables)
 
 
 def read(path: str | os.PathLike[str]) -> "pa.Table":

@@ -35,13 +35,19 @@ class AuditWriter:
     """Writes the rows of a `Ledger` to X.arrows and compacts them to X.parquet on close.
 
     Use as a context manager: on an exception the log is closed and compacted all the same. `metadata` are
-    free keys (units per port, model hash, options); values that are not strings are kept as JSON. From the start the
-    stream is a readable log, and locked until `close`.
+    free keys (units per port, model hash, options); values that are not strings are kept as JSON. `table`: the result table
+    of the same run, about whose remains `recover` tells. From the start the stream is a readable log, and locked until
+    `close`.
     Errors: ValueError for an ending other than .parquet; LogInUse if another run writes the log; FileExistsError if a
     broken run's stream is there.
     """
 
-    def __init__(self, path: str | os.PathLike[str], metadata: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        metadata: Mapping[str, Any] | None = None,
+        table: str | os.PathLike[str] | None = None,
+    ) -> None:
         import pyarrow as pa
 
         # absolute: what a run loads may change the working folder
@@ -55,7 +61,7 @@ class AuditWriter:
         #: rows taken so far
         self.rows = 0
         self._flushed_at = time.monotonic()
-        self._schema = _schema(metadata or {})
+        self._schema = _schema(metadata or {}, table)
         self._file: Any = _created(self.stream)
         options = pa.ipc.IpcWriteOptions(compression="lz4", emit_dictionary_deltas=True)
         self._writer = pa.ipc.new_stream(self._file, self._schema, options=options)
@@ -220,7 +226,7 @@ def _joined(column: str, sections: list[Section], n: int) -> tuple[Any, Any]:
     return values, null
 
 
-def _schema(metadata: Mapping[str, Any]) -> "pa.Schema":
+def _schema(metadata: Mapping[str, Any], table: str | os.PathLike[str] | None) -> "pa.Schema":
     import pyarrow as pa
 
     versions = {"python": sys.version.split()[0]}
@@ -234,7 +240,9 @@ def _schema(metadata: Mapping[str, Any]) -> "pa.Schema":
         for key, value in metadata.items()
     }
     keys |= {SCHEMA_KEY: str(SCHEMA_VERSION).encode(), _VERSIONS_KEY: json.dumps(versions).encode()}
-    keys[WRITER_KEY] = json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode()
+    writer = {"pid": os.getpid(), "host": socket.gethostname()}
+    writer |= {"table": os.path.realpath(table)} if table else {}
+    keys[WRITER_KEY] = json.dumps(writer).encode()
     types = {
         "i64": pa.int64(),
         "i32": pa.int32(),

@@ -50,7 +50,7 @@ class Outputs:
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
-            self.sink = AuditWriter(self._audit_path, about)
+            self.sink = AuditWriter(self._audit_path, about, self._table_path)
         if self._table_path:
             from phfmu.cli.table import TableWriter
 
