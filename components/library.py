@@ -23,6 +23,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "four_particle": ("component", _M + "four_particle", "four particles, two bars, two springs, a damper"),
     "mass_spring": ("component", _M + "mass_spring", "two masses, two springs, singular mass matrix reduced"),
     "chain": ("component", _M + "chain", "ten rigid links that hang from a support"),
+    "net": ("component", _M + "net", "sheet of masses and springs, hung at two corners"),
     "heavy_top": ("component", _M + "heavy_top", "spinning disc on a stem, singular mass matrix"),
     "mass": ("component", _M + "translational", "mass with optional spring and damper to ground"),
     "spring": ("component", _M + "translational", "linear spring between two flanges"),
@@ -38,11 +39,12 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "two_machine": ("scene", _S + "two_machine", "two machines, line, load, three-phase fault"),
 }
 
-#: Arguments of components that have no defaults of their own, or larger ones, so that each can be inspected and stepped by name.
+#: Arguments of components without defaults, or other than these, so that each can be inspected and stepped by name.
 EXAMPLES: dict[str, dict[str, Any]] = {
     "rl_line": {"R": 0.02, "L": 8e-4},
     "infinite_bus": {"amplitude": 18.7e3},
     "ladder": {"n": 2},
+    "net": {"n": 3},
     "rlc_load": {"R": 0.96, "L": 0.0102, "C": 2.76e-4},
 }
 

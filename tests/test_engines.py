@@ -24,6 +24,8 @@ FORMS = {
     "machine_current": lambda: synchronous_machine(coordinates="current"),
 }
 NAMES = [*LIBRARY, *FORMS]
+#: models whose rounding grows, and for how many steps it stays small
+CHAOTIC = {"chain": 300, "net": 500}
 HIGHER = ["synchronous_machine", "dc_motor", "rlc_load", "two_machine", "spring_damper", "machine_abc_flux"]
 
 
@@ -43,6 +45,8 @@ def step_size(name):
     made = None if name in FORMS else build(name)
     if isinstance(made, Scene):
         return made.step
+    if name == "net":  # its springs are stiff: 280 rad/s
+        return 1e-3
     return 0.01 if "mechanical" in LIBRARY.get(name, ("", ""))[1] or "spring" in name else 1e-4
 
 
@@ -142,7 +146,7 @@ def test_engines_agree_at_order_six(name):
 def test_engines_agree_over_a_thousand_steps(name, k):
     if k > 1 and declaration(name).closed or k == 2 and declaration(name).constraints:
         pytest.skip("this order does not exist for this model")
-    compare(name, k, 300 if name == "chain" else 1000)  # ten links are chaotic: rounding grows
+    compare(name, k, CHAOTIC.get(name, 1000))
 
 
 # -- state -----------------------------------------------------------------------------------------
