@@ -4,7 +4,8 @@
  *     fmu_host LIBRARY VERSION TOKEN STEP N INPUT_REFERENCE VALUE MORE OUTPUT_REFERENCE...
  *
  * INPUT_REFERENCE -1: no input. MORE: lengths of steps that follow the N, joined by commas, or -; after each
- * of them values are printed again. */
+ * of them values are printed again. VERSION 3.0-early: the unit may return early. Where it does, or discards
+ * a step, the last successful time and the values there are printed, and the run ends. */
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -48,7 +49,7 @@ static void *symbol(void *library, const char *name) {
 
 typedef struct plan {
     double h, u, more[64], t;
-    int n, nmore, input, m;
+    int n, nmore, input, m, early;
     unsigned ref[1024];
 } plan;
 
@@ -61,6 +62,7 @@ static int run2(void *library, const char *token, plan *p) {
     FUNCTION(fmi2SetRealTYPE, set, "fmi2SetReal");
     FUNCTION(fmi2GetRealTYPE, get, "fmi2GetReal");
     FUNCTION(fmi2DoStepTYPE, step, "fmi2DoStep");
+    FUNCTION(fmi2GetRealStatusTYPE, inquire, "fmi2GetRealStatus");
     FUNCTION(fmi2TerminateTYPE, terminate, "fmi2Terminate");
     FUNCTION(fmi2FreeInstanceTYPE, release, "fmi2FreeInstance");
     fmi2Component c = instantiate("host", fmi2CoSimulation, token, "file:///", &callbacks, 0, 0);
@@ -74,7 +76,16 @@ static int run2(void *library, const char *token, plan *p) {
     MUST(leave(c));
     for (int k = 0; k < p->n + p->nmore; k++) {
         const double h = k < p->n ? p->h : p->more[k - p->n];
-        MUST(step(c, p->t, h, 1));
+        double last;
+        int status = step(c, p->t, h, 0);
+        if (status == fmi2Discard) {
+            MUST(inquire(c, fmi2LastSuccessfulTime, &last));
+            printf("%.17g\n", last);
+            p->n = k + 1;
+            p->nmore = 0;
+            status = 0;
+        }
+        MUST(status);
         p->t = k < p->n ? (k + 1) * h : p->t + h;
         for (int i = 0; k + 1 >= p->n && i < p->m; i++) {
             double value;
@@ -96,7 +107,7 @@ static int run3(void *library, const char *token, plan *p) {
     FUNCTION(fmi3DoStepTYPE, step, "fmi3DoStep");
     FUNCTION(fmi3TerminateTYPE, terminate, "fmi3Terminate");
     FUNCTION(fmi3FreeInstanceTYPE, release, "fmi3FreeInstance");
-    fmi3Instance c = instantiate("host", token, NULL, 0, 1, 0, 0, NULL, 0, NULL, logger3, NULL);
+    fmi3Instance c = instantiate("host", token, NULL, 0, 1, 0, p->early, NULL, 0, NULL, logger3, NULL);
     unsigned in = (unsigned)p->input;
     if (!c)
         return 1;
@@ -108,7 +119,12 @@ static int run3(void *library, const char *token, plan *p) {
         const double h = k < p->n ? p->h : p->more[k - p->n];
         bool event, end, early;
         double last;
-        MUST(step(c, p->t, h, 1, &event, &end, &early, &last));
+        MUST(step(c, p->t, h, 0, &event, &end, &early, &last));
+        if (early) {
+            printf("%.17g\n", last);
+            p->n = k + 1;
+            p->nmore = 0;
+        }
         p->t = k < p->n ? (k + 1) * h : p->t + h;
         for (int i = 0; k + 1 >= p->n && i < p->m; i++) {
             double value;
@@ -133,6 +149,7 @@ int main(int argc, char **argv) {
         fprintf(stderr, "%s\n", dlerror());
         return 1;
     }
+    p.early = strcmp(argv[2], "3.0-early") == 0;
     p.h = atof(argv[4]);
     p.n = atoi(argv[5]);
     p.input = atoi(argv[6]);

@@ -38,7 +38,7 @@ class Report(ctypes.Structure):
     """ph_report."""
 
     _fields_ = [
-        *((n, ctypes.c_int) for n in ("status", "row", "column", "iterations", "spent", "instant")),
+        *((n, ctypes.c_int) for n in ("status", "row", "column", "iterations", "spent", "instant", "solved")),
         *((n, ctypes.c_double) for n in ("residual", "floor", "update", "time", "h")),
     ]
 

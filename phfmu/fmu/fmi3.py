@@ -19,7 +19,7 @@ CAPABILITIES = {
     "canHandleVariableCommunicationStepSize": "true",
     "maxOutputDerivativeOrder": "0",
     "providesIntermediateUpdate": "false",
-    "mightReturnEarlyFromDoStep": "false",
+    "mightReturnEarlyFromDoStep": "true",
     "canReturnEarlyAfterIntermediateUpdate": "false",
     "hasEventMode": "false",
 }

@@ -50,7 +50,10 @@ NODES = (
     "sets all of them, what is set last counts; (length of the step) * sum of weight * node input * node output is "
     "the energy supplied to the component in a step, exactly"
 )
-FAILURE = "a refused step leaves the unit at the last communication point; a smaller step may follow"
+FAILURE = (
+    "a step that cannot be solved is discarded and leaves the unit at the last communication point; a smaller step may follow. "
+    "Of several internal steps the solved ones are told (fmi2LastSuccessfulTime), or kept if early return is allowed (FMI 3.0)"
+)
 
 
 @dataclass(frozen=True)

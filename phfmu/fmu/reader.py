@@ -41,6 +41,7 @@ class FMUInstance:
     rule for others (`estimated`).  Power is positive into the component.
 
     `ports`: only for foreign units.  `starts`: values of parameters, states and inputs before the start.
+    `early_return`: `do_step` may end before its end (FMI 3.0), see there.
     Errors: FMUError; StepFailure for a refused step: units of this package are back at the last accepted one.
     """
 
@@ -53,6 +54,7 @@ class FMUInstance:
         start: float | None = None,
         stop: float | None = None,
         name: str | None = None,
+        early_return: bool = False,
     ):
         archive = open_archive(path)
         self.interface: Interface = archive.interface
@@ -82,7 +84,8 @@ class FMUInstance:
             (self.interface.start if start is None else start, stop),
         )
         self._asked: dict[tuple[str, ...], References] = {}
-        self._slave = Slave(archive, self.name)
+        self.early_return = early_return
+        self._slave = Slave(archive, self.name, early_return)
         self._handles: dict[int, Any] = {}
         self._close = weakref.finalize(self, _free, self._slave, self._handles, archive)
         try:
@@ -188,10 +191,14 @@ class FMUInstance:
         """Outputs at the k nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
         return self._slave.get(self._y_nodes).reshape(-1, self.nu).copy()
 
-    def do_step(self, t: float, h: float) -> None:
-        """One communication step over [t, t + h]; StepFailure holds the words of the unit."""
+    def do_step(self, t: float, h: float) -> float:
+        """One communication step over [t, t + h]; the time reached.  StepFailure holds the words of the unit.
+
+        The time is t + h unless the unit was made with `early_return`: units of this package then keep the internal steps
+        before one that cannot be solved.  Outputs and ledger are those of the step up to there; go on from it.
+        """
         try:
-            self._slave.do_step(t, h)
+            reached = self._slave.do_step(t, h)
             after = self._slave.get(self._y_end).copy() if self.estimated else self._after
         except UnitCallError as error:
             status = None if self.estimated else next((s for s in Status if s.value in str(error)), None)
@@ -199,12 +206,13 @@ class FMUInstance:
                 raise UnitFailure(self.name, t, h, error.function, error.answer, error.words) from error
             raise StepFailure(status, self.name, t, h, tried=f"in the unit: {error}") from error
         if not np.isfinite(after).all():
-            raise self.not_finite(self.outputs, after, t + h)
-        self.time, self._h = t + h, h
+            raise self.not_finite(self.outputs, after, reached)
+        self.time, self._h = reached, h if reached == t + h else reached - t
         if self.estimated:
             self._before, self._after = self._after, after
-            self._pairs = h * self._u.values * self.output()
+            self._pairs = self._h * self._u.values * self.output()
             self._supplied = self._supplied + self._pairs
+        return reached
 
     def not_finite(self, names: Sequence[str], values: Array, t: float) -> UnitFailure:
         """The failure that names the first of the variables whose value at time t is not finite."""

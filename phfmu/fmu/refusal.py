@@ -14,6 +14,8 @@ ANSWERS = {
     "fatal": ("it met an error after which none of its instances can be used", "ask its maker; begin in a new process"),
     "pending": ("it steps on in the background, which is not supported", "export it without asynchronous steps"),
     "terminate": ("it asks to end the simulation", "stop the run before this time"),
+    "part of a step": ("it ended the step before its end, as it was allowed, but the run needs all of it",
+                       "make its instance without early_return, or take smaller steps"),
     "early return": ("it ended the step before its end, which it was not allowed", "ask its maker"),
     "not finite": ("its value is not a number one can go on with", "look at its inputs and start values, or try a smaller step"),
 }  # fmt: skip

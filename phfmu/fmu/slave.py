@@ -38,10 +38,10 @@ _ANSWERS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 class Slave:
     """An instance of a library.  Calls raise UnitCallError with the unit's own words."""
 
-    def __init__(self, archive: Archive, name: str):
+    def __init__(self, archive: Archive, name: str, early_return: bool = False):
         about = archive.interface
         self.two = about.version == "2.0"
-        self.name = name
+        self.name, self._early_return = name, early_return
         self.words: deque[str] = deque(maxlen=KEPT)
         #: after a fatal error nothing may be called any more, not even to free it
         self.dead = False
@@ -59,8 +59,9 @@ class Slave:
             else:
                 self.fmu = FMU3Slave(**common)
                 self.fmu.instantiate(
-                    loggingOn=ours, logMessage=lambda _environment, status, _category, text: self._log(status, text)
-                )
+                    loggingOn=ours, earlyReturnAllowed=early_return,
+                    logMessage=lambda _environment, status, _category, text: self._log(status, text),
+                )  # fmt: skip
         except Exception as error:  # the bindings raise plain Exception for a library that does not load
             raise FMUError(f"{archive.path}: {plain(str(error))}{said(self._last_words())}") from error
         finally:
@@ -140,8 +141,11 @@ class Slave:
     def leave(self) -> None:
         self.call(self.fmu.exitInitializationMode)
 
-    def do_step(self, t: float, h: float) -> None:
-        """All of the step; UnitCallError also if the unit ends it early or asks to end the simulation."""
+    def do_step(self, t: float, h: float) -> float:
+        """The time reached, t + h unless the unit may return early.
+
+        UnitCallError also if it does so where it may not, or asks to end the simulation.
+        """
         try:
             answer = self.call(self.fmu.doStep, t, h, False)
         except UnitCallError as error:
@@ -150,10 +154,13 @@ class Slave:
             raise
         if not self.two:
             _, ended, early, last = answer
-            if ended or early:
+            if ended or (early and not self._early_return):
                 what = "terminate" if ended else "early return"
                 words = (*self._last_words(), f"last successful time {last:.9g} s")
                 raise UnitCallError(self.name, "fmi3DoStep", what, words)
+            if early:
+                return last
+        return t + h
 
     def _discarded(self, error: UnitCallError) -> UnitCallError:
         """FMI 2.0 tells the reason on request."""

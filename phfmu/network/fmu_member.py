@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.refusal import UnitFailure
 from phfmu.network.members import finite_differences
 from phfmu.network.scene import Scene
 from phfmu.network.stepper import Booking, Steps, places
@@ -87,7 +88,13 @@ class FMUMember:
         self.unit.set_input(u)
 
     def do_step(self, t: float, h: float) -> None:
-        self.unit.do_step(t, h)
+        """All of the step; UnitFailure where the unit takes a part of it only, which is taken back."""
+        before = self.unit.get_state() if self.unit.early_return else None
+        reached = self.unit.do_step(t, h)
+        if before is not None and reached < t + h:
+            self.unit.set_state(before)
+            words = [f"last successful time {reached:.9g} s"]
+            raise UnitFailure(self.unit.name, t, h, "fmi3DoStep", "part of a step", words)
 
     def output(self) -> Array:
         return self.unit.output()
@@ -181,7 +188,7 @@ class FMUStepper:
         moved: list[Array] = []
         for k in range(n):
             try:
-                self.unit.do_step(t0 + (first + k) * h, h)
+                self.member.do_step(t0 + (first + k) * h, h)
                 values = self.read()
             except StepFailure as failure:
                 failure.recorded = {"steps": _taken(rows, moved)} if rows else {}

@@ -89,6 +89,7 @@ typedef struct ph_report {
     int iterations;  /* of the last attempt */
     int spent;       /* of all attempts at the internal step */
     int instant;     /* 1: in the system of the end values, 0: in a step */
+    int solved;      /* internal steps of the communication step that were solved before it was refused */
     double residual; /* its scaled value */
     double floor;    /* what rounding alone leaves of it */
     double update;   /* last scaled update norm */

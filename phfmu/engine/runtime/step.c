@@ -323,6 +323,7 @@ int ph_step_parts(ph_instance *in, double t, double h, int n) {
         if (status == PH_OK)
             continue;
         in->count[PH_FAILED]++;
+        in->report.solved = i;
         ph_load(in, in->backup);
         return status;
     }

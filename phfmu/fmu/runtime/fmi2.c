@@ -120,13 +120,13 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
                       fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
     (void)noSetFMUStatePriorToCurrentPoint;
-    return STATUS(fmu_do_step(c, __func__, currentCommunicationPoint, communicationStepSize));
+    return STATUS(fmu_do_step(c, __func__, currentCommunicationPoint, communicationStepSize, NULL));
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
     if (!c || !value || s != fmi2LastSuccessfulTime)
         return fmi2Discard;
-    *value = fmu_time(c);
+    *value = fmu_time(c) + ((const fmu *)c)->solved; /* the unit itself is where the step began */
     return fmi2OK;
 }
 

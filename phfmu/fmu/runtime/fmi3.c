@@ -25,11 +25,12 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     fmu *f;
     (void)resourcePath;
     (void)visible;
-    (void)earlyReturnAllowed;
     (void)requiredIntermediateVariables;
     (void)intermediateUpdate;
     f = fmu_create(instanceName, instantiationToken, loggingOn ? FMU_LOG_ALL : 0, sink,
                    (void (*)(void))logMessage, instanceEnvironment);
+    if (f)
+        f->early = earlyReturnAllowed;
     if (!f || (!eventModeUsed && nRequiredIntermediateVariables == 0))
         return f;
     fmu_refuse(f, "%s: there is no event mode and no intermediate update", __func__);
@@ -140,14 +141,16 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
                       fmi3Float64 communicationStepSize, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
                       fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation,
                       fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime) {
-    int status = fmu_do_step(instance, __func__, currentCommunicationPoint, communicationStepSize);
+    int early = 0;
+    int status = fmu_do_step(instance, __func__, currentCommunicationPoint, communicationStepSize,
+                             earlyReturn && lastSuccessfulTime ? &early : NULL);
     (void)noSetFMUStatePriorToCurrentPoint;
     if (eventHandlingNeeded)
         *eventHandlingNeeded = fmi3False;
     if (terminateSimulation)
         *terminateSimulation = fmi3False;
     if (earlyReturn)
-        *earlyReturn = fmi3False;
+        *earlyReturn = early != 0;
     if (instance && lastSuccessfulTime)
         *lastSuccessfulTime = fmu_time(instance);
     return STATUS(status);

@@ -185,6 +185,7 @@ int fmu_reset(fmu *f, const char *function) {
     if (fmu_allow(f, function, FMU_ANY))
         return FMU_ERROR;
     f->phase = start;
+    f->solved = 0.0;
     f->step_known = f->end_known = 0;
     return ph_reset(f->in) ? fmu_refuse(f, "%s: the start values of the model were refused", function)
                            : FMU_OK;
@@ -221,18 +222,39 @@ static int check_step(const fmu *f, const char *function, double t, double h, in
     return FMU_OK;
 }
 
-int fmu_do_step(fmu *f, const char *function, double t, double h) {
+/* A step of n internal ones that was refused. Where the importer allows it, the step ends at the last of them
+ * that was solved, as a step of that length: a communication point there lets the importer change inputs, or
+ * the length of its steps. It is no error; where the rest cannot be solved, the next call discards. Inputs at
+ * nodes belong to the whole step, so that it cannot end early. */
+static int refuse_step(fmu *f, const char *function, double t, double h, int n, int *early) {
+    const ph_report why = *ph_last_report(f->in);
+    const double part = h * why.solved / n;
+    if (f->early && early && why.solved > 0 && fmu_held(f, ph_input(f->in)) &&
+        ph_step_parts(f->in, t, part, why.solved) == PH_OK) {
+        *early = 1;
+        return fmu_step_refused(f, function, FMU_OK, &why);
+    }
+    f->solved = part;
+    return fmu_step_refused(f, function, FMU_DISCARD, &why);
+}
+
+int fmu_do_step(fmu *f, const char *function, double t, double h, int *early) {
     const long long *count;
     long long halved;
     int status, n = 0;
+    if (early)
+        *early = 0;
     if (fmu_allow(f, function, FMU_STEP) || check_step(f, function, t, h, &n))
         return FMU_ERROR;
     count = ph_counts(f->in);
     halved = count[PH_SUBSTEPS];
     f->step_known = f->end_known = 0;
+    f->solved = 0.0;
     status = h <= PH_SLIVER_STEP * f->about->step ? ph_skip(f->in, t + h) : ph_step_parts(f->in, t, h, n);
-    if (status)
+    if (status == PH_ARGUMENT)
         return fmu_solver(f, function, status);
+    if (status && refuse_step(f, function, t, h, n, early))
+        return FMU_DISCARD;
     f->phase.steps++;
     book(f);
     if (count[PH_SUBSTEPS] > halved)

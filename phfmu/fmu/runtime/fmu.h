@@ -1,7 +1,7 @@
 /* One co-simulation instance, whatever the version of the interface: modes, values, steps, saved state.
  *
  * The layers fmi2.c and fmi3.c translate their calls into these functions. Functions return FMU_OK,
- * FMU_WARNING or FMU_ERROR, which both versions number alike; every error has been logged. An instance
+ * FMU_DISCARD or FMU_ERROR, which both versions number alike; every error has been logged. An instance
  * is one block of memory; only a saved state asked for by the importer is allocated later. */
 #ifndef FMU_H
 #define FMU_H
@@ -11,7 +11,7 @@
 #include "phfmu.h"
 
 /* Values of fmi2Status and fmi3Status. */
-enum { FMU_OK = 0, FMU_WARNING = 1, FMU_ERROR = 3 };
+enum { FMU_OK = 0, FMU_DISCARD = 2, FMU_ERROR = 3 };
 
 /* Modes of an instance; functions name the ones they are allowed in as a mask. */
 enum { FMU_INSTANTIATED = 1, FMU_INITIALIZATION = 2, FMU_STEP = 4, FMU_TERMINATED = 8, FMU_ANY = 15 };
@@ -103,10 +103,12 @@ struct fmu {
     fmu_sink sink;
     void (*callback)(void); /* the importer's logger, cast back by the sink */
     void *environment;
-    char *name;                 /* owned */
-    int offset[PH_NBLOCK + 1];  /* of the signal table */
-    double *x, *u, *p;          /* nx, nu*k, np: values being set */
-    fmu_books books;            /* saved with the state, as one stretch of 3*ncomp */
+    char *name;                /* owned */
+    int offset[PH_NBLOCK + 1]; /* of the signal table */
+    double *x, *u, *p;         /* nx, nu*k, np: values being set */
+    int early;                 /* a step may end before its end */
+    double solved;             /* length of what could be solved of a discarded step, the last call; else 0 */
+    fmu_books books;           /* saved with the state, as one stretch of 3*ncomp */
     double *step_map, *end_map; /* nu*nu sensitivities, row-major */
     int step_known, end_known;  /* whether they belong to the present time */
     unsigned *scalars;          /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
@@ -125,6 +127,7 @@ int fmu_log(fmu *f, const char *function, int on, size_t n, const char *const *c
 int fmu_allow(const fmu *f, const char *function, int modes);
 int fmu_given(const fmu *f, const char *function, int given); /* refuses a null pointer */
 int fmu_solver(const fmu *f, const char *what, int status);
+int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *why); /* in logs: answer */
 
 /* fmu.c. NULL if the token is another model's or there is no memory. */
 fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink, void (*callback)(void),
@@ -135,13 +138,16 @@ int fmu_enter(fmu *f, const char *function);
 int fmu_leave(fmu *f, const char *function);
 int fmu_terminate(fmu *f, const char *function);
 int fmu_reset(fmu *f, const char *function);
-int fmu_do_step(fmu *f, const char *function, double t, double h);
+/* FMU_DISCARD: the step cannot be solved, the instance is where it was. *early (may be NULL): the step ended
+ * at a communication point before its end, which only an instance with `early` does. */
+int fmu_do_step(fmu *f, const char *function, double t, double h, int *early);
 double fmu_time(const fmu *f);
 
 /* fmu_values.c. ref: n value references, values: n. A refused call changes nothing. */
 int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double *values);
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values);
 int fmu_check_ranges(const fmu *f, const char *function);
+int fmu_held(const fmu *f, const double *u); /* u (nu*k): the same at all nodes */
 
 /* fmu_derivative.c. adjoint 0: result (nu) = S seed (nk); 1: result (nk) = S^T seed (nu), where S holds the
  * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk). */

@@ -79,19 +79,24 @@ int fmu_given(const fmu *f, const char *function, int given) {
     return given ? FMU_OK : fmu_refuse(f, "%s: a null pointer for values that are asked for", function);
 }
 
-/* The last failure of the solver; the instance is back at its last accepted step. */
-int fmu_solver(const fmu *f, const char *what, int status) {
-    const ph_report *r = ph_last_report(f->in);
+/* A failure of the solver; the instance is at its last accepted step. */
+int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *r) {
     const ph_plan *plan = r->instant ? f->about->model->instant : f->about->model->step;
     const char *const *names = r->instant ? f->about->end_equations : f->about->equations;
     int place = r->row >= 0 ? r->row : r->column;
+    return fmu_say(
+        f, answer, answer == FMU_OK ? FMU_LOG_HALVED : FMU_LOG_ERRORS,
+        "%s%s: %s. Worst: %s, scaled residual %.3g (rounding floor %.2g), last update %.3g after %d "
+        "iterations (%d with all attempts), in [%.9g s, %.9g s]. The component is %sat t = %.9g s; try a "
+        "smaller step, or look at its inputs",
+        what, answer == FMU_OK ? " returns early" : "", ph_status_text(r->status),
+        place >= 0 && place < plan->nw ? names[place] : "none", r->residual, r->floor, r->update,
+        r->iterations, r->spent, r->time, r->time + r->h, answer == FMU_OK ? "" : "back ", fmu_time(f));
+}
+
+/* The last failure of a call other than a step. */
+int fmu_solver(const fmu *f, const char *what, int status) {
     if (status == PH_ABI || status == PH_ARGUMENT || status == PH_VALUE || status == PH_NO_SENSITIVITY)
         return fmu_refuse(f, "%s: %s", what, ph_status_text(status)); /* these come without a report */
-    return fmu_refuse(
-        f,
-        "%s: %s. Worst: %s, scaled residual %.3g (rounding floor %.2g), last update %.3g after %d "
-        "iterations (%d with all attempts), in [%.9g s, %.9g s]. The component is back at t = %.9g s; try a "
-        "smaller step, or look at its inputs",
-        what, ph_status_text(status), place >= 0 && place < plan->nw ? names[place] : "none", r->residual,
-        r->floor, r->update, r->iterations, r->spent, r->time, r->time + r->h, fmu_time(f));
+    return fmu_step_refused(f, what, FMU_ERROR, ph_last_report(f->in));
 }

@@ -78,6 +78,7 @@ int fmu_restore(fmu *f, const char *function, const void *state) {
         return fmu_refuse(f, "%s: %s", function, ph_status_text(status));
     memcpy(f->books.start, from + 1, books_size(f));
     f->phase = from->phase;
+    f->solved = 0.0;
     f->step_known = f->end_known = 0;
     return FMU_OK;
 }

@@ -127,13 +127,17 @@ static double *place_of(fmu *f, const fmu_variable *v, int *changed) {
     }
 }
 
-/* Inputs that are the same at all nodes are held. */
-static int set_inputs(fmu *f) {
+int fmu_held(const fmu *f, const double *u) {
     const ph_plan *p = f->about->model->step;
     for (int i = p->nu; i < p->nu * p->k; i++)
-        if (f->u[i] != f->u[i - p->nu])
-            return ph_set_node_inputs(f->in, f->u);
-    return ph_set_input(f->in, f->u);
+        if (u[i] != u[i - p->nu])
+            return 0;
+    return 1;
+}
+
+/* Inputs that are the same at all nodes are held. */
+static int set_inputs(fmu *f) {
+    return fmu_held(f, f->u) ? ph_set_input(f->in, f->u) : ph_set_node_inputs(f->in, f->u);
 }
 
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values) {
