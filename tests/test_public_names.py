@@ -1,0 +1,70 @@
+"""The public names: one list, loaded when used, known to type checkers."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from importlib.machinery import PathFinder
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phfmu
+
+STUB = (files("phfmu") / "__init__.pyi").read_text(encoding="utf-8")
+
+
+def child(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_stub_is_the_list() -> None:
+    imports = [n for n in ast.parse(STUB).body if isinstance(n, ast.ImportFrom)]
+    assert all(len(n.names) == 1 and n.names[0].asname == n.names[0].name for n in imports)  # re-exported, one a line
+    listed = {n.names[0].name: n.module for n in imports}
+    assert tuple(listed) == phfmu.__all__ and len(imports) == len(listed)
+    for name, module in listed.items():
+        assert getattr(phfmu, name) is getattr(import_module(str(module)), name)
+
+
+def test_the_package_lists_no_name_itself() -> None:
+    nodes = list(ast.walk(ast.parse((files("phfmu") / "__init__.py").read_text(encoding="utf-8"))))
+    words = {n.value for n in nodes if isinstance(n, ast.Constant)} | {
+        a.name for n in nodes for a in getattr(n, "names", ())
+    }
+    assert not words & set(phfmu.__all__)
+
+
+def test_a_star_gives_every_name() -> None:
+    space: dict[str, Any] = {}
+    exec("from phfmu import *", space)
+    assert set(phfmu.__all__) <= set(space) and set(phfmu.__all__) <= set(dir(phfmu))
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    heavy = child("import sys, phfmu; print([m for m in ('numpy', 'casadi', 'scipy', 'pyarrow') if m in sys.modules])")
+    assert heavy.strip() == "[]"
+
+
+def test_type_checkers_are_told_that_the_package_is_typed() -> None:
+    assert (files("phfmu") / "py.typed").is_file()
+
+
+def test_the_package_runs_as_a_module() -> None:
+    done = subprocess.run([sys.executable, "-m", "phfmu", "list"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "dc_motor" in done.stdout
+
+
+def test_a_plain_path_to_the_checkout_finds_the_components() -> None:
+    """What editors and type checkers do with an editable install: they follow paths, not import hooks."""
+    root = Path(__file__).parent.parent
+    if not (root / "phfmu" / "components").is_dir():
+        pytest.skip("a checkout without links")
+    spec = PathFinder.find_spec("phfmu.components", [str(root / "phfmu")])
+    assert spec is not None and Path(str(spec.origin)).resolve() == root / "components" / "__init__.py"
