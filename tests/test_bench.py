@@ -186,8 +186,8 @@ def test_the_reference_stops_at_rounding(name: str, rtol: str, compiler: None) -
     assert p.reference.shape[0] == 2 and p.uncertainty < 1e-7
 
 
-def test_chord_sweeps_are_iterations(compiler: None) -> None:
-    """Constrained particles are solved by the Schur chord, without Newton's iterations: its sweeps are what a row shows."""
+def test_sweeps_are_iterations(compiler: None) -> None:
+    """Constrained particles are solved by the Schur stepper, without Newton's iterations: its sweeps are what a row shows."""
     p = problem_of(Scene("four_particle", four_particle(), 1.0, 0.02), times=(1.0,))
     solve = next(own.candidates(p, ["two-level:2"], ["native"], [0.02])).prepare()
     counts = []
@@ -195,7 +195,7 @@ def test_chord_sweeps_are_iterations(compiler: None) -> None:
         run = solve([1.0], watch=True)
         counts.append(solve._instance.counts)  # type: ignore[attr-defined]
         assert run.steps == 50 and (run.iterations or 0) >= 2 * 50
-    assert counts[1]["chords"] - counts[0]["chords"] == 50
+    assert counts[1]["schur"] - counts[0]["schur"] == 50
     assert run.iterations == counts[1]["sweeps"] - counts[0]["sweeps"]
 
 

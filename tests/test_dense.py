@@ -76,7 +76,7 @@ def test_the_rows_at_step_ends_are_those_of_a_run_without(name, engine):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("order", [2, 6])
 def test_the_polynomial_ends_where_the_step_ends(engine, order):
-    """For the two-level scheme too, whose native steps are solved by the chord."""
+    """For the two-level scheme too, whose native steps are solved by the Schur stepper."""
     model = build_model(build("four_particle"), default_scheme(build("four_particle"), order))
     instance, polynomial = engine(model), Polynomial(model)
     for k in range(3):

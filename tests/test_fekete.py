@@ -25,7 +25,7 @@ def charges() -> Model:
 def test_a_thousand_seconds_end_at_the_published_positions(charges: Model, compiler: None) -> None:
     unit = NativeInstance(charges)
     rows = unit.run(0.0, 0.1, 10_000, ["stored", "dissipated", "supplied"])
-    assert unit.counts["chords"] == 10_000
+    assert unit.counts["schur"] == 10_000
     assert np.abs(unit.x[:6] - PUBLISHED).max() <= 1e-8
     residual = rows["stored"] + rows["dissipated"] - rows["supplied"]
     assert np.abs(residual).max() <= 1e-13
@@ -33,8 +33,8 @@ def test_a_thousand_seconds_end_at_the_published_positions(charges: Model, compi
 
 def test_all_rows_are_left_to_newton_where_they_cost_more(charges: Model, compiler: None) -> None:
     """190 springs between 60 coordinates: stiff ones fall back to Newton, with the same solution."""
-    chord = charges.step.chord
-    assert chord is not None and chord.nstrain == 190 and chord.soft is None and chord.hard.n == 20
+    schur = charges.step.schur
+    assert schur is not None and schur.nstrain == 190 and schur.soft is None and schur.hard.n == 20
     fast, slow = NativeInstance(charges), PythonInstance(charges)
     names = [n for v in charges.declaration.parameters for n in v.names()]
     p = charges.p0.copy()
@@ -58,9 +58,9 @@ def test_a_tangle_of_bars_is_eliminated_as_a_block(compiler: None) -> None:
         body.bar(points[a], points[b])
     declaration = body.build()
     m = build_model(declaration, default_scheme(declaration, 2))
-    chord = m.step.chord
-    assert chord is not None and chord.hard.full < chord.hard.n - 40
+    schur = m.step.schur
+    assert schur is not None and schur.hard.full < schur.hard.n - 40
     fast, slow = NativeInstance(m), PythonInstance(m)
     for unit in (fast, slow):
         unit.run(0.0, 0.01, 3)
-    assert fast.counts["chords"] == 3 and np.abs(fast.x - slow.x).max() <= 1e-12
+    assert fast.counts["schur"] == 3 and np.abs(fast.x - slow.x).max() <= 1e-12

@@ -92,7 +92,7 @@ def test_the_compiler_is_announced_only_when_it_runs(tmp_path, monkeypatch):
     from phfmu.engine.model import kernels
 
     model, said = build_model(mass()), []
-    table = kernel_table(kernels(model), model.step.chord)
+    table = kernel_table(kernels(model), model.step.schur)
     build_library(table)
     build_library(table, lambda: said.append("compiles"))
     assert said == []

@@ -52,7 +52,7 @@ FACTORED, PIVOTED = 3, 4  # counters of phfmu.h
 @pytest.fixture(scope="module")
 def lib() -> ctypes.CDLL:
     sources = {"lu.c": RUNTIME / "lu.c", "driver.c": DRIVER}
-    headers = {n: RUNTIME / n for n in ("system.h", "phfmu.h", "plan.h")}
+    headers = {p.name: p for p in RUNTIME.rglob("*.h")}
     library = ctypes.CDLL(str(compile({**sources, **headers}).path))
     library.lu_new.restype = library.lu_pivot.restype = ctypes.c_void_p
     return library

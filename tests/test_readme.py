@@ -100,7 +100,7 @@ COINED = {
     r"bare nodes?": ("bare-node", "bare-nodes.md"),
     r"impulse pairs?": ("impulse-pair", "bare-nodes.md"),
     r"two-level (?:form|scheme|steps)": ("two-level", "constraints.md native-engine.md plan.md work-precision.md"),
-    r"Schur chord": ("schur-chord", "native-engine.md stress.md"),
+    r"Schur stepper": ("schur-stepper", "native-engine.md stress.md"),
     r"step-conjugate": ("step-conjugate", "sign-convention-and-ports.md fmu.md"),
     r"interface Newton": ("interface-newton", "couplings.md plan.md"),
     r"strain form": ("strain-form", "schemes.md constraints.md"),

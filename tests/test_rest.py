@@ -166,26 +166,26 @@ STEPS = (0.0005, 0.001, 0.002, 0.0025, 0.004, 0.005, 0.00625, 0.008, 0.01, 0.012
 
 @pytest.fixture(scope="module")
 def cranks() -> dict[tuple[int, bool], NativeInstance]:
-    """By order, and whether the chord is used."""
+    """By order, and whether the Schur stepper is used."""
     found = {}
     for order in (2, 6):
         m = model(windows(2), order)
         found[order, True] = NativeInstance(m)
-        found[order, False] = NativeInstance(replace(m, step=replace(m.step, chord=None)))
+        found[order, False] = NativeInstance(replace(m, step=replace(m.step, schur=None)))
     return found
 
 
 @pytest.mark.parametrize("h", [pytest.param(h, marks=[] if h in (0.005, 0.016) else pytest.mark.slow) for h in STEPS])
-@pytest.mark.parametrize("chord", [True, False])
+@pytest.mark.parametrize("schur", [True, False])
 @pytest.mark.parametrize("order", [2, 6])
-def test_parallel_cranks_pass_flat_positions_without_halving(cranks: Any, order: int, chord: bool, h: float) -> None:
-    """20 s, twice a turn flat; the cranks follow one another.  The chord stops at its own tolerance."""
-    instance = cranks[order, chord]
+def test_parallel_cranks_pass_flat_positions_without_halving(cranks: Any, order: int, schur: bool, h: float) -> None:
+    """20 s, twice a turn flat; the cranks follow one another.  The Schur stepper stops at its own tolerance."""
+    instance = cranks[order, schur]
     instance.reset()
     g, w, energy = errors(instance, h, round(20.0 / h))
     q = instance.x[:6].reshape(3, 2) - [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
     assert np.abs(q - q[0]).max() <= 1e-6
-    if chord:
+    if schur:
         assert g <= 1e-12 and w <= 2e-11 and energy <= 1e-10
     else:
         assert g <= 1e-14 and w <= 1e-13 and energy <= 1e-12

@@ -95,7 +95,7 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
     from phfmu.fmu.export import export
 
     model = build_model(declaration)
-    text = kernel_table(kernels(model), model.step.chord).text
+    text = kernel_table(kernels(model), model.step.schur).text
     with fresh_cache(), tempfile.TemporaryDirectory() as folder:
         before = compiler_seconds()
         unit = NativeInstance(model)

@@ -120,7 +120,7 @@ class _Solver:
 
 
 def solver_iterations(instance: Any) -> int:
-    """Newton iterations and chord sweeps that an instance counted so far."""
+    """Newton iterations and sweeps that an instance counted so far."""
     counts = instance.counts
     return counts["iterations"] + counts.get("sweeps", 0)
 

@@ -26,7 +26,7 @@ class Size:
     n: parts;  unknowns of a step;  declare, plan: CPU seconds from nothing to the declaration and on to the model
     code: bytes of generated C;  compile: CPU seconds of the compiler, nothing reused
     memory: bytes of an instance, its tables included;  fill: nonzeros of the Newton matrix
-    step: CPU seconds per step;  iterations: Newton iterations and chord sweeps per step
+    step: CPU seconds per step;  iterations: Newton iterations and sweeps per step
     """
 
     family: str
@@ -63,7 +63,7 @@ def measure(family: Family, n: int) -> Size:
     declared = process_time()
     model = build_model(declaration)
     planned = process_time()
-    text = kernel_table(kernels(model), model.step.chord).text
+    text = kernel_table(kernels(model), model.step.schur).text
     seconds = compile_time(text)
     instance = NativeInstance(model)
     step, iterations = step_time(instance, family.step)
@@ -89,7 +89,7 @@ def compile_time(text: str) -> float:
 
 
 def step_time(instance: Any, h: float) -> tuple[float, float]:
-    """CPU seconds per step (median) and iterations per step (Newton's, chord sweeps) of the first STEPS steps."""
+    """CPU seconds per step (median) and iterations per step (Newton's, sweeps) of the first STEPS steps."""
     instance.run(0.0, h, STEPS)
     iterations, spent = solver_iterations(instance), []
     while len(spent) < PARTS or sum(spent) < STEPS_TIME:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from phfmu.discretise.chord import find_chord
 from phfmu.discretise.differences import in_differences
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
@@ -13,6 +12,7 @@ from phfmu.discretise.rest import holds
 from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.spec import Spec
 from phfmu.discretise.terms import Term, Terms
+from phfmu.schur.stepper import find_stepper
 
 
 def step_layout(terms: Terms, scheme: Scheme) -> Layout:
@@ -33,4 +33,4 @@ def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
         work.append((term, cache[term.key]))
     maps, constants = scheme.maps(layout), scheme.constants(layout)
     plan = make_plan(layout, work, constants, maps, na=terms.na, nobs=len(layout.work), hold=holds(layout))
-    return replace(plan, chord=find_chord(layout, scheme, plan)), layout
+    return replace(plan, schur=find_stepper(layout, scheme, plan)), layout

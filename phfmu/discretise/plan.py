@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from phfmu.discretise.chord import Chord
+    from phfmu.schur.stepper import SchurStepper
 
 Ints = NDArray[np.int32]
 Floats = NDArray[np.float64]
@@ -122,7 +122,7 @@ class Plan:
     `regularised`: entries of A that get +delta after row scaling, in the factor only; with `hold` an
     attempt that fails is made again without it.
     `hold`: constraints whose rows may rest; none where the scheme cannot leave rows out.
-    `chord`: what the fast solver of constrained particles needs besides, or None where it does not apply.
+    `schur`: what the fast solver of constrained particles needs besides, or None where it does not apply.
     `carries`: 1 if the reported algebraic variables belong to the end of a step and enter the next one; else they are
     means over the step.
     """
@@ -168,7 +168,7 @@ class Plan:
     pair_src: Ints
     pair_owner: Ints
     nominal: Floats
-    chord: Chord | None = None
+    schur: SchurStepper | None = None
     hold: Holds = field(default_factory=Holds)
     carries: int = 0
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.discretise.chord import Chord
 from phfmu.discretise.plan import Kernel
-from phfmu.engine.lane_text import NO_CHORD, chord_text
+from phfmu.schur.stepper import SchurStepper
+from phfmu.schur.text import NO_STEPPER, stepper_text
 
 #: above this many instructions a kernel is a call, below it is inlined into its loops
 INLINE = 2000
@@ -136,8 +136,8 @@ def _entry(kernel: Kernel, function: Body, ledger: Body | None) -> tuple[str, st
     return name, include, row
 
 
-def kernel_table(kernels: Iterable[Kernel], chord: Chord | None = None) -> KernelTable:
-    """C text and table of the kernels, with the solver of `chord`; repeated or equal ones share an entry."""
+def kernel_table(kernels: Iterable[Kernel], schur: SchurStepper | None = None) -> KernelTable:
+    """C text and table of the kernels, with the solver of `schur`; repeated or equal ones share an entry."""
     unique: dict[int, Kernel] = {id(k): k for k in kernels}
     bodies: dict[str, Body] = {}
     entries: dict[str, tuple[str, str]] = {}
@@ -154,7 +154,7 @@ def kernel_table(kernels: Iterable[Kernel], chord: Chord | None = None) -> Kerne
     text += "\n" + "\n".join(entries[n][0] for n in order)
     rows = "".join(entries[n][1] for n in order) or "    {0, 0, 0, 0, 0, 0, 0, 0},\n"
     text += f"\nconst ph_kernel ph_kernels[] = {{\n{rows}}};\nconst int ph_nkernel = {len(order)};\n"
-    text += NO_CHORD if chord is None else chord_text(chord)
+    text += NO_STEPPER if schur is None else stepper_text(schur)
     token = int(hashlib.sha256(text.encode()).hexdigest()[:16], 16)
     text += f"const uint64_t ph_kernel_token = {token:#x}ULL;\n"
     places = tuple(order.index(name_of[key]) for key in unique)

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from phfmu.discretise.chord import Chord
-from phfmu.discretise.lane_groups import LaneGroup
 from phfmu.discretise.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
-from phfmu.engine.lane_text import loop_index, loop_name
+from phfmu.schur.lane_groups import LaneGroup
+from phfmu.schur.stepper import SchurStepper
+from phfmu.schur.text import loop_index, loop_name
 
 
 def capacity(plan: Plan) -> int:
@@ -159,21 +159,21 @@ def plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     )
 
 
-#: PH_LANE_* of plan.h
+#: PH_LANE_* of schur.h
 LANE_KINDS = ("constraint", "strain", "force", "start", "mass", "load")
 
 
-def lane_groups(chord: Chord) -> list[tuple[LaneGroup, dict[str, Any]]]:
+def lane_groups(schur: SchurStepper) -> list[tuple[LaneGroup, dict[str, Any]]]:
     """The groups in order of evaluation, with their loops."""
-    loops = loop_index(chord.groups)
-    groups = sorted(chord.groups, key=lambda g: LANE_KINDS.index(g.kernel.kind))
+    loops = loop_index(schur.groups)
+    groups = sorted(schur.groups, key=lambda g: LANE_KINDS.index(g.kernel.kind))
     return [(g, {"loop": loops[loop_name(g)], "kind": LANE_KINDS.index(g.kernel.kind)}) for g in groups]
 
 
-def chord_sizes(chord: Chord) -> dict[str, Any]:
+def schur_sizes(schur: SchurStepper) -> dict[str, Any]:
     return {
-        "npoint": len(chord.point_plus),
-        "ngroup": len(chord.groups),
-        "nload": len(chord.load_dof),
-        "ntile": len(chord.tile.dof) - 1,
+        "npoint": len(schur.point_plus),
+        "ngroup": len(schur.groups),
+        "nload": len(schur.load_dof),
+        "ntile": len(schur.tile.dof) - 1,
     }

@@ -118,7 +118,7 @@ def load(path: Path) -> ctypes.CDLL:
 
 def runtime_sources() -> dict[str, Path]:
     """The hand-written part of a library: file name -> path."""
-    return {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h", ".inc")}
+    return {p.name: p for p in sorted(RUNTIME.rglob("*")) if p.suffix in (".c", ".h", ".inc")}
 
 
 def build(table: KernelTable, announce: Callable[[], None] | None = None) -> Build:

@@ -30,7 +30,7 @@ class NativeInstance:
 
     def __init__(self, model: Model, announce: Callable[[], None] | None = None) -> None:
         self.model = model
-        table = kernel_table(kernels(model), model.step.chord)
+        table = kernel_table(kernels(model), model.step.schur)
         self.build = build(table, announce)
         self._tables = CTables(model, table.index, table.token)
         self._lib = load(self.build.path)

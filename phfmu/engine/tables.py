@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.chord import Chord
 from phfmu.discretise.plan import Kernel, Plan
-from phfmu.engine.derived import chord_sizes, lane_groups, plan_values
+from phfmu.engine.derived import lane_groups, plan_values, schur_sizes
 from phfmu.engine.model import Model
+from phfmu.schur.stepper import SchurStepper
 
 RUNTIME = Path(__file__).parent / "runtime"
 SCALARS = {"int": ctypes.c_int, "double": ctypes.c_double, "uint64_t": ctypes.c_uint64}
 ARRAYS = {"int": np.int32, "double": np.float64, "signed char": np.int8}
-STRUCTS = ("ph_elimination", "ph_lane_group", "ph_chord", "ph_group", "ph_plan", "ph_model")
+STRUCTS = ("ph_elimination", "ph_lane_group", "ph_schur", "ph_group", "ph_plan", "ph_model")
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,9 @@ class Field:
 
 @lru_cache(maxsize=1)
 def structures() -> dict[str, tuple[Field, ...]]:
-    """Members of the structures of plan.h, in order."""
-    text = re.sub(r"/\*.*?\*/", "", (RUNTIME / "plan.h").read_text(), flags=re.S)
+    """Members of the structures of plan.h and schur.h, in order."""
+    headers = "".join((RUNTIME / name).read_text() for name in ("schur/schur.h", "plan.h"))
+    text = re.sub(r"/\*.*?\*/", "", headers, flags=re.S)
     result = {}
     for name, body in re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", text, flags=re.S):
         fields = []
@@ -112,19 +113,19 @@ class CTables:
         rows = [self._fill("ph_group", g, values) for g, values in derived["groups"]]
         array = (ctypes_structures()["ph_group"] * len(rows))(*rows)
         self._keep.append(array)
-        chord = None if plan.chord is None else self._chord(plan.chord)
-        struct = self._fill("ph_plan", plan, derived | {"groups": ctypes.addressof(array), "chord": chord})
+        schur = None if plan.schur is None else self._schur(plan.schur)
+        struct = self._fill("ph_plan", plan, derived | {"groups": ctypes.addressof(array), "schur": schur})
         return ctypes.addressof(struct)
 
-    def _chord(self, chord: Chord) -> int:
-        rows = [self._fill("ph_lane_group", g, values) for g, values in lane_groups(chord)]
+    def _schur(self, schur: SchurStepper) -> int:
+        rows = [self._fill("ph_lane_group", g, values) for g, values in lane_groups(schur)]
         array = (ctypes_structures()["ph_lane_group"] * len(rows))(*rows)
         self._keep.append(array)
-        derived = chord_sizes(chord) | {"groups": ctypes.addressof(array)}
+        derived = schur_sizes(schur) | {"groups": ctypes.addressof(array)}
         for name in ("hard", "soft"):
-            part = getattr(chord, name)
+            part = getattr(schur, name)
             derived[name] = None if part is None else ctypes.addressof(self._fill("ph_elimination", part, {}))
-        return ctypes.addressof(self._fill("ph_chord", chord, derived))
+        return ctypes.addressof(self._fill("ph_schur", schur, derived))
 
     def _fill(self, name: str, source: Any, derived: dict[str, Any]) -> ctypes.Structure:
         struct = ctypes_structures()[name]()
@@ -170,28 +171,28 @@ def _array_of_structs(struct: str, name: str, items: Sequence[tuple[Any, dict[st
     return text + (f"static const {struct} {name}[] = {{\n" + ",\n".join(rows) + "\n};\n" if rows else "")
 
 
-def _chord_text(chord: Chord, name: str) -> str:
-    text = _array_of_structs("ph_lane_group", f"{name}_groups", lane_groups(chord))
-    derived = chord_sizes(chord) | {"groups": f"{name}_groups"}
+def _schur_text(schur: SchurStepper, name: str) -> str:
+    text = _array_of_structs("ph_lane_group", f"{name}_groups", lane_groups(schur))
+    derived = schur_sizes(schur) | {"groups": f"{name}_groups"}
     for part in ("hard", "soft"):
         derived[part] = "0"
-        if getattr(chord, part) is None:
+        if getattr(schur, part) is None:
             continue
-        arrays, members = _struct_text("ph_elimination", f"{name}_{part}", getattr(chord, part), {})
+        arrays, members = _struct_text("ph_elimination", f"{name}_{part}", getattr(schur, part), {})
         text += arrays + f"static const ph_elimination {name}_{part} = {members};\n"
         derived[part] = f"&{name}_{part}"
-    arrays, members = _struct_text("ph_chord", name, chord, derived)
-    return text + arrays + f"static const ph_chord {name} = {members};\n"
+    arrays, members = _struct_text("ph_schur", name, schur, derived)
+    return text + arrays + f"static const ph_schur {name} = {members};\n"
 
 
 def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
     derived = plan_values(plan, index)
     text = _array_of_structs("ph_group", f"{name}_groups", derived["groups"])
     derived["groups"] = f"{name}_groups" if plan.groups else "0"
-    derived["chord"] = "0"
-    if plan.chord is not None:
-        text += _chord_text(plan.chord, f"{name}_chord")
-        derived["chord"] = f"&{name}_chord"
+    derived["schur"] = "0"
+    if plan.schur is not None:
+        text += _schur_text(plan.schur, f"{name}_schur")
+        derived["schur"] = f"&{name}_schur"
     arrays, members = _struct_text("ph_plan", name, plan, derived)
     return text + arrays + f"static const ph_plan {name} = {members};\n"
 

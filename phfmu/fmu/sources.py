@@ -34,7 +34,7 @@ Sources = dict[str, str | Path]
 
 def generated(unit: Unit) -> dict[str, str]:
     """kernels.c and model.c: the equations, without anything of the interface."""
-    table = kernel_table(kernels(unit.model), unit.model.step.chord)
+    table = kernel_table(kernels(unit.model), unit.model.step.schur)
     return {"kernels.c": table.text, "model.c": c_text(unit.model, table.index, table.token)}
 
 

@@ -24,7 +24,7 @@ class Record:
     """n steps: x (n x nx), a, H (n x members), position and velocity constraints, worst balance, work a step.
 
     `balance`: largest |stored + dissipated - supplied| of a member and step over the energy in play (H of all members,
-    what was supplied and dissipated);  `iterations`, `sweeps`: of Newton's method and of the Schur chord, a step;
+    what was supplied and dissipated);  `iterations`, `sweeps`: of Newton's method and of the Schur stepper, a step;
     `solved`: what the solver needed beyond the first start.
     """
 
@@ -100,7 +100,7 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
 
 
 def effort(r: Record) -> str:
-    """Sweeps of the Schur chord and iterations of Newton's method a step, those that occur, and what was needed beyond."""
+    """Sweeps of the Schur stepper and iterations of Newton's method a step, those that occur, and what was needed beyond."""
     work = [f"{v:.1f} {name}" for v, name in ((r.sweeps, "sweeps"), (r.iterations, "iterations")) if v] or [
         "0 iterations"
     ]

@@ -12,7 +12,7 @@ HEAD = """# Stiff and extreme cases
 
 Every case is a question with a criterion; what happened stands beside it. Energies are relative to the start (`H0`) or,
 as `balance`, the largest |stored + dissipated - supplied| of a member and step over the energy in play. `g` is the
-largest position constraint. A step is solved by sweeps of the Schur chord or by iterations of Newton's method; both
+largest position constraint. A step is solved by sweeps of the Schur stepper or by iterations of Newton's method; both
 where the first left it to the second. Restarts began from rest or from shorter steps. "At rest": nothing moves in the
 target, so the criterion could not fail. "Not supported" says why a case cannot be posed. A run of 1e6 steps (some 10 s)
 waits for `--long`.

@@ -29,7 +29,7 @@ def main(stop: float = 1000.0, rounds: int = 5) -> None:
             counts, x = instance.counts, instance.x
         print(
             f"order {order}, h = {h} s: {median(spent):.2f} s, error {np.abs(x[:6] - PUBLISHED).max():.1e} m, "
-            f"{counts['sweeps'] / counts['steps']:.2f} sweeps a step, {counts['chords']} of {counts['steps']} steps by the chord"
+            f"{counts['sweeps'] / counts['steps']:.2f} sweeps a step, {counts['schur']} of {counts['steps']} steps without Newton"
         )
 
 

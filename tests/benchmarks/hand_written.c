@@ -1,5 +1,5 @@
 /* Four damped particles, written by hand for this one model: the same method (three Gauss nodes, both
- * constraint levels, Schur chord), the same predictor and stop, the same ledger. The lower bound for a
+ * constraint levels, Schur stepper), the same predictor and stop, the same ledger. The lower bound for a
  * table-driven runtime. */
 #include <math.h>
 #include <string.h>

@@ -107,8 +107,8 @@ static size_t lay_out(ph_instance *in, block *b) {
     in->state_size = b->used - begin;
     lay_system(&in->step, in->model->step, b);
     lay_system(&in->instant, in->model->instant, b);
-    if (in->model->step->chord && ph_chord_solver.size)
-        in->chord = take(b, ph_chord_solver.size(in->model->step));
+    if (in->model->step->schur && ph_schur_solver.size)
+        in->schur = take(b, ph_schur_solver.size(in->model->step));
     in->backup = take(b, in->state_size);
     in->stored = doubles(b, in->model->step->ncomp);
     in->moved = doubles(b, in->model->step->ncomp);
@@ -166,8 +166,8 @@ int ph_init(void *memory, const ph_model *model) {
     in->model = model;
     ph_layout(model, in->offset);
     lay_out(in, &b);
-    if (in->chord)
-        ph_chord_solver.init(in->chord, model->step);
+    if (in->schur)
+        ph_schur_solver.init(in->schur, model->step);
     for (int i = 0; i < 2; i++) {
         ph_system *s = i ? &in->instant : &in->step;
         s->x = in->table;

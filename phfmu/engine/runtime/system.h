@@ -77,7 +77,7 @@ void ph_eval_derivatives(ph_system *s, double *out);
 void ph_eval_ledger(ph_system *s, double *stored, double *moved, double *lost, double *numerical);
 
 typedef enum ph_newton_kind {
-    PH_CHORD,  /* keeps the matrix while that contracts */
+    PH_CHORD,  /* keeps its factor while that contracts */
     PH_FRESH,  /* a new matrix every iteration */
     PH_DAMPED, /* that and a line search */
 } ph_newton_kind;
@@ -134,8 +134,8 @@ struct ph_instance {
 
     /* Work space. */
     ph_system step, instant;
-    void *chord;       /* work space of the Schur chord, or NULL */
-    int planned;       /* 1: those constraints rest that the chord leaves out */
+    void *schur;       /* work space of the Schur stepper, or NULL */
+    int planned;       /* 1: those constraints rest that the Schur stepper leaves out */
     void *backup;      /* state_size */
     double *stored;    /* ncomp */
     double *moved;     /* ncomp */

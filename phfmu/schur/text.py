@@ -1,4 +1,4 @@
-"""Functions of the Schur chord as C text: lanes where an operand is one, single numbers else."""
+"""Functions of the Schur stepper as C text: lanes where an operand is one, single numbers else."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from phfmu.discretise.chord import Chord
-from phfmu.discretise.lane_groups import LaneGroup
-from phfmu.discretise.lanes import LaneKernel
-from phfmu.engine.unroll import unrolled
+from phfmu.schur.lane_groups import LaneGroup
+from phfmu.schur.lanes import LaneKernel
+from phfmu.schur.stepper import SchurStepper
+from phfmu.schur.unroll import unrolled
 
 BINARY = {
     ca.OP_ADD: "{a} + {b}", ca.OP_SUB: "{a} - {b}", ca.OP_MUL: "{a} * {b}", ca.OP_DIV: "{a} / {b}",
@@ -29,8 +29,8 @@ FUNCTIONS = {
     ca.OP_ERF: "erf", ca.OP_ASINH: "asinh", ca.OP_ACOSH: "acosh", ca.OP_ATANH: "atanh",
 }  # fmt: skip
 
-#: models without a chord, and compilers without vectors
-NO_CHORD = "const ph_chord_code ph_chord_solver = {0};\n"
+#: models without a Schur stepper, and compilers without vectors
+NO_STEPPER = "const ph_schur_code ph_schur_solver = {0};\n"
 
 #: per kind: macro of lane.inc, arguments that are lanes, results that are lanes
 KINDS = {
@@ -96,13 +96,13 @@ def loop_name(group: LaneGroup) -> str:
     return "_".join(["loop", group.kernel.name, *([group.stress.name] if group.stress else [])])
 
 
-def chord_text(chord: Chord) -> str:
+def stepper_text(schur: SchurStepper) -> str:
     """Functions, their loops, and the solver for the nodes of a step."""
-    k, groups = chord.k, chord.groups
+    k, groups = schur.k, schur.groups
     functions = {kernel.name: kernel for g in groups for kernel in (g.kernel, g.stress) if kernel}
     bodies = "".join(function_text(functions[name]) for name in sorted(functions))
     used = sorted(set(re.findall(r"\blane_(\w+)\(", bodies)))
-    text = f'\n#if defined(__GNUC__)\n#define PH_K {k}\n#include "chord.h"\n\n'
+    text = f'\n#if defined(__GNUC__)\n#define PH_K {k}\n#include "lanes.h"\n\n'
     text += "".join("PH_LANE_POWER\n" if f == "pow" else f"PH_LANE_FUNCTION({f})\n" for f in used) + bodies + "\n"
     loops = {loop_name(g): g for g in groups}
     rows = []
@@ -114,7 +114,7 @@ def chord_text(chord: Chord) -> str:
         text += "".join(f"#define PH_{m} {v}".rstrip() + "\n" for m, v in macros.items()) + '#include "lane.inc"\n\n'
         rows.append(f"{{{name}, {f'{name}_relax' if stress else 0}}}")
     text += f"static const ph_lane_loop ph_lane_loops[] = {{{', '.join(rows)}}};\n\n"
-    return text + f'{unrolled(chord)}#include "chord.inc"\n#else\n{NO_CHORD}#endif\n'
+    return text + f'{unrolled(schur)}#include "schur.inc"\n#else\n{NO_STEPPER}#endif\n'
 
 
 def loop_index(groups: Sequence[LaneGroup]) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""Groups of the Schur chord: the instances of each lane kernel, in the order of the tiles of a sweep.
+"""Groups of the Schur stepper: the instances of each lane kernel, in the order of the tiles of a sweep.
 
 A sweep has several loops over all degrees of freedom.  It takes them tile by tile: a stretch of degrees of freedom goes
 through all of them while it is in the cache.  Instances are sorted by their last degree of freedom; those that reach into
@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phfmu.discretise.lanes import LaneKernel
 from phfmu.discretise.plan import Ints
+from phfmu.schur.lanes import LaneKernel
 
 #: degrees of freedom of a tile: its arrays fill about half of a first-level cache
 TILE = 96

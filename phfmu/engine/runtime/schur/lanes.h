@@ -1,9 +1,9 @@
 /* Lanes: the values of one quantity at the k = PH_K nodes of a step and at its end point, in one vector.
  *
- * Included by the generated kernels of a model with a Schur chord, after PH_K. Lane arithmetic is that of
+ * Included by the generated kernels of a model with a Schur stepper, after PH_K. Lane arithmetic is that of
  * its elements, operation by operation, whatever vectors the processor has: results do not depend on it. */
-#ifndef PH_CHORD_H
-#define PH_CHORD_H
+#ifndef PH_LANES_H
+#define PH_LANES_H
 
 #include <math.h>
 #include <string.h>
@@ -67,9 +67,9 @@ typedef struct ph_mode {
 /* Work space of one instance. Arrays over degrees of freedom have one more entry, which stays zero where it
  * is read: coordinates that are no differences subtract it. */
 typedef struct ph_work {
-    const ph_chord *c;
+    const ph_schur *c;
     int ready;            /* masses and loads belong to parameters */
-    int uneven;           /* masses are too far apart for the chord */
+    int uneven;           /* masses are too far apart for the Schur stepper */
     int carry;            /* stresses are unknowns of their own: some spring is stiff at this step size */
     double h;             /* of this step */
     double ratio;         /* of h to the last h, for the predictor */
@@ -105,7 +105,8 @@ typedef struct ph_work {
     ph_lane multiply[PH_LANES];
 } ph_work;
 
-/* A group of the chord: its loop over some instances, and for strains the one of all their defects. */
+/* A group of the Schur stepper: its loop over some instances, and for strains the one of all their defects.
+ */
 typedef struct ph_lane_loop {
     void (*evaluate)(const ph_lane_group *, ph_work *, int from, int to);
     void (*relax)(const ph_lane_group *, ph_work *);

@@ -1,4 +1,4 @@
-"""Local functions of the Schur chord: one point of a step each, evaluated at all its nodes at once.
+"""Local functions of the Schur stepper: one point of a step each, evaluated at all its nodes at once.
 
 An argument or result is either a lane (a value at every node and at the end point) or one number.
 """

@@ -1,4 +1,4 @@
-"""The Schur chord of a holonomic model: what its fast solver needs beside the plan, where its conditions hold.
+"""The Schur stepper of a holonomic model: what its fast solver needs beside the plan, where its conditions hold.
 
     q' = v + M^-1 Dg^T mu,   M v' = f(q, q', u) - DV(q) - Dg^T lambda - (v^T D2g)^T mu,   Dg q' = 0 at the nodes, Dg v = 0
 
@@ -15,16 +15,16 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import degree, piecewise
-from phfmu.discretise import lanes
 from phfmu.discretise.collocated import Collocated
-from phfmu.discretise.elimination import Elimination, Pattern, eliminate, factor_pattern, updates
-from phfmu.discretise.lane_groups import Instances, LaneGroup, Tiles, tiled
-from phfmu.discretise.lanes import Lanes, NoLanes
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Floats, Ints, Plan
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.terms import Term
+from phfmu.schur import lanes
+from phfmu.schur.elimination import Elimination, Pattern, eliminate, factor_pattern, updates
+from phfmu.schur.lane_groups import Instances, LaneGroup, Tiles, tiled
+from phfmu.schur.lanes import Lanes, NoLanes
 
 #: a factor of all rows with no more updates than this per row is never the larger part of a step
 FEW = 200
@@ -35,7 +35,7 @@ SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class Chord:
+class SchurStepper:
     """Tables of the solver; degree of freedom d has the states position[d] and velocity[d].
 
     Coordinates are differences of the degrees of freedom point_plus - point_minus (index ndof: nothing).  Rows are
@@ -82,11 +82,11 @@ class Chord:
 
 
 class _Unfit(Exception):
-    """The model is not of the form the chord solves."""
+    """The model is not of the form the Schur stepper solves."""
 
 
-def find_chord(layout: Layout, scheme: Scheme, plan: Plan) -> Chord | None:
-    """The chord tables of a step plan, or None where its conditions do not hold."""
+def find_stepper(layout: Layout, scheme: Scheme, plan: Plan) -> SchurStepper | None:
+    """The Schur stepper's tables of a step plan, or None where its conditions do not hold."""
     if not isinstance(scheme, Collocated) or scheme.k not in (1, 3) or not layout.terms.na:
         return None
     if not scheme.two_level or scheme.gradient != "per-term" or scheme.radau or scheme.closure != "mean":
@@ -103,7 +103,7 @@ def _require(condition: bool) -> None:
 
 
 class _Builder:
-    """Collects the instances of one model; every method raises _Unfit or NoLanes for what the chord cannot take."""
+    """Collects the instances of one model; every method raises _Unfit or NoLanes for what the Schur stepper cannot take."""
 
     def __init__(self, layout: Layout, plan: Plan):
         self.layout, self.terms, self.plan = layout, layout.terms, plan
@@ -123,7 +123,7 @@ class _Builder:
         self.load: list[tuple[int, int, int, float]] = []
         self.known: dict[tuple, Lanes] = {}
 
-    def build(self) -> Chord:
+    def build(self) -> SchurStepper:
         for triplet in self.terms.constants:
             self._constant(*triplet)
         for term in self.terms.terms:
@@ -222,7 +222,7 @@ class _Builder:
 
     # -- tables -----------------------------------------------------------------------------------------------------
 
-    def _tables(self) -> Chord:
+    def _tables(self) -> SchurStepper:
         layout, nd, k, ndof = self.layout, nodes(self.layout.k), self.layout.k, len(self.position)
         groups, kinds, points, ends, multipliers = self._groups()
         rows = [
@@ -236,7 +236,7 @@ class _Builder:
         self.load.sort()
         load = np.array([(d, kind, s) for d, kind, s, _ in self.load], np.int32).reshape(-1, 3)
         tiled_groups, tile = tiled(groups, kinds, ndof, load[:, 0])
-        return Chord(
+        return SchurStepper(
             k=k, groups=tiled_groups, tile=tile, nconstraint=m, nstrain=len(rows) - m,
             position=_ints(self.position), velocity=_ints(self.velocity),
             nominal=np.array([nominal[w[("D", v, 0)]] for v in self.velocity]),

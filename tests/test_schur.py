@@ -1,4 +1,4 @@
-"""The Schur chord: recognised where its form holds, and the same solution as the sparse Newton of the readable engine."""
+"""The Schur stepper: recognised where its form holds, and the same solution as the sparse Newton of the readable engine."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ import pytest
 
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.discretise import lane_groups
 from phfmu.discretise.collocated import Collocated
-from phfmu.discretise.elimination import eliminate
-from phfmu.discretise.lanes import spectrum
 from phfmu.discretise.model import Model, build_model, default_scheme
 from phfmu.discretise.quadrature import nodes
 from phfmu.engine.codegen import kernel_table
@@ -23,6 +20,9 @@ from phfmu.engine.model import kernels
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.python import PythonInstance
 from phfmu.engine.tables import CTables
+from phfmu.schur import lane_groups
+from phfmu.schur.elimination import eliminate
+from phfmu.schur.lanes import spectrum
 
 
 def chain(n: int, springs: float = 50.0) -> Multibody:
@@ -61,7 +61,7 @@ BODIES = {"chain": lambda: chain(4), "stiff chain": lambda: chain(4, 1e5), "push
 
 @pytest.mark.parametrize("order", [2, 6])
 @pytest.mark.parametrize("name", BODIES)
-def test_the_chord_finds_the_solution_of_newton(name: str, order: int) -> None:
+def test_the_schur_stepper_finds_the_solution_of_newton(name: str, order: int) -> None:
     m = model(BODIES[name](), order)
     fast, slow = NativeInstance(m), PythonInstance(m)
     for i in range(30):
@@ -71,7 +71,7 @@ def test_the_chord_finds_the_solution_of_newton(name: str, order: int) -> None:
             instance.do_step(0.01 * i, 0.01)
         ledger = fast.ledger()
         assert abs(ledger["stored"] + ledger["dissipated"] - ledger["supplied"]).max() <= 2e-13
-    assert fast.counts["chords"] == 30
+    assert fast.counts["schur"] == 30
     assert np.abs(fast.x - slow.x).max() <= 1e-11
     assert np.abs(fast.signal("a") - slow.signal("a")).max() <= 1e-9 * (1 + np.abs(slow.signal("a")).max())
     assert np.abs(fast.output() - slow.output()).max(initial=0.0) <= 1e-12
@@ -82,7 +82,7 @@ def test_stiff_springs_cost_no_more_sweeps(k24: float, sweeps: int) -> None:
     declaration = four_particle().with_starts({"k24": k24})
     instance = NativeInstance(build_model(declaration, default_scheme(declaration, 6)))
     ledger = instance.run(0.0, 0.01, 100, ["stored", "dissipated"])
-    assert instance.counts["chords"] == 100
+    assert instance.counts["schur"] == 100
     assert instance.counts["sweeps"] <= 100 * sweeps
     assert np.abs(ledger["stored"] + ledger["dissipated"]).max() <= 1e-13
     assert np.abs(instance.signals()["observables"]).max() <= 1e-14
@@ -120,16 +120,16 @@ def led() -> Multibody:
     return body
 
 
-def test_other_forms_have_no_chord() -> None:
+def test_other_forms_have_no_schur_stepper() -> None:
     declaration = four_particle()
-    assert build_model(declaration, Collocated(1)).step.chord is None
-    assert model(led(), 2).step.chord is None
-    assert build_model(declaration, default_scheme(declaration, 2)).step.chord is not None
+    assert build_model(declaration, Collocated(1)).step.schur is None
+    assert model(led(), 2).step.schur is None
+    assert build_model(declaration, default_scheme(declaration, 2)).step.schur is not None
 
 
 @pytest.mark.parametrize("k", [1, 3])
 def test_matrices_of_the_nodes(k: int) -> None:
-    m = model(chain(2), 2 * k).step.chord
+    m = model(chain(2), 2 * k).step.schur
     assert m is not None
     nd = nodes(k)
     bordered = np.block([[nd.a, -np.ones((k, 1))], [nd.b, np.zeros((1, 1))]])
@@ -183,7 +183,7 @@ def test_wider_vectors_give_the_same_bits(order: int) -> None:
     if not host_flags():
         pytest.skip("this machine has no wider vectors")
     m = model(chain(3), order)
-    table = kernel_table(kernels(m), m.step.chord)
+    table = kernel_table(kernels(m), m.step.schur)
     portable = load(compile({**runtime_sources(), "kernels.c": table.text}, flags=("-Wall", "-Wextra", "-Werror")).path)
     tables = CTables(m, table.index, table.token)
     memory = np.zeros(portable.ph_size(tables.pointer) // 8 + 1)
@@ -225,13 +225,13 @@ def test_tiles_change_nothing_but_the_order_of_sums(order: int, monkeypatch: pyt
     for size in (7, 10**6):
         monkeypatch.setattr(lane_groups, "TILE", size)
         m = model(tangle(40), order)
-        chord = m.step.chord
-        assert chord is not None and len(chord.tile.dof) - 1 == -(-120 // size)
-        assert all(g.until[-1] == g.n and (np.diff(g.until) >= 0).all() for g in chord.groups)
+        schur = m.step.schur
+        assert schur is not None and len(schur.tile.dof) - 1 == -(-120 // size)
+        assert all(g.until[-1] == g.n and (np.diff(g.until) >= 0).all() for g in schur.groups)
         instance = NativeInstance(m)
         instance.set_input([0.3, -0.2, 0.5])
         instance.run(0.0, 0.005, 20)
-        assert instance.counts["chords"] == 20
+        assert instance.counts["schur"] == 20
         found.append((instance.x.copy(), instance.counts["sweeps"]))
     assert found[0][0] == pytest.approx(found[1][0], rel=1e-11, abs=1e-11)
     assert abs(found[0][1] - found[1][1]) <= 1
