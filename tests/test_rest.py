@@ -15,6 +15,7 @@ from phfmu import Collocated, NativeInstance, PythonInstance, build_model, const
 from phfmu.cli import main
 from phfmu.discretise.model import Model
 from phfmu.discretise.rank import Dependence
+from phfmu.engine.evaluate import Evaluator
 from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.run import run
@@ -51,6 +52,39 @@ def test_redundant_bars_and_pins_cost_no_accuracy(name: str, order: int) -> None
     assert np.abs(python.run(0.0, 0.01, 5, ("x",))["x"] - native.run(0.0, 0.01, 5, ("x",))["x"]).max() <= 1e-13
     for block in ("a", "a_end"):
         assert python.signal(block) == pytest.approx(native.signal(block), rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("order", [2, 6])
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_short_steps_cost_no_accuracy(name: str, order: int) -> None:
+    """2000 steps.  The chord stops at 1e-15 of the velocities; what that leaves in the energy adds up, some 1e-17 a step."""
+    m = model(MECHANISMS[name](), order)
+    assert m.step.chord is not None
+    g, w, energy = errors(NativeInstance(m), 0.001, 2000)
+    assert g <= 1e-14 and w <= 1e-13 and energy <= 2e-11
+    g, w, energy = errors(NativeInstance(replace(m, step=replace(m.step, chord=None))), 0.001, 2000)
+    assert g <= 1e-14 and w <= 1e-13 and energy <= 2e-12
+
+
+def test_node_rows_at_rest_have_order_4_and_their_mean_holds() -> None:
+    """Bricard, order 6: where rows depend on each other on the manifold only, those of the nodes are not implied."""
+    m = model(bricard()[0], 6)
+    plan, evaluator = m.step, Evaluator(m.step)
+    rests = plan.hold.rests
+    (rows,) = (list(rows) for rows, r in zip(plan.hold.rows, rests, strict=True) if r)
+    evaluator.rests = np.zeros_like(rests)
+    nodes = []
+    for h in (0.04, 0.02, 0.01):
+        instance, missed = NativeInstance(m), []
+        for k in range(round(0.4 / h)):
+            x = np.append(instance.x, instance.time)
+            instance.do_step(k * h, h)
+            missed.append(evaluator.residual(x, np.append(instance.unknowns, h), m.p0, h)[rows])
+        assert instance.counts["exchanged"] == 0
+        assert np.abs(np.array(missed)[:, : plan.k] @ plan.weights).max() <= 1e-14
+        assert np.abs(np.array(missed)[:, plan.k]).max() <= 1e-14
+        nodes.append(np.abs(missed).max())
+    assert np.all(np.abs(np.diff(np.log2(nodes)) + 4.0) <= 0.2)
 
 
 @pytest.mark.parametrize("order", [pytest.param(2, marks=pytest.mark.slow), 6])
