@@ -73,7 +73,7 @@ typedef enum ph_count {
     PH_LINE_SEARCHES, /* solved with line search */
     PH_SUBSTEPS,      /* halvings of a step */
     PH_FAILED,        /* communication steps refused */
-    PH_SCHUR,        /* solved by the Schur stepper */
+    PH_SCHUR,         /* solved by the Schur stepper */
     PH_SWEEPS,        /* its sweeps */
     PH_INSTANTS,      /* evaluations of the end values */
     PH_EXCHANGED,     /* redundant constraints that rest in place of others */

@@ -122,8 +122,8 @@ static void accept(ph_instance *in, double h, double from, double weight) {
         ph_rest_exchange(in, in->table[p->nx] + h);
 }
 
-/* The Schur stepper where the model has one and it leaves out the constraints that rest; else, or where it does
- * not converge, Newton's method. */
+/* The Schur stepper where the model has one and it leaves out the constraints that rest; else, or where it
+ * does not converge, Newton's method. */
 static int solve(ph_instance *in, double h) {
     ph_system *s = &in->step;
     if (!in->schur || !in->planned || ph_schur_solver.solve(in->schur, s, h) != PH_OK)
