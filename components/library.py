@@ -48,6 +48,9 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "rlc_load": {"R": 0.96, "L": 0.0102, "C": 2.76e-4},
 }
 
+#: Customary stop and step in seconds of components whose motion 1 s at 1 ms does not suit; scenes have their own.
+RUNS: dict[str, tuple[float, float]] = {"four_particle": (10.0, 0.01), "synchronous_machine": (0.1, 1e-4)}
+
 
 def builder(name: str) -> Callable[..., Any]:
     """The function that builds the component or scene `name`; KeyError lists close names."""

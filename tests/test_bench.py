@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from phfmu import NativeInstance, Scene, algebraic, build_model, damping, energy, skew, state
 from phfmu.bench import own
 from phfmu.bench.candidate import Candidate, NotAvailable, Run
-from phfmu.bench.families import member
+from phfmu.bench.families import FAMILIES, member
 from phfmu.bench.peers import Functions, _Scipy
 from phfmu.bench.problem import Judged, Problem, problem_of
 from phfmu.bench.reduced import reduced
@@ -362,3 +363,20 @@ def test_members_of_families() -> None:
     assert member("four_particle") is None
     with pytest.raises(ValueError, match="number of links"):
         member("chain:x")
+
+
+@pytest.mark.parametrize("name", sorted(set(FAMILIES) & set(LIBRARY)))
+def test_a_family_is_the_component_or_scene_of_its_name(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    module, called = import_module(LIBRARY[name][1]), []
+    original = getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *a, **k: called.append(a) or original(*a, **k))
+    FAMILIES[name].build(3)
+    assert called == [(3,)]
+
+
+def test_the_plane_chain_of_the_bench_is_what_its_hinges_say() -> None:
+    """MuJoCo's chain has unit links and unit masses, let go from the horizontal."""
+    chain = FAMILIES["chain"].build(3)
+    starts = {v.name: np.array(v.start) for v in (*chain.states, *chain.parameters)}
+    assert starts["q"].reshape(3, 2).tolist() == [[1, 0], [2, 0], [3, 0]] and not starts["v"].any()
+    assert starts["m"].tolist() == [1, 1, 1]

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.resources import files
 from itertools import product
 from pathlib import Path
 
@@ -220,6 +221,26 @@ def test_targets_in_a_file(cli: Cli) -> None:
     assert "step 0.001 s to 1 s: 1000 steps" in cli("run", "models.py:joined", "-o", "j.csv")[1]
     exact = 0.3 + 0.2 * np.cos(np.sqrt(3) * column("j.csv", "time"))
     assert np.allclose(column("j.csv", "m.q"), exact, rtol=0, atol=1e-6)
+
+
+def test_customary_runs_belong_to_names_of_the_library(tmp_path: Path) -> None:
+    from phfmu.cli.target import scene
+    from phfmu.components.library import RUNS
+
+    assert set(RUNS) <= set(LIBRARY) and all(LIBRARY[name][0] == "component" for name in RUNS)
+    for name, (stop, step) in RUNS.items():
+        assert (scene(name).stop, scene(name).step) == (stop, step)
+    file = tmp_path / "own.py"
+    file.write_text("from phfmu import PHDAE\ndef model():\n    return PHDAE('four_particle')\n", encoding="utf-8")
+    own = scene(f"{file}:model")  # a model of a user, whatever its name
+    assert (own.stop, own.step) == (1.0, 1e-3)
+
+
+def test_no_verb_knows_a_model_by_name() -> None:
+    for source in (files("phfmu") / "cli").iterdir():
+        if source.name.endswith(".py") and source.name != "bench.py":  # `bench --paper` is about one model
+            text = source.read_text(encoding="utf-8")
+            assert not [name for name in LIBRARY if f'"{name}"' in text], source.name
 
 
 def test_a_run_without_a_compiler(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from phfmu.cli import main
-from phfmu.stress import coupled, linkage, matrix, particles
+from phfmu.stress import coupled, linkage, machine, matrix, particles
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
 from phfmu.words import counted
@@ -53,6 +55,37 @@ def test_a_port_joined_to_itself_is_told_so():
         assert "junction(" not in str(found.value)  # a junction of one port is no way out
     (own,) = [c for c in coupled.CASES if c.name == "a port joined to itself"]
     assert own.measure().holds and "itself" in own.measure().happened
+
+
+def test_a_port_alone_at_a_junction_is_not_sent_round_in_circles():
+    from phfmu import Network
+    from phfmu.components.mechanical.translational import spring
+
+    net = Network("net")
+    net.add("s", spring(1.0))
+    with pytest.raises(ValueError, match="to itself.*name the port of another element"):
+        net.junction("j", ["s.a", "s.a"])
+
+
+@pytest.mark.parametrize("name", ["kundur555_1q", "krause_hydro325"])
+def test_cases_of_the_machine_follow_its_data(name, monkeypatch):
+    """Rated speed, voltage and the changes come from the data set and the component, not from numbers of one machine."""
+    from phfmu.components.electrical.machine_data import machine_set
+
+    monkeypatch.setattr(machine, "MACHINE", name)
+    data, model = machine_set(name), machine.machine()
+    values = {
+        v.name: v.start for v in (*machine.scaled(model, {"p": 2.0, "Ra": 1e-6, "psi": 0.0}).states, *model.parameters)
+    }
+    assert values["p"][0] == pytest.approx(2 * data.J_electrical * data.omega, rel=1e-12)
+    assert not any(values["psi"])
+    changed = {v.name: v.start[0] for v in machine.scaled(model, {"Ra": 1e-6}).parameters}
+    assert changed["Ra"] == pytest.approx(1e-6 * data.Ra, rel=1e-12) and changed["R_f"] == data.R_rotor[0]
+    period = round(1 / (data.fn * machine.H))  # steps
+    unit = SimpleNamespace(model=SimpleNamespace(u0=np.zeros(5)))
+    a = machine.voltages(unit, 6 * period, 0.5)[:, 0]
+    assert a.max() == pytest.approx(0.5 * data.Vn_rms_ll * (2 / 3) ** 0.5, rel=1e-3)
+    assert np.count_nonzero(np.diff(np.sign(a))) == 12  # six periods of the rated frequency
 
 
 def test_refused_asks_for_the_error_and_its_words():

@@ -14,6 +14,7 @@ def chain(
     dim: int = 3,
     length: float = 1.0,
     mass: float = 1.0,
+    last: float = 2.0,
     damping: float = 0.0,
     bending: float = 0.0,
     speed: float = 1.0,
@@ -25,7 +26,7 @@ def chain(
         0 = (|q_i+1 - q_i|^2 - length^2)/2,   dampers on the relative velocity of neighbours
 
     Arguments:   n links;  dim 2 or 3, gravity along the last axis;  length [m];  mass [kg] of the first particle, growing
-                 to its double at the last;  damping [N.s/m];  bending [N/m3];  speed [m/s] across the links at the start
+                 to `last` times it at the last;  damping [N.s/m];  bending [N/m3];  speed [m/s] across the links at the start
                  (second axis), growing along the chain;  port: force given at the last particle, `tip`
     States:      q [m], v [m/s] (n dim each);  multipliers lambda [N/m] (n)
     Parameters:  m [kg] (n); bending, damping where given
@@ -38,7 +39,7 @@ def chain(
     for i in range(n):
         q = [(i + 1) * length] + [0.0] * (dim - 1)
         v = [0.0, speed * (i + 1) / n] + [0.0] * (dim - 2)
-        points.append(body.particle(mass * (1.0 + i / max(n - 1, 1)), q, v))
+        points.append(body.particle(mass * (1.0 + (last - 1.0) * i / max(n - 1, 1)), q, v))
     for a, b in zip(points, points[1:], strict=False):
         body.bar(a, b)
     if bending:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.scene import Scene
@@ -23,17 +23,10 @@ class Family:
 
 
 def chain(n: int) -> PHDAE:
-    """n unit masses on unit bars from the origin, let go from the horizontal, in a vertical plane (x, z)."""
-    from phfmu.components.mechanical.multibody import Multibody
+    """The library's chain as a plane pendulum: unit masses on unit bars, let go from the horizontal."""
+    from phfmu.components.mechanical.chain import chain
 
-    body = Multibody(f"chain_{n}", dim=2, description=f"pendulum chain of {n} links")
-    body.gravity((0.0, -9.81))
-    last = body.support((0.0, 0.0))
-    for i in range(n):
-        particle = body.particle(1.0, (i + 1.0, 0.0))
-        body.bar(last, particle, 1.0)
-        last = particle
-    return body.build()
+    return replace(chain(n, dim=2, last=1.0, speed=0.0), name=f"chain_{n}", description=f"pendulum chain of {n} links")
 
 
 def net(n: int) -> PHDAE:

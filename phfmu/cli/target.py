@@ -29,7 +29,8 @@ def load(target: str) -> Any:
 
 
 def scene(target: str) -> Scene:
-    """The target as a scene; a bare component or network runs 1 s at 1 ms unless told otherwise."""
+    """The target as a scene; a bare component or network runs 1 s at 1 ms unless the library says otherwise."""
+    from phfmu.components.library import RUNS
     from phfmu.declare.phdae import PHDAE
     from phfmu.network.network import Network
     from phfmu.network.scene import Scene
@@ -38,13 +39,9 @@ def scene(target: str) -> Scene:
     if isinstance(item, Scene):
         return item
     if isinstance(item, PHDAE | Network):
-        stop, step = DEFAULT_RUNS.get(item.name, (1.0, 1e-3))
+        stop, step = RUNS.get(target, (1.0, 1e-3))
         return Scene(item.name, item, stop, step, description=item.description)
     raise TargetError(f"{target} gives a {type(item).__name__}; expected a PHDAE, a Network or a Scene")
-
-
-#: stop and step of components that have a customary run
-DEFAULT_RUNS = {"four_particle": (10.0, 0.01), "synchronous_machine": (0.1, 1e-4)}
 
 
 def _from_file(target: str) -> Any:

@@ -122,9 +122,10 @@ class Network:
                 )
         twice = [str(e) for e in junction.ends if junction.ends.count(e) > 1]
         if twice:
+            alone = len(set(junction.ends)) == 1
             raise ConnectionError(
-                f"junction '{junction.name}' joins {twice[0]} to itself: it is listed {twice.count(twice[0])} times; list each "
-                "port once"
+                f"junction '{junction.name}' joins {twice[0]} to itself: it is listed {twice.count(twice[0])} times; "
+                + ("name the port of another element beside it" if alone else "list each port once")
             )
         if junction.name in {j.name for j in self.junctions} | set(self.members):
             raise ConnectionError(f"the name '{junction.name}' is taken by another junction or member")
