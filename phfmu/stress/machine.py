@@ -28,7 +28,7 @@ def scaled(model: PHDAE, factors: dict[str, float]) -> PHDAE:
     """The model with the declared values of states and parameters times `factors`, all entries of each."""
     values = {}
     for v in (*model.states, *model.parameters):
-        values |= {n: factors[v.name] * x for n, x in zip(v.names, v.start, strict=True) if v.name in factors}
+        values |= {n: factors[v.name] * x for n, x in zip(v.names(), v.start, strict=True) if v.name in factors}
     return model.with_starts(values)
 
 
