@@ -20,8 +20,9 @@ from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.run import run
 from phfmu.network.stepper import Monolithic
+from phfmu.stress.mechanisms import bricard, bricard_reference, doubled, frame, hinge
 from phfmu.words import folded
-from tests.mechanisms import bricard, bricard_reference, doubled, frame, hinge, hung, windows
+from tests.mechanisms import hung, windows
 
 ENGINES = (PythonInstance, NativeInstance)
 MECHANISMS = {"frame": frame, "doubled": doubled, "hinge": hinge}
@@ -59,10 +60,10 @@ def test_redundant_bars_and_pins_cost_no_accuracy(name: str, order: int) -> None
 def test_short_steps_cost_no_accuracy(name: str, order: int) -> None:
     """2000 steps.  The chord stops at 1e-15 of the velocities; what that leaves in the energy adds up, some 1e-17 a step."""
     m = model(MECHANISMS[name](), order)
-    assert m.step.chord is not None
+    assert m.step.schur is not None
     g, w, energy = errors(NativeInstance(m), 0.001, 2000)
     assert g <= 1e-14 and w <= 1e-13 and energy <= 2e-11
-    g, w, energy = errors(NativeInstance(replace(m, step=replace(m.step, chord=None))), 0.001, 2000)
+    g, w, energy = errors(NativeInstance(replace(m, step=replace(m.step, schur=None))), 0.001, 2000)
     assert g <= 1e-14 and w <= 1e-13 and energy <= 2e-12
 
 
@@ -279,7 +280,7 @@ def test_unique_forces_are_those_that_no_null_vector_touches(
     # the bar lies in the plane x = 0: forces along x at the pins are unique as well
     assert set(found.unique) == {*bars, "lambda[4]", "lambda[7]"}
     script = tmp_path / "scene.py"
-    script.write_text("from tests.mechanisms import hinge\n")
+    script.write_text("from phfmu.stress.mechanisms import hinge\n")
     assert main(["info", f"{script}:hinge"]) == 0
     text = capsys.readouterr().out
     assert "constraints: 9 rows of rank 8 at the start" in text

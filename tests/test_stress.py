@@ -131,6 +131,14 @@ def test_flat_linkage_keeps_its_branch():
     assert found.holds, found.happened
 
 
+def test_redundant_constraints_are_supported():
+    found = [answer(c) for name in ("frame", "doubled", "hinge") for c in matrix.cases(name)]
+    assert {line.verdict for line in found} == {Verdict.PASS} and len(found) == 12
+    cases = {c.name: c for c in matrix.cases("bricard")}
+    back = answer(cases["150 steps of 0.01 s and back, order 6"])
+    assert len(cases) == 5 and back.verdict is Verdict.PASS, back.happened
+
+
 @pytest.mark.parametrize("k", [1e8, 1e10])
 def test_stiff_members_that_hardly_act_are_coupled(k):
     found = coupled.stiff(k)

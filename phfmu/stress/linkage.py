@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.stress.case import Case, Outcome, not_supported
+from phfmu.stress.case import Case, Outcome
 from phfmu.stress.drive import effort, instance, record
 
 TARGET = "four_bar"
@@ -87,8 +87,6 @@ CASES = (
       for n, h, o in ((2, 0.002, 2), (2, 0.002, 6), (2, 0.001, 6), (40, 0.002, 2))),
     Case(TARGET, "1 window, h = 0.0005 s, order 6: a step ends 3e-5 rad from flat", f"{CRITERION}; or an error with the row",
          stopped_flat),
-    Case("bricard", "Bricard mechanism, 10 s at h = 0.01 s", "|dE| <= 1e-9 J, error <= 1e-3", not_supported(
-        "the library has particles, bars and position constraints, no rigid bodies with hinges")),
     *(Case("heavy_top", f"20 steps of {h:g} s from the start, order {o}", "g <= 1e-12, Dg v <= 1e-10, balance <= 1e-11, unhalved",
            lambda h=h, o=o: short_steps(h, o)) for h, o in ((1e-6, 2), (1e-7, 6))),
 )  # fmt: skip
