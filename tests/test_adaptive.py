@@ -17,6 +17,7 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     PythonInstance,
+    Radau,
     algebraic,
     block,
     build_model,
@@ -29,7 +30,6 @@ from phfmu import (
     state,
 )
 from phfmu.components.library import build
-from phfmu.discretise.collocated import radau
 from phfmu.network.adaptive import ToleranceMissed
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
@@ -81,8 +81,8 @@ CASES = {
     "circuit, order 2": (CIRCUIT, lambda d: Collocated(1), TOLERANCES[:3], 1.0),
     "circuit, order 4": (CIRCUIT, lambda d: Collocated(2), TOLERANCES, 0.3),
     "circuit, order 6": (CIRCUIT, lambda d: Collocated(3), TOLERANCES, 0.1),
-    "circuit, radau 3": (CIRCUIT, lambda d: radau(2), TOLERANCES, 1.0),
-    "circuit, radau 5": (CIRCUIT, lambda d: radau(3), TOLERANCES, 1.0),
+    "circuit, radau 3": (CIRCUIT, lambda d: Radau(2), TOLERANCES, 1.0),
+    "circuit, radau 5": (CIRCUIT, lambda d: Radau(3), TOLERANCES, 1.0),
 }
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from phfmu import Collocated, DeclarationError, NativeInstance, PythonInstance, build_model
+from phfmu import Collocated, DeclarationError, NativeInstance, PythonInstance, TwoLevel, build_model
 from phfmu.bench.compositions import KAHAN_LI, SUZUKI, Composed
 from phfmu.components.library import build
 from phfmu.components.mechanical.chain import chain
 
 END, LINKS = 0.4, 3
 SCHEMES = {
-    "two-level": Collocated(1, two_level=True, name="two-level"),
+    "two-level": TwoLevel(1),
     "semi-explicit": Collocated(1, name="semi-explicit"),
 }
 MASS = np.repeat(1.0 + np.arange(LINKS) / (LINKS - 1), 3)

@@ -16,6 +16,7 @@ from phfmu import (
     Holonomic,
     NativeInstance,
     PythonInstance,
+    TwoLevel,
     algebraic,
     build_model,
     check,
@@ -28,7 +29,7 @@ from phfmu import (
     time,
 )
 
-FIRST, THIRD = (Collocated(k, two_level=True, name="two-level") for k in (1, 3))
+FIRST, THIRD = (TwoLevel(k) for k in (1, 3))
 ENGINES = (PythonInstance, NativeInstance)
 G, A, OMEGA = 9.81, 0.1, 5.0
 
@@ -176,7 +177,7 @@ def test_a_massless_direction_without_constraint_is_named():
     assert [p.rule for p in check(carried(0.0, bars=1))] == ["solvability"]
     assert check(started(0.0)) == []
     with pytest.raises(DeclarationError, match=r"v\[5\], v\[6\] without mass have no joint-gonzalez gradient"):
-        build_model(started(0.0), Collocated(1, gradient="joint-gonzalez", two_level=True))
+        build_model(started(0.0), TwoLevel(1, "joint-gonzalez"))
 
 
 def test_work_of_moving_supports_stays_with_its_member_and_reaches_the_unit(tmp_path):
@@ -247,11 +248,11 @@ def test_constraints_of_any_degree_are_exact_and_keep_the_order(kind, scheme, or
 
 
 @pytest.mark.parametrize("gradient", ["per-term", "mean-value", "joint-gonzalez", "itoh-abe", "itoh-abe-symmetric"])
-@pytest.mark.parametrize("two_level", [True, False])
-def test_every_gradient_takes_large_steps_of_four_particles(gradient, two_level):
+@pytest.mark.parametrize("form", [TwoLevel, Collocated])
+def test_every_gradient_takes_large_steps_of_four_particles(gradient, form):
     from phfmu.components.mechanical.four_particle import four_particle
 
-    model = build_model(four_particle(), Collocated(1, gradient=gradient, two_level=two_level))
+    model = build_model(four_particle(), form(1, gradient=gradient))
     for h in (0.1, 0.25, 0.4):
         rows = NativeInstance(model).run(0.0, h, round(10.0 / h), ("energy", "stored", "dissipated"))
         assert np.max(np.abs(rows["stored"] + rows["dissipated"])) <= 1e-12

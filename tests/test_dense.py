@@ -13,6 +13,7 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     PythonInstance,
+    Radau,
     build_model,
     default_scheme,
     energy,
@@ -22,7 +23,6 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.discretise.collocated import radau
 from phfmu.network.dense import Polynomial
 
 ENGINES = (PythonInstance, NativeInstance)
@@ -42,7 +42,7 @@ def stepper(declaration, scheme, engine=PythonInstance):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "order"), [(Collocated(1), 2), (Collocated(2), 3), (Collocated(3), 4), (radau(2), 3)], ids=str
+    ("scheme", "order"), [(Collocated(1), 2), (Collocated(2), 3), (Collocated(3), 4), (Radau(2), 3)], ids=str
 )
 def test_rows_between_the_ends_have_order_k_plus_1(scheme, order):
     errors = []

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.discretise.address import Address, gradient, increment
 from phfmu.discretise.differences import differences, in_differences
 from phfmu.discretise.model import build_model, default_scheme
 from phfmu.discretise.spec import Spec
@@ -16,10 +17,10 @@ from phfmu.engine.derived import update_runs
 def spring(energy: object) -> Spec:
     """energy((x1 - x0)^2 at the step's end) of two coordinates, two nodes; a force and the energy of the ledger."""
     x, d = ca.SX.sym("x", 2), ca.SX.sym("D", 2, 2)
-    y = [(("D", j, i), d[j, i]) for i in range(2) for j in range(2)]
+    y = [(Address(increment, j, i), d[j, i]) for i in range(2) for j in range(2)]
     end = x + ca.mtimes(d, ca.DM([0.5, 0.5]))
     expr = energy((end[1] - end[0]) ** 2)  # pyright: ignore[reportCallIssue]
-    return Spec(0, x, ca.SX(0, 1), y, [(("W", 0, 0), 0, ca.gradient(expr, x)[0])], stored=expr)
+    return Spec(0, x, ca.SX(0, 1), y, [(Address(gradient), 0, ca.gradient(expr, x)[0])], stored=expr)
 
 
 def values(spec: Spec, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -47,7 +48,7 @@ def test_what_depends_on_more_than_differences_stays() -> None:
     branch = spring(lambda s: ca.if_else(s > 1e3, s, s**2))
     assert in_differences(branch) is branch
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
-    ground = Spec(0, x, ca.SX(0, 1), [(("D", 0, 0), y)], [(("W", 0, 0), 0, x[0] * x[1] + y)])
+    ground = Spec(0, x, ca.SX(0, 1), [(Address(increment), y)], [(Address(gradient), 0, x[0] * x[1] + y)])
     assert in_differences(ground) is ground
 
 
@@ -73,5 +74,7 @@ def test_what_cancels_is_no_difference() -> None:
     """x1/|x| squared and added up is 1 everywhere; in differences it would be 0/0."""
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
     r = ca.sqrt(ca.sumsqr(x))
-    one = Spec(0, x, ca.SX(0, 1), [(("D", 0, 0), y)], [(("W", 0, 0), 0, ((x[0] / r) ** 2 + (x[1] / r) ** 2) * y)])
+    one = Spec(
+        0, x, ca.SX(0, 1), [(Address(increment), y)], [(Address(gradient), 0, ((x[0] / r) ** 2 + (x[1] / r) ** 2) * y)]
+    )
     assert in_differences(one) is one

@@ -26,10 +26,12 @@ from phfmu import (
     state,
     strain_energy,
 )
-from phfmu.discretise import constraints
+from phfmu.discretise import address, constraints
+from phfmu.discretise.address import Address
 from phfmu.discretise.extract import extract
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.scheme_names import GRADIENTS
+from phfmu.discretise.terms import CONSTRAINT
 
 EPS = np.finfo(float).eps
 N = 3
@@ -278,14 +280,15 @@ def rows(name: str, k: int):
         "constrained", states=(q, v), algebraics=(lam,), parameters=(p,), energies=(energy(ca.sumsqr(v.sx) / 2),),
         structure=(skew(q, v, 1.0),), constraints=(Holonomic(lam, g),),
     )  # fmt: skip
-    (term,) = (t for t in extract(model).terms if t.kind == "constraint")
+    (term,) = (t for t in extract(model).terms if t.kind is CONSTRAINT)
     (spec,) = constraints.collocated(term, nodes(k))
-    symbols, expr = dict(spec.y), {address: e for address, _, e in spec.out}
+    symbols, expr = dict(spec.y), {a: e for a, _, e in spec.out}
     place = {j: i for i, j in enumerate(term.index["x"])}
     z, d = (ca.SX(N, k) for _ in range(2))
     for j, i in itertools.product(range(N), range(k)):
-        z[j, i], d[j, i] = symbols["v", place[j], i], symbols["D", place[j], i]
-    G = ca.horzcat(*(-ca.gradient(expr["row", 0, i], z[:, i]) for i in range(k)))
+        z[j, i] = symbols[Address(address.velocity_costate, place[j], i)]
+        d[j, i] = symbols[Address(address.increment, place[j], i)]
+    G = ca.horzcat(*(-ca.gradient(expr[Address(address.row, 0, i)], z[:, i]) for i in range(k)))
     x, coefficient = spec.x[[place[j] for j in range(N)]], ca.SX.sym("p", P.numel())
     used = term.index.get("p", ())
     (G,) = ca.substitute([G], [spec.p], [coefficient[list(used)]]) if used else (G,)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from phfmu import Collocated, NativeInstance, PythonInstance, Scene, Status, StepFailure, build_model
+from phfmu import Collocated, NativeInstance, PythonInstance, Scene, Status, StepFailure, TwoLevel, build_model
 from phfmu.components.electrical import fault_resistor, rlc_load, synchronous_machine
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.translational import mass, spring
@@ -38,7 +38,7 @@ def declaration(name):
 @cache
 def plan(name, k):
     d = declaration(name)
-    return build_model(d, Collocated(k, two_level=bool(d.constraints)))
+    return build_model(d, (TwoLevel if d.constraints else Collocated)(k))
 
 
 def step_size(name):

@@ -16,6 +16,7 @@ from phfmu import (
     PythonInstance,
     Status,
     StepFailure,
+    TwoLevel,
     algebraic,
     build_model,
     damping,
@@ -30,7 +31,7 @@ from phfmu.components.mechanical.four_particle import four_particle
 ENGINES = (PythonInstance, NativeInstance)
 JOINT = Collocated(1, gradient="joint-gonzalez", name="semi-explicit")
 MIDPOINT = Collocated(1, gradient="nodal", name="midpoint")
-THIRD = Collocated(3, two_level=True, name="two-level")
+THIRD = TwoLevel(3)
 H0 = 20.0 / 17.0
 MASS = np.repeat([1.0, 3.0, 2.3, 1.7], 3)
 LEDGER = ("x", "stored", "dissipated", "energy", "signals")

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phfmu import NativeInstance, PythonInstance, Status, StepFailure, build_model
+from phfmu import NativeInstance, PythonInstance, Status, StepFailure, TwoLevel, build_model
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
-from phfmu.discretise.collocated import Collocated
 from phfmu.engine.limits import LIMITS
 
 #: the attempt that is under way may end: 30 iterations, or 120 where it grows from an eighth of the step
@@ -63,7 +62,7 @@ def test_a_stored_energy_that_is_not_finite_is_told(engine) -> None:
 
 def test_the_work_of_a_step_is_bounded() -> None:
     """Thrown states of the four particles at order 6; the worst of these took thousands of iterations."""
-    model = build_model(four_particle(), Collocated(3, two_level=True))
+    model = build_model(four_particle(), TwoLevel(3))
     instance, rng = NativeInstance(model), np.random.default_rng(1)
     start, most, told = instance.get_state(), 0, False
     drawn = [
@@ -83,7 +82,7 @@ def test_the_work_of_a_step_is_bounded() -> None:
 
 
 def test_the_python_engine_ends_at_the_same_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = build_model(four_particle(), Collocated(3, two_level=True))
+    model = build_model(four_particle(), TwoLevel(3))
     instance, rng = PythonInstance(model), np.random.default_rng(1)
     monkeypatch.setitem(LIMITS, "MOST_ITERATIONS", 60.0)
     monkeypatch.setitem(LIMITS, "MORE_ITERATIONS", 10.0)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from phfmu import PHDAE, Collocated, PythonInstance, build_model
+from phfmu import PHDAE, Collocated, PythonInstance, TwoLevel, build_model
 from phfmu.components.mechanical.heavy_top import heavy_top
 
 
@@ -35,17 +35,17 @@ def loss(scheme: Collocated, h: float, third: float = 0.0) -> float:
     return float(np.max(np.abs(np.array(found) / found[0] - 1)))
 
 
-@pytest.mark.parametrize("scheme", [Collocated(1), Collocated(3), Collocated(1, two_level=True)])
+@pytest.mark.parametrize("scheme", [Collocated(1), Collocated(3), TwoLevel(1)])
 def test_kept_to_rounding_also_with_directions_without_mass(scheme):
     assert loss(scheme, 0.02) <= 1e-13
 
 
 def test_two_level_of_order_6_keeps_it_where_every_velocity_has_a_mass():
-    assert loss(Collocated(3, two_level=True), 0.02, third=0.5) <= 1e-11
+    assert loss(TwoLevel(3), 0.02, third=0.5) <= 1e-11
 
 
 def test_two_level_of_order_6_loses_it_at_its_order_without_mass():
     """The shift of a velocity without mass fits S^T mu in the mean only: 2e-9 at 20 ms, with h^6."""
-    coarse, fine = (loss(Collocated(3, two_level=True), h) for h in (0.02, 0.01))
+    coarse, fine = (loss(TwoLevel(3), h) for h in (0.02, 0.01))
     assert 1e-10 <= coarse <= 1e-8
     assert np.log2(coarse / fine) >= 5.5

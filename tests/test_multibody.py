@@ -18,6 +18,7 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     PythonInstance,
+    TwoLevel,
     build_model,
     check,
     constraint_rank,
@@ -33,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).parent / "reference"))
 import chain_reference  # noqa: E402
 import heavy_top_reference  # noqa: E402
 
-FIRST, THIRD = (Collocated(k, two_level=True, name="two-level") for k in (1, 3))
+FIRST, THIRD = (TwoLevel(k) for k in (1, 3))
 ENGINES = (PythonInstance, NativeInstance)
 SWING = {"n": 5, "damping": 0.3, "bending": 10.0, "speed": 2.0}
 

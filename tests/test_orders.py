@@ -19,6 +19,7 @@ from phfmu import (
     NativeInstance,
     Port,
     PythonInstance,
+    TwoLevel,
     algebraic,
     block,
     build_model,
@@ -205,7 +206,7 @@ def test_drive_converges_to_the_matrix_exponential(k, steps):
 def test_four_particle_two_level_has_order_2k_in_positions_and_velocities(k, steps, bound):
     exact = reference("four_particle")
     assert exact["time"][-1] == 1.0
-    model = build_model(build("four_particle"), Collocated(k, two_level=True, name="two-level"))
+    model = build_model(build("four_particle"), TwoLevel(k))
     errors = {"q": [], "v": []}
     for h in steps:
         x = NativeInstance(model).run(0.0, h, round(1 / h), ("x",))["x"][-1]

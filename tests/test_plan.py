@@ -11,7 +11,7 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 import phfmu as ph
-from phfmu import PHDAE, Collocated, DeclarationError, Port, PythonInstance, block, build_model, energy
+from phfmu import PHDAE, Collocated, DeclarationError, Port, PythonInstance, TwoLevel, block, build_model, energy
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.discretise.ordering import StructurallySingular, elimination_order
@@ -148,10 +148,11 @@ def test_matrix_of_a_random_model_is_the_derivative_of_its_residual(seed, k):
 
 
 @pytest.mark.parametrize(
-    ("seed", "k", "two_level"), [(0, 1, False), (1, 1, False), (0, 1, True), (1, 1, True), (0, 3, True)]
+    ("seed", "scheme"),
+    [(0, Collocated(1)), (1, Collocated(1)), (0, TwoLevel(1)), (1, TwoLevel(1)), (0, TwoLevel(3))],
 )
-def test_matrix_of_a_constrained_model_is_the_derivative_of_its_residual(seed, k, two_level):
-    model = build_model(pendulums(seed), Collocated(k, two_level=two_level))
+def test_matrix_of_a_constrained_model_is_the_derivative_of_its_residual(seed, scheme):
+    model = build_model(pendulums(seed), scheme)
     assert_plan_is_the_derivative(model.step, model, seed, 0.07)
     assert_plan_is_the_derivative(model.instant, model, seed, 1.0)
 

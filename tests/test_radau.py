@@ -15,6 +15,7 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     PythonInstance,
+    Radau,
     algebraic,
     block,
     build_model,
@@ -26,7 +27,6 @@ from phfmu import (
     state,
 )
 from phfmu.components.library import build
-from phfmu.discretise.collocated import radau
 from phfmu.discretise.quadrature import nodes, radau_nodes
 from phfmu.discretise.schemes import named_scheme
 from phfmu.network.restart import Restart
@@ -91,7 +91,7 @@ def circuit_end(t):
 
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_index_one_circuit_has_order_2k_minus_1_and_closes_with_its_loss(k):
-    instance, exact, errors = PythonInstance(build_model(circuit(), radau(k))), circuit_end(2.0), []
+    instance, exact, errors = PythonInstance(build_model(circuit(), Radau(k))), circuit_end(2.0), []
     steps = {1: (200, 400, 800), 2: (20, 40, 80), 3: (8, 16, 32)}[k]
     for n in steps:
         instance.reset()
@@ -168,7 +168,7 @@ def test_a_step_that_would_gain_energy_is_taken_by_the_exact_scheme():
     pendulum = PHDAE(
         "pendulum", states=(th, p), energies=(energy(1 - ca.cos(th)), energy(p**2 / 2)), structure=(skew(th, p, 1.0),)
     )
-    lossy = PythonInstance(build_model(pendulum, radau(2)))
+    lossy = PythonInstance(build_model(pendulum, Radau(2)))
     signs = set(np.sign(lossy.run(0.0, 0.5, 30, ("numerical",))["numerical"][:, 0]))
     assert signs == {-1.0, 1.0}
     model = build_model(pendulum, Collocated(1))
@@ -182,7 +182,7 @@ def test_a_step_that_would_gain_energy_is_taken_by_the_exact_scheme():
 
 
 def test_an_instance_continues_from_one_of_another_scheme():
-    model, other = build_model(build("dc_motor"), Collocated(2)), build_model(build("dc_motor"), radau(2))
+    model, other = build_model(build("dc_motor"), Collocated(2)), build_model(build("dc_motor"), Radau(2))
     for engine in ENGINES:
         a, b = engine(model), engine(other)
         a.set_input(model.u0 + 2.0)
@@ -216,4 +216,4 @@ def test_an_fmu_has_no_variable_for_the_loss(tmp_path):
 
     motor = build("dc_motor")
     with pytest.raises(FMUError, match="loses energy"):
-        export(motor, build_model(motor, radau(2)), tmp_path, step=1e-3)
+        export(motor, build_model(motor, Radau(2)), tmp_path, step=1e-3)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import phfmu.discretise.rest as at_rest
-from phfmu import Collocated, NativeInstance, PythonInstance, build_model, constraint_rank
+from phfmu import NativeInstance, PythonInstance, TwoLevel, build_model, constraint_rank
 from phfmu.cli import main
 from phfmu.discretise.model import Model
 from phfmu.discretise.rank import Dependence
@@ -29,7 +29,7 @@ MECHANISMS = {"frame": frame, "doubled": doubled, "hinge": hinge}
 
 
 def model(declaration: Any, order: int) -> Model:
-    return build_model(declaration, Collocated(order // 2, two_level=True, name="two-level"))
+    return build_model(declaration, TwoLevel(order // 2))
 
 
 def errors(instance: Any, h: float, steps: int, t: float = 0.0) -> tuple[float, float, float]:

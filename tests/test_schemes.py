@@ -21,6 +21,7 @@ from phfmu import (
     NativeInstance,
     Port,
     PythonInstance,
+    SemiExplicit,
     Status,
     StepFailure,
     algebraic,
@@ -126,7 +127,7 @@ def test_a_closure_of_the_user(declaration, engine):
 
 
 def test_an_inconsistent_start_alternates_with_the_midpoint_closure():
-    model = build_model(linear(), Collocated(1, closure="midpoint"))
+    model = build_model(linear(), SemiExplicit("midpoint"))
     instance = PythonInstance(model)
     instance._s.a = np.array([-0.5])  # x2 = -1/2 instead of -1
     for k in range(4):
@@ -180,7 +181,7 @@ def test_corollary_1_the_pair_of_theorem_4_gives_the_semi_explicit_scheme(engine
     general = rlc_descriptor().with_starts({"i": consistent_current()})
     assert check(general) == []
     x, _, worst = steps(build_model(general, GradientPair()), h, n, engine)
-    semi = build_model(rlc("source", "algebraic"), Collocated(1, closure="midpoint"))
+    semi = build_model(rlc("source", "algebraic"), SemiExplicit("midpoint"))
     x1, x2, _ = steps(semi, h, n, engine)
     assert x == pytest.approx(np.hstack([x1, x2]), rel=1e-12, abs=1e-12)
     assert worst <= 1e-13
@@ -204,7 +205,7 @@ SIZES = {"rlc": 0.05, "drive": 1e-4, "four_particle": 0.01, "oscillator": 0.01, 
 @pytest.mark.parametrize("name", list(SIZES))
 def test_theorem_5_the_closed_dirac_dissipative_scheme_is_the_semi_explicit_one(name, point):
     d, h = declaration(name), SIZES[name]
-    x, a, _ = steps(build_model(d, Collocated(1, closure=point)), h, 20)
+    x, a, _ = steps(build_model(d, SemiExplicit(point)), h, 20)
     y, b, worst = steps(build_model(d, DiracDissipative(point)), h, 20)
     assert np.max(np.abs(x - y)) <= 1e-12 * max(1.0, np.max(np.abs(x)))
     assert np.max(np.abs(a - b), initial=0.0) <= 1e-9 * max(1.0, np.max(np.abs(a), initial=0.0))
@@ -234,7 +235,7 @@ def circuit_at(t):
 
 @pytest.mark.parametrize(
     ("make", "point"),
-    [(lambda p: Collocated(1, closure=p), p) for p in POINTS]
+    [(SemiExplicit, p) for p in POINTS]
     + [(DiracDissipative, p) for p in POINTS]
     + [(lambda p: GradientPair(closure=p), p) for p in ("end", "midpoint")],
 )
@@ -387,7 +388,7 @@ def test_example_8_steps_with_a_discrete_pair(engine):
 SCHEMES = [
     *BOTH,
     DiracDissipative("minimal"),
-    Collocated(1, closure="midpoint"),
+    SemiExplicit("midpoint"),
     DiracDissipative("end", gradient="itoh-abe"),
 ]
 
@@ -500,8 +501,8 @@ def test_a_model_that_a_scheme_cannot_take_says_what_can(scheme, said):
 def test_closures_that_leave_something_open_are_refused():
     with pytest.raises(DeclarationError, match="x2 would occur in no equation.*--closure midpoint or end"):
         build_model(linear(), GradientPair(closure="start"))
-    with pytest.raises(DeclarationError, match="order 2 without a velocity level"):
-        build_model(linear(), Collocated(2, closure="midpoint"))
+    with pytest.raises(DeclarationError, match="closure midpoint of collocated is for order 2 only"):
+        named_scheme(linear(), "collocated", 4, closure="midpoint")
 
 
 @pytest.mark.parametrize(

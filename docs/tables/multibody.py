@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from pages import Made, independent, table
 
-from phfmu import Collocated, NativeInstance, build_model
+from phfmu import NativeInstance, TwoLevel, build_model
 from phfmu.components.mechanical.chain import chain as chain_component
 from phfmu.components.mechanical.heavy_top import heavy_top
 
@@ -25,7 +25,7 @@ def chain() -> Made:
             h = 0.4 / n
             mean = sum(w / 2 * solve(0.4 - h * (1 - c) / 2, **SWING)[2]
                        for c, w in zip(nodes, weights, strict=True))  # fmt: skip
-            instance = NativeInstance(build_model(chain_component(**SWING), Collocated(k, two_level=True)))
+            instance = NativeInstance(build_model(chain_component(**SWING), TwoLevel(k)))
             r = instance.run(0.0, h, n, ("x", "a", "stored", "dissipated", "signals"))
             x = r["x"][-1]
             pairs = ((x[:15], q.ravel()), (x[15:], v.ravel()), (instance.signal("a_end"), lam), (r["a"][-1], mean))
@@ -44,7 +44,7 @@ def top() -> Made:
     rows, last = [], None
     for k, steps in ((1, (50, 100, 200)), (3, (16, 32, 64))):
         for n in steps:
-            instance = NativeInstance(build_model(heavy_top(precession=1.0), Collocated(k, two_level=True)))
+            instance = NativeInstance(build_model(heavy_top(precession=1.0), TwoLevel(k)))
             r = instance.run(0.0, 0.1 / n, n, ("x", "energy", "signals"))
             x = r["x"][-1]
             errors = [float(np.linalg.norm(x[s] - y)) for s, y in (

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.midpoint import Midpoint
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.status import StepFailure
 
 Array = NDArray[Any]
 
 DG = Collocated(1, gradient="joint-gonzalez", name="DG")
-MP = Collocated(1, gradient="nodal", name="MP")
+MP = Midpoint(name="MP")
 STEPS = (0.01, 0.005, 0.002, 0.001)
 #: columns of the error tables: label, signal block, entries
 ERRORS = {"q4": ("x", slice(9, 12)), "v4": ("x", slice(21, 24)), "lambda1": ("a", slice(0, 1))}

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from phfmu.discretise.spec import Address
+from phfmu.discretise.address import Address, Place
 from phfmu.discretise.terms import Term
 
 EMPTY = ca.SX(0, 1)
@@ -20,15 +20,15 @@ class Arguments:
     k: int
     y: list[tuple[Address, ca.SX]] = field(default_factory=list)
 
-    def symbol(self, kind: str, j: int, i: int) -> ca.SX:
-        """The argument (kind, j, i) as a fresh scalar symbol."""
-        s = ca.SX.sym(f"{kind}{j}_{i}")
-        self.y.append(((kind, j, i), s))
+    def symbol(self, place: Place, j: int = 0, node: int = 0) -> ca.SX:
+        """An argument as a fresh scalar symbol."""
+        s = ca.SX.sym("y")  # kernels that differ in names only are one
+        self.y.append((Address(place, j, node), s))
         return s
 
-    def matrix(self, kind: str, n: int) -> ca.SX:
-        """n x k symbols of one kind, node by node."""
-        return ca.horzcat(*(ca.vertcat(*(self.symbol(kind, j, i) for j in range(n))) for i in range(self.k)))
+    def matrix(self, place: Place, n: int) -> ca.SX:
+        """n x k symbols of one place, node by node."""
+        return ca.horzcat(*(ca.vertcat(*(self.symbol(place, j, i) for j in range(n))) for i in range(self.k)))
 
     @property
     def x(self) -> ca.SX:

@@ -17,10 +17,23 @@ import casadi as ca
 import numpy as np
 
 from phfmu.discretise.rows import costate_symbols, costates, row_expressions
-from phfmu.discretise.terms import Locator, Term, Terms, components, make_term, scalars
+from phfmu.discretise.terms import (
+    CLOSED,
+    CONSTRAINT,
+    ENERGY,
+    JOINT,
+    Kind,
+    Locator,
+    Term,
+    Terms,
+    components,
+    make_term,
+    scalars,
+)
 
 Remedy = Literal["pair", "projection", "none"]
-ENERGIES = ("energy", "joint", "closed")
+#: the impulses of a bare node on the states of a member
+IMPULSE = Kind("impulse")
 
 
 @dataclass(frozen=True)
@@ -46,7 +59,7 @@ class Finder:
 
     def __init__(self, terms: Terms):
         self.terms, self.nodes = terms, []
-        holonomic = {t.rows[0][1] for t in terms.terms if t.kind == "constraint"}
+        holonomic = {t.rows[0][1] for t in terms.of(CONSTRAINT)}
         rows = [r for r in terms.hidden.checks if r not in holonomic]
         if not rows:
             return
@@ -58,7 +71,7 @@ class Finder:
         L = ca.vertcat(*self.L.values())
         self.S = ca.mtimes([L, ca.hessian(model.hamiltonian, self.x)[0], L.T])
         self.states = {r: set(self.L[r].sparsity().get_triplet()[1]) for r in rows}
-        self.owner = {i: t.owner for t in terms.terms if t.kind in ENERGIES for _, i in t.rows}
+        self.owner = {i: t.owner for t in terms.of(ENERGY, JOINT, CLOSED) for _, i in t.rows}
         linear = self._linear(L, rows)
         for cluster in self._clusters(rows):
             if not linear.issuperset(cluster):
@@ -107,8 +120,7 @@ class Finder:
 
     @cached_property
     def _special(self) -> set[int]:
-        """States with E other than identity."""
-        return {i for t in self.terms.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
+        return self.terms.with_descriptor()
 
     @cached_property
     def _starts(self) -> dict[int, float]:
@@ -138,7 +150,7 @@ class Finder:
                 hessian, gradient = ca.hessian(energies[owner], psi)
                 exprs = {"L": L, "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
                 out.append(
-                    make_term("impulse", {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
+                    make_term(IMPULSE, {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
                               rows=[("x", i) for i in own] + [("a", r) for r in touched], owner=owner,
                               extra=ca.vertsplit(psi), tag=remedy)
                 )  # fmt: skip

@@ -15,15 +15,27 @@ from dataclasses import replace
 
 import casadi as ca
 
+from phfmu.discretise.address import Address, algebraic, with_algebraics
 from phfmu.discretise.arguments import EMPTY, Arguments
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.planner import Maps
 from phfmu.discretise.quadrature import nodes
-from phfmu.discretise.scheme import Unknown, node_maps
+from phfmu.discretise.scheme import node_maps
 from phfmu.discretise.spec import Spec
-from phfmu.discretise.terms import DeclarationError, Term, Terms
+from phfmu.discretise.terms import DeclarationError, Kind, Term, Terms
+from phfmu.discretise.unknown import ALGEBRAIC, Role, Unknown, of_algebraics
 
 POINTS = ("end", "start", "midpoint")
+
+#: an algebraic state that is carried from step to step
+CARRIED = Role("carried algebraic variable")
+#: the equation of one
+CLOSURE = Kind("closure")
+
+
+def carried(layout: Layout, term: Term, j: int, node: int) -> int:
+    """The new value of the j-th algebraic variable that the term reads; as a result: its closure."""
+    return layout.at(CARRIED, term.index["a"][j], node)
 
 
 def require(point: str, scheme: str) -> None:
@@ -33,14 +45,14 @@ def require(point: str, scheme: str) -> None:
 
 
 def unknowns(terms: Terms) -> list[Unknown]:
-    """X_i: the algebraic state x2' (start: x2) of the step."""
-    return [("X", i, 0) for i in range(terms.na)]
+    """The algebraic state x2' (start: x2) of the step."""
+    return of_algebraics(terms, CARRIED, "closure of", range(terms.na))
 
 
 def add(terms: Terms) -> Terms:
     """`terms` with one closure equation per algebraic variable."""
     local = {"a": ca.SX.sym("a")}
-    new = [Term("closure", ("closure",), local, {"a": (i,)}, {}, (("X", i),)) for i in range(terms.na)]
+    new = [Term(CLOSURE, (CLOSURE,), local, {"a": (i,)}, {}) for i in range(terms.na)]
     return replace(terms, terms=[*terms.terms, *new])
 
 
@@ -52,14 +64,15 @@ def value(point: str, old: ca.SX, new: ca.SX) -> ca.SX:
 def specs(term: Term, point: str) -> list[Spec]:
     """0 = f2 - z2bar(x2, x2')."""
     args, old = Arguments(term, 1), ca.SX.sym("old")
-    f, new = args.matrix("a", 1), args.matrix("X", 1)
+    f, new = args.matrix(algebraic, 1), args.matrix(carried, 1)
     before = old if point == "midpoint" else EMPTY
-    return [Spec(1, before, EMPTY, args.y, [(("row", 0, 0), 0, f - value(point, old, new))])]
+    out = [(Address(carried), 0, f - value(point, old, new))]
+    return [Spec(1, before, EMPTY, args.y, out, old=with_algebraics)]
 
 
 def maps(layout: Layout) -> Maps:
     """As with one node, but x2' is carried on; f2 starts from x2 too (weight 0: it is not reported)."""
     base = node_maps(layout, nodes(1))
-    carried = [(i, layout.w_of[("X", i, 0)], 1.0, 0) for i in range(layout.terms.na)]
-    started = [(i, layout.w_of[("a", i, 0)], 0.0, 0) for i in range(layout.terms.na)]
+    carried = [(i, layout.at(CARRIED, i), 1.0, 0) for i in range(layout.terms.na)]
+    started = [(i, layout.at(ALGEBRAIC, i), 0.0, 0) for i in range(layout.terms.na)]
     return Maps(base.update, carried + started, base.guess, base.weights, base.nodes, carries=True)

@@ -19,13 +19,34 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import degree, piecewise
+from phfmu.discretise.address import (
+    Address,
+    force,
+    increment,
+    row,
+    step_size,
+    velocity_costate,
+    velocity_costate_row,
+    velocity_gradient,
+    velocity_increment,
+    with_velocities,
+)
 from phfmu.discretise.arguments import Arguments
 from phfmu.discretise.gradients import QUOTIENT_GUARD, general, guarded, projected
+from phfmu.discretise.layout import Layout
 from phfmu.discretise.quadrature import Nodes, gauss
-from phfmu.discretise.spec import Address, Spec, substituted
+from phfmu.discretise.spec import Result, Spec, substituted
 from phfmu.discretise.terms import Term
+from phfmu.discretise.unknown import Role
 
-Rows = list[tuple[Address, int, ca.SX]]
+#: the multiplier of the velocity level
+VELOCITY_LEVEL = Role("velocity multiplier")
+
+
+def velocity_level(layout: Layout, term: Term, j: int, node: int) -> int:
+    """The velocity multiplier of a constraint; as a result: the constraint on that level."""
+    del j, node
+    return layout.at(VELOCITY_LEVEL, term.rows[0][1])
 
 
 @dataclass(frozen=True)
@@ -56,7 +77,7 @@ class _Path:
 
 def _path(term: Term, args: Arguments, d: ca.SX, nd: Nodes) -> _Path:
     t = term.local.get("t")
-    return _Path(term.local["x"], d, t, None if t is None else args.symbol("h", 0, 0), nd)
+    return _Path(term.local["x"], d, t, None if t is None else args.symbol(step_size), nd)
 
 
 def quadratic(term: Term) -> bool:
@@ -116,15 +137,15 @@ def _turning(g: ca.SX, path: _Path, v: ca.SX, dv: ca.SX, simple: bool) -> tuple[
 def collocated(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the plain scheme: -G_i^T lambda_i on v, 0 = G_i z_v,i + r_i."""
     args, n, k = Arguments(term, nd.k), term.local["x"].numel(), nd.k
-    d, z, lam = args.matrix("D", n), args.matrix("v", n), args.matrix("l", 1)
+    d, z, lam = args.matrix(increment, n), args.matrix(velocity_costate, n), args.matrix(force, 1)
     path = _path(term, args, d, nd)
     rows, rates = _node_rows(term.data["g"], path, quadratic(term))
-    out: Rows = []
+    out: list[Result] = []
     for i in range(k):
-        out += [(("velocity", j, i), 1, rows[i][j] * lam[i]) for j in range(n)]
-        out.append((("row", 0, i), 0, -ca.dot(rows[i], z[:, i]) - rates[i]))
+        out += [(Address(velocity_increment, j, i), 1, rows[i][j] * lam[i]) for j in range(n)]
+        out.append((Address(row, 0, i), 0, -ca.dot(rows[i], z[:, i]) - rates[i]))
         if path.t is not None:
-            out.append((("row", 1, i), 0, -lam[i] * ca.dot(rows[i], z[:, i])))
+            out.append((Address(row, 1, i), 0, -lam[i] * ca.dot(rows[i], z[:, i])))
     return [Spec(1, args.x, args.p, args.y, out)]
 
 
@@ -132,34 +153,40 @@ def two_level(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the two-level form; `light` velocities have the row sum_i b_i [m n_i - S_i^T mu] = 0 instead of n_i."""
     k, args, g, n = nd.k, Arguments(term, nd.k), term.data["g"], term.local["x"].numel()
     v = ca.SX.sym("v", n)
-    d, dv = args.matrix("D", n), args.matrix("V", n)
-    z, lam, mu = args.matrix("v", n), args.matrix("l", 1), args.symbol("m", 0, 0)
+    d, dv = args.matrix(increment, n), args.matrix(velocity_increment, n)
+    z, lam, mu = args.matrix(velocity_costate, n), args.matrix(force, 1), args.symbol(velocity_level)
     path, simple = _path(term, args, d, nd), quadratic(term)
     rows, rates = _node_rows(g, path, simple)
     turn, shift = _turning(g, path, v, dv, simple)
     light, b = term.data["light"], path.nd.b
-    out: Rows = []
+    out: list[Result] = []
     for i in range(k):
-        out += [(("velocity", j, i), 1, rows[i][j] * lam[i] + turn[i][j] * mu) for j in range(n)]
-        out.append((("row", 0, i), 0, -ca.dot(rows[i], z[:, i]) - rates[i]))
+        out += [(Address(velocity_increment, j, i), 1, rows[i][j] * lam[i] + turn[i][j] * mu) for j in range(n)]
+        out.append((Address(row, 0, i), 0, -ca.dot(rows[i], z[:, i]) - rates[i]))
         if path.h is not None:
             turned = ca.dot(turn[i], d[:, i]) + ca.dot(shift[i], dv[:, i])
-            out.append((("row", 1, i), 0, -lam[i] * ca.dot(rows[i], z[:, i]) - mu / path.h * turned))
+            out.append((Address(row, 1, i), 0, -lam[i] * ca.dot(rows[i], z[:, i]) - mu / path.h * turned))
     grad, rate = path.at_end([ca.gradient(g, path.q), path.moving(g)])
-    out.append((("m", 0, 0), 0, -ca.dot(grad, v + ca.mtimes(dv, ca.DM(b))) - rate))
+    out.append((Address(velocity_level), 0, -ca.dot(grad, v + ca.mtimes(dv, ca.DM(b))) - rate))
     for j in np.flatnonzero(light):
-        out.append((("light", int(j), k - 1), 0, -sum((b[i] * shift[i][int(j)] for i in range(k)), ca.SX(0)) * mu))
+        out.append(
+            (
+                Address(velocity_costate_row, int(j), k - 1),
+                0,
+                -sum((b[i] * shift[i][int(j)] for i in range(k)), ca.SX(0)) * mu,
+            )
+        )
     time = term.local.get("t", ca.SX(0, 1))
-    kernels = [Spec(1, ca.vertcat(path.q, v, time), args.p, args.y, out)]
+    kernels = [Spec(1, ca.vertcat(path.q, v, time), args.p, args.y, out, old=with_velocities)]
     mass = term.data["mass"]
-    add: Rows = [(("shift", j, i), 0, shift[i][j] * mu / mass[j])
+    add: list[Result] = [(Address(velocity_gradient, j, i), 0, shift[i][j] * mu / mass[j])
                  for i in range(k) for j in range(n) if not light[j]]  # fmt: skip
     if add:
-        kernels.insert(0, Spec(0, ca.vertcat(path.q, v, time), args.p, _needed(args, add), add))
+        kernels.insert(0, Spec(0, ca.vertcat(path.q, v, time), args.p, _needed(args, add), add, old=with_velocities))
     return kernels
 
 
-def _needed(args: Arguments, out: Rows) -> list[tuple[Address, ca.SX]]:
+def _needed(args: Arguments, out: list[Result]) -> list[tuple[Address, ca.SX]]:
     """The arguments that results of stage 0 depend on: those of stage 1 (costates) do not exist yet."""
     results = ca.vertcat(*(expr for _, _, expr in out))
     return [(address, s) for address, s in args.y if ca.depends_on(results, s)]

@@ -79,11 +79,11 @@ def in_differences(spec: Spec) -> Spec:
         return spec
     old, new = [], []
     kinds: list[tuple[int, list[list[int]]]] = [(0, [[j] for j in range(spec.x.numel())])]
-    for kind in dict.fromkeys(kind for (kind, _, _), _ in spec.y):
+    for place in dict.fromkeys(a.place for a, _ in spec.y):
         found: dict[int, list[int]] = {}
-        for n, ((k, j, _), _) in enumerate(spec.y):
-            if k == kind:
-                found.setdefault(j, []).append(n)
+        for n, (a, _) in enumerate(spec.y):
+            if a.place is place:
+                found.setdefault(a.j, []).append(n)
         kinds.append((1, list(found.values())))
     for which, places in kinds:
         if len(places) > MOST or len({len(p) for p in places}) > 1:

@@ -14,23 +14,30 @@ Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 223 (2026), (25), (26), Exa
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import degree
 from phfmu.discretise import closure, gradients, minimal
+from phfmu.discretise.address import Address, algebraic, costate, costate_row, gradient, increment, row, with_algebraics
 from phfmu.discretise.arguments import Arguments
-from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.closure import carried
 from phfmu.discretise.discrete import Summand, node_gradients
 from phfmu.discretise.layout import Layout
+from phfmu.discretise.nodal import NodeKernels
+from phfmu.discretise.plan import Holds
 from phfmu.discretise.planner import Maps
 from phfmu.discretise.quadrature import Nodes, nodes
-from phfmu.discretise.scheme import Triplet, Unknown, node_constants, node_unknowns
+from phfmu.discretise.scheme import Triplet, node_constants, node_unknowns
 from phfmu.discretise.spec import Spec, substituted
-from phfmu.discretise.terms import DeclarationError, Term, Terms
+from phfmu.discretise.terms import CLOSED, MASS_BLOCK, DeclarationError, Kind, Term, Terms
+from phfmu.discretise.unknown import COSTATE, Unknown
+
+#: rows given by the user
+GIVEN = Kind("given")
 
 Constraint = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 
@@ -48,17 +55,17 @@ class DiracDissipative:
     gradient: str = "per-term"
     name: str = "dirac-dissipative"
 
-    @property
-    def _kernels(self) -> Collocated:
-        return Collocated(1, self.gradient, self.name)
+    two_level: bool = field(default=False, init=False, repr=False)
+    impulses: bool = field(default=False, init=False, repr=False)
+    loses_energy: bool = field(default=False, init=False, repr=False)
 
     @property
     def joint(self) -> bool:
-        return self._kernels.joint
+        return self.gradient == "joint-gonzalez"
 
     @property
     def order(self) -> int:
-        return self._kernels.order
+        return 1 if self.gradient == "itoh-abe" else 2
 
     @property
     def nodes(self) -> Nodes:
@@ -84,39 +91,49 @@ class DiracDissipative:
         out = node_unknowns(terms, 1) + closure.unknowns(terms)
         return out + minimal.multipliers(terms) if self._minimal else out
 
+    def reports(self, terms: Terms) -> Sequence[Hashable]:
+        del terms
+        return ()
+
     def constants(self, layout: Layout) -> list[Triplet]:
-        own = {i for t in layout.terms.terms if t.kind in ("massblock", "closed") for _, i in t.rows}
-        costates = [layout.w_of[("Z", i, 0)] for i in range(layout.terms.n1) if i not in own]
+        own = {i for t in layout.terms.of(MASS_BLOCK, CLOSED) for _, i in t.rows}
+        costates = [layout.at(COSTATE, i) for i in range(layout.terms.n1) if i not in own]
         out = node_constants(layout) + [(w, w, 1.0, 0) for w in costates]
         return out + minimal.constants(layout, out) if self._minimal else out
 
     def maps(self, layout: Layout) -> Maps:
         return closure.maps(layout)
 
+    def holds(self, layout: Layout) -> Holds:
+        del layout
+        return Holds()
+
     def specs(self, term: Term) -> list[Spec]:
         """Kernels of one term."""
-        if term.kind == "closure":
+        if term.kind is closure.CLOSURE:
             return closure.specs(term, str(self.closure))
-        if term.kind == "nearness":
+        if term.kind is minimal.NEARNESS:
             return minimal.nearness(term, self.at)
-        if term.kind == "given":
+        if term.kind is GIVEN:
             return [_given(term)]
-        found = self._pair(term) if term.kind == "closed" else self._kernels.specs(term)
+        found = self._pair(term) if term.kind is CLOSED else NodeKernels(self.nodes, self.gradient).specs(term)
         return found + minimal.adjoint(term, found, self.at) if self._minimal else found
 
     def _pair(self, term: Term) -> list[Spec]:
         """E d and E^T f with E at the midpoint, and the discrete gradient of the pair's H."""
         x, data, n = term.local["x"], term.data, len(term.rows)
         args = Arguments(term, 1)
-        d = args.matrix("D", n)
+        d = args.matrix(increment, n)
         kind = "quadratic" if degree(data["H"], x) in (0, 1, 2) else "general"
         w, dh = node_gradients(self.gradient, Summand(kind, data["H"], x), d, nodes(1))
-        slots = Spec(0, args.x, args.p, args.y, [(("W", j, 0), 0, w[j]) for j in range(n)], stored=dh)
+        slots = Spec(0, args.x, args.p, args.y, [(Address(gradient, j), 0, w[j]) for j in range(n)], stored=dh)
         args = Arguments(term, 1)
-        d, f = args.matrix("D", n), args.matrix("z", n)
+        d, f = args.matrix(increment, n), args.matrix(costate, n)
         e = ca.sparsify(gradients.at(data["E"], x, x + d / 2))
         lhs, back = ca.mtimes(e, d), ca.mtimes(e.T, f)
-        out = [(("row", j, 0), 0, lhs[j]) for j in range(n)] + [(("costate", j, 0), 0, back[j]) for j in range(n)]
+        out = [(Address(row, j), 0, lhs[j]) for j in range(n)] + [
+            (Address(costate_row, j), 0, back[j]) for j in range(n)
+        ]
         return [slots, Spec(1, args.x, args.p, args.y, out)]
 
 
@@ -138,20 +155,22 @@ def _require_regular(terms: Terms) -> None:
 def _constrained(terms: Terms, constraint: Constraint) -> Terms:
     """The terms with the user's rows on the open algebraic states and costates."""
     model = terms.model
-    open_rows = [("X", i) for i in range(terms.na)] + [("Z", i) for i in minimal.open_costates(terms)]
+    open_costates = minimal.open_costates(terms)
+    n = terms.na + len(open_costates)
     x = ca.vertcat(model.x, *(v.sx for v in model.algebraics))
     new, f = (ca.SX.sym(n, x.numel()) for n in ("new", "f"))
     rows = ca.SX(constraint(x, new, f))
-    if rows.shape != (len(open_rows), 1):
+    if rows.shape != (n, 1):
         raise DeclarationError(
-            f"{model.name}: the closure gives {rows.shape[0]} x {rows.shape[1]} rows, but {len(open_rows)} are open "
-            f"(algebraic variables and costates that E^T f = grad H does not contain); give {len(open_rows)}"
+            f"{model.name}: the closure gives {rows.shape[0]} x {rows.shape[1]} rows, but {n} are open "
+            f"(algebraic variables and costates that E^T f = grad H does not contain); give {n}"
         )
     local = {"x": model.x, "a": ca.vertcat(*(v.sx for v in model.algebraics)), "f": f, "new": new,
              "p": ca.vertcat(*(p.sx for p in model.parameters))}  # fmt: skip
     index = {"x": tuple(range(terms.n1)), "z": tuple(range(terms.n1)), "a": tuple(range(terms.na)),
              "p": tuple(range(terms.np))}  # fmt: skip
-    term = Term("given", ("given", id(constraint)), local, index, {"rows": rows}, tuple(open_rows))
+    costates = tuple(("x", i) for i in open_costates)
+    term = Term(GIVEN, (GIVEN, id(constraint)), local, index, {"rows": rows}, costates)
     return replace(terms, terms=[*terms.terms, term])
 
 
@@ -159,9 +178,10 @@ def _given(term: Term) -> Spec:
     """The user's rows with x' = (x + D, X) and f = (Z, f2)."""
     args, local = Arguments(term, 1), term.local
     n, m = local["x"].numel(), local["a"].numel()
-    d, new = args.matrix("D", n), args.matrix("X", m)
-    f = ca.vertcat(args.matrix("z", n), args.matrix("a", m))
+    d, new = args.matrix(increment, n), args.matrix(carried, m)
+    f = ca.vertcat(args.matrix(costate, n), args.matrix(algebraic, m))
     pairs = [(local["new"], ca.vertcat(local["x"] + d, new)), (local["f"], f)]
     (rows,) = substituted([term.data["rows"]], pairs)
-    out = [(("row", j, 0), 0, rows[j]) for j in range(rows.numel())]
-    return Spec(1, ca.vertcat(local["x"], local["a"]), args.p, args.y, out)
+    places = [Address(carried, j) for j in range(m)] + [Address(costate_row, j) for j in range(len(term.rows))]
+    out = [(place, 0, rows[j]) for j, place in enumerate(places)]
+    return Spec(1, ca.vertcat(local["x"], local["a"]), args.p, args.y, out, old=with_algebraics)

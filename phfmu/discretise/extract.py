@@ -15,6 +15,13 @@ from phfmu.declare.variable import Variable, _sx, time
 from phfmu.discretise.extract_energy import energies
 from phfmu.discretise.hidden import hidden_rows
 from phfmu.discretise.terms import (
+    CLOSED,
+    CONSTRAINT,
+    FLOW,
+    MASS,
+    MASS_BLOCK,
+    OBSERVABLE,
+    SOURCE,
     DeclarationError,
     Locator,
     Pair,
@@ -59,7 +66,7 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
         n = o.expr.numel()
         rows = [("o", row + j) for j in range(n)]
         out.observable_names += [o.name] if n == 1 else [f"{o.name}[{j + 1}]" for j in range(n)]
-        out.terms.append(make_term("observable", {"f": ca.vec(o.expr)}, locator, f"observable '{o.name}'", rows=rows))
+        out.terms.append(make_term(OBSERVABLE, {"f": ca.vec(o.expr)}, locator, f"observable '{o.name}'", rows=rows))
         row += n
     out.hidden = hidden_rows(out)
     return out
@@ -84,14 +91,14 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
         if matrix.sparsity().is_diag() and kinds <= {"p"}:
             for i, m, s in zip(where, scalars(matrix), ca.vertsplit(x), strict=True):
                 diagonal[i] = m
-                out.terms.append(make_term("mass", {"m": m}, locator, label, rows=[("x", i)], extra=[s]))
+                out.terms.append(make_term(MASS, {"m": m}, locator, label, rows=[("x", i)], extra=[s]))
         else:
             if kinds <= {"p"}:
                 _require_regular(label, model, matrix)
             solved += where
             exprs = {"E": matrix, "z": z}
             out.terms.append(
-                make_term("massblock", exprs, locator, label, rows=[("x", i) for i in where],
+                make_term(MASS_BLOCK, exprs, locator, label, rows=[("x", i) for i in where],
                           extra=[*ca.vertsplit(x), *ca.vertsplit(z)])
             )  # fmt: skip
     out.solved_costates = tuple(solved)
@@ -121,7 +128,7 @@ def _closed(model: PHDAE, out: Terms, locator: Locator) -> None:
         probe = Locator(model, out.pairs)
         for j in range(d.numel()):
             probe.where[d[j].element_hash()] = ("d", where[j])
-        term = make_term("closed", exprs, WithIncrement(probe), "closed-form pair",
+        term = make_term(CLOSED, exprs, WithIncrement(probe), "closed-form pair",
                          rows=[("x", i) for i in where], owner=member(out.members, pair.owner),
                          extra=[*ca.vertsplit(x), *ca.vertsplit(d)])  # fmt: skip
         out.terms.append(term)
@@ -187,7 +194,7 @@ def _dissipation(out: Terms, locator: Locator, b: Block, rows: list, z: ca.SX, o
         f = -ca.mtimes(b.matrix[part, part], zp)
         where, values = _flow(out, [rows[i] for i in part], f)
         exprs = {"f": values, "loss": -ca.dot(zp, f)}
-        out.terms.append(make_term("flow", exprs, locator, label, rows=where, owner=owner))
+        out.terms.append(make_term(FLOW, exprs, locator, label, rows=where, owner=owner))
 
 
 def _sharing(matrix: ca.SX, locator: Locator) -> list[list[int]]:
@@ -225,7 +232,7 @@ def _interconnection(
     for part in components(matrix):
         zp = ca.vertcat(*(z[i] for i in part))
         where, f = _flow(out, [rows[i] for i in part], ca.mtimes(matrix[part, part], zp))
-        out.terms.append(make_term("flow", {"f": f}, locator, label, rows=where, owner=owner))
+        out.terms.append(make_term(FLOW, {"f": f}, locator, label, rows=where, owner=owner))
 
 
 def _ports(out: Terms, locator: Locator) -> None:
@@ -242,7 +249,7 @@ def _ports(out: Terms, locator: Locator) -> None:
                                        "and parameters only")  # fmt: skip
             for j in range(port.n):
                 i = first[id(port)] + j
-                out.terms.append(make_term("source", {"s": s[j]}, locator, f"source of '{port.name}'", rows=[("u", i)]))
+                out.terms.append(make_term(SOURCE, {"s": s[j]}, locator, f"source of '{port.name}'", rows=[("u", i)]))
 
 
 def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
@@ -277,7 +284,7 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
                 varying_f[target] = varying_f.get(target, ca.SX(0)) + expr
     if varying_f:
         f = ca.vertcat(*varying_f.values())
-        out.terms.append(make_term("flow", {"f": f}, locator, f"port '{port.name}'", rows=list(varying_f)))
+        out.terms.append(make_term(FLOW, {"f": f}, locator, f"port '{port.name}'", rows=list(varying_f)))
 
 
 def _constraints(model: PHDAE, out: Terms, locator: Locator) -> None:
@@ -290,14 +297,14 @@ def _constraints(model: PHDAE, out: Terms, locator: Locator) -> None:
         for j, row in enumerate(locator.of(c.multiplier)):
             rows = [row, *(drive if ca.depends_on(c.g[j], time) else [])]
             out.terms.append(
-                make_term("constraint", {"g": c.g[j]}, locator, f"constraint '{name}'", rows=rows,
+                make_term(CONSTRAINT, {"g": c.g[j]}, locator, f"constraint '{name}'", rows=rows,
                           owner=member(out.members, c.owner))
             )  # fmt: skip
 
 
 def _velocities(out: Terms) -> None:
     """q -> v for rows q' = z_v (one constant unit entry): where the multiplier of g(q) acts."""
-    other = {i for t in out.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
+    other = out.with_descriptor()
     rows: dict[int, list[tuple[str, int, float]]] = {}
     for row_kind, row, kind, source, value in out.constants:
         if row_kind == "x":
@@ -307,9 +314,8 @@ def _velocities(out: Terms) -> None:
 
 
 def _require_velocities(out: Terms) -> None:
-    names = [n for v in out.model.states for n in v.names()]
-    for t in out.terms:
-        bad = [names[q] for q in t.index.get("x", ()) if t.kind == "constraint" and q not in out.velocity_of]
+    for t in out.of(CONSTRAINT):
+        bad = [out.state_names[q] for q in t.index.get("x", ()) if q not in out.velocity_of]
         if bad:
             raise DeclarationError(
                 f"{out.model.name}: a constraint depends on {', '.join(bad)}, whose row is not q' = z_v; constraints act on "

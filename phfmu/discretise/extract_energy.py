@@ -8,7 +8,7 @@ from phfmu.declare.energy import Energy
 from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.summands import summands
-from phfmu.discretise.terms import DeclarationError, Locator, Terms, WithIncrement, make_term, member
+from phfmu.discretise.terms import ENERGY, JOINT, DeclarationError, Locator, Terms, WithIncrement, make_term, member
 
 
 def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
@@ -36,15 +36,15 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
             probe = WithIncrement(locator)
             probe.where[c.element_hash()] = ("z", -1)
             exprs |= {"C": e.invariant, "phi": e.phi(c)}
-            term = make_term("energy", exprs, probe, "energy", rows=[("x", i) for _, i in states],
+            term = make_term(ENERGY, exprs, probe, "energy", rows=[("x", i) for _, i in states],
                              owner=member(out.members, e.owner), extra=[*(s for s, _ in states), c], tag=tag)  # fmt: skip
             out.terms.append(term)
             continue
         if e.kind == "general":
             chosen = {i for v in e.correct for _, i in locator.of(v)} or {i for _, i in states}
-            nominal = _nominals(model)
+            nominal = out.state_nominals
             tag = (e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
-        out.terms.append(make_term("energy", exprs, locator, "energy", rows=[("x", i) for _, i in states],
+        out.terms.append(make_term(ENERGY, exprs, locator, "energy", rows=[("x", i) for _, i in states],
                                    owner=member(out.members, e.owner), extra=[s for s, _ in states], tag=tag))  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], g
         return
     scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
     exprs = {"H": total, "scale": scale, "z": _costates(total, states, mass)}
-    out.terms.append(make_term("joint", exprs, locator, "energy",
+    out.terms.append(make_term(JOINT, exprs, locator, "energy",
                                rows=[("x", i) for _, i in states], owner=member(out.members, group[0].owner),
                                extra=[s for s, _ in states]))  # fmt: skip
 
@@ -103,7 +103,3 @@ def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
         elif kind != "p":
             raise DeclarationError(f"the energy depends on '{s}'; H may depend on states and parameters only")
     return found
-
-
-def _nominals(model: PHDAE) -> list[float]:
-    return [v.nominal[j] for v in model.states for j in range(v.n)]

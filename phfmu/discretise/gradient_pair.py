@@ -12,15 +12,18 @@ Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 223 (2026), (18), Theorems 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
 
-from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.layout import Layout
+from phfmu.discretise.plan import Holds
 from phfmu.discretise.planner import Maps
 from phfmu.discretise.quadrature import Nodes
-from phfmu.discretise.scheme import Triplet, Unknown
+from phfmu.discretise.scheme import Triplet
+from phfmu.discretise.semi_explicit import SemiExplicit
 from phfmu.discretise.spec import Spec
 from phfmu.discretise.terms import DeclarationError, Term, Terms
+from phfmu.discretise.unknown import Unknown
 
 
 @dataclass(frozen=True)
@@ -35,10 +38,14 @@ class GradientPair:
     closure: str = "midpoint"
     name: str = "gradient-pair"
 
+    two_level: bool = field(default=False, init=False, repr=False)
+    impulses: bool = field(default=False, init=False, repr=False)
+    loses_energy: bool = field(default=False, init=False, repr=False)
+
     @property
-    def _form(self) -> Collocated:
+    def _form(self) -> SemiExplicit:
         """The semi-explicit form with the same solution (Corollary 1)."""
-        return Collocated(1, self.gradient, self.name, closure=self.closure)
+        return SemiExplicit(self.closure, self.gradient, self.name)
 
     @property
     def joint(self) -> bool:
@@ -55,15 +62,18 @@ class GradientPair:
     def prepare(self, terms: Terms) -> Terms:
         """The terms; DeclarationError for a closure that leaves x2' open."""
         if terms.na and self.closure == "start":
-            names = [n for v in terms.model.algebraics for n in v.names()]
+            names = ", ".join(terms.algebraic_names[:4])
             raise DeclarationError(
-                f"{terms.model.name}: with zbar2 = x2 at the start of the step the new {', '.join(names[:4])} would occur "
+                f"{terms.model.name}: with zbar2 = x2 at the start of the step the new {names} would occur "
                 "in no equation of a gradient pair; use --closure midpoint or end"
             )
         return self._form.prepare(terms)
 
     def unknowns(self, terms: Terms) -> list[Unknown]:
         return self._form.unknowns(terms)
+
+    def reports(self, terms: Terms) -> Sequence[Hashable]:
+        return self._form.reports(terms)
 
     def specs(self, term: Term) -> list[Spec]:
         return self._form.specs(term)
@@ -73,3 +83,6 @@ class GradientPair:
 
     def maps(self, layout: Layout) -> Maps:
         return self._form.maps(layout)
+
+    def holds(self, layout: Layout) -> Holds:
+        return self._form.holds(layout)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from phfmu.discretise.terms import Hidden, Term, Terms
+from phfmu.discretise.terms import FLOW, Hidden, Term, Terms
 
 
 def contained(term: Term, j: int, bound: dict[int, int]) -> dict[tuple[str, int], int]:
@@ -38,8 +38,8 @@ def hidden_rows(terms: Terms) -> Hidden:
         if kind == "a" and (source == "a" or source == "u" and i in bound):
             columns[row].add(i if source == "a" else bound[i])
     patterns: dict[tuple, list[list[tuple[str, int]]]] = {}
-    for t in terms.terms:
-        if t.kind == "flow" and any(kind == "a" for kind, _ in t.rows):
+    for t in terms.of(FLOW):
+        if any(kind == "a" for kind, _ in t.rows):
             for row, places in zip(t.rows, _pattern(t, bound, patterns), strict=True):
                 if row[0] == "a":
                     columns[row[1]] |= {_variable(t, place, bound) for place in places}

@@ -17,22 +17,60 @@ a sum over members.  docs/proofs/bare-nodes.md has the proofs.  Needs (dL/dx) L 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
+from phfmu.discretise.address import Address, Place, increment
 from phfmu.discretise.arguments import Arguments
-from phfmu.discretise.bare import Finder
+from phfmu.discretise.bare import IMPULSE, Finder
 from phfmu.discretise.layout import Layout
+from phfmu.discretise.planner import Maps
 from phfmu.discretise.quadrature import Nodes, gauss
-from phfmu.discretise.spec import Address, Spec
+from phfmu.discretise.spec import Result, Spec
 from phfmu.discretise.terms import Impulses, Term, Terms
+from phfmu.discretise.unknown import Role, Unknown, of_algebraics, of_states
 
 #: Points of the rule for the square root: error (e/4)^(2 POINTS) for a relative change e of S over a step.
 POINTS = 3
 #: Gauss points of the work of a projecting impulse.
 WORK_POINTS = 5
+
+#: the impulse m at the start;  the roots r_l, whose sum is the impulse at the end, or that impulse;  the shifts L m, L m'
+START, ROOT = Role("start impulse", vanishes=True), Role("end impulse", vanishes=True)
+START_SHIFT, END_SHIFT = Role("start shift", vanishes=True), Role("end shift", vanishes=True)
+
+
+@dataclass(frozen=True)
+class Work:
+    """Reported: the work of the impulses of a bare row on a member."""
+
+    row: int
+    owner: int
+
+
+def _place(role: Role) -> Place:
+    """The unknown of the term's j-th row."""
+
+    def place(layout: Layout, term: Term, j: int, node: int) -> int:
+        return layout.at(role, term.rows[j][1], node)
+
+    return place
+
+
+start, root, start_shift, end_shift = map(_place, (START, ROOT, START_SHIFT, END_SHIFT))
+
+
+def own_start_shift(layout: Layout, term: Term, j: int, node: int) -> int:
+    """The shift at the start of the j-th state that a term reads."""
+    return layout.at(START_SHIFT, term.index["x"][j], node)
+
+
+def work_on(layout: Layout, term: Term, j: int, node: int) -> int:
+    """The work of the term's j-th row on its member."""
+    del node
+    return layout.report(Work(term.rows[j][1], term.owner))
 
 
 def prepare(terms: Terms) -> Terms:
@@ -71,14 +109,14 @@ def shifted(spec: Spec, term: Term) -> Spec:
     def moved(e: ca.SX | None) -> ca.SX | None:
         return None if e is None else ca.substitute(e, spec.x, x)
 
-    y = spec.y + [(("s0", j, 0), s) for j, s in zip(where, symbols, strict=True)]
+    y = spec.y + [(Address(own_start_shift, j), s) for j, s in zip(where, symbols, strict=True)]
     out = [(a, power, ca.substitute(e, spec.x, x)) for a, power, e in spec.out]
     return replace(spec, y=y, out=out, stored=moved(spec.stored), lost=moved(spec.lost))
 
 
 def specs(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the impulses and shifts, and their work."""
-    return _pair(_Member(term, nd)) if term.key[1] == "pair" else _projection(_Member(term, nd))
+    return _pair(_Member(term, nd)) if term.tag == "pair" else _projection(_Member(term, nd))
 
 
 class _Member:
@@ -90,10 +128,10 @@ class _Member:
         self.psi = range(sum(kind == "x" for kind, _ in term.rows))
         self.nodes = range(len(self.psi), len(term.rows))
         self.rest = ca.SX(n - len(self.psi), 1)
-        self.increment = ca.mtimes(self.args.matrix("D", n), ca.DM(nd.b))
+        self.increment = ca.mtimes(self.args.matrix(increment, n), ca.DM(nd.b))
 
-    def column(self, kind: str, places: range, i: int = 0) -> ca.SX:
-        return ca.vertcat(*(self.args.symbol(kind, j, i) for j in places))
+    def column(self, place: Place, places: range, i: int = 0) -> ca.SX:
+        return ca.vertcat(*(self.args.symbol(place, j, i) for j in places))
 
     def shifted(self, x: ca.SX, shift: ca.SX) -> ca.SX:
         return x + ca.vertcat(shift, self.rest)
@@ -102,82 +140,93 @@ class _Member:
         """L, S or c at a state."""
         return ca.substitute(self.data[name], self.x, x)
 
-    def rows(self, kind: str, places: range, value: ca.SX, i: int = 0) -> list[tuple[Address, int, ca.SX]]:
-        return [((kind, j, i), 0, value[n]) for n, j in enumerate(places)]
+    def rows(self, place: Place, places: range, value: ca.SX, i: int = 0) -> list[Result]:
+        return [(Address(place, j, i), 0, value[n]) for n, j in enumerate(places)]
 
-    def specs(self, out: list[tuple[Address, int, ca.SX]], work: ca.SX) -> list[Spec]:
+    def specs(self, out: list[Result], work: ca.SX) -> list[Spec]:
         """The rows `out`, and the report of the work (one value per node) that impulses do on the member."""
         args = self.args
         return [
             Spec(1, args.x, args.p, args.y, out),
-            Spec(1, args.x, args.p, args.y, self.rows("work", self.nodes, work), stored=ca.sum1(work), report=True),
+            Spec(1, args.x, args.p, args.y, self.rows(work_on, self.nodes, work), stored=ca.sum1(work), report=True),
         ]
 
 
 def _pair(own: _Member) -> list[Spec]:
-    s0, s1 = own.column("s0", own.psi), own.column("s1", own.psi)
-    m = own.column("i0", own.nodes)
-    roots = [own.column("i1", own.nodes, i) for i in range(POINTS)]
+    s0, s1 = own.column(start_shift, own.psi), own.column(end_shift, own.psi)
+    m = own.column(start, own.nodes)
+    roots = [own.column(root, own.nodes, i) for i in range(POINTS)]
     end = sum(roots[1:], roots[0]) * ((-1.0) ** own.k / POINTS)
     x_start = own.shifted(own.x, s0)
     x_end = x_start + own.increment
     x_new = own.shifted(x_end, s1)
     S0, S1 = own.at("S", own.x), own.at("S", x_end)
-    out = own.rows("s0", own.psi, s0 - ca.mtimes(own.at("L", own.x), m))
-    out += own.rows("s1", own.psi, s1 - ca.mtimes(own.at("L", x_end), end))
-    for i, root in enumerate(roots):
+    out = own.rows(start_shift, own.psi, s0 - ca.mtimes(own.at("L", own.x), m))
+    out += own.rows(end_shift, own.psi, s1 - ca.mtimes(own.at("L", x_end), end))
+    for i, r in enumerate(roots):
         angle = (2 * i + 1) * np.pi / (4 * POINTS)
-        mixed = np.cos(angle) ** 2 * ca.mtimes(S1, root) + np.sin(angle) ** 2 * ca.mtimes(S0, root)
-        out += own.rows("i1", own.nodes, mixed - ca.mtimes(S0, m), i)
+        mixed = np.cos(angle) ** 2 * ca.mtimes(S1, r) + np.sin(angle) ** 2 * ca.mtimes(S0, r)
+        out += own.rows(root, own.nodes, mixed - ca.mtimes(S0, m), i)
     c = [own.at("c", v) for v in (own.x, x_start, x_end, x_new)]
-    out += own.rows("i0", own.nodes, c[3])
+    out += own.rows(start, own.nodes, c[3])
     work = -(m * (c[0] + c[1]) + end * (c[2] + c[3])) / 2  # y = -c; exact, as H is quadratic along L
     return own.specs(out, work)
 
 
 def _projection(own: _Member) -> list[Spec]:
     """One impulse at the end: x1 = x1* + L m, c(x1) = 0; its work is the path integral of -c along L m, a loss."""
-    s, m = own.column("s1", own.psi), own.column("i1", own.nodes)
+    s, m = own.column(end_shift, own.psi), own.column(root, own.nodes)
     x_end = own.x + own.increment
 
     def c(part: float) -> ca.SX:
         return own.at("c", own.shifted(x_end, part * s))
 
-    out = own.rows("s1", own.psi, s - ca.mtimes(own.at("L", x_end), m)) + own.rows("i1", own.nodes, c(1.0))
+    out = own.rows(end_shift, own.psi, s - ca.mtimes(own.at("L", x_end), m)) + own.rows(root, own.nodes, c(1.0))
     parts = [float(w) * c(float(t)) for t, w in zip(*gauss(WORK_POINTS), strict=True)]
     return own.specs(out, -m * sum(parts[1:], parts[0]))
 
 
-def unknowns(terms: Terms) -> list[tuple[str, int, int]]:
+def unknowns(terms: Terms) -> list[Unknown]:
     """Impulses and roots per bare row, shifts per shifted state."""
     found = terms.impulses
     if found is None:
         return []
-    out = [("i0", r, 0) for r in found.pairs]
-    out += [("i1", r, i) for r in found.pairs for i in range(POINTS)] + [("i1", r, 0) for r in found.projected]
-    return out + [("s0", i, 0) for i in found.start_states] + [("s1", i, 0) for i in found.end_states]
+    size = max(terms.state_nominals[i] for i in found.end_states)  # it has the unit of the states it shifts
+    out = of_algebraics(terms, START, "end current at", found.pairs, nominal=size)
+    for r in found.pairs:
+        for i in range(POINTS):
+            out += of_algebraics(terms, ROOT, "impulse at", [r], i, nominal=size)
+    out += of_algebraics(terms, ROOT, "impulse at", found.projected, nominal=size)
+    out += of_states(terms, START_SHIFT, "start impulse on", found.start_states)
+    return out + of_states(terms, END_SHIFT, "end impulse on", found.end_states)
 
 
-def update(layout: Layout) -> list[tuple[int, int, float]]:
-    """x' gets the shifts."""
-    return [(i, w, 1.0) for (kind, i, _), w in layout.w_of.items() if kind in ("s0", "s1")]
+def reports(terms: Terms) -> list[Work]:
+    """The work of every impulse on every member."""
+    return [Work(i, t.owner) for t in terms.of(IMPULSE) for kind, i in t.rows if kind == "a"]
 
 
-def mean(layout: Layout) -> list[tuple[int, int, float, int]]:
-    """Node voltages: interval means include the impulses, (m + m')/h."""
+def maps(layout: Layout, base: Maps) -> Maps:
+    """`base` with the shifts of x', with node voltages whose interval means include the impulses, (m + m')/h, and with work."""
     found = layout.terms.impulses
     if found is None:
-        return []
+        return base
     end = (-1.0) ** layout.k / POINTS
-    factor = {("i0", r): 1.0 for r in found.pairs} | {("i1", r): end for r in found.pairs}
-    factor |= {("i1", r): 1.0 for r in found.projected}
-    return [(i, w, factor[(kind, i)], -1) for (kind, i, _), w in layout.w_of.items() if (kind, i) in factor]
+    factor = {(START, r): 1.0 for r in found.pairs} | {(ROOT, r): end for r in found.pairs}
+    factor |= {(ROOT, r): 1.0 for r in found.projected}
+    at = list(enumerate(layout.unknowns))
+    return replace(
+        base,
+        update=base.update + [(u.index, w, 1.0) for w, u in at if u.role in (START_SHIFT, END_SHIFT)],
+        mean=base.mean + [(u.index, w, factor[u.role, u.index], -1) for w, u in at if (u.role, u.index) in factor],
+        work=_work(layout),
+        jumps=[(u.index, w) for w, u in at if u.role is START_SHIFT],
+    )
 
 
-def work(layout: Layout) -> list[tuple[int, int]]:
+def _work(layout: Layout) -> list[tuple[int, int]]:
     """(pair, row of R) of the energy that impulses carry through a port of a composed network."""
     terms = layout.terms
-    if terms.impulses is None:
-        return []
     pairs = {(terms.bound[i], p.owner): i for i, p in reversed(list(enumerate(terms.pairs))) if i in terms.bound}
-    return [(pairs[key], row) for key, row in layout.work.items() if key in pairs]
+    found = ((pairs.get((work.row, work.owner)), work) for work in reports(terms))
+    return [(pair, layout.report(work)) for pair, work in found if pair is not None]

@@ -12,11 +12,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.arguments import EMPTY
+from phfmu.discretise.address import Address, costate_row, increment, own_costate, row
+from phfmu.discretise.arguments import EMPTY, Arguments
+from phfmu.discretise.quadrature import Nodes
 from phfmu.discretise.rank import constraint_jacobian, null_vectors
-from phfmu.discretise.terms import DeclarationError, Term, Terms
+from phfmu.discretise.spec import Spec
+from phfmu.discretise.terms import CONSTRAINT, ENERGY, JOINT, MASS, DeclarationError, Term, Terms
 
 LIGHT = 1e-6
+_LIGHT = "light"
 
 
 def prepare(terms: Terms) -> Terms:
@@ -24,18 +28,18 @@ def prepare(terms: Terms) -> Terms:
 
     DeclarationError where the form M v' = .., z_v = v is absent, or M is singular on ker Dg.
     """
-    constraints = [t for t in terms.terms if t.kind == "constraint"]
+    constraints = terms.of(CONSTRAINT)
     shifted = sorted({terms.velocity_of[q] for t in constraints for q in t.index["x"]})
-    mass = {t.rows[0][1]: t for t in terms.terms if t.kind == "mass"}
+    mass = {t.rows[0][1]: t for t in terms.of(MASS)}
     require_velocities(terms, shifted)
     light = light_velocities(terms, shifted, mass)
     new = []
     for t in terms.terms:
-        if t.kind == "constraint":
+        if t.kind is CONSTRAINT:
             velocities = [terms.velocity_of[q] for q in t.index["x"]]
             t = _with_masses(t, [mass.get(v) for v in velocities], np.array([v in light for v in velocities]))
-        elif t.kind == "mass" and t.rows[0][1] in light:
-            t = replace(t, key=("light", t.key), data=t.data | {"light": True})
+        elif t.kind is MASS and t.rows[0][1] in light:
+            t = replace(t, key=("light", t.key), tag=_LIGHT)
         new.append(t)
     return replace(terms, terms=new, light=tuple(sorted(light)))
 
@@ -60,6 +64,25 @@ def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]
         index=term.index | {"p": tuple(index)},
         data=term.data | {"mass": data, "light": light},
     )
+
+
+def is_light(term: Term) -> bool:
+    """Whether a mass is that of a light velocity."""
+    return term.tag == _LIGHT
+
+
+def specs(term: Term, nd: Nodes) -> list[Spec]:
+    """Rows of a light velocity: m D_i as ever; for its costates equal increments, and its shift in the mean,
+
+    sum_i b_i m (z_i - v_i) = sum_i b_i S_i^T mu.
+    """
+    args = Arguments(term, nd.k)
+    d, v, z, m = args.matrix(increment, 1), term.local["x"], args.matrix(own_costate, 1), term.data["m"]
+    shift = sum((nd.b[i] * (z[i] - v - ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)), ca.SX(0))
+    out = [(Address(row, 0, i), 0, m * d[i]) for i in range(nd.k)]
+    out += [(Address(costate_row, 0, i), 0, d[i + 1] - d[i]) for i in range(nd.k - 1)]
+    out.append((Address(costate_row, 0, nd.k - 1), 0, m * shift))
+    return [Spec(1, v, args.p, args.y, out)]
 
 
 def light_velocities(terms: Terms, shifted: list[int], mass: dict[int, Term]) -> set[int]:
@@ -93,16 +116,15 @@ def require_velocities(terms: Terms, shifted: list[int]) -> None:
     p, good = _parameters(terms), dict.fromkeys(shifted, 0)
     rng = np.random.default_rng(1)
     known: dict[tuple, NDArray[np.bool_]] = {}
-    for t in terms.terms:
-        if t.kind in ("energy", "joint"):
-            for j, (_, i) in enumerate(t.rows):
-                if i in good:
-                    if t.kind == "joint":  # all energies in one: judged by the scheme's own gradient
-                        good[i] += 1
-                        continue
-                    if t.key not in known:
-                        known[t.key] = _is_velocity(t, p, rng)
-                    good[i] += 1 if known[t.key][j] else 2
+    for t in terms.of(ENERGY, JOINT):
+        for j, (_, i) in enumerate(t.rows):
+            if i in good:
+                if t.kind is JOINT:  # all energies in one: judged by the scheme's own gradient
+                    good[i] += 1
+                    continue
+                if t.key not in known:
+                    known[t.key] = _is_velocity(t, p, rng)
+                good[i] += 1 if known[t.key][j] else 2
     names = [n for v in terms.model.states for n in v.names()]
     for v, count in good.items():
         if count != 1 or v in terms.solved_costates:

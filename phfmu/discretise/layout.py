@@ -1,51 +1,41 @@
-"""Addresses of a scheme's unknowns, rows and assembled values in the plan's spaces."""
+"""The spaces of a plan: where unknowns, rows, inputs and assembled values live."""
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from phfmu.discretise.spec import Address
-from phfmu.discretise.terms import Term, Terms
-
-#: unknowns that are numbered by states; all others by algebraic variables
-STATE_KINDS = ("D", "Z", "s0", "s1", "mu.D", "mu.Z")
-#: terms whose kernels read the old algebraic variables after the old states
-CARRYING = ("closure", "given", "nearness")
+from phfmu.discretise.terms import Terms
+from phfmu.discretise.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
 
 
 @dataclass
 class Layout:
-    """Where (kind, index, node) lives.
+    """Y = [unknowns | inputs at k nodes | h | Z],  Z = [costates at k nodes, rates | sources at k nodes, rates],
+    R = [a row per unknown | outputs of the pairs at k nodes | reports].
 
-    `unknowns`: list of (kind, global index, node), giving w; the row of an unknown has the same number:
-    D <-> balance of that state, a <-> row of that algebraic variable, Z <-> E^T z = W, m <-> velocity constraint,
-    b (rate of an algebraic variable) <-> the undifferentiated row that gives it, i0 and i1 (impulse, roots) <-> end
-    current and square root at a bare node, s0 and s1 <-> shifts of a state by the impulses, X (carried algebraic
-    variable) <-> its closure, mu.* (multiplier of an equation) <-> stationarity of that equation's own unknown.
+    `reports`: a key per reported row;  `rates`: costates and sources have rates too (instant plans, k = 1).
     """
 
     terms: Terms
     k: int
-    unknowns: list[tuple[str, int, int]]
-    costate_rate: bool = False
-    #: instant plans: (algebraic row, 0 velocity | 1 position) -> observable row of a hidden constraint
-    checks: dict[tuple[int, int], int] = field(default_factory=dict)
-    #: instant plans: differentiated algebraic row -> the algebraic variable its undifferentiated form gives
-    solved_by: dict[int, int] = field(default_factory=dict)
-    w_of: dict[tuple[str, int, int], int] = field(init=False)
-    #: (row, component) -> row of R with the work of an impulse
-    work: dict[tuple[int, int], int] = field(init=False)
+    unknowns: Sequence[Unknown]
+    reports: Sequence[Hashable] = ()
+    rates: bool = False
+    sources: list[int] = field(init=False)
+    _place: dict[tuple[Role, int, int], int] = field(init=False, repr=False)
+    _report: dict[Hashable, int] = field(init=False, repr=False)
+    _source: dict[int, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self.w_of = {u: i for i, u in enumerate(self.unknowns)}
+        self._place = {(u.role, u.index, u.node): i for i, u in enumerate(self.unknowns)}
+        self._report = {key: i for i, key in enumerate(self.reports)}
         self.sources = [i for i, p in enumerate(self.terms.pairs) if p.port.source is not None]
-        self.source_slot = {p: j for j, p in enumerate(self.sources)}
-        self.bound = self.terms.bound
-        first = self.nw + len(self.terms.pairs) * self.k
-        impulses = [(i, t.owner) for t in self.terms.terms if t.kind == "impulse" for kind, i in t.rows if kind == "a"]
-        self.work = {key: first + n for n, key in enumerate(impulses)}
+        self._source = {p: j for j, p in enumerate(self.sources)}
+
+    # -- sizes ------------------------------------------------------------------------------------------------------
 
     @property
     def nw(self) -> int:
@@ -57,175 +47,83 @@ class Layout:
 
     @property
     def nz(self) -> int:
-        n1 = self.terms.n1 * (2 if self.costate_rate else 1)
-        return (n1 + len(self.sources) * (2 if self.costate_rate else 1)) * self.k
+        return (self.terms.n1 + len(self.sources)) * self.k * (2 if self.rates else 1)
+
+    # -- unknowns and rows --------------------------------------------------------------------------------------------
+
+    def at(self, role: Role, i: int, node: int = 0) -> int:
+        """The unknown, and its row."""
+        return self._place[role, i, node]
+
+    def find(self, role: Role, i: int, node: int = 0) -> int | None:
+        """The unknown, None where the scheme has none."""
+        return self._place.get((role, i, node))
+
+    def roles(self) -> set[Role]:
+        return {u.role for u in self.unknowns}
+
+    def row(self, kind: str, i: int, node: int = 0) -> int:
+        """Row of a state (x), of an algebraic variable (a), of the output of a pair (y) or of an observable (o)."""
+        if kind == "x":
+            return self.at(INCREMENT, i, node)
+        if kind == "a":
+            return self.at(ALGEBRAIC, i, node)
+        if kind == "y":
+            return self.nw + node * len(self.terms.pairs) + i
+        return self.report(i)
+
+    def report(self, key: Hashable) -> int:
+        """Row of what is reported under `key`."""
+        return self.nw + len(self.terms.pairs) * self.k + self._report[key]
+
+    # -- assembled values ---------------------------------------------------------------------------------------------
 
     def slot(self, i: int, node: int) -> int:
         """Z index of the costate (or gradient) of state i at a node."""
         return node * self.terms.n1 + i
 
     def rate_slot(self, i: int) -> int:
-        """Z index of dz/dt of state i (instant plans)."""
+        """Z index of dz/dt of state i."""
         return self.terms.n1 * self.k + i
 
-    def source_index(self, pair: int, node: int) -> int:
-        base = self.terms.n1 * self.k * (2 if self.costate_rate else 1)
-        return base + node * len(self.sources) + self.source_slot[pair]
+    def source_slot(self, pair: int, node: int) -> int:
+        """Z index of the source of a pair."""
+        return self.terms.n1 * self.k * (2 if self.rates else 1) + node * len(self.sources) + self._source[pair]
 
-    def value(self, kind: str, i: int, node: int) -> int:
-        """Y index of a value by global index."""
+    def source_rate_slot(self, pair: int) -> int:
+        """Z index of its time derivative."""
+        return self.source_slot(pair, 0) + len(self.sources)
+
+    # -- values that kernels and constants read -------------------------------------------------------------------------
+
+    def value(self, kind: str, i: int, node: int = 0) -> int:
+        """Y index of a costate (z), an algebraic variable (a) or a port input (u)."""
         if kind == "z":
-            w = self.w_of.get(("Z", i, node))
-            return self.nv + self.slot(i, node) if w is None else w
-        if kind == "Q":
-            return self.nv + self.rate_slot(i)
-        if kind == "u":
-            return self.input_index(i, node)
-        if kind == "h":
-            return self.nv - 1
-        return self.w_of[(kind, i, node)]
+            return self.costate(i, node)
+        return self.at(ALGEBRAIC, i, node) if kind == "a" else self.input_index(i, node)
+
+    def costate(self, i: int, node: int) -> int:
+        """Y index of a costate: an unknown, or assembled."""
+        w = self._place.get((COSTATE, i, node))
+        return self.nv + self.slot(i, node) if w is None else w
+
+    def costate_rate(self, i: int) -> int:
+        """Y index of dz/dt of state i."""
+        return self.nv + self.rate_slot(i)
 
     def input_index(self, pair: int, node: int) -> int:
-        """Y index of the input value of a pair: external input, source value or bound algebraic variable."""
+        """Y index of the input of a pair: external, the value of a source, or the algebraic variable that feeds it."""
         if pair < self.terms.nu:
             return self.nw + node * self.terms.nu + pair
-        if pair in self.source_slot:
-            return self.nv + self.source_index(pair, node)
-        return self.w_of[("a", self.bound[pair], node)]
+        if pair in self._source:
+            return self.nv + self.source_slot(pair, node)
+        return self.at(ALGEBRAIC, self.terms.bound[pair], node)
 
-    def argument(self, term: Term, address: Address) -> int:
-        """Y index of a kernel argument."""
-        kind, j, node = address
-        if kind in ("D", "r", "q"):
-            source = term.index["x"][j]
-            return self.value({"D": "D", "r": "D", "q": "Q"}[kind], source, node)
-        if kind == "v":  # velocity costate that belongs to position j of a constraint
-            return self.value("z", self._velocity(term, j), node)
-        if kind == "V":  # increment (or rate) of that velocity
-            return self.value("D", self._velocity(term, j), node)
-        if kind == "Q":
-            return self.value("Q", self._velocity(term, j), node)
-        if kind == "Z":  # costate of the term's own state
-            return self.value("z", term.index["x"][j], node)
-        if kind == "l":
-            return self.value("a", term.rows[0][1], node)
-        if kind == "m":
-            return self.value("m", term.rows[0][1], 0)
-        if kind == "h":
-            return self.value("h", 0, 0)
-        if kind == "s0" and term.kind != "impulse":
-            return self.value("s0", term.index["x"][j], 0)
-        if kind in ("s0", "s1", "i0", "i1"):
-            return self.value(kind, term.rows[j][1], node)
-        if kind == "da":
-            return self.value("b", term.index["a"][j], node)
-        if kind == "du":
-            return self.value("b", self.bound[term.index["u"][j]], node)
-        if kind == "dz":
-            return self.value("Q", term.index["z"][j], node)
-        if kind == "X":
-            return self.value("X", term.index["a"][j], node)
-        if kind.startswith("mu."):
-            return self.multiplier(self.result(term, (kind[3:], j, node)))
-        return self.value(kind, term.index[kind][j], node)
-
-    def _velocity(self, term: Term, j: int) -> int:
-        return self.terms.velocity_of[term.index["x"][j]]
-
-    def old(self, term: Term, spec_nx: int) -> list[int]:
-        """x indices of a kernel's old values: its states, for constraints of schemes that ask also velocities, time."""
-        base = list(term.index.get("x", ()))
-        if term.kind == "constraint" and spec_nx - ("t" in term.index) == 2 * len(base):
-            base += [self._velocity(term, j) for j in range(len(base))]
-        if "t" in term.index:
-            base.append(self.terms.n1)
-        if term.kind in CARRYING:
-            base += [self.terms.n1 + 1 + i for i in term.index["a"]]
-        return base[:spec_nx] if spec_nx else []
-
-    def result(self, term: Term, address: Address) -> int:
-        """Z index (stage 0) or row index (stage 1) of a kernel result."""
-        kind, j, node = address
-        if kind == "W":
-            return self.slot(term.rows[j][1], node)
-        if kind == "Q":
-            return self.rate_slot(term.rows[j][1])
-        if kind == "S":
-            return self.source_index(term.rows[0][1], node)
-        if kind == "shift":
-            return self.slot(self._velocity(term, j), node)
-        if kind == "velocity":
-            return self.w_of[("D", self._velocity(term, j), node)]
-        if kind == "light":
-            return self.w_of[("Z", self._velocity(term, j), node)]
-        if kind == "m":
-            return self.w_of[("m", term.rows[0][1], 0)]
-        if kind == "original":
-            return self.w_of[("b", self.solved_by[term.rows[j][1]], 0)]
-        if kind == "SR":
-            return self.source_index(term.rows[0][1], 0) + len(self.sources)
-        if kind == "check":
-            return self.row("o", self.checks[(term.rows[j][1], node)], 0)
-        if kind in ("s0", "s1", "i0", "i1"):
-            return self.w_of[(kind, term.rows[j][1], node)]
-        if kind == "work":
-            return self.work[(term.rows[j][1], term.owner)]
-        if kind.startswith("stat."):
-            return self.stationary(self.argument(term, (kind[5:], j, node)))
-        if kind == "costate":
-            return self.w_of[("Z", term.rows[j][1], node)]
-        row_kind, i = term.rows[j]
-        return self.row(row_kind, i, node)
-
-    def row(self, kind: str, i: int, node: int) -> int:
-        """Row index of a state balance, an algebraic row, a pair output or an observable."""
-        nq = len(self.terms.pairs)
-        if kind == "y":
-            return self.nw + node * nq + i
-        if kind == "o":
-            return self.nw + nq * self.k + i
-        return self.w_of[({"x": "D"}.get(kind, kind), i, node)]
-
-    def multiplier(self, row: int) -> int:
-        """Unknown that multiplies an equation, where the scheme minimises."""
-        kind, i, node = self.unknowns[row]
-        return self.w_of[(f"mu.{kind}", i, node)]
-
-    def stationary(self, w: int) -> int:
-        """Row that says the minimum does not change with unknown `w`: that of its multiplier, else its own."""
-        kind, i, node = self.unknowns[w]
-        return self.w_of.get((f"mu.{kind}", i, node), w)
+    # -- for messages -------------------------------------------------------------------------------------------------
 
     def names(self) -> list[str]:
-        """A name per unknown/row for messages."""
-        states = [n for v in self.terms.model.states for n in v.names()]
-        algebraics = [n for v in self.terms.model.algebraics for n in v.names()]
-        text = {
-            "D": lambda i: f"balance of {states[i]}",
-            "a": lambda i: f"equation of {algebraics[i]}",
-            "Z": lambda i: f"costate of {states[i]}",
-            "m": lambda i: f"velocity constraint of {algebraics[i]}",
-            "b": lambda i: f"rate of {algebraics[i]}",
-            "i0": lambda i: f"end current at {algebraics[i]}",
-            "i1": lambda i: f"impulse at {algebraics[i]}",
-            "s0": lambda i: f"start impulse on {states[i]}",
-            "s1": lambda i: f"end impulse on {states[i]}",
-            "X": lambda i: f"closure of {algebraics[i]}",
-        }
-        text |= {f"mu.{kind}": lambda i, own=text[kind]: f"least distance, {own(i)}" for kind in "DZa"}  # fmt: skip
-        suffix = (lambda node: f" (node {node + 1})") if self.k > 1 else (lambda node: "")
-        return [text[kind](i) + suffix(node) for kind, i, node in self.unknowns]
-
-    def unknown_names(self) -> list[str]:
-        """The variable each unknown stands for, for messages."""
-        states = [n for v in self.terms.model.states for n in v.names()]
-        algebraics = [n for v in self.terms.model.algebraics for n in v.names()]
-        return [(states if kind in STATE_KINDS else algebraics)[i] for kind, i, _ in self.unknowns]
+        """A name per row."""
+        return [u.label + (f" (node {u.node + 1})" if self.k > 1 else "") for u in self.unknowns]
 
     def nominals(self) -> np.ndarray:
-        x = [v.nominal[j] for v in self.terms.model.states for j in range(v.n)]
-        a = [v.nominal[j] for v in self.terms.model.algebraics for j in range(v.n)]
-        found = self.terms.impulses
-        impulse = max(x[i] for i in found.end_states) if found else 1.0  # it has the unit of the states it shifts
-        size = dict.fromkeys(STATE_KINDS, x) | {"i0": [impulse] * len(a), "i1": [impulse] * len(a)}
-        return np.array([size.get(kind, a)[i] for kind, i, _ in self.unknowns], float).reshape(-1)
+        return np.array([u.nominal for u in self.unknowns], float).reshape(-1)

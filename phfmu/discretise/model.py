@@ -19,7 +19,7 @@ from phfmu.discretise.plan import Kernel, Plan
 from phfmu.discretise.rest import at_start, hold_names
 from phfmu.discretise.scales import check_scales
 from phfmu.discretise.scheme import Scheme
-from phfmu.discretise.terms import Terms
+from phfmu.discretise.two_level import TwoLevel
 
 Array = NDArray[np.float64]
 
@@ -61,8 +61,8 @@ class Model:
 
     @property
     def loses_energy(self) -> bool:
-        """The scheme has a numerical loss, which its ledger books."""
-        return any(g.kernel.ledger is not None and g.kernel.ledger.n_out() == 3 for g in self.step.groups)
+        """The scheme has a numerical loss, which its ledger books; a model without energies has none."""
+        return any(g.kernel.loses_energy for g in self.step.groups)
 
     @property
     def nodes(self) -> Array:
@@ -82,25 +82,17 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
     terms = extract(declaration, joint=scheme.joint)
     terms = at_start(terms)
     step, layout = step_plan(terms, scheme)
-    instant, checks = instant_plan(terms, rests=len(step.hold) > 0)
+    instant, checks, instant_layout = instant_plan(terms, rests=len(step.hold) > 0)
     p0, x0 = _stack(declaration.parameters), _stack(declaration.states)
     u0 = [s for p in declaration.ports if p.external for s in _starts(p)]
     return Model(
         declaration.name, declaration, scheme, step, instant, x0, _stack(declaration.algebraics), np.array(u0, float), p0,
         checks=tuple(checks), check_scale=check_scales(terms, checks, x0, p0), row_names=tuple(layout.names()),
-        instant_names=tuple(_instant_equation_names(terms, instant)), members=tuple(terms.members),
+        instant_names=tuple(instant_layout.names()), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names), hold_names=hold_names(terms) if len(step.hold) else (),
     )  # fmt: skip
 
 
-def default_scheme(declaration: PHDAE, order: int = 2) -> Collocated:
+def default_scheme(declaration: PHDAE, order: int = 2) -> Scheme:
     """Two-level with holonomic constraints, plain collocation else."""
-    two_level = bool(declaration.constraints)
-    return Collocated(order // 2, two_level=two_level, name="two-level" if two_level else "collocated")
-
-
-def _instant_equation_names(terms: Terms, instant: Plan) -> list[str]:
-    states = [n for v in terms.model.states for n in v.names()]
-    names = [f"rate of {n}" for n in states] if instant.nw > terms.na + len(terms.solved_costates) else []
-    names += [f"costate of {states[i]}" for i in terms.solved_costates]
-    return names + [f"equation of {n}" for v in terms.model.algebraics for n in v.names()]
+    return TwoLevel(order // 2) if declaration.constraints else Collocated(order // 2)

@@ -8,7 +8,6 @@ from phfmu.discretise.differences import in_differences
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import make_plan
-from phfmu.discretise.rest import holds
 from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.spec import Spec
 from phfmu.discretise.terms import Term, Terms
@@ -18,7 +17,7 @@ from phfmu.schur.stepper import find_stepper
 def step_layout(terms: Terms, scheme: Scheme) -> Layout:
     """Where the unknowns of a step of `scheme` are."""
     terms = scheme.prepare(terms)
-    return Layout(terms, scheme.nodes.k, scheme.unknowns(terms))
+    return Layout(terms, scheme.nodes.k, scheme.unknowns(terms), scheme.reports(terms))
 
 
 def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
@@ -32,5 +31,5 @@ def step_plan(terms: Terms, scheme: Scheme) -> tuple[Plan, Layout]:
             cache[term.key] = [in_differences(s) for s in scheme.specs(term)]
         work.append((term, cache[term.key]))
     maps, constants = scheme.maps(layout), scheme.constants(layout)
-    plan = make_plan(layout, work, constants, maps, na=terms.na, nobs=len(layout.work), hold=holds(layout))
+    plan = make_plan(layout, work, constants, maps, scheme.holds(layout))
     return replace(plan, schur=find_stepper(layout, scheme, plan)), layout

@@ -34,6 +34,7 @@ class Kernel:
     `function`: (x, y, p) -> (out, jac);  `ledger`: (x, y, p) -> (stored, lost) or
     (stored, lost, numerical), or None.
     `jac_row`, `jac_col`: position of each Jacobian nonzero, columns into the y locals.
+    `loses_energy`: the ledger has a third output, the numerical loss.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Kernel:
     no: int
     jac_row: Ints
     jac_col: Ints
+    loses_energy: bool = False
 
     @property
     def nj(self) -> int:

@@ -35,7 +35,8 @@ class Maps:
 
     `update`: (state, w, weight) with x' = x + sum weight w;  `mean`: (reported algebraic, w, weight, power of h);
     `guess`: per unknown a list of (w of the last step, weight, power of h/h_last);  `weights`, `nodes`: quadrature on
-    [0, 1];  `work`: (pair, row of R), energy that goes through a pair beside h sum b y u;  `carries`: see `Plan`.
+    [0, 1];  `work`: (pair, row of R), energy that goes through a pair beside h sum b y u;  `jumps`: (state, w), by how much a
+    state jumps at the start of the step;  `carries`: see `Plan`.
     """
 
     update: list[tuple[int, int, float]]
@@ -44,11 +45,8 @@ class Maps:
     weights: NDArray[np.float64]
     nodes: NDArray[np.float64]
     work: list[tuple[int, int]] = field(default_factory=list)
+    jumps: list[tuple[int, int]] = field(default_factory=list)
     carries: bool = False
-
-
-#: Kinds of unknowns that vanish with the step size.
-INCREMENTS = ("D", "i0", "i1", "s0", "s1")
 
 
 def make_plan(
@@ -56,9 +54,6 @@ def make_plan(
     work: Sequence[tuple[Term, list[Spec]]],
     constants: Sequence[tuple[int, int, float, int]],
     maps: Maps,
-    *,
-    na: int,
-    nobs: int,
     hold: Holds | None = None,
 ) -> Plan:
     """Assemble the plan.  `constants`: (row, Y index, value, power of h).  DeclarationError if structurally singular."""
@@ -78,18 +73,18 @@ def make_plan(
     try:
         order, pivot = elimination_order(layout.nw, matrix.row[used], matrix.col[used], zero)
     except StructurallySingular as e:
-        names, variables = layout.names(), layout.unknown_names()
+        names, unknowns = layout.names(), layout.unknowns
         raise DeclarationError(
             f"{terms.model.name}: structurally singular: {', '.join(names[r] for r in e.rows)} cannot be solved for "
-            f"{', '.join(variables[c] for c in e.cols)}; check for an ideal loop of sources or a port without inertia, "
+            f"{', '.join(unknowns[c].variable for c in e.cols)}; check for an ideal loop of sources or a port without inertia, "
             "compliance or resistance" + (", or for redundant constraints" if terms.model.constraints else "")
         ) from None
     regularised = np.flatnonzero((matrix.row == matrix.col) & np.isin(matrix.col, weak)).astype(np.int32)
     guess = [(len(g), [i for i, _, _ in g], [c for _, c, _ in g], [q for _, _, q in g]) for g in maps.guess]
     nq = len(terms.pairs)
     return Plan(
-        nx=terms.n1, nw=layout.nw, nu=terms.nu, k=layout.k, nz=layout.nz, np=terms.np, nq=nq, nobs=nobs, na=na,
-        ncomp=len(terms.members), groups=tuple(groups), nslot=nslot,
+        nx=terms.n1, nw=layout.nw, nu=terms.nu, k=layout.k, nz=layout.nz, np=terms.np, nq=nq, nobs=len(layout.reports),
+        na=terms.na, ncomp=len(terms.members), groups=tuple(groups), nslot=nslot,
         const_row=const[:, 0].astype(np.int32), const_src=const[:, 1].astype(np.int32), const_val=value,
         const_pow=const[:, 2].astype(np.int8), matrix=matrix, colptr=colptr, order=order, pivot_row=pivot,
         regularised=regularised, derivative=derivative, hold=hold,
@@ -106,7 +101,7 @@ def make_plan(
         guess_idx=np.array([i for g in guess for i in g[1]], np.int32),
         guess_val=np.array([i for g in guess for i in g[2]], float),
         guess_pow=np.array([i for g in guess for i in g[3]], np.int8),
-        increments=np.array([kind in INCREMENTS for kind, _, _ in layout.unknowns], np.int8),
+        increments=np.array([u.role.vanishes for u in layout.unknowns], np.int8),
         weights=np.asarray(maps.weights, float), nodes=np.asarray(maps.nodes, float),
         pair_src=np.array([layout.input_index(j, i) for i in range(layout.k) for j in range(nq)], np.int32),
         pair_owner=np.array([p.owner for p in terms.pairs], np.int32),
@@ -116,19 +111,20 @@ def make_plan(
 
 
 def _groups(layout: Layout, work: Sequence[tuple[Term, list[Spec]]]) -> list[Group]:
-    tables: dict[tuple[str, int], Tables] = {}
+    tables: dict[tuple[str, int, tuple[int, ...]], Tables] = {}
     built: dict[int, Kernel] = {}  # terms of one kind share their specs
     for term, specs in work:
         for spec in specs:
             kernel = built.get(id(spec)) or built.setdefault(id(spec), build(spec))
-            t = tables.get((kernel.name, spec.stage))
+            power = tuple(q for _, q, _ in spec.out)
+            t = tables.get((kernel.name, spec.stage, power))
             if t is None:
-                power = np.array([q for _, q, _ in spec.out], np.int8)
-                t = tables[(kernel.name, spec.stage)] = Tables(kernel, spec.stage, power)
-            t.x.append(layout.old(term, kernel.nx))
-            t.y.append([layout.argument(term, a) for a, _ in spec.y])
+                t = Tables(kernel, spec.stage, np.array(power, np.int8))
+                tables[kernel.name, spec.stage, power] = t
+            t.x.append(spec.old(layout, term)[: kernel.nx])
+            t.y.append([a(layout, term) for a, _ in spec.y])
             t.p.append(list(term.index.get("p", ())) if kernel.np else [])
-            t.o.append([layout.result(term, a) for a, _, _ in spec.out])
+            t.o.append([a(layout, term) for a, _, _ in spec.out])
             t.owner.append(term.owner)
     groups, slot = [], 1
     for t in sorted(tables.values(), key=lambda t: (t.stage, t.kernel.name)):

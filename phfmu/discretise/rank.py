@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.arguments import EMPTY
-from phfmu.discretise.terms import Term, Terms
+from phfmu.discretise.terms import CONSTRAINT, Term, Terms
 from phfmu.words import folded
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
     terms = extract(model)
     jacobian, values = constraint_jacobian(terms), constraint_values(terms)
     names = [n for v in model.algebraics for n in v.names()]
-    rows = [names[t.rows[0][1]] for t in terms.terms if t.kind == "constraint"]
+    rows = [names[t.rows[0][1]] for t in terms.of(CONSTRAINT)]
     labels = constraint_labels(model)
     redundant: dict[int, Redundant] = {}
     groups = []
@@ -190,7 +190,7 @@ def constraint_jacobian(terms: Terms) -> csc_matrix:
                for r, (t, (_, grad)) in enumerate(_evaluated(terms))
                for q, value in zip(t.index["x"], grad, strict=True)]  # fmt: skip
     row, col, value = zip(*entries, strict=True) if entries else ((), (), ())
-    count = sum(t.kind == "constraint" for t in terms.terms)
+    count = len(terms.of(CONSTRAINT))
     return csc_matrix((value, (row, col)), shape=(count, terms.n1))
 
 
@@ -214,9 +214,7 @@ def _evaluated(terms: Terms) -> list[tuple[Term, tuple[float, Array]]]:
     p = np.array([s for v in model.parameters for s in v.start], float)
     known: dict[tuple, ca.Function] = {}
     out = []
-    for t in terms.terms:
-        if t.kind != "constraint":
-            continue
+    for t in terms.of(CONSTRAINT):
         if t.key not in known:
             symbols = [t.local["x"], t.local.get("p", EMPTY), t.local.get("t", EMPTY)]
             known[t.key] = ca.Function("g", symbols, [t.data["g"], ca.densify(ca.gradient(t.data["g"], symbols[0]))])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.hidden import contained
-from phfmu.discretise.terms import Term, Terms
+from phfmu.discretise.terms import CLOSED, CONSTRAINT, FLOW, MASS_BLOCK, Term, Terms
 
 
 def moved_by_impulses(terms: Terms) -> NDArray[np.bool_]:
@@ -20,11 +20,11 @@ def moved_by_impulses(terms: Terms) -> NDArray[np.bool_]:
         if kind == "x" and (source == "a" or (source == "u" and i in terms.bound)):
             moved[row] = True
     for t in terms.terms:
-        if t.kind == "flow":
+        if t.kind is FLOW:
             moved[[i for j, (kind, i) in enumerate(t.rows) if kind == "x" and contained(t, j, terms.bound)]] = True
-        elif t.kind == "constraint":
+        elif t.kind is CONSTRAINT:
             moved[[terms.velocity_of[q] for q in t.index["x"]]] = True
-    blocks = [_coupling(t) for t in terms.terms if t.kind in ("massblock", "closed")]
+    blocks = [_coupling(t) for t in terms.of(MASS_BLOCK, CLOSED)]
     found = -1
     while found != moved.sum():
         found = moved.sum()

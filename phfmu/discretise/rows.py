@@ -10,7 +10,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import time
 from phfmu.discretise.extract_energy import divided
 from phfmu.discretise.instant import Check
-from phfmu.discretise.terms import Hidden, Term, Terms
+from phfmu.discretise.terms import CLOSED, CONSTRAINT, FLOW, MASS, Hidden, Term, Terms
 
 
 def costate_symbols(model: PHDAE) -> ca.SX:
@@ -31,8 +31,8 @@ def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX) -> dict[int, ca
         if kind == "a" and row in found:
             variable = i if source == "a" else bound.get(i) if source == "u" else None
             found[row] += value * (z[i] if source == "z" else 0 if variable is None else a[variable])
-    for t in terms.terms:
-        if t.kind == "flow" and any(k == "a" and i in found for k, i in t.rows):
+    for t in terms.of(FLOW):
+        if any(k == "a" and i in found for k, i in t.rows):
             f = ca.substitute([t.data["f"]], *_globals(t, x, z, p, a, bound))[0]
             for j, (k, i) in enumerate(t.rows):
                 if k == "a" and i in found:
@@ -51,14 +51,13 @@ def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
     position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}
     rows = row_expressions(terms, hidden.rows, z)
     out = [ca.SX(0) for _ in checks]
-    for t in terms.terms:
-        if t.kind == "constraint":
-            g = t.data["g"]
-            exprs = [g, ca.gradient(g, t.local["x"]), ca.gradient(g, t.local["t"]) if "t" in t.local else ca.SX(0)]
-            value, grad, moving = ca.substitute(exprs, *_globals(t, x, z, p, a, terms.bound))
-            v = ca.vertcat(*(z[terms.velocity_of[i]] for i in t.index["x"]))
-            rows[t.rows[0][1]] += ca.dot(grad, v) + moving
-            out[position[t.rows[0][1]]] += value
+    for t in terms.of(CONSTRAINT):
+        g = t.data["g"]
+        exprs = [g, ca.gradient(g, t.local["x"]), ca.gradient(g, t.local["t"]) if "t" in t.local else ca.SX(0)]
+        value, grad, moving = ca.substitute(exprs, *_globals(t, x, z, p, a, terms.bound))
+        v = ca.vertcat(*(z[terms.velocity_of[i]] for i in t.index["x"]))
+        rows[t.rows[0][1]] += ca.dot(grad, v) + moving
+        out[position[t.rows[0][1]]] += value
     velocity = _eliminated(rows, hidden, a)
     for n, c in enumerate(checks):
         if c.level == "velocity":
@@ -86,13 +85,13 @@ def costates(terms: Terms) -> ca.SX:
     z = ca.densify(ca.gradient(model.hamiltonian, model.x)) if terms.n1 else ca.SX(0, 1)
     p = ca.vertcat(*(v.sx for v in model.parameters))
     for t in terms.terms:
-        if t.kind == "mass":
+        if t.kind is MASS:
             local = t.local.get("p", ca.SX(0, 1))
             m = t.data["m"]
             if local.numel():
                 (m,) = ca.substitute([m], [local], [p[list(t.index["p"])]])
             z[t.rows[0][1]] = divided(z[t.rows[0][1]], m)
-        elif t.kind == "closed":
+        elif t.kind is CLOSED:
             value = ca.substitute([t.data["z"]], *_globals(t, model.x, z, p, ca.SX(0, 1), {}))[0]
             for j, (_, i) in enumerate(t.rows):
                 z[i] = value[j]
@@ -103,7 +102,7 @@ def _globals(t: Term, x: ca.SX, z: ca.SX, p: ca.SX, a: ca.SX, bound: dict[int, i
     """Old and new symbols that bring a local expression back to the model's; free inputs become 0."""
     old, new = [], []
     for kind, source in (("x", x), ("z", z), ("p", p), ("a", a)):
-        if kind in t.local and not (t.kind == "closed" and kind == "z"):
+        if kind in t.local and not (t.kind is CLOSED and kind == "z"):
             old.append(t.local[kind])
             new.append(source[list(t.index[kind])])
     if "t" in t.local:

@@ -2,45 +2,76 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from phfmu.discretise.layout import Layout
+from phfmu.discretise.plan import Holds
 from phfmu.discretise.planner import Maps
 from phfmu.discretise.quadrature import Nodes
 from phfmu.discretise.spec import Spec
 from phfmu.discretise.terms import Term, Terms
+from phfmu.discretise.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
 
-Unknown = tuple[str, int, int]
+#: (row, Y index, value, power of h)
 Triplet = tuple[int, int, float, int]
 
 
 class Scheme(Protocol):
-    """A one-step method: which unknowns it has and what kernels each kind of term becomes.
-
-    `name` and `gradient` as users say them;  `nodes`: where inputs are taken and outputs are averaged;  `order`: of x.
-    """
+    """A one-step method: which unknowns it has and what kernels each kind of term becomes."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """As users say it."""
+        ...
+
     @property
-    def gradient(self) -> str: ...
+    def gradient(self) -> str:
+        """As users say it."""
+        ...
+
     @property
-    def order(self) -> int: ...
+    def order(self) -> int:
+        """Of the states."""
+        ...
+
     @property
-    def nodes(self) -> Nodes: ...
+    def nodes(self) -> Nodes:
+        """Where inputs are taken and outputs are averaged."""
+        ...
+
     @property
     def joint(self) -> bool:
         """One gradient over all states of a member."""
+        ...
+
+    @property
+    def loses_energy(self) -> bool:
+        """It has a numerical loss, which its ledger books."""
+        ...
+
+    @property
+    def two_level(self) -> bool:
+        """Holonomic constraints hold on the level of velocities too."""
+        ...
+
+    @property
+    def impulses(self) -> bool:
+        """Bare nodes get impulses where their conditions hold."""
         ...
 
     def prepare(self, terms: Terms) -> Terms:
         """The terms to discretise; DeclarationError says what fits a model that this scheme does not."""
         ...
 
-    def unknowns(self, terms: Terms) -> list[Unknown]:
-        """(kind, global index, node) of every unknown; see `Layout`."""
+    def unknowns(self, terms: Terms) -> Sequence[Unknown]:
+        """Every unknown; its row has the same number."""
+        ...
+
+    def reports(self, terms: Terms) -> Sequence[Hashable]:
+        """Keys of the rows that are reported beside outputs."""
         ...
 
     def specs(self, term: Term) -> list[Spec]:
@@ -55,27 +86,32 @@ class Scheme(Protocol):
         """Update of the states, means of the algebraic variables, start values of the next step."""
         ...
 
+    def holds(self, layout: Layout) -> Holds:
+        """Constraints whose rows may rest; none where the scheme cannot leave rows out."""
+        ...
+
 
 def node_unknowns(terms: Terms, k: int) -> list[Unknown]:
-    """Increments D, solved costates Z and algebraic variables a at every node."""
+    """Increments, solved costates and algebraic variables at every node."""
     out: list[Unknown] = []
     for node in range(k):
-        out += [("D", i, node) for i in range(terms.n1)]
-        out += [("Z", i, node) for i in (*terms.solved_costates, *terms.light)]
-        out += [("a", i, node) for i in range(terms.na)]
+        out += of_states(terms, INCREMENT, "balance of", range(terms.n1), node)
+        out += of_states(terms, COSTATE, "costate of", (*terms.solved_costates, *terms.light), node)
+        out += of_algebraics(terms, ALGEBRAIC, "equation of", range(terms.na), node)
     return out
 
 
 def node_constants(layout: Layout) -> list[Triplet]:
     """Identity rows of E, E^T z = W rows, and the constant entries of (J - R) z + B u at every node."""
     terms, out = layout.terms, []
-    other = {i for t in terms.terms if t.kind in ("mass", "massblock", "closed") for _, i in t.rows}
+    other = terms.with_descriptor()
     for node in range(layout.k):
         for i in range(terms.n1):
             if i not in other:
-                out.append((layout.row("x", i, node), layout.value("D", i, node), 1.0, 0))
+                w = layout.at(INCREMENT, i, node)
+                out.append((w, w, 1.0, 0))
         for i in terms.solved_costates:
-            out.append((layout.w_of[("Z", i, node)], layout.nv + layout.slot(i, node), -1.0, 0))
+            out.append((layout.at(COSTATE, i, node), layout.nv + layout.slot(i, node), -1.0, 0))
         for row_kind, row, kind, source, value in terms.constants:
             sign = 1.0 if row_kind == "y" else -1.0
             out.append(
@@ -85,17 +121,28 @@ def node_constants(layout: Layout) -> list[Triplet]:
 
 
 def node_maps(layout: Layout, nd: Nodes) -> Maps:
-    """x' = x + sum b_i D_i, means sum b_i a_i, and the last step's polynomial extrapolated."""
+    """x' = x + sum b_i D_i, means sum b_i a_i, and the last step's polynomial extrapolated; other unknowns start as they were."""
     update, mean, guess = [], [], []
     ahead = np.array([nd.value(1.0 + c) for c in nd.c])  # extrapolate the last step's polynomial
-    for w, (kind, i, node) in enumerate(layout.unknowns):
-        if kind == "D":
-            update.append((i, w, float(nd.b[node])))
-        elif kind == "a":
-            mean.append((i, w, float(nd.b[node]), 0))
-        if kind not in ("D", "Z", "a"):
+    for w, u in enumerate(layout.unknowns):
+        if u.role is INCREMENT:
+            update.append((u.index, w, float(nd.b[u.node])))
+        elif u.role is ALGEBRAIC:
+            mean.append((u.index, w, float(nd.b[u.node]), 0))
+        elif u.role is not COSTATE:
             guess.append([(w, 1.0, 0)])
-        else:
-            last = [layout.w_of[(kind, i, j)] for j in range(layout.k)]
-            guess.append([(last[j], float(ahead[node, j]), int(kind == "D")) for j in range(layout.k)])
+            continue
+        last = [layout.at(u.role, u.index, j) for j in range(layout.k)]
+        guess.append([(last[j], float(ahead[u.node, j]), int(u.role is INCREMENT)) for j in range(layout.k)])
     return Maps(update, mean, guess, nd.b, nd.c)
+
+
+def node_holds(layout: Layout, *levels: Role) -> Holds:
+    """The constraints of a model with their rows at the nodes, and those of further levels."""
+    terms = layout.terms
+    rows = [
+        (*(layout.at(ALGEBRAIC, a, i) for i in range(layout.k)), *(layout.at(level, a) for level in levels))
+        for a in terms.speeds
+    ]
+    rests = np.array([a in terms.resting for a in terms.speeds], bool)
+    return Holds(tuple(rows), rests, np.array(list(terms.speeds.values())))

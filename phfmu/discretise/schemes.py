@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.discretise.collocated import Collocated, radau
+from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.dirac_dissipative import DiracDissipative
 from phfmu.discretise.gradient_pair import GradientPair
+from phfmu.discretise.midpoint import Midpoint
+from phfmu.discretise.radau import Radau
 from phfmu.discretise.scheme import Scheme
 from phfmu.discretise.scheme_names import CLOSURES, GRADIENTS, ORDERS, SCHEMES
+from phfmu.discretise.semi_explicit import SemiExplicit
 from phfmu.discretise.terms import DeclarationError
+from phfmu.discretise.two_level import TwoLevel
 
 #: schemes of order 2 only, and what to use for more
 ONE_NODE = ("gradient-pair", "dirac-dissipative")
@@ -61,15 +65,21 @@ def named_scheme(
             raise DeclarationError(
                 "scheme midpoint has order 2 and no discrete gradient; leave out --order and --gradient"
             )
-        return Collocated(1, gradient="nodal", name="midpoint")
+        return Midpoint()
     if name == "two-level":
         if not holonomic:
             raise DeclarationError(f"{declaration.name} has no holonomic constraints; use --scheme collocated")
         if order == 4:
             raise DeclarationError("the two-level scheme has odd stages only; use --order 2 or 6")
-        return Collocated(order // 2, gradient=gradient, name=name, two_level=True)
+        return TwoLevel(order // 2, gradient)
     if name in ("collocated", "semi-explicit"):
-        return Collocated(order // 2, gradient=gradient, name=name, closure=closure or "mean")
+        if closure is None:
+            return Collocated(order // 2, gradient, name)
+        if order != 2:
+            raise DeclarationError(
+                f"closure {closure} of {name} is for order 2 only; use --order 2, or leave out --closure"
+            )
+        return SemiExplicit(closure, gradient, name)
     raise DeclarationError(f"unknown scheme '{name}'; choose from {', '.join(SCHEMES)}")
 
 
@@ -91,4 +101,4 @@ def _radau(declaration: PHDAE, order: int, gradient: str, closure: str | None) -
         raise DeclarationError(
             f"{declaration.name}: Radau nodes let the holonomic constraints drift; use --scheme two-level"
         )
-    return radau((order + 1) // 2)
+    return Radau((order + 1) // 2)

@@ -1,13 +1,4 @@
-"""Specification of one kernel: local expressions and the addresses of their arguments.
-
-An address is (kind, j, i): the j-th local index of a term at node i.  Kinds of arguments:
-    D increment of a state, z costate, a algebraic variable, u port input, h step size, m velocity multiplier,
-    v, V costate and increment of the velocity that belongs to a position, l multiplier of a constraint,
-    Z costate of the term's own state,
-    r state derivative, Q, dz derivative of a costate.
-Kinds of results:
-    W costate slot, S source slot, Q costate-derivative slot, row (the j-th row of the term), and named extra rows.
-"""
+"""Specification of one kernel: local expressions and the addresses of their arguments and results."""
 
 from __future__ import annotations
 
@@ -18,29 +9,32 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from phfmu.discretise.address import Address, Old, states_then_time
 from phfmu.discretise.plan import Kernel
 
-Address = tuple[str, int, int]
+#: (address, power of h, expression)
+Result = tuple[Address, int, ca.SX]
 
 
 @dataclass
 class Spec:
     """A kernel before it is compiled: symbols, addresses and results.
 
-    `x`: local old states (then time); `p`: parameters; `y`: symbol per argument address; `out`: (address, power of h,
-    expression) per result; `stored`, `lost`, `numerical`: ledger expressions or None; `report`: nothing is solved for the
-    results, so they need no derivatives.
+    `x`: local old values, whose indices `old` gives; `p`: parameters; `y`: symbol per argument address; `out`: (address,
+    power of h, expression) per result; `stored`, `lost`, `numerical`: ledger expressions or None; `report`: nothing is solved
+    for the results, so they need no derivatives.
     """
 
     stage: int
     x: ca.SX
     p: ca.SX
     y: list[tuple[Address, ca.SX]]
-    out: list[tuple[Address, int, ca.SX]]
+    out: list[Result]
     stored: ca.SX | None = None
     lost: ca.SX | None = None
     report: bool = False
     numerical: ca.SX | None = None
+    old: Old = states_then_time
 
 
 _cache: dict[str, Kernel] = {}
@@ -71,7 +65,7 @@ def build(spec: Spec) -> Kernel:
         ledger = ca.Function(f"l_{digest}", args, ledger_out) if has_ledger else None
         _cache[name] = Kernel(
             name, function, ledger, spec.x.numel(), y.numel(), spec.p.numel(), out.numel(),
-            np.array(row, np.int32), np.array(col, np.int32),
+            np.array(row, np.int32), np.array(col, np.int32), has_ledger and spec.numerical is not None,
         )  # fmt: skip
     return _cache[name]
 

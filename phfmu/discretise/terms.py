@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -30,24 +31,43 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False)
+class Kind:
+    """A kind of term; a technique that adds terms of its own brings their kind."""
+
+    name: str
+
+
+ENERGY = Kind("energy")  # a summand of H
+JOINT = Kind("joint energy")  # all of H of a member
+CLOSED = Kind("closed-form pair")
+FLOW = Kind("flow")  # a part of (J - R) z + B u
+CONSTRAINT = Kind("constraint")
+SOURCE = Kind("source")
+OBSERVABLE = Kind("observable")
+MASS = Kind("mass")  # a constant diagonal entry of E
+MASS_BLOCK = Kind("mass block")  # a full or state-dependent block of E
+
+
+@dataclass(frozen=True, eq=False)
 class Term:
     """A canonical local function.
 
-    kind:   energy | joint | closed | flow | constraint | source | observable | mass | massblock | impulse
     key:    equal keys = equal functions
+    tag:    what tells terms of one kind apart beside their functions
     local:  per value kind the local symbols (SX column), in the order of `index`
     index:  per value kind the global indices
     data:   kind-specific expressions in the local symbols
     rows:   (row kind, index) of each output; row kinds x, a, y (pair output), o (observable)
     """
 
-    kind: str
+    kind: Kind
     key: tuple[Any, ...]
     local: dict[str, ca.SX]
     index: dict[str, tuple[int, ...]]
     data: dict[str, Any]
     rows: tuple[tuple[str, int], ...] = ()
     owner: int = 0
+    tag: Any = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +119,30 @@ class Terms:
     #: holonomic constraints at the start: multiplier -> natural size of Dg v; multipliers of those that rest
     speeds: dict[int, float] = field(default_factory=dict)
     resting: frozenset[int] = frozenset()
+
+    def of(self, *kinds: Kind) -> list[Term]:
+        """Terms of these kinds."""
+        return [t for t in self.terms if t.kind in kinds]
+
+    def with_descriptor(self) -> set[int]:
+        """States whose rows of E are not those of the identity."""
+        return {i for t in self.of(MASS, MASS_BLOCK, CLOSED) for _, i in t.rows}
+
+    @cached_property
+    def state_names(self) -> list[str]:
+        return [n for v in self.model.states for n in v.names()]
+
+    @cached_property
+    def algebraic_names(self) -> list[str]:
+        return [n for v in self.model.algebraics for n in v.names()]
+
+    @cached_property
+    def state_nominals(self) -> list[float]:
+        return [v.nominal[j] for v in self.model.states for j in range(v.n)]
+
+    @cached_property
+    def algebraic_nominals(self) -> list[float]:
+        return [v.nominal[j] for v in self.model.algebraics for j in range(v.n)]
 
 
 class Locator:
@@ -160,7 +204,7 @@ def canonical(exprs: Sequence[ca.SX], locator: Locator, context: str, extra: Seq
 
 
 def make_term(
-    kind: str,
+    kind: Kind,
     exprs: dict[str, ca.SX],
     locator: Locator,
     context: str,
@@ -170,11 +214,11 @@ def make_term(
     extra: Sequence[ca.SX] = (),
     tag: Any = None,
 ) -> Term:
-    """A canonical term from named expressions; `tag` joins the key when kinds alone do not tell terms apart."""
+    """A canonical term from named expressions; `tag` joins the key."""
     rows = tuple(rows)
     new, key, local, index = canonical(list(exprs.values()), locator, context, extra)
     full_key = (kind, tag, tuple(r[0] for r in rows), *key)
-    return Term(kind, full_key, local, index, dict(zip(exprs, new, strict=True)), rows, owner)
+    return Term(kind, full_key, local, index, dict(zip(exprs, new, strict=True)), rows, owner, tag)
 
 
 def components(pattern: ca.SX) -> list[list[int]]:

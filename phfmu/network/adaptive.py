@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.collocated import Collocated, radau
+from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.model import Model
+from phfmu.discretise.radau import Radau
 from phfmu.discretise.terms import DeclarationError
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.restart import gains
@@ -81,7 +81,7 @@ class Adaptive:
         model = stepper.model
         _require_held(model)
         k, lossy = model.step.k, model.loses_energy
-        self.other = stepper.companion(Collocated(k) if lossy else radau(k))
+        self.other = stepper.companion(Collocated(k) if lossy else Radau(k))
         self.order = min(model.scheme.order, self.other.model.scheme.order) + 1
         power = max(1.0, self.order / model.scheme.order)
         self._rtol, self._atol = control.rtol**power, control.atol**power
@@ -182,8 +182,8 @@ class Adaptive:
 
 def _require_held(model: Model) -> None:
     """DeclarationError if the scheme lets a hidden constraint chatter: that error does not shrink with the step."""
-    scheme: Any = model.scheme
-    if not model.checks or model.loses_energy or getattr(scheme, "two_level", False):
+    scheme = model.scheme
+    if not model.checks or model.loses_energy or scheme.two_level:
         return
     fit = "two-level" if model.declaration.constraints else "radau"
     free = [model.checks[0].name] if fit == "two-level" else _free_nodes(model)
@@ -199,7 +199,7 @@ def _free_nodes(model: Model) -> list[str]:
     from phfmu.discretise.bare import bare_nodes
     from phfmu.discretise.extract import extract
 
-    held = getattr(model.scheme, "impulses", False)
+    held = model.scheme.impulses
     return [n.name for n in bare_nodes(extract(model.declaration)) if not held or n.remedy == "none"]
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from phfmu.discretise.extract import extract
 from phfmu.discretise.model import Model
 from phfmu.discretise.onestep import step_layout
+from phfmu.discretise.unknown import INCREMENT
 
 Array = NDArray[np.float64]
 
@@ -32,9 +33,9 @@ class Polynomial:
         scheme = model.scheme
         layout = step_layout(extract(model.declaration, joint=scheme.joint), scheme)
         self._nodes, self._nx = scheme.nodes, model.step.nx
-        found = [(i, w, node) for (kind, i, node), w in layout.w_of.items() if kind == "D"]
+        found = [(u.index, w, u.node) for w, u in enumerate(layout.unknowns) if u.role is INCREMENT]
         self._state, self._w, self._node = (np.array([f[j] for f in found], int) for j in range(3))
-        self._starts = [(i, w) for (kind, i, _), w in layout.w_of.items() if kind == "s0"]
+        self._starts = scheme.maps(layout).jumps
 
     def __call__(self, x: Array, unknowns: Array, tau: float) -> Array:
         """States at the fraction tau of a step from x (nx) with the unknowns w (nw)."""

@@ -7,7 +7,7 @@ a component would gain instead (other H) is taken by the exact scheme.
 
 from __future__ import annotations
 
-from phfmu.discretise.collocated import radau
+from phfmu.discretise.radau import Radau
 from phfmu.discretise.terms import DeclarationError
 from phfmu.network.stepper import Monolithic, Steps
 
@@ -21,7 +21,7 @@ class Restart:
     def __init__(self, stepper: Monolithic, k: int = 2):
         require_fit(stepper)
         self.stepper = stepper
-        self.instance = stepper.companion(radau(k))
+        self.instance = stepper.companion(Radau(k))
         #: steps that fell back to the exact scheme
         self.refused = 0
 

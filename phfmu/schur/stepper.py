@@ -15,12 +15,13 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import degree, piecewise
-from phfmu.discretise.collocated import Collocated
+from phfmu.discretise.constraints import VELOCITY_LEVEL
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Floats, Ints, Plan
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.scheme import Scheme
-from phfmu.discretise.terms import Term
+from phfmu.discretise.terms import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, Term
+from phfmu.discretise.unknown import ALGEBRAIC, INCREMENT
 from phfmu.schur import lanes
 from phfmu.schur.elimination import Elimination, Pattern, eliminate, factor_pattern, updates
 from phfmu.schur.lane_groups import Instances, LaneGroup, Tiles, tiled
@@ -87,9 +88,7 @@ class _Unfit(Exception):
 
 def find_stepper(layout: Layout, scheme: Scheme, plan: Plan) -> SchurStepper | None:
     """The Schur stepper's tables of a step plan, or None where its conditions do not hold."""
-    if not isinstance(scheme, Collocated) or scheme.k not in (1, 3) or not layout.terms.na:
-        return None
-    if not scheme.two_level or scheme.gradient != "per-term" or scheme.radau or scheme.closure != "mean":
+    if not scheme.two_level or scheme.gradient != "per-term" or layout.k not in MODES or not layout.terms.na:
         return None
     try:
         return _Builder(layout, plan).build()
@@ -108,12 +107,12 @@ class _Builder:
     def __init__(self, layout: Layout, plan: Plan):
         self.layout, self.terms, self.plan = layout, layout.terms, plan
         t = self.terms
-        constraint = [x for x in t.terms if x.kind == "constraint"]
+        constraint = t.of(CONSTRAINT)
         self.position = sorted(t.velocity_of)
         self.velocity = [t.velocity_of[q] for q in self.position]
         _require(sorted(self.position + self.velocity) == list(range(t.n1)))
         _require(sorted(x.rows[0][1] for x in constraint) == list(range(t.na)))
-        _require({kind for kind, _, _ in layout.unknowns} <= {"D", "a", "m"})
+        _require(layout.roles() <= {INCREMENT, ALGEBRAIC, VELOCITY_LEVEL})
         _require(not t.solved_costates and not t.bound and all(p.port.source is None for p in t.pairs))
         _require(len(t.pairs) == t.nu)
         self.dof = {q: d for d, q in enumerate(self.position)}
@@ -127,17 +126,23 @@ class _Builder:
         for triplet in self.terms.constants:
             self._constant(*triplet)
         for term in self.terms.terms:
-            getattr(self, "_" + term.kind, self._other)(term)
+            self._add_term(term)
         _require(self.kinetic == set(self.velocity))
         return self._tables()
 
     # -- terms ------------------------------------------------------------------------------------------------------
 
-    def _other(self, term: Term) -> None:
-        raise _Unfit
-
-    def _observable(self, term: Term) -> None:
-        pass
+    def _add_term(self, term: Term) -> None:
+        if term.kind is MASS:
+            self._mass(term)
+        elif term.kind is ENERGY:
+            self._energy(term)
+        elif term.kind is FLOW:
+            self._flow(term)
+        elif term.kind is CONSTRAINT:
+            self._constraint(term)
+        else:
+            _require(term.kind is OBSERVABLE)
 
     def _constant(self, row_kind: str, row: int, kind: str, source: int, value: float) -> None:
         if row_kind == "y" or row_kind == "x" and row in self.dof:
@@ -160,7 +165,7 @@ class _Builder:
 
     def _energy(self, term: Term) -> None:
         states = term.index.get("x", ())
-        kind = term.key[1][0]
+        kind = term.tag[0]
         if all(x in self.dof_v for x in states):
             _require(kind == "quadratic" and self._is_kinetic(term) and not self.kinetic & set(states))
             self.kinetic |= set(states)
@@ -229,7 +234,7 @@ class _Builder:
             [(d, j, sign) for j in range(*span) for d, sign in zip(points[j], (1.0, -1.0), strict=True) if d < ndof]
             for span in zip(ends, ends[1:], strict=False)
         ]
-        w, m = layout.w_of, len(multipliers)
+        m = len(multipliers)
         bordered = np.block([[nd.a, -np.ones((k, 1))], [nd.b, np.zeros((1, 1))]])
         spectrum, modes, to_modes = lanes.spectrum(k)
         nominal = layout.nominals()
@@ -239,12 +244,12 @@ class _Builder:
         return SchurStepper(
             k=k, groups=tiled_groups, tile=tile, nconstraint=m, nstrain=len(rows) - m,
             position=_ints(self.position), velocity=_ints(self.velocity),
-            nominal=np.array([nominal[w[("D", v, 0)]] for v in self.velocity]),
-            w_position=_ints(w[("D", q, i)] for q in self.position for i in range(k)),
-            w_velocity=_ints(w[("D", v, i)] for v in self.velocity for i in range(k)),
+            nominal=np.array([nominal[layout.at(INCREMENT, v)] for v in self.velocity]),
+            w_position=_ints(layout.at(INCREMENT, q, i) for q in self.position for i in range(k)),
+            w_velocity=_ints(layout.at(INCREMENT, v, i) for v in self.velocity for i in range(k)),
             costate=_ints(layout.nv + layout.slot(v, i) for v in self.velocity for i in range(k)),
-            w_lambda=_ints(w[("a", a, i)] for a in multipliers for i in range(k)),
-            w_mu=_ints(w[("m", a, 0)] for a in multipliers),
+            w_lambda=_ints(layout.at(ALGEBRAIC, a, i) for a in multipliers for i in range(k)),
+            w_mu=_ints(layout.at(VELOCITY_LEVEL, a) for a in multipliers),
             row_ptr=_ints(ends), point_plus=_ints(p for p, _ in points), point_minus=_ints(q for _, q in points),
             load_dof=load[:, 0].copy(), load_kind=load[:, 1].copy(), load_source=load[:, 2].copy(),
             load_value=np.array([v for *_, v in self.load], float),
