@@ -95,7 +95,7 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
 @pytest.mark.parametrize(
     "line, said",
     [
-        ("", "required: VERB"),
+        ("", "required: VERB list info check phfmu list"),
         ("simulate mass", "invalid choice: 'simulate' 'list' 'info' 'check' 'run' 'export' 'audit'"),
         ("run", "required: target"),
         ("run mass --stpo 1", "unrecognized arguments: --stpo"),
@@ -109,7 +109,8 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         ("export mass -o models.py", "models.py is a file; name a folder"),
         ("export mass --step 0", "--step 0.0 s must be positive"),
         ("export mass --platform pdp11", "pdp11 x86_64-linux aarch64-darwin"),
-        ("run models.py", "say which function of models.py models.py:function"),
+        ("run models.py", "say which function of models.py models.py:units or models.py:sign"),
+        ("run models", "no component or scene 'models' in the library; models.py:units"),
         ("run models.py:unit", "no function 'unit' units, sign, efforts"),
         ("run none.py:f", "no file 'none.py'"),
         ("run bad.py:f", "bad.py: SyntaxError line 1"),
@@ -155,6 +156,11 @@ def test_refused(refused: Cli, line: str, said: str) -> None:
     Path("bad.py").write_text("def f(:\n")
     Path("empty.py").touch()
     refused(2, line, *said.split())
+
+
+def test_a_file_without_a_function_names_those_that_need_no_argument(refused: Cli) -> None:
+    said = refused(2, "run models.py", "models.py:units or ", "models.py:broken")
+    assert "models.py:line" not in said and "models.py:two" not in said  # they have arguments
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names and descriptions that the terminal has no letters for
             stream.reconfigure(errors="backslashreplace")
-    args = _parser().parse_args(arguments)
+    parser, words = _parser(), sys.argv[1:] if arguments is None else list(arguments)
+    if not words:
+        parser.print_help(sys.stderr)
+        print("\nphfmu: required: VERB; start with `phfmu list`", file=sys.stderr)
+        return USAGE
+    args = parser.parse_args(words)
     if os.environ.get("PHFMU_TRACEBACK"):
         return args.call(args)
     try:

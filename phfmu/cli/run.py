@@ -114,13 +114,13 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float, step: float, seconds: float) -> None:
-    its = result.iterations / max(result.steps, 1)
+    its = f", {result.iterations / result.steps:.2f} iterations a step" if result.iterations else ""  # units tell none
     sizes = (
         f"step {step:g} s"
         if args.rtol is None
         else f"rtol {args.rtol:g}, steps {result.smallest:.3g} to {result.largest:.3g} s"
     )
-    print(f"{args.target}: {label}; {sizes} to {stop:g} s: {counted(result.steps, 'step')}, {its:.2f} iterations a step, "
+    print(f"{args.target}: {label}; {sizes} to {stop:g} s: {counted(result.steps, 'step')}{its}, "
           f"{seconds:.3g} s")  # fmt: skip
     if result.projection is not None:
         _print_projection(result.projection)

@@ -23,8 +23,13 @@ def load(target: str) -> Any:
         return _from_file(target)
     if is_fmu(target):
         raise TargetError(f"{target} is an FMU; this verb needs a declaration (a library name or file.py:function)")
-    from phfmu.components.library import build
+    from phfmu.components.library import LIBRARY, build
 
+    file = Path(f"{target}.py")
+    if target not in LIBRARY and file.is_file():
+        raise TargetError(
+            f"no component or scene '{target}' in the library; for the file beside you say {_choices(file)}"
+        )
     return build(target)
 
 
@@ -44,6 +49,20 @@ def scene(target: str) -> Scene:
     raise TargetError(f"{target} gives a {type(item).__name__}; expected a PHDAE, a Network or a Scene")
 
 
+def _choices(path: Path) -> str:
+    """The targets that a file may hold: its functions that can be called without arguments, found without running it."""
+    import ast
+
+    try:
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+    except (SyntaxError, ValueError):
+        body = []
+    functions = [n for n in body if isinstance(n, ast.FunctionDef) and not n.name.startswith("_")]
+    names = [f.name for f in functions if len(f.args.posonlyargs + f.args.args) == len(f.args.defaults)
+             and all(f.args.kw_defaults)]  # fmt: skip
+    return " or ".join(f"{path}:{name}" for name in names) or f"{path}:function"
+
+
 def _from_file(target: str) -> Any:
     import importlib.util
     import sys
@@ -53,7 +72,7 @@ def _from_file(target: str) -> Any:
     if not path.is_file():
         raise TargetError(f"no file '{path_text}'")
     if not function:
-        raise TargetError(f"say which function of {path.name} builds the model: {path_text}:function")
+        raise TargetError(f"say which function of {path.name} builds the model: {_choices(path)}")
     # a name of its own: a file called json.py or numpy.py must not take the place of that module
     spec = importlib.util.spec_from_file_location(f"phfmu_target_{path.stem}", path)
     assert spec is not None and spec.loader is not None
