@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+import tomllib
 from importlib import import_module
 from importlib.machinery import PathFinder
 from importlib.resources import files
@@ -68,3 +69,13 @@ def test_a_plain_path_to_the_checkout_finds_the_components() -> None:
         pytest.skip("a checkout without links")
     spec = PathFinder.find_spec("phfmu.components", [str(root / "phfmu")])
     assert spec is not None and Path(str(spec.origin)).resolve() == root / "components" / "__init__.py"
+
+
+def test_every_package_is_listed_for_the_wheel() -> None:
+    root = Path(__file__).parent.parent
+    listed = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
+    own = {".".join(p.parent.relative_to(root).parts) for p in (root / "phfmu").rglob("__init__.py")}
+    library = {
+        ".".join(("phfmu", *p.parent.relative_to(root).parts)) for p in (root / "components").rglob("__init__.py")
+    }
+    assert set(listed) == own | library and len(listed) == len(set(listed))

@@ -2,7 +2,7 @@
 
     q' = v + M^-1 S^T mu,   M v' = f - G^T lambda - K^T mu,   0 = G z_v + r,   0 = Dg(q') v' + g_t(q'),
 
-the GGL form with discrete gradients; `constraints.py` has the rows, docs/concepts/constraints.md the proofs.
+the GGL form with discrete gradients; `constraints.py` has the rows, docs/proofs/constraints.md the proofs.
 """
 
 from __future__ import annotations
