@@ -51,9 +51,40 @@ def pushed() -> Multibody:
     return body
 
 
+def charges(as_springs: bool) -> Multibody:
+    """Three particles on circles about the origin that repel each other, by springs or by one potential of them all."""
+    body = Multibody("charges")
+    c = body.parameter("c", 0.7, unit="J")
+    centre = body.support((0.0, 0.0, 0.0))
+    points = [body.particle(1.0 + i, (np.cos(i), np.sin(i), 0.2 * i), (-np.sin(i), np.cos(i), 0.0)) for i in range(3)]
+    pairs = [(a, b) for i, a in enumerate(points) for b in points[:i]]
+    for p in points:
+        body.bar(centre, p)
+    if as_springs:
+        for a, b in pairs:
+            body.spring(a, b, lambda s: -0.5 * c.sx * ca.log(s))
+    else:
+        body.potential(lambda at: -0.5 * c.sx * sum(ca.log(ca.sumsqr(at(a) - at(b))) for a, b in pairs))
+    return body
+
+
 def model(body: Multibody, order: int) -> Model:
     declaration = body.build()
     return build_model(declaration, default_scheme(declaration, order))
+
+
+@pytest.mark.parametrize("order", [2, 6])
+def test_a_potential_of_distances_takes_the_chord(order: int, compiler: None) -> None:
+    """It is the springs it is made of."""
+    one, many = (model(charges(springs), order) for springs in (False, True))
+    assert one.step.chord is not None and one.step.chord.nstrain == 3
+    ends = []
+    for m in (one, many):
+        unit = NativeInstance(m)
+        unit.run(0.0, 0.01, 100)
+        assert unit.counts["chords"] == 100
+        ends.append(unit.x)
+    assert np.abs(ends[0] - ends[1]).max() <= 1e-13
 
 
 BODIES = {"chain": lambda: chain(4), "stiff chain": lambda: chain(4, 1e5), "pushed": pushed}

@@ -70,6 +70,56 @@ def test_summands_of_the_same_states_stay_together_and_add_up_to_the_whole():
         assert abs(float(total(point))) <= 1e-15
 
 
+def test_factors_without_states_are_distributed():
+    """-1/2 c (log a + log b) / m is two terms; a product of states stays one."""
+    x, c, m = ca.SX.sym("x", 3), ca.SX.sym("c"), ca.SX.sym("m")
+    h = -0.5 * c * (ca.log(1 + x[0]) + 2 * (ca.cos(x[1]) - ca.exp(x[2]) / m)) / m
+    found = parts(h, x)
+    assert [str(s) for e in found for s in ca.symvar(e.expr) if str(s).startswith("x")] == ["x_0", "x_1", "x_2"]
+    total = ca.Function("f", [x, c, m], [h - sum((e.expr for e in found), ca.SX(0))])
+    assert abs(float(total([0.3, 0.4, 0.5], 1.7, 0.6))) <= 1e-15
+    assert len(parts(ca.cos(x[0]) * (x[1] + ca.cos(x[2])), x)) == 1
+
+
+def square(x: ca.SX) -> ca.SX:
+    return ca.sumsqr(x[:3] - x[3:])
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda x, c: -c * ca.log(square(x)),
+        lambda x, c: c * (ca.norm_2(x[:3] - x[3:]) - 0.5) ** 2 / 2 + ca.log(square(x)),  # the length is written twice
+        lambda x, c: 4 * c * (square(x) ** -6 - square(x) ** -3),
+        lambda x, c: (c * square(x) - 1) ** 2,  # a polynomial
+        lambda x, c: ca.fmax(0, ca.sqrt(square(x)) - c) ** 2,
+    ],
+)
+def test_functions_of_a_length_are_strain_terms(law):
+    x, c = ca.SX.sym("x", 6), ca.SX.sym("c")
+    (term,) = parts(law(x, c), x)
+    assert term.kind == "strain" and term.invariant is not None and term.phi is not None
+    f = ca.Function("f", [x, c], [law(x, c), term.phi(term.invariant), term.expr])
+    for point in np.random.default_rng(1).uniform(-1, 1, (5, 6)):
+        declared, *found = (float(v) for v in f(point, 0.7))
+        assert found == pytest.approx([declared] * 2, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda x: ca.cos(x[0] ** 2),  # one coordinate has no rotation
+        lambda x: ca.cos(x[0] * x[1]),  # no length
+        lambda x: ca.log(square(x)) * x[0],
+        lambda x: ca.log(square(x)) * ca.sqrt(ca.sumsqr(x[:3])),  # two of them
+        lambda x: ca.exp(ca.sqrt(square(x)) + x[0]),
+    ],
+)
+def test_other_functions_are_general(law):
+    x = ca.SX.sym("x", 6)
+    assert [e.kind for e in parts(law(x), x)] == ["general"]
+
+
 def test_what_belongs_together_stays_whole():
     x, v = ca.SX.sym("x", 2), state("v", 2)
     assert len(parts(ca.sumsqr(x), x)) == 1  # quadratic

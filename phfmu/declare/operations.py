@@ -127,14 +127,20 @@ def degree(expr: ca.SX, x: ca.SX, most: int = 8) -> int | None:
             result = max(result, of[n.inputs[0]])
             continue
         given = [] if n.op in (ca.OP_INPUT, ca.OP_CONST) else [of[i] for i in n.inputs]
-        new = float(n.inputs[0] == 0) if n.op == ca.OP_INPUT else _degree(n, given, constant)
+        if n.op == ca.OP_INPUT:
+            new = float(n.inputs[0] == 0)
+        else:
+            new = degree_of(n, given, [constant[i] for i in n.inputs] if n.op != ca.OP_CONST else [])
         for o in n.outputs:
             of[o], constant[o] = new, n.value if n.op == ca.OP_CONST else inf
     return int(result) if result <= most else None
 
 
-def _degree(n: Instruction, given: list[float], constant: list[float]) -> float:
-    """Degree of the result of one operation whose arguments have the degrees `given`; inf if it is no polynomial."""
+def degree_of(n: Instruction, given: list[float], constant: list[float]) -> float:
+    """Degree of the result of one operation; inf if it is no polynomial.
+
+    Of its arguments `given` are the degrees and `constant` the values, inf for what is not a number.
+    """
     if not any(given):
         return 0.0
     if n.op in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE, ca.OP_ASSIGN):
@@ -148,6 +154,6 @@ def _degree(n: Instruction, given: list[float], constant: list[float]) -> float:
     if n.op == ca.OP_IF_ELSE_ZERO and not given[0]:
         return given[1]
     if n.op in (ca.OP_POW, ca.OP_CONSTPOW):
-        power = constant[n.inputs[1]]
+        power = constant[1]
         return given[0] * power if power >= 0 and float(power).is_integer() else inf
     return inf
