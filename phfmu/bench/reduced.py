@@ -21,11 +21,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.dense import coefficient, square, stacked
+from phfmu.bench.flat import Flat
 from phfmu.declare.phdae import PHDAE, _starts
 from phfmu.declare.variable import _sx, time
 from phfmu.discretise.extract import extract
-from phfmu.discretise.terms import Hidden, Locator, Terms
+from phfmu.discretise.terms import Hidden, Terms
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
     """
     terms = extract(declaration)
     hidden = terms.hidden
-    system = _Flat(declaration, terms)
+    system = Flat(declaration, terms)
     f, a = system.right_hand_side(), system.a
     rate = system.rates(f[: terms.n1])
     rows, extra, rates_of = _algebraic_rows(terms, hidden, system, f[terms.n1 :], rate, gamma)
@@ -139,7 +139,7 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
 
 
 def _algebraic_rows(
-    terms: Terms, hidden: Hidden, system: _Flat, h: ca.SX, rate: ca.SX, gamma: float
+    terms: Terms, hidden: Hidden, system: Flat, h: ca.SX, rate: ca.SX, gamma: float
 ) -> tuple[list[ca.SX], list[ca.SX], ca.SX]:
     """Rows for w, hidden constraints (first derivatives, then positions), and the symbols of rates in w."""
     chosen = sorted(hidden.solved_by.values())
@@ -184,84 +184,6 @@ def stabilised(system: Reduced) -> tuple[ca.SX, ca.SX]:
     return ca.vertcat(system.x, system.w, mu), ca.vertcat(rate, rows, g)
 
 
-class _Flat:
-    """A declaration as one flat system of expressions."""
-
-    def __init__(self, declaration: PHDAE, terms: Terms):
-        self.declaration, self.terms = declaration, terms
-        self.x = declaration.x if declaration.states else ca.SX(0, 1)
-        self.a = ca.vertcat(*(v.sx for v in declaration.algebraics)) if declaration.algebraics else ca.SX(0, 1)
-        self._locator = Locator(declaration, terms.pairs)
-        self._mass = self._mass_blocks()
-        z, gradient = ca.SX(self.x.numel(), 1), ca.gradient(declaration.hamiltonian, self.x)
-        for where, e, given in self._mass:
-            z[where] = given if given is not None else _divide(e.T, gradient[where])
-        self._z = ca.vertcat(*(v.z for v in declaration.states)), ca.densify(z)
-        self.constraint_rows = [i for c in declaration.constraints for i in self._where(c.multiplier, "a")]
-        self.constraints = [c.g[j] for c in declaration.constraints for j in range(c.g.numel())]
-
-    def _where(self, v, kind: str) -> list[int]:
-        return [i for k, i in self._locator.of(v) if k == kind]
-
-    def _mass_blocks(self) -> list[tuple[list[int], ca.SX, ca.SX | None]]:
-        """(states, E of them, costate where it is given): every state once."""
-        d, out, done = self.declaration, [], set()
-        for pair in d.closed:
-            where = [i for v in pair.variables for i in self._where(v, "x")]
-            out.append((where, ca.SX(pair.E), ca.SX(pair.z)))
-            done.update(id(v) for v in pair.variables)
-        for key, value in d.E.items():
-            where = [i for v in stacked(key) for i in self._where(v, "x")]
-            out.append((where, square(value, len(where)), None))
-            done.update(id(v) for v in stacked(key))
-        out += [(self._where(v, "x"), ca.SX.eye(v.n), None) for v in d.states if id(v) not in done]
-        return out
-
-    def rates(self, f: ca.SX) -> ca.SX:
-        """x' = E^-1 f."""
-        rate = ca.SX.zeros(self.x.numel())
-        for where, e, _ in self._mass:
-            rate[where] = _divide(e, f[where])
-        return rate
-
-    def right_hand_side(self) -> ca.SX:
-        """(J - R) z + B u on all rows, in x, a, t, parameters and free inputs."""
-        d, n1, locator = self.declaration, self.terms.n1, self._locator
-        f = ca.SX.zeros(n1 + self.terms.na)
-
-        def at(variables) -> list[int]:
-            return [i if k == "x" else n1 + i for v in variables for k, i in locator.of(v)]
-
-        for sign, blocks in ((1.0, d.structure), (-1.0, d.dissipation)):
-            for block in blocks:
-                rows, z = at(block.variables), ca.vertcat(*(d.effort(v) for v in block.variables))
-                f[rows] += sign * ca.mtimes(block.matrix, z)
-        for port in d.ports:
-            self._add_port(f, port, at)
-        for row, g in zip(self.constraint_rows, self.constraints, strict=True):
-            jac = ca.jacobian(g, self.x)
-            f[n1 + row] += ca.jacobian(g, time)
-            for q in sorted(set(jac.sparsity().get_triplet()[1])):
-                v = self.terms.velocity_of[q]
-                f[v] -= jac[0, q] * self.a[row]
-                f[n1 + row] += jac[0, q] * self._z[0][v]
-        return ca.substitute(f, *self._z)
-
-    def _add_port(self, f: ca.SX, port, at) -> None:
-        n1 = self.terms.n1
-        if port.source is not None:
-            u = ca.SX(_sx(port.source))
-        else:
-            u = port.u if port.bound is None else ca.vertcat(*port.bound)
-        for v, value in port.on.items():
-            b = coefficient(value, v.n, port.n)
-            f[at([v])] += ca.mtimes(b, u)
-            if port.bound is not None:
-                y = ca.mtimes(b.T, self.declaration.effort(v))
-                for j, s in enumerate(port.bound):
-                    f[n1 + self._locator.find(s, port.name)[1]] -= y[j]
-
-
 def _diagonal(e: Any) -> ca.SX:
     """Diagonal of a block of E, which may be a number, a column or a matrix."""
     matrix = ca.SX(_sx(e))
@@ -282,13 +204,6 @@ def _require_inertia(declaration: PHDAE, diagonal: ca.SX) -> None:
             f"{declaration.name}: E has zeros on its diagonal, so there is no ordinary differential equation x' = E^-1 f to "
             "compare with; give the states mass, or take them out with reduce_descriptor"
         )
-
-
-def _divide(e: ca.SX, right: ca.SX) -> ca.SX:
-    """e^-1 right; e is often diagonal."""
-    if e.sparsity().is_diag():
-        return right / ca.diag(e)
-    return ca.solve(e, right)
 
 
 def _solve(a: ca.SX, right: ca.SX, definite: bool) -> ca.SX:

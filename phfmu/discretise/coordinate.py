@@ -26,9 +26,7 @@ def itoh_abe(h: ca.SX, x: ca.SX, d: ca.SX, *, symmetric: bool) -> Gradient:
         w = (w + _ordered(h, x, d, list(range(n - 1, -1, -1)))) / 2
     if degree(h, x) is not None:
         return w, ca.dot(w, d)
-    change = secants(h, x, x, d).change
-    assert change is not None  # H is no polynomial
-    return w, change
+    return w, secants(h, x, x, d).change
 
 
 def _ordered(h: ca.SX, x: ca.SX, d: ca.SX, order: list[int]) -> ca.SX:
@@ -45,13 +43,12 @@ def _divided(h: ca.SX, x: ca.SX, point: ca.SX, d: ca.SX, j: int) -> ca.SX:
     """Divided difference of H in coordinate j from `point` to `point` + d_j e_j."""
     # a function of coordinate j alone, which starts at x_j
     smooth = secants(at(h, x, point), x[j], x[j], d[j])
-    slope, p = ca.gradient(smooth.expr, x[j]), degree(smooth.expr, x[j])
+    slope, p = ca.gradient(smooth.expr, x[j]), smooth.degree
     m = max(1, (p + 1) // 2) if p is not None else 4
     total = ca.SX(0)
     for t, weight in zip(*gauss(m), strict=True):
         total += float(weight) * at(slope, x[j], x[j] + float(t) * d[j])
     if p is not None:
         return smooth.back(total)[0]
-    assert smooth.change is not None
     defect = significant(smooth.change, total * d[j])
     return smooth.back(total + guarded(defect * d[j], d[j] ** 2, SMALLEST))[0]

@@ -34,10 +34,6 @@ def at(expr: ca.SX, x: ca.SX, value: ca.SX) -> ca.SX:
     return ca.substitute(expr, x, value)
 
 
-def _end(x: ca.SX, d: ca.SX, nd: Nodes) -> ca.SX:
-    return x + ca.mtimes(d, ca.DM(nd.b))
-
-
 def _point(x: ca.SX, d: ca.SX, nd: Nodes, t: float) -> ca.SX:
     return x + ca.mtimes(d, ca.DM(nd.integral(t)))
 
@@ -53,7 +49,7 @@ def nodal(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     """Gradients at the nodes, uncorrected (Gauss collocation; k = 1 is the midpoint rule MP): dH is H(x') - H(x)."""
     grad = ca.gradient(h, x)
     w = [at(grad, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
-    return ca.horzcat(*w), at(h, x, _end(x, d, nd)) - h
+    return ca.horzcat(*w), at(h, x, x + ca.mtimes(d, ca.DM(nd.b))) - h
 
 
 def numerical_loss(h: ca.SX, x: ca.SX, d: ca.SX, w: ca.SX, dh: ca.SX, nd: Nodes) -> ca.SX:
@@ -79,14 +75,13 @@ def general(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes, metric: np.ndarray) -> Grad
     """
     step = ca.mtimes(d, ca.DM(nd.b))
     smooth = secants(h, x, x, step)
-    grad, p = ca.gradient(smooth.expr, x), degree(smooth.expr, x)
+    grad, p = ca.gradient(smooth.expr, x), smooth.degree
     m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
     w = projected([at(grad, x, _point(x, d, nd, t)) for t in gauss(m)[0]], m, nd)
     if p is not None:
         # the path integral of the same quadrature: H(x') - H(x) without the cancellation
         dh = sum((nd.b[i] * ca.dot(d[:, i], w[:, i]) for i in range(nd.k)), ca.SX(0))
     else:
-        assert smooth.change is not None
         dh = smooth.change
         w = _corrected(w, dh, d, nd, metric)
     w, dh = smooth.back(w, dh)
@@ -151,7 +146,7 @@ def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes, change: ca.SX |
     def chat(t: float) -> ca.SX:
         return c + ca.mtimes(cd, ca.DM(nd.integral(t)))
 
-    p = degree(smooth.expr, s)
+    p = smooth.degree
     m = max(1, -(-p * nd.k // 2)) if p is not None else nd.k + 2
     node = projected([at(dphi, s, chat(t)) for t in gauss(m)[0]], m, nd)
     if p is not None:
@@ -160,7 +155,6 @@ def stress(phi: ca.SX, s: ca.SX, c: ca.SX, cd: ca.SX, nd: Nodes, change: ca.SX |
         # closed for the increments along which the stresses work: in a rotation they are rounding, and so is what is
         # between them and `change`
         closing, dh = secants(phi, s, c, total).change, smooth.change
-        assert closing is not None and dh is not None
         node = _corrected(node, closing, cd, nd, np.ones(1))
     node, dh = smooth.back(node, dh)
     return node, dh
@@ -192,11 +186,10 @@ def joint_gonzalez(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     smooth = secants(h, x, x, d)
     h = smooth.expr
     slope = ca.gradient(h, x)
-    grad, p = at(slope, x, m), degree(h, x)
+    grad, p = at(slope, x, m), smooth.degree
     if p is not None:
         num = _taylor_remainder(h, x, d, m, p)
     else:
-        assert smooth.change is not None
         num = significant(smooth.change, ca.dot(grad, d))
     w, dh = smooth.back(grad + guarded(num, length2, SMALLEST) * d, num + ca.dot(grad, d))
     return w, dh

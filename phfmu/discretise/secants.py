@@ -24,13 +24,21 @@ from phfmu.discretise.increments import change, quotient
 class Smooth:
     """`expr`, analytic in x, and the symbols of its secants with their values as expressions of the ends of the step.
 
-    `change`: the difference over the step, summed without cancellation; None for a polynomial.
+    `degree`: of `expr` as a polynomial in x, None if it is none;  `by`: its difference over the step, None where it was a
+    polynomial from the start.
     """
 
     expr: ca.SX
+    degree: int | None
     symbols: tuple[ca.SX, ...] = ()
     values: tuple[ca.SX, ...] = ()
-    change: ca.SX | None = None
+    by: ca.SX | None = None
+
+    @property
+    def change(self) -> ca.SX:
+        """The difference over the step of what was no polynomial, summed without cancellation."""
+        assert self.by is not None
+        return self.by
 
     def back(self, *exprs: ca.SX) -> list[ca.SX]:
         """The values put for the symbols in expressions made of `expr`."""
@@ -52,10 +60,13 @@ class _Value:
 
 def secants(expr: ca.SX, x: ca.SX, start: ca.SX, step: ca.SX) -> Smooth:
     """`expr`, a scalar function of x, on the step from `start` to `start + step`; the same expression if it is analytic."""
-    if degree(expr, x) is not None:
-        return Smooth(expr)
+    p = degree(expr, x)
+    if p is not None:
+        return Smooth(expr, p)
     found = _Walk(x, start, step).smooth(expr)
-    return found if piecewise(expr, x) else replace(found, expr=expr)
+    if not piecewise(expr, x):
+        return replace(found, expr=expr)
+    return replace(found, degree=degree(found.expr, x))
 
 
 @dataclass
@@ -82,7 +93,7 @@ class _Walk:
                 held[n.outputs[0]] = _constant(ca.SX(n.value))
             else:
                 held[n.outputs[0]] = self._result(n.op, [held[i] for i in n.inputs])
-        return Smooth(total.along, tuple(self.symbols), tuple(self.values), total.by)
+        return Smooth(total.along, None, tuple(self.symbols), tuple(self.values), total.by)
 
     def _result(self, op: int, given: list[_Value]) -> _Value:
         if not any(ca.depends_on(v.along, self.x) for v in given):
