@@ -74,15 +74,15 @@ def model(body: Multibody, order: int) -> Model:
 
 
 @pytest.mark.parametrize("order", [2, 6])
-def test_a_potential_of_distances_takes_the_chord(order: int, compiler: None) -> None:
+def test_a_potential_of_distances_takes_the_fast_stepper(order: int, compiler: None) -> None:
     """It is the springs it is made of."""
     one, many = (model(charges(springs), order) for springs in (False, True))
-    assert one.step.chord is not None and one.step.chord.nstrain == 3
+    assert one.step.schur is not None and one.step.schur.nstrain == 3
     ends = []
     for m in (one, many):
         unit = NativeInstance(m)
         unit.run(0.0, 0.01, 100)
-        assert unit.counts["chords"] == 100
+        assert unit.counts["schur"] == 100
         ends.append(unit.x)
     assert np.abs(ends[0] - ends[1]).max() <= 1e-13
 
