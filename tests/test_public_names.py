@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import subprocess
 import sys
 import tomllib
@@ -79,3 +80,14 @@ def test_every_package_is_listed_for_the_wheel() -> None:
         ".".join(("phfmu", *p.parent.relative_to(root).parts)) for p in (root / "components").rglob("__init__.py")
     }
     assert set(listed) == own | library and len(listed) == len(set(listed))
+
+
+def test_both_engines_take_the_same() -> None:
+    """PythonInstance has the methods of NativeInstance; names and types of arguments agree."""
+    for name, method in vars(phfmu.NativeInstance).items():
+        if not name.startswith("_") and name != "set_state" and callable(method):  # a saved state is opaque
+            other = vars(phfmu.PythonInstance).get(name)
+            assert other is not None, name
+            own, theirs = ([str(p) for p in inspect.signature(m).parameters.values()] for m in (method, other))
+            theirs = [p.replace("PythonInstance", "NativeInstance") for p in theirs]
+            assert own == theirs, name

@@ -25,7 +25,7 @@ def oscillator_coupling() -> Made:
                 r = how(oscillator(), h, 1.0, k)
                 exact = (np.cos(2 * np.pi * r.time) + np.cos(6 * np.pi * r.time)) / 2
                 errors.append(float(np.abs(r.column("mass1.q") - exact).max()))
-                H = sum(r.column(f"{m}.energy.stored") for m in ("mass1", "mass2", "spring12"))
+                H = np.sum([r.column(f"{m}.energy.stored") for m in ("mass1", "mass2", "spring12")], axis=0)
                 drift.append(float(np.abs(H - H[0]).max() / H[0]))
                 iterations.append(f"{r.iterations / r.steps:.2f}")
             for j, (h, order) in enumerate(zip(steps, slopes(errors, steps), strict=True)):

@@ -71,17 +71,17 @@ class PythonInstance:
     def set_state(self, state: State) -> None:
         self._s = copy.deepcopy(state)
 
-    def set_input(self, u: Array) -> None:
+    def set_input(self, u: ArrayLike) -> None:
         """Inputs (nu), held over the next steps."""
         self._s.u = np.tile(self._array(u, self.model.step.nu), self.model.step.k)
         self._s.theta, self._s.end = 0.0, None
 
-    def set_node_inputs(self, u: Array) -> None:
+    def set_node_inputs(self, u: ArrayLike) -> None:
         """Inputs at the k quadrature nodes of the next step (k x nu)."""
         self._s.u = self._array(u, self.model.step.k, self.model.step.nu).ravel().copy()
         self._s.theta, self._s.end = 0.0, None
 
-    def set_parameters(self, p: Array) -> None:
+    def set_parameters(self, p: ArrayLike) -> None:
         self._s.p = self._array(p, self.model.step.np).copy()
         self._s.end = None
 
@@ -89,7 +89,7 @@ class PythonInstance:
     def parameters(self) -> Array:
         return self._s.p.copy()
 
-    def set_x(self, t: float, x: Array) -> None:
+    def set_x(self, t: float, x: ArrayLike) -> None:
         """Place the state; call `initialise` afterwards."""
         self._array([t], 1)
         self._s.x[:-1], self._s.x[-1], self._s.t = self._array(x, self.model.step.nx), t, t
