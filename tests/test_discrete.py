@@ -29,8 +29,8 @@ from phfmu import (
 from phfmu.discretise import address, constraints
 from phfmu.discretise.address import Address
 from phfmu.discretise.extract import extract
+from phfmu.discretise.gradient_names import GRADIENTS
 from phfmu.discretise.quadrature import nodes
-from phfmu.discretise.scheme_names import GRADIENTS
 from phfmu.discretise.terms import CONSTRAINT
 
 EPS = np.finfo(float).eps

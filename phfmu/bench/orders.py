@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.discretise.gradient_names import GRADIENTS
 from phfmu.discretise.model import Model, build_model
-from phfmu.discretise.scheme_names import GRADIENTS, ORDERS, SCHEMES
+from phfmu.discretise.scheme_names import ORDERS, SCHEMES
 from phfmu.discretise.schemes import named_scheme
 from phfmu.discretise.terms import DeclarationError
 from phfmu.engine.python import PythonInstance

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 def add_scheme(parser: argparse.ArgumentParser) -> None:
     """--order, --scheme, --gradient, --closure."""
-    from phfmu.discretise.scheme_names import CLOSURES, GRADIENTS, ORDERS, SCHEMES
+    from phfmu.discretise.gradient_names import GRADIENTS
+    from phfmu.discretise.scheme_names import CLOSURES, ORDERS, SCHEMES
 
     parser.add_argument("--order", type=int, choices=ORDERS, help="order of the scheme (default 2, radau 3)")
     parser.add_argument("--scheme", default="auto", choices=SCHEMES,

@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from phfmu.discretise.address import Address, Place
-from phfmu.discretise.terms import Term
-
-EMPTY = ca.SX(0, 1)
+from phfmu.discretise.terms import EMPTY, Term
 
 
 @dataclass

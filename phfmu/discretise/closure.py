@@ -16,13 +16,13 @@ from dataclasses import replace
 import casadi as ca
 
 from phfmu.discretise.address import Address, algebraic, with_algebraics
-from phfmu.discretise.arguments import EMPTY, Arguments
+from phfmu.discretise.arguments import Arguments
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.planner import Maps
 from phfmu.discretise.quadrature import nodes
 from phfmu.discretise.scheme import node_maps
 from phfmu.discretise.spec import Spec
-from phfmu.discretise.terms import DeclarationError, Kind, Term, Terms
+from phfmu.discretise.terms import EMPTY, DeclarationError, Kind, Term, Terms
 from phfmu.discretise.unknown import ALGEBRAIC, Role, Unknown, of_algebraics
 
 POINTS = ("end", "start", "midpoint")

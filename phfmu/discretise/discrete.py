@@ -22,9 +22,9 @@ from phfmu.declare.energy import Energy, energy, resolve_kind
 from phfmu.declare.summands import summands
 from phfmu.declare.variable import Variable
 from phfmu.discretise import coordinate, gradients
+from phfmu.discretise.gradient_names import GRADIENTS
 from phfmu.discretise.gradients import Gradient
 from phfmu.discretise.quadrature import Nodes, nodes
-from phfmu.discretise.scheme_names import GRADIENTS
 
 
 @dataclass(frozen=True)

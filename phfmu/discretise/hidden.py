@@ -8,9 +8,20 @@ Source: the structural step of Pantelides, SIAM J. Sci. Stat. Comput. 9 (1988).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 
 from phfmu.discretise.terms import FLOW, Hidden, Term, Terms
+
+
+@dataclass(frozen=True)
+class Check:
+    """A hidden constraint of the state: row of an algebraic variable, level "velocity" (the row) or "position" (g)."""
+
+    name: str
+    level: str
+    row: int
 
 
 def contained(term: Term, j: int, bound: dict[int, int]) -> dict[tuple[str, int], int]:

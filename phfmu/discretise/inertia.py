@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.address import Address, costate_row, increment, own_costate, row
-from phfmu.discretise.arguments import EMPTY, Arguments
+from phfmu.discretise.arguments import Arguments
 from phfmu.discretise.quadrature import Nodes
 from phfmu.discretise.rank import constraint_jacobian, null_vectors
 from phfmu.discretise.spec import Spec
-from phfmu.discretise.terms import CONSTRAINT, ENERGY, JOINT, MASS, DeclarationError, Term, Terms
+from phfmu.discretise.terms import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, DeclarationError, Term, Terms
 
 LIGHT = 1e-6
 _LIGHT = "light"

@@ -25,8 +25,8 @@ from phfmu.discretise.address import (
     velocity_costate,
     velocity_increment,
 )
-from phfmu.discretise.arguments import EMPTY, Arguments
-from phfmu.discretise.hidden import rates
+from phfmu.discretise.arguments import Arguments
+from phfmu.discretise.hidden import Check, rates
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.plan import Plan
 from phfmu.discretise.planner import Maps, make_plan
@@ -35,6 +35,7 @@ from phfmu.discretise.spec import Result, Spec
 from phfmu.discretise.terms import (
     CLOSED,
     CONSTRAINT,
+    EMPTY,
     ENERGY,
     FLOW,
     JOINT,
@@ -97,15 +98,6 @@ def position_check(layout: Layout, term: Term, j: int, node: int) -> int:
     """The reported constraint g."""
     del node
     return layout.report(("position", term.rows[j][1]))
-
-
-@dataclass(frozen=True)
-class Check:
-    """A hidden constraint of the state: row of an algebraic variable, level "velocity" (the row) or "position" (g)."""
-
-    name: str
-    level: str
-    row: int
 
 
 def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], Layout]:

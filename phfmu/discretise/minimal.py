@@ -30,12 +30,12 @@ from phfmu.discretise.address import (
     velocity_increment,
     with_algebraics,
 )
-from phfmu.discretise.arguments import EMPTY, Arguments
+from phfmu.discretise.arguments import Arguments
 from phfmu.discretise.closure import carried
 from phfmu.discretise.layout import Layout
 from phfmu.discretise.scheme import Triplet
 from phfmu.discretise.spec import Result, Spec, substituted
-from phfmu.discretise.terms import CLOSED, Kind, Term, Terms
+from phfmu.discretise.terms import CLOSED, EMPTY, Kind, Term, Terms
 from phfmu.discretise.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
 
 #: the point of zbar in a step

@@ -13,7 +13,8 @@ from phfmu.declare.phdae import PHDAE, _starts, require_declaration
 from phfmu.declare.variable import Variable
 from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.extract import extract
-from phfmu.discretise.instant import Check, instant_plan
+from phfmu.discretise.hidden import Check
+from phfmu.discretise.instant import instant_plan
 from phfmu.discretise.onestep import step_plan
 from phfmu.discretise.plan import Kernel, Plan
 from phfmu.discretise.rest import at_start, hold_names

@@ -13,11 +13,11 @@ import numpy as np
 
 from phfmu.discretise import constraints, gradients
 from phfmu.discretise.address import READ, Address, costate_row, gradient, increment, row, source, step_size
-from phfmu.discretise.arguments import EMPTY, Arguments
+from phfmu.discretise.arguments import Arguments
 from phfmu.discretise.discrete import Summand, node_gradients
 from phfmu.discretise.quadrature import Nodes
 from phfmu.discretise.spec import Result, Spec, substituted
-from phfmu.discretise.terms import CLOSED, CONSTRAINT, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, SOURCE, Term
+from phfmu.discretise.terms import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, SOURCE, Term
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.arguments import EMPTY
-from phfmu.discretise.terms import CONSTRAINT, Term, Terms
+from phfmu.discretise.terms import CONSTRAINT, EMPTY, Term, Terms
 from phfmu.words import folded
 
 if TYPE_CHECKING:

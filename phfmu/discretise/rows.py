@@ -9,7 +9,7 @@ import casadi as ca
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import time
 from phfmu.discretise.extract_energy import divided
-from phfmu.discretise.instant import Check
+from phfmu.discretise.hidden import Check
 from phfmu.discretise.terms import CLOSED, CONSTRAINT, FLOW, MASS, Hidden, Term, Terms
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.variable import time
-from phfmu.discretise.instant import Check
+from phfmu.discretise.hidden import Check
 from phfmu.discretise.rows import check_rows
 from phfmu.discretise.terms import Terms
 

@@ -1,4 +1,4 @@
-"""Names of schemes, gradients and orders that users choose from; imports nothing, so that the command line stays fast."""
+"""Names of schemes, closures and orders that users choose from; imports nothing, so that the command line stays fast."""
 
 SCHEMES = (
     "auto",
@@ -10,7 +10,6 @@ SCHEMES = (
     "midpoint",
     "radau",
 )
-GRADIENTS = ("per-term", "joint-gonzalez", "mean-value", "itoh-abe", "itoh-abe-symmetric")
 CLOSURES = ("end", "start", "midpoint", "minimal")
 #: even orders are those of Gauss nodes, odd ones those of Radau nodes
 ORDERS = (1, 2, 3, 4, 5, 6)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.dirac_dissipative import DiracDissipative
+from phfmu.discretise.gradient_names import GRADIENTS
 from phfmu.discretise.gradient_pair import GradientPair
 from phfmu.discretise.midpoint import Midpoint
 from phfmu.discretise.radau import Radau
 from phfmu.discretise.scheme import Scheme
-from phfmu.discretise.scheme_names import CLOSURES, GRADIENTS, ORDERS, SCHEMES
+from phfmu.discretise.scheme_names import CLOSURES, ORDERS, SCHEMES
 from phfmu.discretise.semi_explicit import SemiExplicit
 from phfmu.discretise.terms import DeclarationError
 from phfmu.discretise.two_level import TwoLevel

@@ -20,6 +20,9 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, time
 
+#: no symbols
+EMPTY = ca.SX(0, 1)
+
 
 @dataclass(frozen=True)
 class Pair:
