@@ -14,9 +14,9 @@ from pathlib import Path
 
 from phfmu import Scene, build_model, export
 from phfmu.components.library import build
-from phfmu.discretise.schemes import named_scheme
 from phfmu.fmu.description import Unit
 from phfmu.fmu.fmi3 import model_description
+from phfmu.schemes.named import named_scheme
 
 HERE = Path(__file__).parent
 

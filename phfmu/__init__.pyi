@@ -22,6 +22,7 @@ from phfmu.declare.port import HYDRAULIC as HYDRAULIC
 from phfmu.declare.port import ROTATIONAL as ROTATIONAL
 from phfmu.declare.port import TRANSLATIONAL as TRANSLATIONAL
 from phfmu.declare.port import Domain as Domain
+from phfmu.declare.port import Given as Given
 from phfmu.declare.port import Port as Port
 from phfmu.declare.port import drive as drive
 from phfmu.declare.transformation import SystemTransformation as SystemTransformation
@@ -31,27 +32,11 @@ from phfmu.declare.variable import algebraic as algebraic
 from phfmu.declare.variable import parameter as parameter
 from phfmu.declare.variable import state as state
 from phfmu.declare.variable import time as time
-from phfmu.discretise.collocated import Collocated as Collocated
-from phfmu.discretise.dirac_dissipative import DiracDissipative as DiracDissipative
-from phfmu.discretise.discrete import discrete_gradient as discrete_gradient
-from phfmu.discretise.discrete import discrete_jacobian as discrete_jacobian
-from phfmu.discretise.discrete_pair import DiscretePair as DiscretePair
-from phfmu.discretise.discrete_pair import discrete_pair as discrete_pair
-from phfmu.discretise.discrete_pair import inverse_jacobian as inverse_jacobian
-from phfmu.discretise.discrete_pair import with_closed_pair as with_closed_pair
-from phfmu.discretise.gradient_pair import GradientPair as GradientPair
-from phfmu.discretise.midpoint import Midpoint as Midpoint
 from phfmu.discretise.model import Model as Model
 from phfmu.discretise.model import build_model as build_model
 from phfmu.discretise.model import default_scheme as default_scheme
-from phfmu.discretise.radau import Radau as Radau
-from phfmu.discretise.rank import ConstraintRank as ConstraintRank
-from phfmu.discretise.rank import constraint_rank as constraint_rank
-from phfmu.discretise.semi_explicit import SemiExplicit as SemiExplicit
 from phfmu.discretise.start import Projection as Projection
 from phfmu.discretise.start import project_start as project_start
-from phfmu.discretise.terms import DeclarationError as DeclarationError
-from phfmu.discretise.two_level import TwoLevel as TwoLevel
 from phfmu.engine.native import NativeInstance as NativeInstance
 from phfmu.engine.python import PythonInstance as PythonInstance
 from phfmu.engine.status import Status as Status
@@ -59,6 +44,12 @@ from phfmu.engine.status import StepFailure as StepFailure
 from phfmu.fmu.export import export as export
 from phfmu.fmu.manifest import PortMap as PortMap
 from phfmu.fmu.reader import FMUInstance as FMUInstance
+from phfmu.gradients.discrete import discrete_gradient as discrete_gradient
+from phfmu.gradients.discrete import discrete_jacobian as discrete_jacobian
+from phfmu.gradients.discrete_pair import DiscretePair as DiscretePair
+from phfmu.gradients.discrete_pair import discrete_pair as discrete_pair
+from phfmu.gradients.discrete_pair import inverse_jacobian as inverse_jacobian
+from phfmu.gradients.discrete_pair import with_closed_pair as with_closed_pair
 from phfmu.network.coupled import Coupled as Coupled
 from phfmu.network.fmu_member import FMUMember as FMUMember
 from phfmu.network.members import EngineMember as EngineMember
@@ -68,6 +59,16 @@ from phfmu.network.scene import Event as Event
 from phfmu.network.scene import Scene as Scene
 from phfmu.network.stepper import InconsistentState as InconsistentState
 from phfmu.network.stepper import Monolithic as Monolithic
+from phfmu.schemes.collocated import Collocated as Collocated
+from phfmu.schemes.dirac_dissipative import DiracDissipative as DiracDissipative
+from phfmu.schemes.gradient_pair import GradientPair as GradientPair
+from phfmu.schemes.midpoint import Midpoint as Midpoint
+from phfmu.schemes.radau import Radau as Radau
+from phfmu.schemes.semi_explicit import SemiExplicit as SemiExplicit
+from phfmu.schemes.two_level import TwoLevel as TwoLevel
+from phfmu.terms.rank import ConstraintRank as ConstraintRank
+from phfmu.terms.rank import constraint_rank as constraint_rank
+from phfmu.terms.term import DeclarationError as DeclarationError
 
 __version__: str
 __all__: tuple[str, ...]

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise.plan import Group, Kernel, Plan, Products
+from phfmu.plan.plan import Group, Kernel, Plan, Products
 
 Triplet = tuple[int, int, float, int]
 

@@ -31,11 +31,11 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.synchronous_machine import synchronous_machine
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.discretise.bare import bare_nodes
-from phfmu.discretise.extract import extract
 from phfmu.discretise.start import project_start
 from phfmu.network.run import run
 from phfmu.network.stepper import Monolithic
+from phfmu.terms.bare import bare_nodes
+from phfmu.terms.extract import extract
 
 sys.path.insert(0, str(Path(__file__).parent / "reference"))
 from machine_reference import ALPHA, MachineReference  # noqa: E402

@@ -11,7 +11,7 @@ from phfmu import DeclarationError, build_model
 from phfmu.bench.orders import Method, measure, methods, span, table, targets
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.discretise.schemes import named_scheme
+from phfmu.schemes.named import named_scheme
 
 
 @pytest.mark.parametrize(("name", "rate"), [("dc_motor", 206.0), ("oscillator", 6 * np.pi)])

@@ -35,8 +35,8 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.electrical.dc_motor import dc_motor
-from phfmu.discretise.terms import DeclarationError
 from phfmu.network.check_scene import check_scene
+from phfmu.terms.term import DeclarationError
 
 
 def refused(call: Any, *words: str) -> None:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.discretise.address import Address, gradient, increment
-from phfmu.discretise.differences import differences, in_differences
 from phfmu.discretise.model import build_model, default_scheme
-from phfmu.discretise.spec import Spec
 from phfmu.engine.derived import update_runs
+from phfmu.plan.address import Address, gradient, increment
+from phfmu.plan.differences import differences, in_differences
+from phfmu.plan.spec import Spec
 
 
 def spring(energy: object) -> Spec:

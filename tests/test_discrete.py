@@ -26,12 +26,13 @@ from phfmu import (
     state,
     strain_energy,
 )
-from phfmu.discretise import address, constraints
-from phfmu.discretise.address import Address
-from phfmu.discretise.extract import extract
-from phfmu.discretise.gradient_names import GRADIENTS
-from phfmu.discretise.quadrature import nodes
-from phfmu.discretise.terms import CONSTRAINT
+from phfmu.gradients.gradient_names import GRADIENTS
+from phfmu.gradients.quadrature import nodes
+from phfmu.plan import address
+from phfmu.plan.address import Address
+from phfmu.schemes import constraints
+from phfmu.terms.extract import extract
+from phfmu.terms.term import CONSTRAINT
 
 EPS = np.finfo(float).eps
 N = 3

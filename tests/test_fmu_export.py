@@ -31,7 +31,6 @@ from phfmu import (
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
-from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.compile import compile
 from phfmu.engine.native import NativeInstance
@@ -42,6 +41,7 @@ from phfmu.fmu.export import PLATFORMS, export
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.variables import FMUError, variables
 from phfmu.network.network import Network
+from phfmu.schemes.collocated import Collocated
 
 HERE = Path(__file__).parent
 SCHEMA = Path(str(fmpy.__file__)).parent / "schema" / "fmi3"

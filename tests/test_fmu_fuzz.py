@@ -11,9 +11,9 @@ import pytest
 
 from phfmu import build_model, export
 from phfmu.components.library import build
-from phfmu.discretise.collocated import Collocated
 from phfmu.fmu import sources
 from phfmu.fmu.archive import open_archive
+from phfmu.schemes.collocated import Collocated
 
 HERE = Path(__file__).parent
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")

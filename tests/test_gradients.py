@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from phfmu import discrete_gradient, strain_energy
-from phfmu.discretise import gradients
-from phfmu.discretise.quadrature import gauss, nodes
+from phfmu.gradients import gradients
+from phfmu.gradients.quadrature import gauss, nodes
 
 EPS = np.finfo(float).eps
 N = 6  # states of every example: two points in space

@@ -31,12 +31,12 @@ from phfmu.declare.check_pieces import continuous, kinks
 from phfmu.declare.check_sample import Sample
 from phfmu.declare.energy import Energy
 from phfmu.declare.operations import ANALYTIC, degree, piecewise
-from phfmu.discretise import gradients
-from phfmu.discretise.coordinate import itoh_abe
-from phfmu.discretise.quadrature import nodes
-from phfmu.discretise.terms import DeclarationError
 from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
+from phfmu.gradients import gradients
+from phfmu.gradients.coordinate import itoh_abe
+from phfmu.gradients.quadrature import nodes
+from phfmu.terms.term import DeclarationError
 
 EPS = np.finfo(float).eps
 Q = ca.SX.sym("q")

@@ -7,7 +7,7 @@ import pytest
 
 from phfmu import NativeInstance, PythonInstance, Status, StepFailure, build_model
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.discretise.schemes import named_scheme
+from phfmu.schemes.named import named_scheme
 
 ENGINES = (PythonInstance, NativeInstance)
 

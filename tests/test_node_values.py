@@ -27,9 +27,9 @@ from phfmu import (
     state,
 )
 from phfmu.cli import main
-from phfmu.discretise.quadrature import nodes
 from phfmu.fmu.values import Derivative
 from phfmu.fmu.variables import FMUError
+from phfmu.gradients.quadrature import nodes
 
 ENGINES = (PythonInstance, NativeInstance)
 M, K, D, K2, END = 1.3, 4.0, 0.2, 2.5, 1.5

@@ -29,16 +29,16 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.discretise.address import Address, increment, velocity_increment, with_velocities
-from phfmu.discretise.arguments import Arguments
-from phfmu.discretise.layout import Layout
-from phfmu.discretise.plan import Holds
-from phfmu.discretise.planner import Maps
-from phfmu.discretise.quadrature import Nodes, nodes
-from phfmu.discretise.scheme import Scheme, Triplet
-from phfmu.discretise.spec import Result, Spec
-from phfmu.discretise.terms import CONSTRAINT, Term, Terms
-from phfmu.discretise.unknown import Role, Unknown, of_algebraics, of_states
+from phfmu.gradients.quadrature import Nodes, nodes
+from phfmu.plan.address import Address, increment, velocity_increment, with_velocities
+from phfmu.plan.arguments import Arguments
+from phfmu.plan.layout import Layout
+from phfmu.plan.plan import Holds
+from phfmu.plan.planner import Maps
+from phfmu.plan.spec import Result, Spec
+from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
+from phfmu.schemes.scheme import Scheme, Triplet
+from phfmu.terms.term import CONSTRAINT, Term, Terms
 
 KICK = Role("impulse of a constraint at the end of a step", vanishes=True)
 SHIFT = Role("shift of a velocity by impulses", vanishes=True)

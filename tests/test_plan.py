@@ -14,8 +14,8 @@ import phfmu as ph
 from phfmu import PHDAE, Collocated, DeclarationError, Port, PythonInstance, TwoLevel, block, build_model, energy
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.discretise.ordering import StructurallySingular, elimination_order
 from phfmu.engine.evaluate import Evaluator
+from phfmu.plan.ordering import StructurallySingular, elimination_order
 
 SEEDS, EL = range(4), ph.ELECTRICAL
 

@@ -27,9 +27,9 @@ from phfmu import (
     state,
 )
 from phfmu.components.library import build
-from phfmu.discretise.quadrature import nodes, radau_nodes
-from phfmu.discretise.schemes import named_scheme
+from phfmu.gradients.quadrature import nodes, radau_nodes
 from phfmu.network.restart import Restart
+from phfmu.schemes.named import named_scheme
 
 ENGINES = (PythonInstance, NativeInstance)
 

@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 
 import phfmu as ph
 from phfmu import PHDAE, Collocated, NativeInstance, Port, PythonInstance, block, build_model, check, energy
-from phfmu.discretise.gradient_names import GRADIENTS
+from phfmu.gradients.gradient_names import GRADIENTS
 
 N = 4  # states x (2) and y (2)
 

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-import phfmu.discretise.rest as at_rest
+import phfmu.terms.rest as at_rest
 from phfmu import NativeInstance, PythonInstance, TwoLevel, build_model, constraint_rank
 from phfmu.cli import main
 from phfmu.discretise.model import Model
-from phfmu.discretise.rank import Dependence
 from phfmu.engine.evaluate import Evaluator
 from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.run import run
 from phfmu.network.stepper import Monolithic
 from phfmu.stress.mechanisms import bricard, bricard_reference, doubled, frame, hinge
+from phfmu.terms.rank import Dependence
 from phfmu.words import folded
 from tests.mechanisms import hung, windows
 

@@ -38,7 +38,7 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.components.electrical import synchronous_machine
 from phfmu.components.library import build
-from phfmu.discretise.schemes import named_scheme
+from phfmu.schemes.named import named_scheme
 from tests.test_orders import BETA, END, START, G, L, R, drive, reference, rlc, rlc_exact, rlc_rate, slope
 
 ENGINES = (PythonInstance, NativeInstance)

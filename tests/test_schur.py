@@ -10,9 +10,7 @@ import pytest
 
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.model import Model, build_model, default_scheme
-from phfmu.discretise.quadrature import nodes
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.compile import compile, host_flags
 from phfmu.engine.library import load, runtime_sources
@@ -20,6 +18,8 @@ from phfmu.engine.model import kernels
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.python import PythonInstance
 from phfmu.engine.tables import CTables
+from phfmu.gradients.quadrature import nodes
+from phfmu.schemes.collocated import Collocated
 from phfmu.schur import lane_groups
 from phfmu.schur.elimination import eliminate
 from phfmu.schur.lanes import spectrum

@@ -170,9 +170,9 @@ def test_projection_moves_no_further_than_the_start_was_off():
 @pytest.mark.parametrize("m", [1e-12, 1e-15])
 def test_engines_agree_on_vanishing_masses(m):
     from phfmu.discretise.model import build_model
-    from phfmu.discretise.schemes import named_scheme
     from phfmu.engine.native import NativeInstance
     from phfmu.engine.python import PythonInstance
+    from phfmu.schemes.named import named_scheme
 
     declaration = particles.four(m_1=m, eta0=0.0)
     model = build_model(declaration, named_scheme(declaration, "auto", 2, "per-term"))

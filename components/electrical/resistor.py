@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from phfmu import ELECTRICAL, PHDAE, Port, damping, parameter, skew
-from phfmu.declare.port import Given
+from phfmu import ELECTRICAL, PHDAE, Given, Port, damping, parameter, skew
 
 
 def resistor(R: float = 1.0, *, size: int | None = None, given: Given = "effort", nominal: float = 1.0) -> PHDAE:

@@ -7,8 +7,8 @@ from pages import Array, Made, reference, slopes, table
 
 from phfmu import NativeInstance, StepFailure, build_model, run
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.discretise.schemes import named_scheme
 from phfmu.network.stepper import Monolithic
+from phfmu.schemes.named import named_scheme
 
 SCHEMES = {
     "semi-explicit, joint Gonzalez": ("semi-explicit", 2, "joint-gonzalez"),

@@ -11,7 +11,7 @@ from phfmu import Collocated, Monolithic, NativeInstance, build_model, default_s
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.discretise.scheme import Scheme
+from phfmu.schemes.scheme import Scheme
 
 
 def stepper(declaration: Any, scheme: Scheme) -> Monolithic:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.discretise.terms import DeclarationError
+from phfmu.terms.term import DeclarationError
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import casadi as ca
 from phfmu.declare.dense import coefficient, square, stacked
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
-from phfmu.discretise.terms import Locator, Terms
+from phfmu.terms.term import Locator, Terms
 
 
 class Flat:

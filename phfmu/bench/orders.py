@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.discretise.gradient_names import GRADIENTS
 from phfmu.discretise.model import Model, build_model
-from phfmu.discretise.scheme_names import ORDERS, SCHEMES
-from phfmu.discretise.schemes import named_scheme
-from phfmu.discretise.terms import DeclarationError
 from phfmu.engine.python import PythonInstance
 from phfmu.engine.status import StepFailure
+from phfmu.gradients.gradient_names import GRADIENTS
+from phfmu.schemes.named import named_scheme
+from phfmu.schemes.scheme_names import ORDERS, SCHEMES
+from phfmu.terms.term import DeclarationError
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from phfmu.bench.candidate import Candidate, Run
 from phfmu.bench.compositions import COMPOSITIONS, Composed, Composition
 from phfmu.bench.problem import Problem
 from phfmu.discretise.model import Model, build_model
-from phfmu.discretise.schemes import named_scheme
 from phfmu.network.stepper import Inputs
+from phfmu.schemes.named import named_scheme
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.collocated import Collocated
-from phfmu.discretise.midpoint import Midpoint
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.status import StepFailure
+from phfmu.schemes.collocated import Collocated
+from phfmu.schemes.midpoint import Midpoint
 
 Array = NDArray[Any]
 

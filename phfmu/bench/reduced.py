@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from phfmu.bench.flat import Flat
 from phfmu.declare.phdae import PHDAE, _starts
 from phfmu.declare.variable import _sx, time
-from phfmu.discretise.extract import extract
-from phfmu.discretise.terms import Hidden, Terms
+from phfmu.terms.extract import extract
+from phfmu.terms.term import Hidden, Terms
 
 Array = NDArray[np.float64]
 

@@ -56,7 +56,7 @@ def _count(n: int, word: str) -> str:
 
 def _print_rank(declaration: PHDAE) -> None:
     """Redundant constraints are allowed (multipliers of least norm), but worth knowing."""
-    from phfmu.discretise.rank import constraint_rank
+    from phfmu.terms.rank import constraint_rank
 
     found = constraint_rank(declaration)
     if found.redundant:

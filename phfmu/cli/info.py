@@ -75,7 +75,7 @@ def call(args: argparse.Namespace) -> int:
 def _rank(declaration: PHDAE, target: str) -> str:
     """Rank of the constraints, which of them are redundant, and whose forces are unique."""
     from phfmu.declare.error import DeclarationError
-    from phfmu.discretise.rank import constraint_rank
+    from phfmu.terms.rank import constraint_rank
 
     try:
         return constraint_rank(declaration).report()

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
-    from phfmu.discretise.scheme import Scheme
     from phfmu.network.scene import Event, Scene
+    from phfmu.schemes.scheme import Scheme
 
 
 def add_scheme(parser: argparse.ArgumentParser) -> None:
     """--order, --scheme, --gradient, --closure."""
-    from phfmu.discretise.gradient_names import GRADIENTS
-    from phfmu.discretise.scheme_names import CLOSURES, ORDERS, SCHEMES
+    from phfmu.gradients.gradient_names import GRADIENTS
+    from phfmu.schemes.scheme_names import CLOSURES, ORDERS, SCHEMES
 
     parser.add_argument("--order", type=int, choices=ORDERS, help="order of the scheme (default 2, radau 3)")
     parser.add_argument("--scheme", default="auto", choices=SCHEMES,
@@ -120,7 +120,7 @@ def settings(items: list[str]) -> dict[str, float]:
 
 def scheme_of(args: argparse.Namespace, declaration: PHDAE, *, member: bool = False) -> Scheme:
     """The scheme asked for; members without constraints fall back to collocated under auto and two-level."""
-    from phfmu.discretise.schemes import named_scheme
+    from phfmu.schemes.named import named_scheme
 
     name: Any = args.scheme
     if member and name == "two-level" and not declaration.constraints:

@@ -24,7 +24,7 @@ from phfmu.declare.check_sample import Sample
 from phfmu.declare.phdae import PHDAE, require_declaration
 
 if TYPE_CHECKING:
-    from phfmu.discretise.scheme import Scheme
+    from phfmu.schemes.scheme import Scheme
 
 #: rules that only warn: they run where warnings are asked for, on a model without errors
 WARNING_RULES: tuple[Callable[[Entries, Sample], list[Problem]], ...] = (dimensions, kinks, bounded, constants)

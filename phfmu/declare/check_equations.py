@@ -14,7 +14,7 @@ from phfmu.declare.phdae import PHDAE
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
-    from phfmu.discretise.scheme import Scheme
+    from phfmu.schemes.scheme import Scheme
 
 
 def unused(entries: Entries) -> list[Problem]:
@@ -111,10 +111,10 @@ def _no_velocity(entries: Entries, rate: ca.SX) -> str:
 def equations(model: PHDAE, scheme: Scheme | None) -> list[Problem]:
     """The equations can be solved at the start, and the start satisfies their hidden constraints."""
     from phfmu.discretise.model import build_model
-    from phfmu.discretise.terms import DeclarationError
     from phfmu.engine.python import PythonInstance
     from phfmu.engine.remedy import remedy
     from phfmu.engine.status import Status, StepFailure
+    from phfmu.terms.term import DeclarationError
 
     try:
         built = build_model(model, scheme)

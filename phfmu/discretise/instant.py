@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise.address import (
+from phfmu.plan.address import (
     READ,
     Address,
     costate,
@@ -25,14 +25,15 @@ from phfmu.discretise.address import (
     velocity_costate,
     velocity_increment,
 )
-from phfmu.discretise.arguments import Arguments
-from phfmu.discretise.hidden import Check, rates
-from phfmu.discretise.layout import Layout
-from phfmu.discretise.plan import Plan
-from phfmu.discretise.planner import Maps, make_plan
-from phfmu.discretise.scheme import node_holds
-from phfmu.discretise.spec import Result, Spec
-from phfmu.discretise.terms import (
+from phfmu.plan.arguments import Arguments
+from phfmu.plan.layout import Layout
+from phfmu.plan.plan import Plan
+from phfmu.plan.planner import Maps, make_plan
+from phfmu.plan.spec import Result, Spec
+from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, of_algebraics, of_states
+from phfmu.schemes.scheme import node_holds
+from phfmu.terms.hidden import Check, rates
+from phfmu.terms.term import (
     CLOSED,
     CONSTRAINT,
     EMPTY,
@@ -48,7 +49,6 @@ from phfmu.discretise.terms import (
     Term,
     Terms,
 )
-from phfmu.discretise.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, of_algebraics, of_states
 
 #: the rate of an algebraic variable that a differentiated row contains; its row is the undifferentiated one that gives it
 RATE = Role("rate of an algebraic variable")

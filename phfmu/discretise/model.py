@@ -11,16 +11,16 @@ from phfmu.declare.check_names import starts
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, _starts, require_declaration
 from phfmu.declare.variable import Variable
-from phfmu.discretise.collocated import Collocated
-from phfmu.discretise.extract import extract
-from phfmu.discretise.hidden import Check
 from phfmu.discretise.instant import instant_plan
 from phfmu.discretise.onestep import step_plan
-from phfmu.discretise.plan import Kernel, Plan
-from phfmu.discretise.rest import at_start, hold_names
 from phfmu.discretise.scales import check_scales
-from phfmu.discretise.scheme import Scheme
-from phfmu.discretise.two_level import TwoLevel
+from phfmu.plan.plan import Kernel, Plan
+from phfmu.schemes.collocated import Collocated
+from phfmu.schemes.scheme import Scheme
+from phfmu.schemes.two_level import TwoLevel
+from phfmu.terms.extract import extract
+from phfmu.terms.hidden import Check
+from phfmu.terms.rest import at_start, hold_names
 
 Array = NDArray[np.float64]
 

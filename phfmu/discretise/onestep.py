@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from phfmu.discretise.differences import in_differences
-from phfmu.discretise.layout import Layout
-from phfmu.discretise.plan import Plan
-from phfmu.discretise.planner import make_plan
-from phfmu.discretise.scheme import Scheme
-from phfmu.discretise.spec import Spec
-from phfmu.discretise.terms import Term, Terms
+from phfmu.plan.differences import in_differences
+from phfmu.plan.layout import Layout
+from phfmu.plan.plan import Plan
+from phfmu.plan.planner import make_plan
+from phfmu.plan.spec import Spec
+from phfmu.schemes.scheme import Scheme
 from phfmu.schur.stepper import find_stepper
+from phfmu.terms.term import Term, Terms
 
 
 def step_layout(terms: Terms, scheme: Scheme) -> Layout:

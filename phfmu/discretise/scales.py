@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.variable import time
-from phfmu.discretise.hidden import Check
-from phfmu.discretise.rows import check_rows
-from phfmu.discretise.terms import Terms
+from phfmu.terms.hidden import Check
+from phfmu.terms.rows import check_rows
+from phfmu.terms.term import Terms
 
 Array = NDArray[np.float64]
 

@@ -23,12 +23,12 @@ from scipy.sparse import block_array, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from phfmu.declare.variable import time
-from phfmu.discretise.extract import extract
 from phfmu.discretise.model import CONSISTENCY, Model
-from phfmu.discretise.rank import TOLERANCE
-from phfmu.discretise.reach import moved_by_impulses
-from phfmu.discretise.rows import check_rows
-from phfmu.discretise.terms import DeclarationError
+from phfmu.terms.extract import extract
+from phfmu.terms.rank import TOLERANCE
+from phfmu.terms.reach import moved_by_impulses
+from phfmu.terms.rows import check_rows
+from phfmu.terms.term import DeclarationError
 
 Array = NDArray[Any]
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.discretise.plan import Kernel
+from phfmu.plan.plan import Kernel
 from phfmu.schur.stepper import SchurStepper
 from phfmu.schur.text import NO_STEPPER, stepper_text
 

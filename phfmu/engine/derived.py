@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from phfmu.discretise.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
+from phfmu.plan.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
 from phfmu.schur.lane_groups import LaneGroup
 from phfmu.schur.stepper import SchurStepper
 from phfmu.schur.text import loop_index, loop_name

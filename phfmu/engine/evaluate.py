@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.plan import Group, Plan, Products
+from phfmu.plan.plan import Group, Plan, Products
 
 Array = NDArray[Any]
 

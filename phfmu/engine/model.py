@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.plan import Kernel, Plan
+from phfmu.plan.plan import Kernel, Plan
 
 Floats = NDArray[np.float64]
 

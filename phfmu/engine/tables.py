@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.plan import Kernel, Plan
 from phfmu.engine.derived import lane_groups, plan_values, schur_sizes
 from phfmu.engine.model import Model
+from phfmu.plan.plan import Kernel, Plan
 from phfmu.schur.stepper import SchurStepper
 
 RUNTIME = Path(__file__).parent / "runtime"

@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.collocated import Collocated
 from phfmu.discretise.model import Model
-from phfmu.discretise.radau import Radau
-from phfmu.discretise.terms import DeclarationError
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.restart import gains
 from phfmu.network.stepper import Monolithic, Steps
+from phfmu.schemes.collocated import Collocated
+from phfmu.schemes.radau import Radau
+from phfmu.terms.term import DeclarationError
 
 Array = NDArray[np.float64]
 
@@ -196,8 +196,8 @@ def _require_held(model: Model) -> None:
 
 def _free_nodes(model: Model) -> list[str]:
     """Bare nodes without impulses."""
-    from phfmu.discretise.bare import bare_nodes
-    from phfmu.discretise.extract import extract
+    from phfmu.terms.bare import bare_nodes
+    from phfmu.terms.extract import extract
 
     held = model.scheme.impulses
     return [n.name for n in bare_nodes(extract(model.declaration)) if not held or n.remedy == "none"]

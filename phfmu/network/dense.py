@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.extract import extract
 from phfmu.discretise.model import Model
 from phfmu.discretise.onestep import step_layout
-from phfmu.discretise.unknown import INCREMENT
+from phfmu.plan.unknown import INCREMENT
+from phfmu.terms.extract import extract
 
 Array = NDArray[np.float64]
 

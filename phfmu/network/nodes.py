@@ -13,8 +13,8 @@ WORDS = {
 
 def node_kinds(declaration: PHDAE) -> dict[str, str]:
     """Junction -> index 1, or index 2 and what the steps do about it."""
-    from phfmu.discretise.bare import bare_nodes
-    from phfmu.discretise.extract import extract
+    from phfmu.terms.bare import bare_nodes
+    from phfmu.terms.extract import extract
 
     terms = extract(declaration)
     names = [n for v in declaration.algebraics for n in v.names()]

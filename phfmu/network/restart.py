@@ -7,9 +7,9 @@ a component would gain instead (other H) is taken by the exact scheme.
 
 from __future__ import annotations
 
-from phfmu.discretise.radau import Radau
-from phfmu.discretise.terms import DeclarationError
 from phfmu.network.stepper import Monolithic, Steps
+from phfmu.schemes.radau import Radau
+from phfmu.terms.term import DeclarationError
 
 #: a gain below this part of the step's energies is rounding
 ROUNDING = 1e-12

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model, build_model
-from phfmu.discretise.scheme import Scheme
 from phfmu.engine.status import StepFailure
 from phfmu.fmu.variables import ordered_ports
 from phfmu.network.columns import Columns
+from phfmu.schemes.scheme import Scheme
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection

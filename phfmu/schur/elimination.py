@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from phfmu.discretise.plan import Floats, Ints
+from phfmu.plan.plan import Floats, Ints
 
 #: trailing columns of at least so many, of whose entries at most this share is filled up with zeros, are eliminated as a
 #: full block by loops: their updates need no list

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phfmu.discretise.plan import Ints
+from phfmu.plan.plan import Ints
 from phfmu.schur.lanes import LaneKernel
 
 #: degrees of freedom of a tile: its arrays fill about half of a first-level cache

@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import ANALYTIC, degree
-from phfmu.discretise.differences import Differences, differences
-from phfmu.discretise.gradients import stress
-from phfmu.discretise.quadrature import nodes
-from phfmu.discretise.terms import Term
+from phfmu.gradients.gradients import stress
+from phfmu.gradients.quadrature import nodes
+from phfmu.plan.differences import Differences, differences
+from phfmu.terms.term import Term
 
 EMPTY = ca.SX(0, 1)
 

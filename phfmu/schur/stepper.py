@@ -15,17 +15,17 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import degree, piecewise
-from phfmu.discretise.constraints import VELOCITY_LEVEL
-from phfmu.discretise.layout import Layout
-from phfmu.discretise.plan import Floats, Ints, Plan
-from phfmu.discretise.quadrature import nodes
-from phfmu.discretise.scheme import Scheme
-from phfmu.discretise.terms import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, Term
-from phfmu.discretise.unknown import ALGEBRAIC, INCREMENT
+from phfmu.gradients.quadrature import nodes
+from phfmu.plan.layout import Layout
+from phfmu.plan.plan import Floats, Ints, Plan
+from phfmu.plan.unknown import ALGEBRAIC, INCREMENT
+from phfmu.schemes.constraints import VELOCITY_LEVEL
+from phfmu.schemes.scheme import Scheme
 from phfmu.schur import lanes
 from phfmu.schur.elimination import Elimination, Pattern, eliminate, factor_pattern, updates
 from phfmu.schur.lane_groups import Instances, LaneGroup, Tiles, tiled
 from phfmu.schur.lanes import Lanes, NoLanes
+from phfmu.terms.term import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, Term
 
 #: a factor of all rows with no more updates than this per row is never the larger part of a step
 FEW = 200

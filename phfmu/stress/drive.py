@@ -58,8 +58,8 @@ class Record:
 def instance(declaration: PHDAE, order: int = 2, scheme: Any = "auto", gradient: str = "per-term") -> Any:
     """A native instance, a Python one without a C compiler."""
     from phfmu.discretise.model import build_model
-    from phfmu.discretise.schemes import named_scheme
     from phfmu.engine.compile import CompilerMissing, require_compiler
+    from phfmu.schemes.named import named_scheme
 
     model = build_model(declaration, named_scheme(declaration, scheme, order, gradient))
     try:

@@ -9,8 +9,8 @@ import numpy as np
 from common import Run, medians, quartiles, rounds
 
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.discretise.quadrature import nodes
 from phfmu.engine.compile import compile, host_flags
+from phfmu.gradients.quadrature import nodes
 
 
 def main(stop: float = 10.0) -> None:

@@ -1,0 +1,1 @@
+"""Discrete gradients and Jacobians of functions: mathematics only."""

@@ -1,0 +1,129 @@
+"""The spaces of a plan: where unknowns, rows, inputs and assembled values live."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
+from phfmu.terms.term import Terms
+
+
+@dataclass
+class Layout:
+    """Y = [unknowns | inputs at k nodes | h | Z],  Z = [costates at k nodes, rates | sources at k nodes, rates],
+    R = [a row per unknown | outputs of the pairs at k nodes | reports].
+
+    `reports`: a key per reported row;  `rates`: costates and sources have rates too (instant plans, k = 1).
+    """
+
+    terms: Terms
+    k: int
+    unknowns: Sequence[Unknown]
+    reports: Sequence[Hashable] = ()
+    rates: bool = False
+    sources: list[int] = field(init=False)
+    _place: dict[tuple[Role, int, int], int] = field(init=False, repr=False)
+    _report: dict[Hashable, int] = field(init=False, repr=False)
+    _source: dict[int, int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._place = {(u.role, u.index, u.node): i for i, u in enumerate(self.unknowns)}
+        self._report = {key: i for i, key in enumerate(self.reports)}
+        self.sources = [i for i, p in enumerate(self.terms.pairs) if p.port.source is not None]
+        self._source = {p: j for j, p in enumerate(self.sources)}
+
+    # -- sizes ------------------------------------------------------------------------------------------------------
+
+    @property
+    def nw(self) -> int:
+        return len(self.unknowns)
+
+    @property
+    def nv(self) -> int:
+        return self.nw + self.terms.nu * self.k + 1
+
+    @property
+    def nz(self) -> int:
+        return (self.terms.n1 + len(self.sources)) * self.k * (2 if self.rates else 1)
+
+    # -- unknowns and rows --------------------------------------------------------------------------------------------
+
+    def at(self, role: Role, i: int, node: int = 0) -> int:
+        """The unknown, and its row."""
+        return self._place[role, i, node]
+
+    def find(self, role: Role, i: int, node: int = 0) -> int | None:
+        """The unknown, None where the scheme has none."""
+        return self._place.get((role, i, node))
+
+    def roles(self) -> set[Role]:
+        return {u.role for u in self.unknowns}
+
+    def row(self, kind: str, i: int, node: int = 0) -> int:
+        """Row of a state (x), of an algebraic variable (a), of the output of a pair (y) or of an observable (o)."""
+        if kind == "x":
+            return self.at(INCREMENT, i, node)
+        if kind == "a":
+            return self.at(ALGEBRAIC, i, node)
+        if kind == "y":
+            return self.nw + node * len(self.terms.pairs) + i
+        return self.report(i)
+
+    def report(self, key: Hashable) -> int:
+        """Row of what is reported under `key`."""
+        return self.nw + len(self.terms.pairs) * self.k + self._report[key]
+
+    # -- assembled values ---------------------------------------------------------------------------------------------
+
+    def slot(self, i: int, node: int) -> int:
+        """Z index of the costate (or gradient) of state i at a node."""
+        return node * self.terms.n1 + i
+
+    def rate_slot(self, i: int) -> int:
+        """Z index of dz/dt of state i."""
+        return self.terms.n1 * self.k + i
+
+    def source_slot(self, pair: int, node: int) -> int:
+        """Z index of the source of a pair."""
+        return self.terms.n1 * self.k * (2 if self.rates else 1) + node * len(self.sources) + self._source[pair]
+
+    def source_rate_slot(self, pair: int) -> int:
+        """Z index of its time derivative."""
+        return self.source_slot(pair, 0) + len(self.sources)
+
+    # -- values that kernels and constants read -------------------------------------------------------------------------
+
+    def value(self, kind: str, i: int, node: int = 0) -> int:
+        """Y index of a costate (z), an algebraic variable (a) or a port input (u)."""
+        if kind == "z":
+            return self.costate(i, node)
+        return self.at(ALGEBRAIC, i, node) if kind == "a" else self.input_index(i, node)
+
+    def costate(self, i: int, node: int) -> int:
+        """Y index of a costate: an unknown, or assembled."""
+        w = self._place.get((COSTATE, i, node))
+        return self.nv + self.slot(i, node) if w is None else w
+
+    def costate_rate(self, i: int) -> int:
+        """Y index of dz/dt of state i."""
+        return self.nv + self.rate_slot(i)
+
+    def input_index(self, pair: int, node: int) -> int:
+        """Y index of the input of a pair: external, the value of a source, or the algebraic variable that feeds it."""
+        if pair < self.terms.nu:
+            return self.nw + node * self.terms.nu + pair
+        if pair in self._source:
+            return self.nv + self.source_slot(pair, node)
+        return self.at(ALGEBRAIC, self.terms.bound[pair], node)
+
+    # -- for messages -------------------------------------------------------------------------------------------------
+
+    def names(self) -> list[str]:
+        """A name per row."""
+        return [u.label + (f" (node {u.node + 1})" if self.k > 1 else "") for u in self.unknowns]
+
+    def nominals(self) -> np.ndarray:
+        return np.array([u.nominal for u in self.unknowns], float).reshape(-1)

@@ -1,0 +1,159 @@
+"""Masses of the velocities that constraints act on, for the two-level form.
+
+A velocity is light if its mass is 0, or at most `LIGHT` times the largest and fixed by the constraints: dividing by
+its mass would lose the solution to rounding.  Its shift is an unknown of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.gradients.quadrature import Nodes
+from phfmu.plan.address import Address, costate_row, increment, own_costate, row
+from phfmu.plan.arguments import Arguments
+from phfmu.plan.spec import Spec
+from phfmu.terms.rank import constraint_jacobian, null_vectors
+from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, DeclarationError, Term, Terms
+
+LIGHT = 1e-6
+_LIGHT = "light"
+
+
+def prepare(terms: Terms) -> Terms:
+    """Give every constraint the masses of its velocities and mark the light ones.
+
+    DeclarationError where the form M v' = .., z_v = v is absent, or M is singular on ker Dg.
+    """
+    constraints = terms.of(CONSTRAINT)
+    shifted = sorted({terms.velocity_of[q] for t in constraints for q in t.index["x"]})
+    mass = {t.rows[0][1]: t for t in terms.of(MASS)}
+    require_velocities(terms, shifted)
+    light = light_velocities(terms, shifted, mass)
+    new = []
+    for t in terms.terms:
+        if t.kind is CONSTRAINT:
+            velocities = [terms.velocity_of[q] for q in t.index["x"]]
+            t = _with_masses(t, [mass.get(v) for v in velocities], np.array([v in light for v in velocities]))
+        elif t.kind is MASS and t.rows[0][1] in light:
+            t = replace(t, key=("light", t.key), tag=_LIGHT)
+        new.append(t)
+    return replace(terms, terms=new, light=tuple(sorted(light)))
+
+
+def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]) -> Term:
+    """The constraint with the mass expressions as data, its parameters extended by theirs (None = unit mass)."""
+    symbols, index, data = [term.local.get("p", EMPTY)], list(term.index.get("p", ())), []
+    for m in masses:
+        local = EMPTY if m is None else m.local.get("p", EMPTY)
+        fresh = ca.SX.sym("p", local.numel())
+        value = ca.SX(1) if m is None else m.data["m"]
+        data.append(ca.substitute([value], [local], [fresh])[0] if local.numel() else value)
+        symbols.append(fresh)
+        index += [] if m is None else list(m.index.get("p", ()))
+    key = ("masses", term.key, tuple(None if m is None else m.key for m in masses), tuple(light.tolist()))
+    p = ca.vertcat(*symbols)
+    local = term.local | ({"p": p} if p.numel() else {})
+    return replace(
+        term,
+        key=key,
+        local=local,
+        index=term.index | {"p": tuple(index)},
+        data=term.data | {"mass": data, "light": light},
+    )
+
+
+def is_light(term: Term) -> bool:
+    """Whether a mass is that of a light velocity."""
+    return term.tag == _LIGHT
+
+
+def specs(term: Term, nd: Nodes) -> list[Spec]:
+    """Rows of a light velocity: m D_i as ever; for its costates equal increments, and its shift in the mean,
+
+    sum_i b_i m (z_i - v_i) = sum_i b_i S_i^T mu.
+    """
+    args = Arguments(term, nd.k)
+    d, v, z, m = args.matrix(increment, 1), term.local["x"], args.matrix(own_costate, 1), term.data["m"]
+    shift = sum((nd.b[i] * (z[i] - v - ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)), ca.SX(0))
+    out = [(Address(row, 0, i), 0, m * d[i]) for i in range(nd.k)]
+    out += [(Address(costate_row, 0, i), 0, d[i + 1] - d[i]) for i in range(nd.k - 1)]
+    out.append((Address(costate_row, 0, nd.k - 1), 0, m * shift))
+    return [Spec(1, v, args.p, args.y, out)]
+
+
+def light_velocities(terms: Terms, shifted: list[int], mass: dict[int, Term]) -> set[int]:
+    """The light ones of the velocities `shifted`; DeclarationError if a massless direction is not constrained."""
+    value = dict.fromkeys(shifted, 1.0) | _values(terms, list(mass.values()))
+    names = [n for v in terms.model.states for n in v.names()]
+    negative = [names[v] for v, m in value.items() if not m >= 0]
+    if negative:
+        raise DeclarationError(
+            f"{terms.model.name}: the mass of {', '.join(negative[:6])} is negative; give it one from 0"
+        )
+    largest = max(value[v] for v in shifted) if shifted else 1.0
+    light = [v for v in shifted if value[v] <= LIGHT * largest]
+    massless = [v for v, m in value.items() if m == 0.0]
+    if not light and not massless:
+        return set()
+    jacobian = constraint_jacobian(terms)
+    free = null_vectors(jacobian[:, massless].toarray())
+    if free.shape[1]:
+        entries = sorted(range(len(massless)), key=lambda i: -abs(free[i, 0]))
+        vector = ", ".join(f"{names[massless[i]]} = {free[i, 0]:.3g}" for i in entries[:6] if abs(free[i, 0]) > 1e-6)
+        raise DeclarationError(
+            f"{terms.model.name}: M is singular on ker Dg: the direction {vector} has no mass and no constraint at the "
+            "start; give it a mass, or constrain it"
+        )
+    return set(light if not null_vectors(jacobian[:, light].toarray()).shape[1] else massless)
+
+
+def require_velocities(terms: Terms, shifted: list[int]) -> None:
+    """DeclarationError unless the costate of every state in `shifted` is that state (kinetic energy with diagonal M)."""
+    p, good = _parameters(terms), dict.fromkeys(shifted, 0)
+    rng = np.random.default_rng(1)
+    known: dict[tuple, NDArray[np.bool_]] = {}
+    for t in terms.of(ENERGY, JOINT):
+        for j, (_, i) in enumerate(t.rows):
+            if i in good:
+                if t.kind is JOINT:  # all energies in one: judged by the scheme's own gradient
+                    good[i] += 1
+                    continue
+                if t.key not in known:
+                    known[t.key] = _is_velocity(t, p, rng)
+                good[i] += 1 if known[t.key][j] else 2
+    names = [n for v in terms.model.states for n in v.names()]
+    for v, count in good.items():
+        if count != 1 or v in terms.solved_costates:
+            raise DeclarationError(
+                f"{terms.model.name}: the two-level scheme needs velocities as states (M v' = ..., z = v) with a diagonal M; "
+                f"'{names[v]}' is not one. Use --scheme semi-explicit"
+            )
+
+
+def _is_velocity(t: Term, p: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Per state of an energy term: its costate is the state itself."""
+    x = t.local["x"]
+    if "z" not in t.data:
+        return np.zeros(x.numel(), bool)
+    f = ca.Function("z", [x, t.local.get("p", EMPTY)], [ca.densify(t.data["z"])])
+    at = rng.standard_normal(x.numel())
+    z = np.array(f(at, p[list(t.index.get("p", ()))])).ravel()
+    return np.abs(z - at) <= 1e-9 * (1 + np.abs(at))
+
+
+def _parameters(terms: Terms) -> NDArray[np.float64]:
+    return np.array([s for v in terms.model.parameters for s in v.start], float)
+
+
+def _values(terms: Terms, masses: list[Term]) -> dict[int, float]:
+    """State -> its mass at the start values of the parameters."""
+    p, known, out = _parameters(terms), {}, {}
+    for t in masses:
+        if t.key not in known:
+            known[t.key] = ca.Function("m", [t.local.get("p", EMPTY)], [t.data["m"]])
+        out[t.rows[0][1]] = float(known[t.key](p[list(t.index.get("p", ()))]))
+    return out

@@ -1,0 +1,148 @@
+"""What the step plan asks of a scheme, and the parts that schemes with k nodes share."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from phfmu.gradients.quadrature import Nodes
+from phfmu.plan.layout import Layout
+from phfmu.plan.plan import Holds
+from phfmu.plan.planner import Maps
+from phfmu.plan.spec import Spec
+from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
+from phfmu.terms.term import Term, Terms
+
+#: (row, Y index, value, power of h)
+Triplet = tuple[int, int, float, int]
+
+
+class Scheme(Protocol):
+    """A one-step method: which unknowns it has and what kernels each kind of term becomes."""
+
+    @property
+    def name(self) -> str:
+        """As users say it."""
+        ...
+
+    @property
+    def gradient(self) -> str:
+        """As users say it."""
+        ...
+
+    @property
+    def order(self) -> int:
+        """Of the states."""
+        ...
+
+    @property
+    def nodes(self) -> Nodes:
+        """Where inputs are taken and outputs are averaged."""
+        ...
+
+    @property
+    def joint(self) -> bool:
+        """One gradient over all states of a member."""
+        ...
+
+    @property
+    def loses_energy(self) -> bool:
+        """It has a numerical loss, which its ledger books."""
+        ...
+
+    @property
+    def two_level(self) -> bool:
+        """Holonomic constraints hold on the level of velocities too."""
+        ...
+
+    @property
+    def impulses(self) -> bool:
+        """Bare nodes get impulses where their conditions hold."""
+        ...
+
+    def prepare(self, terms: Terms) -> Terms:
+        """The terms to discretise; DeclarationError says what fits a model that this scheme does not."""
+        ...
+
+    def unknowns(self, terms: Terms) -> Sequence[Unknown]:
+        """Every unknown; its row has the same number."""
+        ...
+
+    def reports(self, terms: Terms) -> Sequence[Hashable]:
+        """Keys of the rows that are reported beside outputs."""
+        ...
+
+    def specs(self, term: Term) -> list[Spec]:
+        """Kernels of one term; terms of equal key get the same."""
+        ...
+
+    def constants(self, layout: Layout) -> list[Triplet]:
+        """Constant entries (row, Y index, value, power of h)."""
+        ...
+
+    def maps(self, layout: Layout) -> Maps:
+        """Update of the states, means of the algebraic variables, start values of the next step."""
+        ...
+
+    def holds(self, layout: Layout) -> Holds:
+        """Constraints whose rows may rest; none where the scheme cannot leave rows out."""
+        ...
+
+
+def node_unknowns(terms: Terms, k: int) -> list[Unknown]:
+    """Increments, solved costates and algebraic variables at every node."""
+    out: list[Unknown] = []
+    for node in range(k):
+        out += of_states(terms, INCREMENT, "balance of", range(terms.n1), node)
+        out += of_states(terms, COSTATE, "costate of", (*terms.solved_costates, *terms.light), node)
+        out += of_algebraics(terms, ALGEBRAIC, "equation of", range(terms.na), node)
+    return out
+
+
+def node_constants(layout: Layout) -> list[Triplet]:
+    """Identity rows of E, E^T z = W rows, and the constant entries of (J - R) z + B u at every node."""
+    terms, out = layout.terms, []
+    other = terms.with_descriptor()
+    for node in range(layout.k):
+        for i in range(terms.n1):
+            if i not in other:
+                w = layout.at(INCREMENT, i, node)
+                out.append((w, w, 1.0, 0))
+        for i in terms.solved_costates:
+            out.append((layout.at(COSTATE, i, node), layout.nv + layout.slot(i, node), -1.0, 0))
+        for row_kind, row, kind, source, value in terms.constants:
+            sign = 1.0 if row_kind == "y" else -1.0
+            out.append(
+                (layout.row(row_kind, row, node), layout.value(kind, source, node), sign * value, int(row_kind == "x"))
+            )
+    return out
+
+
+def node_maps(layout: Layout, nd: Nodes) -> Maps:
+    """x' = x + sum b_i D_i, means sum b_i a_i, and the last step's polynomial extrapolated; other unknowns start as they were."""
+    update, mean, guess = [], [], []
+    ahead = np.array([nd.value(1.0 + c) for c in nd.c])  # extrapolate the last step's polynomial
+    for w, u in enumerate(layout.unknowns):
+        if u.role is INCREMENT:
+            update.append((u.index, w, float(nd.b[u.node])))
+        elif u.role is ALGEBRAIC:
+            mean.append((u.index, w, float(nd.b[u.node]), 0))
+        elif u.role is not COSTATE:
+            guess.append([(w, 1.0, 0)])
+            continue
+        last = [layout.at(u.role, u.index, j) for j in range(layout.k)]
+        guess.append([(last[j], float(ahead[u.node, j]), int(u.role is INCREMENT)) for j in range(layout.k)])
+    return Maps(update, mean, guess, nd.b, nd.c)
+
+
+def node_holds(layout: Layout, *levels: Role) -> Holds:
+    """The constraints of a model with their rows at the nodes, and those of further levels."""
+    terms = layout.terms
+    rows = [
+        (*(layout.at(ALGEBRAIC, a, i) for i in range(layout.k)), *(layout.at(level, a) for level in levels))
+        for a in terms.speeds
+    ]
+    rests = np.array([a in terms.resting for a in terms.speeds], bool)
+    return Holds(tuple(rows), rests, np.array(list(terms.speeds.values())))

@@ -1,0 +1,171 @@
+"""Bare nodes: algebraic rows that join inductive branches only, and what a step does about them.
+
+The row of such a node, c(x) = -L(x)^T z = 0, contains no algebraic variable (index 2); v acts on the states by x' = L v.
+
+    pair         neutral impulses at both ends of the step (`impulses.py`): needs (dL/dx) L = 0, (dS/dx) L = 0, S = L^T H'' L
+    projection   one impulse at the end of the step, whose loss is booked: needs (dL/dx) L = 0
+    none         neither fits; the node is met by the nodes of the scheme only
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from phfmu.terms.rows import costate_symbols, costates, row_expressions
+from phfmu.terms.term import (
+    CLOSED,
+    CONSTRAINT,
+    ENERGY,
+    JOINT,
+    Kind,
+    Locator,
+    Term,
+    Terms,
+    components,
+    make_term,
+    scalars,
+)
+
+Remedy = Literal["pair", "projection", "none"]
+#: the impulses of a bare node on the states of a member
+IMPULSE = Kind("impulse")
+
+
+@dataclass(frozen=True)
+class BareNode:
+    """A bare algebraic row, what is done about it, and why not more (empty for a pair)."""
+
+    row: int
+    name: str
+    remedy: Remedy
+    reason: str = ""
+
+
+def bare_nodes(terms: Terms) -> list[BareNode]:
+    """Rows of nodes that join inductive branches only and whose currents depend on the state nonlinearly.
+
+    A row that is linear in the state (constant L, quadratic H) stays at its start value and needs nothing.
+    """
+    return Finder(terms).nodes
+
+
+class Finder:
+    """Symbolic form of the bare rows of a model."""
+
+    def __init__(self, terms: Terms):
+        self.terms, self.nodes = terms, []
+        holonomic = {t.rows[0][1] for t in terms.of(CONSTRAINT)}
+        rows = [r for r in terms.hidden.checks if r not in holonomic]
+        if not rows:
+            return
+        model = terms.model
+        self.x, self.z = model.x, costate_symbols(model)
+        self.expr = row_expressions(terms, rows, self.z)
+        self.L = {r: -ca.jacobian(self.expr[r], self.z) for r in rows}
+        self.place = {r: i for i, r in enumerate(rows)}
+        L = ca.vertcat(*self.L.values())
+        self.S = ca.mtimes([L, ca.hessian(model.hamiltonian, self.x)[0], L.T])
+        self.states = {r: set(self.L[r].sparsity().get_triplet()[1]) for r in rows}
+        self.owner = {i: t.owner for t in terms.of(ENERGY, JOINT, CLOSED) for _, i in t.rows}
+        linear = self._linear(L, rows)
+        for cluster in self._clusters(rows):
+            if not linear.issuperset(cluster):
+                remedy, reason = self._remedy(cluster)
+                names = [n for v in model.algebraics for n in v.names()]
+                self.nodes += [BareNode(r, names[r], remedy, reason) for r in cluster]
+
+    def _linear(self, L: ca.SX, rows: list[int]) -> set[int]:
+        """Rows whose c is linear in the state."""
+        slope = ca.simplify(ca.jacobian(ca.mtimes(L, costates(self.terms)), self.x))
+        row_of = slope.sparsity().get_triplet()[0]
+        varying = ca.jacobian_sparsity(ca.vertcat(ca.SX(0, 1), *scalars(slope)), self.x).get_triplet()[0]
+        return set(rows) - {rows[row_of[i]] for i in varying}
+
+    def _clusters(self, rows: list[int]) -> list[list[int]]:
+        """Rows that S = L^T H'' L couples: they share branches or mutual inductances."""
+        at = [self.place[r] for r in rows]
+        return [[rows[i] for i in part] for part in components(self.S[at, at] + ca.SX.eye(len(rows)))]
+
+    def _states(self, cluster: list[int]) -> list[int]:
+        return sorted(set().union(*(self.states[r] for r in cluster)))
+
+    def _remedy(self, cluster: list[int]) -> tuple[Remedy, str]:
+        model, states = self.terms.model, self._states(cluster)
+        names = [n for v in model.states for n in v.names()]
+        nodes = [n for v in model.algebraics for n in v.names()]
+        for i in states:
+            if i in self._special:
+                return "none", f"the row of {names[i]} has E other than identity"
+            if i not in self.owner:
+                return "none", f"{names[i]} stores no energy"
+        psi = ca.vertcat(*(self.x[i] for i in states))
+        algebraics = ca.vertcat(*(v.sx for v in model.algebraics))
+        for r in cluster:
+            if ca.depends_on(self.expr[r], algebraics) or ca.depends_on(self.L[r], self.z):
+                return "none", f"the row of {nodes[r]} contains other algebraic variables"
+            if _depends(self.L[r], psi):
+                return "none", f"the coefficients of {nodes[r]} depend on the states they act on"
+        at = [self.place[r] for r in cluster]
+        values = np.linalg.eigvalsh(self._at_start(self.S[at, at]))
+        if not values[0] > 1e-12 * values[-1]:
+            return "none", "its inductance matrix is singular (isolated neutral)"
+        if _depends(self.S[at, at], psi):
+            return "projection", "the stored energy is not quadratic in the states of its branches (saturation)"
+        return "pair", ""
+
+    @cached_property
+    def _special(self) -> set[int]:
+        return self.terms.with_descriptor()
+
+    @cached_property
+    def _starts(self) -> dict[int, float]:
+        variables = (*self.terms.model.states, *self.terms.model.parameters)
+        return {s.element_hash(): x for v in variables for s, x in zip(ca.vertsplit(v.sx), v.start, strict=True)}
+
+    def _at_start(self, expr: ca.SX) -> np.ndarray:
+        symbols = ca.symvar(expr)
+        values = [self._starts[s.element_hash()] for s in symbols]
+        return np.array(ca.Function("S", symbols, [ca.densify(expr)])(*values))
+
+    def impulse_terms(self, remedy: Remedy) -> list[Term]:
+        """One term per member and cluster with this remedy: L, its part c of the rows, and S, in the member's states."""
+        rows = [n.row for n in self.nodes if n.remedy == remedy]
+        if not rows:
+            return []
+        locator = Locator(self.terms.model, self.terms.pairs)
+        energies = self._energies()
+        out = []
+        for cluster in self._clusters(rows):
+            states = self._states(cluster)
+            for owner in dict.fromkeys(self.owner[i] for i in states):
+                own = [i for i in states if self.owner[i] == owner]
+                touched = [r for r in cluster if not self.states[r].isdisjoint(own)]
+                psi = ca.vertcat(*(self.x[i] for i in own))
+                L = ca.vertcat(*(self.L[r][0, own] for r in touched)).T
+                hessian, gradient = ca.hessian(energies[owner], psi)
+                exprs = {"L": L, "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
+                out.append(
+                    make_term(IMPULSE, {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
+                              rows=[("x", i) for i in own] + [("a", r) for r in touched], owner=owner,
+                              extra=ca.vertsplit(psi), tag=remedy)
+                )  # fmt: skip
+        return out
+
+    def _energies(self) -> dict[int, ca.SX]:
+        """H of every member."""
+        members = {name: i for i, name in enumerate(self.terms.members)}
+        out: dict[int, ca.SX] = {}
+        for e in self.terms.model.energies:
+            owner = members.get(e.owner, 0)
+            out[owner] = out.get(owner, ca.SX(0)) + e.expr
+        return out
+
+
+def _depends(expr: ca.SX, on: ca.SX) -> bool:
+    """Structural dependence after cancelling what differentiates to zero."""
+    return ca.simplify(ca.jacobian(ca.densify(expr), on)).nnz() > 0 and ca.depends_on(expr, on)

@@ -1,0 +1,105 @@
+"""Extraction of the energies: terms with their costates E^-T grad H."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from phfmu.declare.energy import Energy
+from phfmu.declare.operations import degree, piecewise
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.summands import summands
+from phfmu.terms.term import ENERGY, JOINT, DeclarationError, Locator, Terms, WithIncrement, make_term, member
+
+
+def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
+    """One term per summand of H, or one per member if `joint`; `mass`: diagonal entries of E by state."""
+    if joint:
+        for owner in dict.fromkeys(e.owner for e in model.energies):
+            group = [e for e in model.energies if e.owner == owner]
+            _joint(model, out, locator, mass, group)
+        return
+    known = {s.element_hash() for v in model.states for s in ca.vertsplit(v.sx)}
+    for e in (part for whole in model.energies for part in summands(whole, known)):
+        states = _states_of(e.expr, locator)
+        if not states:  # a constant moves nothing
+            continue
+        _require_kind(model, e, states)
+        scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
+        exprs = {"H": e.expr, "scale": scale}
+        if e.kind == "quadratic":
+            exprs["z"] = _costates(e.expr, states, mass)
+        tag: tuple = (e.kind,)
+        if e.kind == "strain":
+            c = ca.SX.sym("c")
+            assert e.invariant is not None and e.phi is not None
+            # phi(c) keeps its own symbol: c is filed as a costate, a kind energies never use otherwise
+            probe = WithIncrement(locator)
+            probe.where[c.element_hash()] = ("z", -1)
+            exprs |= {"C": e.invariant, "phi": e.phi(c)}
+            term = make_term(ENERGY, exprs, probe, "energy", rows=[("x", i) for _, i in states],
+                             owner=member(out.members, e.owner), extra=[*(s for s, _ in states), c], tag=tag)  # fmt: skip
+            out.terms.append(term)
+            continue
+        if e.kind == "general":
+            chosen = {i for v in e.correct for _, i in locator.of(v)} or {i for _, i in states}
+            nominal = out.state_nominals
+            tag = (e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
+        out.terms.append(make_term(ENERGY, exprs, locator, "energy", rows=[("x", i) for _, i in states],
+                                   owner=member(out.members, e.owner), extra=[s for s, _ in states], tag=tag))  # fmt: skip
+
+
+def _require_kind(model: PHDAE, e: Energy, states: list[tuple[ca.SX, int]]) -> None:
+    """DeclarationError if a term claims a constant Hessian (of H, of the invariant C) that its operations do not show."""
+    what, expr = ("H", e.expr) if e.kind == "quadratic" else ("the invariant C", e.invariant)
+    if e.kind == "general" or expr is None:
+        return
+    x = ca.vertcat(*(s for s, _ in states))
+    if degree(expr, x) not in (0, 1, 2):
+        found = ", ".join(piecewise(expr, x))
+        raise DeclarationError(
+            f"{model.name}: a {e.kind} energy of {', '.join(str(s) for s, _ in states[:4])}: {what} is not quadratic"
+            + (f" ({found})" if found else "")
+            + "; use energy(H)"
+        )
+
+
+def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], group: list[Energy]) -> None:
+    total = ca.SX(0)
+    for e in group:
+        total += e.expr
+    states = _states_of(total, locator)
+    if not states:
+        return
+    scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
+    exprs = {"H": total, "scale": scale, "z": _costates(total, states, mass)}
+    out.terms.append(make_term(JOINT, exprs, locator, "energy",
+                               rows=[("x", i) for _, i in states], owner=member(out.members, group[0].owner),
+                               extra=[s for s, _ in states]))  # fmt: skip
+
+
+def _costates(h: ca.SX, states: list[tuple[ca.SX, int]], mass: dict[int, ca.SX]) -> ca.SX:
+    """E^-T grad H on the states of one term."""
+    if not states:
+        return ca.SX(0, 1)
+    grad = ca.densify(ca.gradient(h, ca.vertcat(*(s for s, _ in states))))
+    return ca.vertcat(*(divided(grad[j], mass[i]) if i in mass else grad[j] for j, (_, i) in enumerate(states)))
+
+
+def divided(gradient: ca.SX, m: ca.SX) -> ca.SX:
+    """gradient / m, without the division where gradient = m f: a velocity v has the costate v also if its mass is 0."""
+    if m.is_symbolic():
+        f = ca.gradient(gradient, m)
+        if not ca.depends_on(f, m) and ca.substitute(gradient, m, ca.SX(0)).is_zero():
+            return f
+    return gradient / m
+
+
+def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
+    found = []
+    for s in ca.symvar(expr):
+        kind, i = locator.find(s, "energy")
+        if kind == "x":
+            found.append((s, i))
+        elif kind != "p":
+            raise DeclarationError(f"the energy depends on '{s}'; H may depend on states and parameters only")
+    return found

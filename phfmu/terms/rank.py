@@ -1,0 +1,223 @@
+"""Rank of the holonomic constraints at the start: which rows depend on others, and whether they contradict them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.terms.term import CONSTRAINT, EMPTY, Term, Terms
+from phfmu.words import folded
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix, csr_matrix
+
+    from phfmu.declare.phdae import PHDAE
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-9  # of rows scaled to length 1
+SUSPECT = 1e-10  # squared distance of a row from the others below which it is looked at closely
+FLOOR = 1e-14  # keeps the factor of Dg Dg^T regular
+
+
+@dataclass(frozen=True)
+class Redundant:
+    """A row of Dg that is sum `of`[name] * row(name) of others that stay; `gap`: its g minus the same sum of theirs.
+
+    It rests at the start.  `label`: what the declaration calls it.
+    """
+
+    name: str
+    of: dict[str, float]
+    gap: float
+    label: str = ""
+
+    @property
+    def support(self) -> tuple[str, ...]:
+        """Rows with a share in the null vector of Dg^T that this one has with those that stay."""
+        return (self.name, *self.of)
+
+    def __str__(self) -> str:
+        terms = [f"{c:.6g} {n}" for n, c in self.of.items()]
+        combination = " + ".join(terms) if terms else "0: its gradient is zero"
+        label = f"; it is {self.label}" if self.label else ""
+        return f"constraint {self.name} is redundant: Dg row = {combination}; values differ by {self.gap:.3g}{label}"
+
+
+@dataclass(frozen=True)
+class ConstraintRank:
+    """Rank of Dg (rows x velocities) at the start and its redundant rows, in the order of the declaration.
+
+    `groups`: (rows that depend on each other, how many of them are too many);  `unique`: rows with no share in any null
+    vector of Dg^T, whose forces are determined.
+    """
+
+    rows: int
+    rank: int
+    redundant: tuple[Redundant, ...]
+    groups: tuple[tuple[tuple[str, ...], int], ...] = ()
+    unique: tuple[str, ...] = ()
+
+    def report(self) -> str:
+        """Lines for the rank, for each group of dependent rows and for each redundant row."""
+        lines = [f"constraints: {self.rows} rows of rank {self.rank} at the start"]
+        lines += [
+            f"{many} of these {'is' if many == 1 else 'are'} too many: {', '.join(names)}"
+            for names, many in self.groups
+        ]
+        if self.groups:
+            text = (
+                "the motion does not depend on which rests; their forces are not unique, those of least norm are given"
+            )
+            lines += [text, f"unique forces: {folded(self.unique) or 'none'}"]
+        return "\n".join([*lines, *map(str, self.redundant)])
+
+
+def constraint_rank(model: PHDAE) -> ConstraintRank:
+    """Which rows of Dg(q) at the start values depend on others.  DeclarationError for a bad declaration."""
+    from phfmu.terms.extract import extract
+
+    terms = extract(model)
+    jacobian, values = constraint_jacobian(terms), constraint_values(terms)
+    names = [n for v in model.algebraics for n in v.names()]
+    rows = [names[t.rows[0][1]] for t in terms.of(CONSTRAINT)]
+    labels = constraint_labels(model)
+    redundant: dict[int, Redundant] = {}
+    groups = []
+    for d in dependences(jacobian):
+        kept = [i for i in d.rows if i not in d.resting]
+        for r in d.resting:
+            row = jacobian[r].toarray().ravel()
+            c = np.linalg.lstsq(jacobian[kept].toarray().T, row, rcond=None)[0] if kept else np.zeros(0)
+            most = max(1.0, float(np.max(abs(c), initial=0.0)))
+            of = {rows[k]: float(v) for k, v in zip(kept, c, strict=True) if abs(v) > 1e-9 * most}
+            redundant[r] = Redundant(rows[r], of, float(values[r] - c @ values[kept]), labels.get(rows[r], ""))
+        groups.append((tuple(rows[i] for i in d.rows), len(d.resting)))
+    found = tuple(redundant[r] for r in sorted(redundant))
+    shared = {n for names, _ in groups for n in names}
+    unique = tuple(n for n in rows if n not in shared)
+    return ConstraintRank(len(rows), len(rows) - len(found), found, tuple(groups), unique)
+
+
+def constraint_labels(model: PHDAE) -> dict[str, str]:
+    """Multiplier -> what the declaration calls its constraint, where it has a name for it."""
+    return {n: c.label for c in model.constraints if c.label for n in c.multiplier.names()}
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Rows that depend on each other, and those of them that rest: without these the others are independent."""
+
+    rows: tuple[int, ...]
+    resting: tuple[int, ...]
+
+
+def dependences(jacobian: csc_matrix) -> list[Dependence]:
+    """Groups of rows with common null vectors of Dg^T, each row in one group at most.
+
+    A sparse factor of Dg Dg^T finds candidates; the null vectors Y of their surroundings, from rows of length 1, tell.  QR of
+    Y^T with pivoting chooses the rows with the largest shares to rest: the others are then as well conditioned as
+    they can be.  Of equal ones the last rests.
+    """
+    from scipy.sparse import csr_matrix, diags
+
+    size = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=1)).ravel())
+    scaled = csr_matrix(diags(1.0 / np.where(size > 0, size, 1.0)) @ jacobian)
+    found = []
+    for rows in _suspects(scaled):
+        left, s, _ = np.linalg.svd(scaled[rows].toarray())
+        null = left[:, int(np.sum(s > TOLERANCE)) :]
+        shares = np.linalg.norm(null, axis=1)
+        found += [_chosen(np.array(rows)[part], null[part]) for part in _together(null, shares)]
+    return found
+
+
+def _suspects(scaled: csr_matrix) -> list[list[int]]:
+    """Groups of rows that may depend on each other, each with all rows its null vectors can touch; mostly none."""
+    from scipy.sparse import csc_matrix, identity
+    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.linalg import splu
+
+    gram = csc_matrix(scaled @ scaled.T)
+    lu = splu(csc_matrix(gram + FLOOR * identity(len(gram.indptr) - 1)), diag_pivot_thresh=0.0,
+              permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})  # fmt: skip
+    weak = np.abs(lu.U.diagonal())[lu.perm_c] < SUSPECT
+    if not weak.any():
+        return []
+    kept, left = np.flatnonzero(~weak), np.flatnonzero(weak)
+    shares = (
+        splu(csc_matrix(gram[kept][:, kept])).solve(gram[kept][:, left].toarray())
+        if len(kept)
+        else np.zeros((0, len(left)))
+    )
+    touched = np.zeros((len(weak), len(left)), bool)
+    touched[kept] = np.abs(shares) > 1e-6
+    touched[left, np.arange(len(left))] = True
+    links = csc_matrix(touched.astype(float))
+    _, label = connected_components(links @ links.T, directed=False)
+    return [np.flatnonzero(label == g).tolist() for g in np.unique(label[left])]
+
+
+def _together(null: Array, shares: Array) -> list[NDArray[np.intp]]:
+    """Rows with a share in some null vector, by groups without common null vectors."""
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    projector = np.abs(null @ null.T) > TOLERANCE
+    _, label = connected_components(csc_matrix(projector), directed=False)
+    return [np.flatnonzero(label == g) for g in np.unique(label[shares > TOLERANCE])]
+
+
+def _chosen(rows: NDArray[np.int64], null: Array) -> Dependence:
+    from scipy.linalg import qr
+
+    many = int(round(float(np.sum(null**2))))  # trace of the projector on their null vectors
+    prefer = 1.0 + 1e-6 * np.arange(len(rows)) / len(rows)
+    order = qr((null * prefer[:, None]).T, mode="economic", pivoting=True)[-1]
+    return Dependence(tuple(rows.tolist()), tuple(sorted(rows[order[:many]].tolist())))
+
+
+def constraint_jacobian(terms: Terms) -> csc_matrix:
+    """Dg at the start (constraints in order x states), on the columns of the velocities."""
+    from scipy.sparse import csc_matrix
+
+    entries = [(r, terms.velocity_of[q], value)
+               for r, (t, (_, grad)) in enumerate(_evaluated(terms))
+               for q, value in zip(t.index["x"], grad, strict=True)]  # fmt: skip
+    row, col, value = zip(*entries, strict=True) if entries else ((), (), ())
+    count = len(terms.of(CONSTRAINT))
+    return csc_matrix((value, (row, col)), shape=(count, terms.n1))
+
+
+def constraint_values(terms: Terms) -> Array:
+    """g at the start, constraints in order."""
+    return np.array([g for _, (g, _) in _evaluated(terms)])
+
+
+def null_vectors(matrix: Array) -> Array:
+    """Orthonormal columns x with matrix x = 0 (rows of the matrix are scaled to length 1 first)."""
+    size = np.linalg.norm(matrix, axis=1, keepdims=True)
+    _, s, right = np.linalg.svd(matrix / np.where(size > 0, size, 1.0))
+    rank = int(np.sum(s > TOLERANCE))
+    return right[rank:].T
+
+
+def _evaluated(terms: Terms) -> list[tuple[Term, tuple[float, Array]]]:
+    """Every constraint with g and grad g at the start."""
+    model = terms.model
+    x = np.array([s for v in model.states for s in v.start], float)
+    p = np.array([s for v in model.parameters for s in v.start], float)
+    known: dict[tuple, ca.Function] = {}
+    out = []
+    for t in terms.of(CONSTRAINT):
+        if t.key not in known:
+            symbols = [t.local["x"], t.local.get("p", EMPTY), t.local.get("t", EMPTY)]
+            known[t.key] = ca.Function("g", symbols, [t.data["g"], ca.densify(ca.gradient(t.data["g"], symbols[0]))])
+        time = np.zeros(1 if "t" in t.local else 0)
+        g, grad = known[t.key](x[list(t.index["x"])], p[list(t.index.get("p", ()))], time)
+        out.append((t, (float(g), np.array(grad).ravel())))
+    return out

@@ -1,0 +1,114 @@
+"""Algebraic rows as expressions of a model's own symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import casadi as ca
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.variable import time
+from phfmu.terms.extract_energy import divided
+from phfmu.terms.hidden import Check
+from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Hidden, Term, Terms
+
+
+def costate_symbols(model: PHDAE) -> ca.SX:
+    """The symbols z of all states, stacked."""
+    return ca.vertcat(*(v.z for v in model.states))
+
+
+def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX) -> dict[int, ca.SX]:
+    """The chosen algebraic rows [(J - R) z + B u]_2 in x, `z` (n1), algebraic variables and parameters.
+
+    Free inputs are left out, and so are the rows of holonomic constraints.
+    """
+    model, bound, x = terms.model, terms.bound, terms.model.x
+    found = {r: ca.SX(0) for r in rows}
+    p = ca.vertcat(*(v.sx for v in model.parameters))
+    a = ca.vertcat(*(v.sx for v in model.algebraics))
+    for kind, row, source, i, value in terms.constants:
+        if kind == "a" and row in found:
+            variable = i if source == "a" else bound.get(i) if source == "u" else None
+            found[row] += value * (z[i] if source == "z" else 0 if variable is None else a[variable])
+    for t in terms.of(FLOW):
+        if any(k == "a" and i in found for k, i in t.rows):
+            f = ca.substitute([t.data["f"]], *_globals(t, x, z, p, a, bound))[0]
+            for j, (k, i) in enumerate(t.rows):
+                if k == "a" and i in found:
+                    found[i] += f[j]
+    return found
+
+
+def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
+    """The undifferentiated hidden rows as expressions of the model's own symbols (inputs left out).
+
+    Algebraic variables that over-determined rows give (the common velocity of a rigid joint) are eliminated.
+    """
+    model, hidden, x = terms.model, terms.hidden, terms.model.x
+    z, p = costates(terms), ca.vertcat(*(v.sx for v in model.parameters))
+    a = ca.vertcat(*(v.sx for v in model.algebraics))
+    position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}
+    rows = row_expressions(terms, hidden.rows, z)
+    out = [ca.SX(0) for _ in checks]
+    for t in terms.of(CONSTRAINT):
+        g = t.data["g"]
+        exprs = [g, ca.gradient(g, t.local["x"]), ca.gradient(g, t.local["t"]) if "t" in t.local else ca.SX(0)]
+        value, grad, moving = ca.substitute(exprs, *_globals(t, x, z, p, a, terms.bound))
+        v = ca.vertcat(*(z[terms.velocity_of[i]] for i in t.index["x"]))
+        rows[t.rows[0][1]] += ca.dot(grad, v) + moving
+        out[position[t.rows[0][1]]] += value
+    velocity = _eliminated(rows, hidden, a)
+    for n, c in enumerate(checks):
+        if c.level == "velocity":
+            out[n] = velocity[c.row]
+    return out
+
+
+def _eliminated(rows: dict[int, ca.SX], hidden: Hidden, a: ca.SX) -> dict[int, ca.SX]:
+    """The check rows with the algebraic variables replaced by what their own (linear) rows give."""
+    if not hidden.solved_by:
+        return rows
+    own = ca.vertcat(*(rows[r] for r in hidden.solved_by))
+    variables = ca.vertcat(*(a[i] for i in hidden.solved_by.values()))
+    zero = ca.SX.zeros(variables.numel(), 1)
+    at_zero, matrix = ca.substitute([own, ca.jacobian(own, variables)], [variables], [zero])
+    value = -ca.solve(matrix, at_zero)
+    checks = hidden.checks
+    new = ca.substitute([rows[r] for r in checks], [variables], [value]) if checks else []
+    return dict(zip(checks, new, strict=True))
+
+
+def costates(terms: Terms) -> ca.SX:
+    """z = E^-T grad H for diagonal E and closed-form pairs."""
+    model = terms.model
+    z = ca.densify(ca.gradient(model.hamiltonian, model.x)) if terms.n1 else ca.SX(0, 1)
+    p = ca.vertcat(*(v.sx for v in model.parameters))
+    for t in terms.terms:
+        if t.kind is MASS:
+            local = t.local.get("p", ca.SX(0, 1))
+            m = t.data["m"]
+            if local.numel():
+                (m,) = ca.substitute([m], [local], [p[list(t.index["p"])]])
+            z[t.rows[0][1]] = divided(z[t.rows[0][1]], m)
+        elif t.kind is CLOSED:
+            value = ca.substitute([t.data["z"]], *_globals(t, model.x, z, p, ca.SX(0, 1), {}))[0]
+            for j, (_, i) in enumerate(t.rows):
+                z[i] = value[j]
+    return z
+
+
+def _globals(t: Term, x: ca.SX, z: ca.SX, p: ca.SX, a: ca.SX, bound: dict[int, int]) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Old and new symbols that bring a local expression back to the model's; free inputs become 0."""
+    old, new = [], []
+    for kind, source in (("x", x), ("z", z), ("p", p), ("a", a)):
+        if kind in t.local and not (t.kind is CLOSED and kind == "z"):
+            old.append(t.local[kind])
+            new.append(source[list(t.index[kind])])
+    if "t" in t.local:
+        old.append(t.local["t"])
+        new.append(time)
+    if "u" in t.local:
+        old.append(t.local["u"])
+        new.append(ca.vertcat(*(a[bound[i]] if i in bound else ca.SX(0) for i in t.index["u"])))
+    return old, new

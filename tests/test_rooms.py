@@ -1,0 +1,123 @@
+"""The house: imports of the package go down, and no files import each other in a circle."""
+
+from __future__ import annotations
+
+import ast
+import os
+from functools import cache
+from pathlib import Path
+
+import phfmu
+
+ROOT = Path(phfmu.__file__).parent
+
+#: from the ground up; a room may import those before it
+ROOMS = (
+    "words", "files", "declare", "terms", "gradients", "plan", "schemes", "schur", "discretise", "engine", "audit", "fmu",
+    "network", "components", "stress", "bench", "cli",
+)  # fmt: skip
+#: not in order yet, (file, what it imports from above): only ever fewer
+UPWARD = {
+    ("declare.check", "schemes.scheme"),
+    ("declare.check_equations", "discretise.model"),
+    ("declare.check_equations", "engine.python"),
+    ("declare.check_equations", "engine.remedy"),
+    ("declare.check_equations", "engine.status"),
+    ("declare.check_equations", "schemes.scheme"),
+    ("declare.check_equations", "terms.term"),
+    ("stress.matrix", "cli.target"),
+}
+#: files in a circle of imports: only ever fewer
+CIRCLES = {
+    frozenset({"bench.paper", "bench.paper_figures"}),
+    frozenset(
+        f"declare.{n}"
+        for n in ("change", "transformation", "transformed", "transformed_constraints", "transformed_pair")
+    ),
+    frozenset({"network.compose", "network.network"}),
+    frozenset({"cli", *(f"cli.{n}" for n in ("audit", "bench", "check", "export", "info", "run", "stress"))}),
+    frozenset({"engine.remedy", "engine.status"}),
+    frozenset({"components.mechanical.multibody", "components.mechanical.multibody_declaration"}),
+}
+#: what components import beside the public names: only ever less
+NOT_PUBLIC = {"words"}
+
+
+@cache
+def imports() -> dict[str, set[str]]:
+    """Module -> modules of the package it imports, also inside functions and for type checkers."""
+    files = {module(p): p for p in walked()}
+    return {name: {n for m in imported(p) if (n := known(m, files)) not in ("", name)} for name, p in files.items()}
+
+
+def walked() -> list[Path]:
+    """Files of the package; its components may be a link."""
+    found = os.walk(ROOT, followlinks=True)
+    return [Path(folder) / name for folder, _, names in found for name in names if name.endswith(".py")]
+
+
+def module(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(path: Path) -> list[str]:
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [
+        f"{node.module}.{a.name}".removeprefix("phfmu.")
+        for node in nodes
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("phfmu.")
+        for a in node.names
+    ]
+
+
+def known(name: str, files: dict[str, Path]) -> str:
+    """The file of `module.name`, "" for what is none."""
+    return name if name in files else name.rpartition(".")[0] if name.rpartition(".")[0] in files else ""
+
+
+def upward(graph: dict[str, set[str]]) -> set[tuple[str, str]]:
+    level = {room: i for i, room in enumerate(ROOMS)}
+    return {
+        (name, other)
+        for name, others in graph.items()
+        for other in others
+        if (room := name.partition(".")[0]) in level and level[room] < level[other.partition(".")[0]]
+    }
+
+
+def circles(graph: dict[str, set[str]]) -> set[frozenset[str]]:
+    """Largest sets of files of which each reaches each other."""
+    reach: dict[str, set[str]] = {}
+    for name in graph:
+        found, todo = set[str](), [name]
+        while todo:
+            new = graph.get(todo.pop(), set()) - found
+            found |= new
+            todo += new
+        reach[name] = found
+    return {frozenset(m for m in reach[name] if name in reach[m]) for name in graph if name in reach[name]}
+
+
+def test_every_room_is_in_the_order() -> None:
+    rooms = {name.partition(".")[0] for name in imports()} - {"", "__main__"}
+    assert rooms == set(ROOMS)
+
+
+def test_imports_go_down() -> None:
+    assert upward(imports()) == UPWARD
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    assert circles(imports()) == CIRCLES
+
+
+def test_components_are_written_against_public_names() -> None:
+    found = {other for name, others in imports().items() if name.startswith("components") for other in others}
+    assert {n for n in found if n and not n.startswith("components")} == NOT_PUBLIC
+
+
+def test_an_import_upward_and_a_circle_are_seen() -> None:
+    graph = {"plan.a": {"schemes.b"}, "schemes.b": {"plan.c"}, "plan.c": {"plan.a"}, "cli.d": {"plan.a"}}
+    assert upward(graph) == {("plan.a", "schemes.b")}
+    assert circles(graph) == {frozenset({"plan.a", "schemes.b", "plan.c"})}
