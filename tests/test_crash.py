@@ -29,6 +29,7 @@ for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a test run unde
 from phfmu.cli import main
 from phfmu.network.adaptive import Adaptive
 from phfmu.network.coupled import Coupled
+from phfmu.network.fmu_member import FMUStepper
 from phfmu.network.stepper import Monolithic
 stamps, total = os.open("stamps", os.O_CREAT | os.O_WRONLY | os.O_APPEND), 0
 def watched(kind, count):
@@ -45,6 +46,7 @@ if "--rtol" in sys.argv:
 else:
     watched(Monolithic, lambda args: args[2])
     watched(Coupled, lambda args: args[2])
+    watched(FMUStepper, lambda args: args[2])
 raise SystemExit(main(sys.argv[1:]))
 """
 
@@ -53,7 +55,10 @@ RUNS = {
     "native": "smib --engine native --step 1e-6",
     "newton": "oscillator --engine python --coupling newton --step 1e-4",
     "newton, native": "two_machine --coupling newton",
+    "newton, fmu": "oscillator --engine fmu --coupling newton --step 1e-4",
+    "fmu": "smib --engine fmu --step 1e-5",
     "adaptive": "oscillator --engine python --rtol 1e-9",
+    "adaptive, native": "smib --rtol 1e-8",
 }
 
 
