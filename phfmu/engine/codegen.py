@@ -81,7 +81,7 @@ def _renamed(name: str, f: ca.Function) -> ca.Function:
     return ca.Function(name, args, f.call(args), {"allow_free": False})
 
 
-def _body(f: ca.Function) -> Body:
+def body(f: ca.Function) -> Body:
     renamed = _renamed("f", f)
     content = _bodies(_generate([renamed]))["f"]
     # work sizes belong to the content: they are written into the table beside it
@@ -104,7 +104,7 @@ def _check(kernel: Kernel) -> None:
             )
 
 
-def _functions_text(bodies: dict[str, Body]) -> str:
+def functions_text(bodies: dict[str, Body], inline: bool = True) -> str:
     """Definitions of all functions, with the helpers they need, and nothing exported."""
     text = _generate(bodies[name].function for name in sorted(bodies))
     helpers = re.sub(r"/\* Symbol visibility.*?^#endif\n", "", text, flags=re.M | re.S)
@@ -114,7 +114,7 @@ def _functions_text(bodies: dict[str, Body]) -> str:
     found = _bodies(text)
     parts = [helpers]
     for name in sorted(bodies):
-        small = bodies[name].function.n_instructions() <= INLINE
+        small = inline and bodies[name].function.n_instructions() <= INLINE
         parts.append(f"{'PH_INLINE' if small else 'static'} int {name}{found[name]}")
     return "\n".join(parts)
 
@@ -144,13 +144,13 @@ def kernel_table(kernels: Iterable[Kernel], schur: SchurStepper | None = None) -
     name_of: dict[int, str] = {}
     for key, kernel in unique.items():
         _check(kernel)
-        pair: list[Any] = [None if f is None else _body(f) for f in (kernel.function, kernel.ledger)]
+        pair: list[Any] = [None if f is None else body(f) for f in (kernel.function, kernel.ledger)]
         bodies |= {b.name: b for b in pair if b}
         name, include, row = _entry(kernel, pair[0], pair[1])
         entries[name] = (include, row)
         name_of[key] = name
     order = sorted(entries)
-    text = HEAD + (_functions_text(bodies) if bodies else "")
+    text = HEAD + (functions_text(bodies) if bodies else "")
     text += "\n" + "\n".join(entries[n][0] for n in order)
     rows = "".join(entries[n][1] for n in order) or "    {0, 0, 0, 0, 0, 0, 0, 0},\n"
     text += f"\nconst ph_kernel ph_kernels[] = {{\n{rows}}};\nconst int ph_nkernel = {len(order)};\n"

@@ -13,7 +13,7 @@ from phfmu.plan.plan import Group, Plan, Products
 Array = NDArray[Any]
 
 
-class _Buffered:
+class Buffered:
     """A kernel function mapped over the instances of a group, with its arguments and results as numpy arrays."""
 
     def __init__(self, function: Any, n: int, widths_in: list[int], widths_out: list[int]):
@@ -33,10 +33,10 @@ class _Buffered:
 @dataclass
 class _GroupWork:
     group: Group
-    values: _Buffered
-    ledger: _Buffered | None
+    values: Buffered
+    ledger: Buffered | None
 
-    def gather(self, target: _Buffered, x: Array, y: Array, p: Array) -> None:
+    def gather(self, target: Buffered, x: Array, y: Array, p: Array) -> None:
         g = self.group
         for array, source, index in zip(target.arg, (x, y, p), (g.xi, g.yi, g.pi), strict=True):
             if index.size:
@@ -55,8 +55,8 @@ class Evaluator:
         self._work = []
         for g in plan.groups:
             k = g.kernel
-            values = _Buffered(k.function, g.n, [k.nx, k.ny, k.np], [k.no, k.nj])
-            ledger = None if k.ledger is None else _Buffered(k.ledger, g.n, [k.nx, k.ny, k.np], [1] * k.ledger.n_out())
+            values = Buffered(k.function, g.n, [k.nx, k.ny, k.np], [k.no, k.nj])
+            ledger = None if k.ledger is None else Buffered(k.ledger, g.n, [k.nx, k.ny, k.np], [1] * k.ledger.n_out())
             self._work.append(_GroupWork(g, values, ledger))
         self.V = np.zeros(plan.nslot)
         self.V[0] = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_refresh": (integer, [pointer]),
         "ph_ledger": (pointer, [pointer, integer]),
         "ph_sensitivity": (integer, [pointer, pointer]),
+        "ph_chained": (integer, [pointer]),
         "ph_sensitivity_end": (integer, [pointer, pointer]),
         "ph_state_size": (ctypes.c_size_t, [pointer]),
         "ph_save": (None, [pointer, pointer]),
@@ -121,9 +122,13 @@ def runtime_sources() -> dict[str, Path]:
     return {p.name: p for p in sorted(RUNTIME.rglob("*")) if p.suffix in (".c", ".h", ".inc")}
 
 
-def build(table: KernelTable, announce: Callable[[], None] | None = None) -> Build:
-    """Library of runtime and kernels for this machine; models with the same kernels share it."""
-    return compile({**runtime_sources(), "kernels.c": table.text}, flags=host_flags(), announce=announce)
+def build(
+    table: KernelTable, announce: Callable[[], None] | None = None, more: Mapping[str, str] | None = None
+) -> Build:
+    """Library of runtime, kernels and `more` for this machine; models with the same kernels share it."""
+    return compile(
+        {**runtime_sources(), "kernels.c": table.text, **(more or {})}, flags=host_flags(), announce=announce
+    )
 
 
 def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterable
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +17,9 @@ from phfmu.engine.model import Model, kernels
 from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.tables import CTables
+
+if TYPE_CHECKING:
+    from phfmu.engine.native_chain import NativeChain
 
 STATUS = tuple(Status)
 Floats = NDArray[np.float64]
@@ -201,12 +206,23 @@ class NativeInstance:
     def sensitivity(self, end: bool = False) -> Floats:
         """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu): implicit function theorem.
 
-        `end`: of the outputs at the present time instead.  StepFailure NO_SENSITIVITY after a divided step.
+        Internal steps are chained, in a library that is compiled when that is first asked for.  `end`: of the outputs at the
+        present time instead.  StepFailure NO_SENSITIVITY where an internal step was halved.
         """
+        if not end and self._lib.ph_chained(self._in):
+            code, s = self._chain.sensitivity(self.get_state())
+            self._check(code)
+            return s
         s = np.empty((self.model.step.nu,) * 2)
         function = self._lib.ph_sensitivity_end if end else self._lib.ph_sensitivity
         self._check(function(self._in, s.ctypes.data))
         return s
+
+    @cached_property
+    def _chain(self) -> NativeChain:
+        from phfmu.engine.native_chain import NativeChain
+
+        return NativeChain(self.model)
 
     def get_state(self) -> bytes:
         """A complete opaque copy; after `set_state`, in any instance of the model, the same bits follow."""

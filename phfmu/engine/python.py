@@ -139,7 +139,7 @@ class PythonInstance:
             return
         s, plan = self._s, self.model.step
         s.x[-1] = t
-        s.x_old, s.u_old, s.solved = self._old().copy(), s.u.copy(), 0
+        s.x_old, s.u_old, s.solved, s.parts = self._old().copy(), s.u.copy(), 0, parts
         s.last = self._nothing()
         y, a, nodes_y = np.zeros(plan.nq), np.zeros(plan.na), np.zeros((plan.k, plan.nq))
         self._most = s.counts["iterations"] + LIMITS["MOST_ITERATIONS"] + parts * LIMITS["MORE_ITERATIONS"]
@@ -218,12 +218,15 @@ class PythonInstance:
         """What the kernels of a step read as x: states, time and, where they are carried, algebraic variables."""
         return np.append(self._s.x, self._s.a) if self.model.step.carries else self._s.x
 
-    def _inputs(self, at: Array) -> Array:
-        """The polynomial through the node inputs of the communication step, at the fractions `at` of it (stacked)."""
-        k = self.model.step.k
-        if k == 1 or not self._s.u.size:
-            return np.tile(self._s.u, len(at)) if k == 1 else np.zeros(0)
-        values, basis = self._s.u.reshape(k, -1), self.model.scheme.nodes
+    def _inputs(self, at: Array, old: bool = False) -> Array:
+        """The polynomial through the node inputs of the communication step, at the fractions `at` of it (stacked).
+
+        `old`: of the last step, whatever was set since.
+        """
+        k, u = self.model.step.k, self._s.u_old if old else self._s.u
+        if k == 1 or not u.size:
+            return np.tile(u, len(at)) if k == 1 else np.zeros(0)
+        values, basis = u.reshape(k, -1), self.model.scheme.nodes
         if (values == values[0]).all():
             return np.tile(values[0], len(at))
         return np.concatenate([basis.value(float(c)) @ values for c in at])
@@ -470,7 +473,8 @@ class PythonInstance:
     def sensitivity(self, end: bool = False) -> Array:
         """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu): implicit function theorem.
 
-        `end`: of the outputs at the present time instead.  StepFailure NO_SENSITIVITY after a divided step.
+        Internal steps are chained.  `end`: of the outputs at the present time instead.  StepFailure NO_SENSITIVITY where one
+        was halved.
         """
         s = self._s
         if end:
@@ -478,8 +482,16 @@ class PythonInstance:
             u = self._inputs(np.array([s.theta]))
             return self._derivative(self._solver, w, (s.x, np.append(u, 1.0), s.p, 1.0))
         if s.solved != 1:
-            raise StepFailure(Status.NO_SENSITIVITY, self.model.name, s.t, s.h_last)
+            found = self._chained() if s.solved == s.parts > 1 else None
+            if found is None:
+                raise StepFailure(Status.NO_SENSITIVITY, self.model.name, s.t, s.h_last)
+            return found
         return self._derivative(self._newton, s.w, (s.x_old, np.append(s.u_old, s.h_last), s.p, s.h_last))
+
+    def _chained(self) -> Array | None:
+        from phfmu.engine.chain import chained
+
+        return chained(self._newton, self._s, lambda start, part: self._inputs(start + part * self.model.nodes, True))
 
     def _derivative(self, newton: Newton, w: Array, fixed: tuple[Array, Array, Array, float]) -> Array:
         """D - C A^-1 B at w, one refinement against the regularisation of the factor."""

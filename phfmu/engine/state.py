@@ -23,7 +23,8 @@ class State:
 
     x [states | t], carry (owed by compensated summation), w and h_last (last solve), a (algebraic means), u (k x nu
     inputs), p, t;  theta: where in its step a node input is read for end values;  x_old, u_old, solved: state and
-    inputs at the start of the last step and how many solves it took;  y_step, energy: pair outputs and energies;
+    inputs at the start of the last step, how many solves it took, `parts`: of how many internal steps;  y_step, energy: pair
+    outputs and energies;
     y_node: pair outputs at the nodes of the last step (k x nq);
     stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values;
     rests: constraints that are left out;  changes: (number, time, rests, needed), the last of them.
@@ -41,6 +42,7 @@ class State:
     x_old: Array
     u_old: Array
     solved: int
+    parts: int
     y_step: Array
     y_node: Array
     energy: Array
@@ -78,6 +80,7 @@ class State:
             x_old=x.copy(),
             u_old=u.copy(),
             solved=0,
+            parts=0,
             y_step=np.zeros(plan.nq),
             y_node=np.zeros((plan.k, plan.nq)),
             energy=np.zeros(plan.nq),

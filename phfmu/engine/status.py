@@ -20,7 +20,7 @@ class Status(Enum):
     ABI = "model tables and compiled runtime do not belong together"
     ARGUMENT = "an argument is out of range"
     VALUE = "a given value is not finite; it was not taken over"
-    NO_SENSITIVITY = "the sensitivity needs a last step that is one undivided step"
+    NO_SENSITIVITY = "the sensitivity needs a last step of which no internal step was halved"
     #: not one of `ph_status`: what only a unit of another tool can answer
     UNIT = "a unit of another tool refused a call"
 

@@ -93,12 +93,12 @@ def _members(struct: str, source: Any, derived: dict[str, Any]) -> Iterator[tupl
 
 
 class CTables:
-    """A model as ctypes structures; `pointer` is valid as long as this object lives."""
+    """A model as ctypes structures; `pointer` is valid as long as this object lives.  `tangents`: address, or None."""
 
-    def __init__(self, model: Model, index: Callable[[Kernel], int], token: int) -> None:
+    def __init__(self, model: Model, index: Callable[[Kernel], int], token: int, tangents: int | None = None) -> None:
         self._keep: list[Any] = []
         self._index = index
-        derived = {"stamp": stamp(), "token": token}
+        derived = {"stamp": stamp(), "token": token, "tangents": tangents}
         derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
         self._model = self._fill("ph_model", model, derived)
         self.pointer = ctypes.addressof(self._model)
@@ -197,9 +197,12 @@ def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
     return text + arrays + f"static const ph_plan {name} = {members};\n"
 
 
-def c_text(model: Model, index: Callable[[Kernel], int], token: int, symbol: str = "ph_the_model") -> str:
+def c_text(
+    model: Model, index: Callable[[Kernel], int], token: int, symbol: str = "ph_the_model", tangents: str = "0"
+) -> str:
     """C source that defines `const ph_model <symbol>`; the same model gives the same bytes."""
     derived = {"stamp": "PH_STAMP", "token": f"{token:#x}ULL", "step": "&step", "instant": "&instant"}
+    derived["tangents"] = tangents
     arrays, members = _struct_text("ph_model", "model", model, derived)
     return (
         '#include "plan.h"\n\n'

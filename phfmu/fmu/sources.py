@@ -15,6 +15,7 @@ from phfmu.engine.codegen import kernel_table
 from phfmu.engine.library import runtime_sources
 from phfmu.engine.model import kernels
 from phfmu.engine.tables import c_text
+from phfmu.engine.tangent_text import tangent_text
 from phfmu.fmu import fmi2, fmi3
 from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import check_names
@@ -33,9 +34,12 @@ Sources = dict[str, str | Path]
 
 
 def generated(unit: Unit) -> dict[str, str]:
-    """kernels.c and model.c: the equations, without anything of the interface."""
+    """kernels.c and model.c, and tangents.c where there are inputs: the equations, without anything of the interface."""
     table = kernel_table(kernels(unit.model), unit.model.step.schur)
-    return {"kernels.c": table.text, "model.c": c_text(unit.model, table.index, table.token)}
+    if unit.model.step.nu == 0:
+        return {"kernels.c": table.text, "model.c": c_text(unit.model, table.index, table.token)}
+    model = c_text(unit.model, table.index, table.token, tangents="ph_tangents")
+    return {"kernels.c": table.text, "tangents.c": tangent_text(table, unit.model.step), "model.c": model}
 
 
 def token(unit: Unit, equations: dict[str, str]) -> str:

@@ -99,6 +99,35 @@ static void lay_system(ph_system *s, const ph_plan *p, block *b) {
     lay_lu(&s->lu, p, b);
 }
 
+static int larger(int a, int b) {
+    return a > b ? a : b;
+}
+
+static void lay_chain(ph_instance *in, block *b) {
+    const ph_plan *p = in->model->step;
+    ph_chain *c = &in->chain;
+    int local = 0, work = 0, iw = 0, arg = 0, res = 0;
+    for (int i = 0; i < p->ngroup; i++) {
+        const ph_group *g = &p->groups[i];
+        const ph_tangent *tangent = &in->model->tangents[g->kernel];
+        local = larger(local, 2 * (g->nx + g->ny) + g->np + g->no);
+        work = larger(work, tangent->w);
+        iw = larger(iw, tangent->iw);
+        arg = larger(arg, tangent->arg);
+        res = larger(res, tangent->res);
+    }
+    c->x = doubles(b, p->nx + 1 + p->na);
+    c->dx = doubles(b, p->nu * (p->nx + 1 + p->na));
+    c->dy = doubles(b, p->nv + p->nz);
+    c->dr = doubles(b, p->nrow);
+    c->last = doubles(b, p->nw);
+    c->local = doubles(b, local);
+    c->work = doubles(b, work);
+    c->iw = ints(b, iw);
+    c->arg = take(b, sizeof(double *) * (size_t)arg);
+    c->res = take(b, sizeof(double *) * (size_t)res);
+}
+
 static size_t lay_out(ph_instance *in, block *b) {
     size_t begin;
     take(b, sizeof(ph_instance));
@@ -119,6 +148,8 @@ static size_t lay_out(ph_instance *in, block *b) {
     in->unspread = doubles(b, in->model->step->nhold > 0 ? in->model->step->nw : 0);
     in->basis = doubles(b, in->model->step->k);
     in->change = doubles(b, in->model->step->nx);
+    if (in->model->tangents)
+        lay_chain(in, b);
     return b->used;
 }
 

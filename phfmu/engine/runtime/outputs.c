@@ -82,8 +82,9 @@ int ph_initialise(ph_instance *in) {
 }
 
 /* dw = A^-1 rhs with one refinement, which removes the delta of the factor; rhs is scaled in place. */
-static void solve_refined(ph_system *s, double *rhs, double *correction) {
+void ph_solve_refined(ph_system *s) {
     const ph_plan *p = s->plan;
+    double *rhs = s->rhs, *correction = s->base;
     for (int i = 0; i < p->nw; i++)
         rhs[i] *= s->scale[i];
     ph_lu_solve(&s->lu, rhs, s->dw);
@@ -123,7 +124,7 @@ static int sensitivity(ph_system *s, double *out) {
             }
         if (nw == 0)
             continue;
-        solve_refined(s, s->rhs, s->base);
+        ph_solve_refined(s);
         for (int e = 0; e < p->nderivative; e++)
             if (p->derivative_row[e] >= nw && p->derivative_col[e] < nw)
                 out[(p->derivative_row[e] - nw) * nu + j] -= value[e] * s->dw[p->derivative_col[e]];
@@ -131,10 +132,17 @@ static int sensitivity(ph_system *s, double *out) {
     return PH_OK;
 }
 
+int ph_chained(const ph_instance *in) {
+    const int parts = in->head->parts;
+    return parts > 1 && parts == in->head->asked ? parts : 0;
+}
+
 int ph_sensitivity(ph_instance *in, double *out) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     int status;
+    if (ph_chained(in) && in->chain.x)
+        return ph_chain_sensitivity(in, out);
     if (in->head->parts != 1)
         return PH_NO_SENSITIVITY;
     memcpy(s->y, s->last, sizeof(double) * (size_t)p->nw);

@@ -28,7 +28,7 @@
     X(PH_ABI, "model tables and compiled runtime do not belong together")                                    \
     X(PH_ARGUMENT, "an argument is out of range")                                                            \
     X(PH_VALUE, "a given value is not finite; it was not taken over")                                        \
-    X(PH_NO_SENSITIVITY, "the sensitivity needs a last step that is one undivided step")
+    X(PH_NO_SENSITIVITY, "the sensitivity needs a last step of which no internal step was halved")
 
 #define PH_STATUS_NAME(name, text) name,
 typedef enum ph_status { PH_STATUS_LIST(PH_STATUS_NAME) PH_NSTATUS } ph_status;
@@ -186,8 +186,11 @@ PH_API const double *ph_ledger(const ph_instance *in, int row);
 PH_API const double *ph_unknowns(const ph_instance *in);
 /* The last PH_KEPT_CHANGES of them, number i at i % PH_KEPT_CHANGES; *n: how many since the start. */
 PH_API const ph_rest_change *ph_rest_changes(const ph_instance *in, int *n);
-/* S: nu*nu row-major, S[i,j] = d (step mean of external output i) / d (held input j), last step. */
+/* S: nu*nu row-major, S[i,j] = d (step mean of external output i) / d (held input j), last step. Over several
+ * internal steps it takes the tangents of the model. */
 PH_API int ph_sensitivity(ph_instance *in, double *s);
+/* Internal steps of the last step if there were several and none was halved, else 0. */
+PH_API int ph_chained(const ph_instance *in);
 /* The same for the outputs at the present time. */
 PH_API int ph_sensitivity_end(ph_instance *in, double *s);
 

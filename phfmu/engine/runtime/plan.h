@@ -107,16 +107,24 @@ typedef struct ph_plan {
     const ph_schur *schur;         /* NULL: the sparse Newton only */
 } ph_plan;
 
+/* The tangent of a kernel: (x, y, p, dx, dy) -> d out, as CasADi writes functions; NULL where no residual and
+ * no pair output needs it. arg, res, iw, w: lengths of its arguments, results and work. */
+typedef struct ph_tangent {
+    int (*function)(const double **arg, double **res, int *iw, double *w, int mem);
+    int arg, res, iw, w;
+} ph_tangent;
+
 typedef struct ph_model {
-    uint64_t stamp;         /* PH_STAMP of the writer */
-    uint64_t token;         /* ph_kernel_token of the kernels the plans index into */
-    double t0;              /* start time */
-    const double *x0;       /* nx */
-    const double *a0;       /* na */
-    const double *u0;       /* nu */
-    const double *p0;       /* np */
-    const ph_plan *step;    /* one step of the scheme */
-    const ph_plan *instant; /* algebraic variables, outputs, observables and H at one instant */
+    uint64_t stamp;             /* PH_STAMP of the writer */
+    uint64_t token;             /* ph_kernel_token of the kernels the plans index into */
+    double t0;                  /* start time */
+    const double *x0;           /* nx */
+    const double *a0;           /* na */
+    const double *u0;           /* nu */
+    const double *p0;           /* np */
+    const ph_plan *step;        /* one step of the scheme */
+    const ph_plan *instant;     /* algebraic variables, outputs, observables and H at one instant */
+    const ph_tangent *tangents; /* of the kernels, or NULL: no sensitivity over several internal steps */
 } ph_model;
 
 /* Where kernels read: x old state, y = Y, p parameters, hp = {1, h, h^2}. */
@@ -137,6 +145,7 @@ typedef struct ph_kernel {
 } ph_kernel;
 
 extern const ph_kernel ph_kernels[];
+extern const ph_tangent ph_tangents[];
 extern const int ph_nkernel;
 extern const uint64_t ph_kernel_token;
 

@@ -315,6 +315,7 @@ int ph_step_parts(ph_instance *in, double t, double h, int n) {
         return status;
     }
     begin(in, h);
+    in->head->asked = n;
     for (int i = 0; i < n; i++) {
         int status;
         if (i > 0)

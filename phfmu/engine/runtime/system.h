@@ -112,7 +112,23 @@ typedef struct ph_head {
     int dirty;        /* end values are out of date */
     int parts;        /* substeps of the last communication step, 0 = none yet */
     int changes;      /* of the constraints at rest since the start */
+    int asked; /* internal steps of the last communication step of several, where none was halved: parts */
+    int pad;
 } ph_head;
+
+/* Work space of sensitivities over several internal steps; x is NULL without tangents. */
+typedef struct ph_chain {
+    double *x;     /* nx+1+na: old states of an internal step */
+    double *dx;    /* nu (nx+1+na): their derivatives with respect to each input */
+    double *dy;    /* nv+nz: a direction of Y */
+    double *dr;    /* nrow: the change of the rows along it */
+    double *last;  /* nw: unknowns of the last step, put back at the end */
+    double *local; /* arguments and results of one kernel */
+    double *work;  /* of one kernel, as are the next three */
+    int *iw;
+    const double **arg;
+    double **res;
+} ph_chain;
 
 struct ph_instance {
     const ph_model *model;
@@ -146,7 +162,8 @@ struct ph_instance {
     double *unspread;  /* nw if constraints may rest: unknowns before ph_rest_spread */
     double *basis;     /* k */
     double *change;    /* nx */
-    long long begun;   /* count[PH_ITERATIONS] at the start of the internal step */
+    ph_chain chain;
+    long long begun; /* count[PH_ITERATIONS] at the start of the internal step */
     long long count[PH_NCOUNT];
     ph_report report;
 };
@@ -157,6 +174,8 @@ void ph_inputs_at(ph_instance *in, double theta, double *u);
 void ph_basis(ph_instance *in, double theta);
 void ph_book_nodes(ph_instance *in, double from, double weight);
 void ph_seed(ph_instance *in, const double *a);
+void ph_solve_refined(ph_system *s); /* dw = A^-1 rhs; changes rhs and base */
+int ph_chain_sensitivity(ph_instance *in, double *out);
 void ph_take_instant(ph_instance *in, int algebraic); /* means = values at the present time */
 
 #endif

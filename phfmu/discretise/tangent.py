@@ -1,0 +1,36 @@
+"""Tangents of kernels: how their results change along a direction of old states and unknowns.
+
+    d out = (d out / d x) dx + (d out / d y) dy,
+
+in forward mode, without a Jacobian. A step map of several internal steps is differentiated with them, see
+`engine/chain.py`.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+
+from phfmu.discretise.plan import Kernel, Plan
+
+
+@lru_cache(maxsize=1024)
+def _tangent(function: ca.Function) -> ca.Function:
+    x, y, p = function.sx_in()
+    out = function.call([x, y, p])[0]
+    dx, dy = ca.SX.sym("dx", x.numel()), ca.SX.sym("dy", y.numel())
+    along = ca.densify(ca.jtimes(out, ca.vertcat(x, y), ca.vertcat(dx, dy)))
+    (along,) = ca.cse([along])
+    return ca.Function("tangent", [x, y, p, dx, dy], [along], {"allow_free": False})
+
+
+def tangent(kernel: Kernel) -> ca.Function:
+    """(x, y, p, dx, dy) -> d out of a kernel."""
+    return _tangent(kernel.function)
+
+
+def differentiated(plan: Plan) -> list[Kernel]:
+    """Kernels with results that reach the residual or a pair output; the others report."""
+    rows = plan.nw + plan.nq * plan.k
+    return [g.kernel for g in plan.groups if g.stage == 0 or bool((g.oi < rows).any())]
