@@ -120,6 +120,13 @@ def test_coined_words_are_explained(page: Path) -> None:
             assert anchor in linked, f"{name(page)} uses '{word}' without a link to glossary.md#{anchor}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_pages_name_files_that_exist(page: Path) -> None:
+    example = "components/thermal/two_bodies.py"  # what a contributor would add
+    for path in re.findall(r"`((?:phfmu|tests|components|docs)/[\w/.-]+\.\w+)`", prose(page)):
+        assert path == example or (ROOT / path).exists(), f"{name(page)} names {path}"
+
+
 def test_code_names_pages_that_exist() -> None:
     sources = [
         p for folder in ("phfmu", "components", "tests") for p in (ROOT / folder).rglob("*") if p.suffix != ".pyc"
