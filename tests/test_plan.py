@@ -14,8 +14,14 @@ import phfmu as ph
 from phfmu import PHDAE, Collocated, DeclarationError, Port, PythonInstance, TwoLevel, block, build_model, energy
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
+from phfmu.discretise.onestep import step_layout
 from phfmu.engine.evaluate import Evaluator
+from phfmu.plan.address import Address, increment, row
+from phfmu.plan.arguments import Arguments
 from phfmu.plan.ordering import StructurallySingular, elimination_order
+from phfmu.plan.planner import make_plan
+from phfmu.plan.spec import Spec
+from phfmu.terms.extract import extract
 
 SEEDS, EL = range(4), ph.ELECTRICAL
 
@@ -293,3 +299,20 @@ def test_ordering_reports_rows_and_columns_without_partner():
         elimination_order(3, row, col, np.zeros(0, np.int32))
     assert len(error.value.rows) == len(error.value.cols) == 1 and error.value.cols == [2]
     assert [len(v) for v in elimination_order(0, row[:0], col[:0], col[:0])] == [0, 0]
+
+
+def test_equal_kernels_with_other_powers_of_h_are_groups_of_their_own() -> None:
+    """A damper's -z on a state goes with h, an equal kernel on an algebraic row does not: names do not tell them apart."""
+    scheme = Collocated(1)
+    layout = step_layout(extract(build("mass")), scheme)
+    flow = next(t for t in layout.terms.terms if scheme.specs(t) and t.index.get("x"))
+
+    def spec(power: int) -> Spec:
+        args = Arguments(flow, 1)
+        d = args.symbol(increment)
+        return Spec(1, args.x, args.p, args.y, [(Address(row), power, 3 * d)])
+
+    work = [(flow, [spec(0)]), (flow, [spec(1)]), (flow, [spec(0)])]
+    plan = make_plan(layout, work, scheme.constants(layout), scheme.maps(layout))
+    assert [(g.n, g.power.tolist()) for g in plan.groups] == [(2, [0]), (1, [1])]
+    assert plan.groups[0].kernel is plan.groups[1].kernel
