@@ -27,8 +27,8 @@ from phfmu import (
 from phfmu.components.library import build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.model import Model
-from phfmu.discretise.schemes import named_scheme
 from phfmu.engine.library import build as build_library
+from phfmu.schemes.named import named_scheme
 
 PARTS = (1, 3, 10)
 PULL = Domain("pull", "f", "N", "v", "m/s", "flow")

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from phfmu.discretise.plan import Kernel, Plan
+from phfmu.plan.plan import Kernel, Plan
 
 
 @lru_cache(maxsize=1024)

@@ -5,9 +5,9 @@ Only what gives derivatives over several internal steps has this file: units wit
 
 from __future__ import annotations
 
-from phfmu.discretise.plan import Plan
 from phfmu.discretise.tangent import differentiated, tangent
 from phfmu.engine.codegen import HEAD, KernelTable, body, functions_text
+from phfmu.plan.plan import Plan
 
 
 def tangent_text(table: KernelTable, plan: Plan) -> str:
