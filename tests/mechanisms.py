@@ -38,3 +38,14 @@ def windows(n: int, angle: float = 0.0, pull: float = 0.0) -> PHDAE:
     if pull:
         body.linear_spring(body.support((0.0, 2.0)), ends[0], pull, 1.0)
     return body.build()
+
+
+def crossing(slope: float) -> PHDAE:
+    """A load of 2 kg on two rails, x = 0 and x + slope y = 0; for the slope 0 they are one and it falls."""
+    body = Multibody("crossing", 2)
+    body.gravity((0.0, -G))
+    load = body.particle(2.0, (0.0, 0.0))
+    p = body.parameter("slope", slope, unit="1")
+    body.constraint(lambda at: at(load)[0], "rail")
+    body.constraint(lambda at: at(load)[0] + p * at(load)[1], "crossing rail")
+    return body.build()

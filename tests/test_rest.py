@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import phfmu.terms.rest as at_rest
-from phfmu import NativeInstance, PythonInstance, TwoLevel, build_model, constraint_rank
+from phfmu import NativeInstance, PythonInstance, TwoLevel, build_model, constraint_rank, project_start
 from phfmu.cli import main
 from phfmu.discretise.model import Model
 from phfmu.engine.evaluate import Evaluator
@@ -19,10 +19,10 @@ from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.run import run
 from phfmu.network.stepper import Monolithic
-from phfmu.stress.mechanisms import bricard, bricard_reference, doubled, frame, hinge
+from phfmu.stress.mechanisms import G, bricard, bricard_reference, doubled, frame, hinge
 from phfmu.terms.rank import Dependence
 from phfmu.words import folded
-from tests.mechanisms import hung, windows
+from tests.mechanisms import crossing, hung, windows
 
 ENGINES = (PythonInstance, NativeInstance)
 MECHANISMS = {"frame": frame, "doubled": doubled, "hinge": hinge}
@@ -242,6 +242,88 @@ def test_rows_come_back_where_the_rank_rises(order: int) -> None:
     assert [str(c) for c in native.rest_changes] == [
         f"at t = 0.002 s {name} is needed again" for name, r in zip(m.hold_names, m.step.hold.rests, strict=True) if r
     ]
+
+
+# -- starts and parameters that are set --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def typed() -> tuple[Model, np.ndarray]:
+    """Bricard's linkage declared with coordinates that are off by 1e-3, where all rows are independent, and its start on them."""
+    declaration = bricard()[0]
+    q = declaration.states[0]
+    off = 1e-3 * np.cos(np.arange(1.0, q.n + 1))
+    m = model(declaration.with_starts(dict(zip(q.names(), q.start + off, strict=True))), 6)
+    assert not m.step.hold.rests.any()
+    return m, project_start(m).x
+
+
+def test_rows_rest_at_a_start_that_is_set(typed: tuple[Model, np.ndarray]) -> None:
+    m, x = typed
+    native, python = NativeInstance(m), PythonInstance(m)
+    for instance in (native, python):
+        instance.set_x(0.0, x)
+        instance.initialise()
+        (change,) = instance.rest_changes
+        assert change.needed is None and change.time == 0.0
+    assert python.rest_changes == native.rest_changes
+    saved = native.get_state()
+    near = [e.run(0.0, 0.01, 5, ("x",))["x"] for e in (native, python)]
+    assert np.abs(near[0] - near[1]).max() <= 1e-13
+    native.set_state(saved)
+    g, w, energy = errors(native, 0.01, 400)
+    assert g <= 1e-14 and w <= 1e-13 and energy <= 1e-13
+
+
+def test_a_run_projects_a_start_onto_redundant_rows(typed: tuple[Model, np.ndarray]) -> None:
+    m, _ = typed
+    result = run(Monolithic(m, NativeInstance(m)), stop=0.5, step=0.01, project=True)
+    assert result.ledger.summary().closed
+    assert re.fullmatch(r"at t = 0 s lambda\[\d+\] \(bar .*\) rests", result.notes[-1])
+
+
+def test_units_let_rows_rest_at_starts_that_are_set(typed: tuple[Model, np.ndarray], tmp_path: Path) -> None:
+    """Both versions; the unit's declaration has no redundant rows at its own start."""
+    m, x = typed
+    native = NativeInstance(m)
+    native.set_x(0.0, x)
+    native.initialise()
+    native.run(0.0, 0.01, 20)
+    names = [n for v in m.declaration.states for n in v.names()]
+    start = dict(zip(names, x.tolist(), strict=True))
+    for path in export(m.declaration, m, tmp_path, step=0.01):
+        with FMUInstance(path, starts=start) as unit:
+            for n in range(20):
+                unit.do_step(0.01 * n, 0.01)
+            assert np.abs([unit.values()[n] for n in names] - native.x).max() <= 1e-13
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_rows_are_needed_at_a_start_that_is_set(engine: Any) -> None:
+    """Declared flat, set upright, and the other way round: forces and accelerations are those of the declaration there."""
+    flat, upright = (model(windows(2, angle, pull=50.0), 2) for angle in (np.pi / 2, 0.3))
+    for declared, there in ((flat, upright), (upright, flat)):
+        instance, other = engine(declared), engine(there)
+        instance.set_x(0.0, there.x0)
+        instance.initialise()
+        assert instance.signal("a_end") == pytest.approx(other.signal("a_end"), rel=1e-12, abs=1e-12)
+        assert instance.signal("a") == pytest.approx(other.signal("a"), rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_rows_rest_and_are_needed_as_parameters_are_set(engine: Any) -> None:
+    crossed, along = (engine(model(crossing(slope), 2)) for slope in (1.0, 0.0))
+    (i,) = (n for n, v in enumerate(crossed.model.declaration.parameters) if v.name == "slope")
+    i += sum(v.n for v in crossed.model.declaration.parameters[:i]) - i
+    for instance, slope in ((crossed, 0.0), (along, 1.0)):
+        p = instance.parameters
+        p[i] = slope
+        instance.set_parameters(p)
+        instance.initialise()
+        force = [0.0, 0.0] if slope == 0.0 else [2.0 * G, -2.0 * G]  # -Dg^T lambda holds the weight
+        assert instance.signal("a_end") == pytest.approx(force, abs=1e-13)
+        instance.run(0.0, 0.01, 50)
+        assert instance.x[:2] == pytest.approx([0.0, -0.5 * G * 0.5**2 if slope == 0.0 else 0.0], abs=1e-13)
 
 
 # -- forces ------------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.engine import rest
+from phfmu.engine import rest, rest_start
 from phfmu.engine.attempts import Attempts
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.limits import LIMITS
@@ -83,7 +83,7 @@ class PythonInstance:
 
     def set_parameters(self, p: ArrayLike) -> None:
         self._s.p = self._array(p, self.model.step.np).copy()
-        self._s.end = None
+        self._s.placed, self._s.end = True, None
 
     @property
     def parameters(self) -> Array:
@@ -94,9 +94,7 @@ class PythonInstance:
         self._array([t], 1)
         self._s.x[:-1], self._s.x[-1], self._s.t = self._array(x, self.model.step.nx), t, t
         self._s.carry[:] = 0.0
-        if np.sum(self._s.rests) < np.sum(self.model.step.hold.rests):  # those that came back rest as at the start
-            self._s.rests = self.model.step.hold.rests.copy()
-        self._s.end = None
+        self._s.placed, self._s.end = True, None
 
     def continue_from(self, other: PythonInstance) -> None:
         """Go on from the state, time, held inputs, parameters and cumulative energies of `other`.
@@ -115,7 +113,7 @@ class PythonInstance:
             level = mine.increments[mine.mean_w] == 0
             s.w[mine.mean_w[level]], s.h_last = s.a[mine.mean_a[level]], 0.0
         if len(s.rests) != len(old.rests):
-            s.rests = old.rests
+            s.rests, s.placed = old.rests, True
         self._s = s
 
     # -- stepping ---------------------------------------------------------------------------------------------------
@@ -133,6 +131,7 @@ class PythonInstance:
         if h != 0 and self._is_sliver(t, h):
             self._skip(t + h)
             return
+        self._choose_rests()
         before = self.get_state()
         if h == 0:
             self._stay(t, before)
@@ -438,10 +437,9 @@ class PythonInstance:
         """Solve the instant system for the present state (cached until something changes)."""
         s, plan = self._s, self.model.instant
         if s.end is None:
+            self._choose_rests()
             self._instant.rests = s.rests.copy()
-            w = np.zeros(plan.nw)
-            w[plan.mean_w] = s.a[plan.mean_a]
-            fixed = (s.x, np.append(self._inputs(np.array([s.theta])), 1.0), s.p, 1.0)
+            w, fixed = self._instant_start()
             if plan.nw:
                 outcome = self._at_instant(w, fixed)
                 if outcome.status is not Status.OK:
@@ -458,6 +456,20 @@ class PythonInstance:
                 "o": r[plan.nw + plan.nq :].copy(), "H": stored,
             }  # fmt: skip
         return s.end
+
+    def _instant_start(self) -> tuple[Array, Fixed]:
+        """Where the instant system starts from, and what is fixed in it."""
+        s, plan = self._s, self.model.instant
+        w = np.zeros(plan.nw)
+        w[plan.mean_w] = s.a[plan.mean_a]
+        return w, (s.x, np.append(self._inputs(np.array([s.theta])), 1.0), s.p, 1.0)
+
+    def _choose_rests(self) -> None:
+        """Which constraints rest at a state or with parameters that were set."""
+        s = self._s
+        if s.placed and len(self.model.instant.hold):
+            s.change_rest(rest_start.chosen(self._solver, *self._instant_start()), s.x[-1])
+        s.placed = False
 
     def _at_instant(self, w: Array, fixed: tuple[Array, Array, Array, float]) -> Outcome:
         """The solution of the instant system from w, with line search where it takes one."""

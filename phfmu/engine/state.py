@@ -27,7 +27,8 @@ class State:
     outputs and energies;
     y_node: pair outputs at the nodes of the last step (k x nq);
     stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values;
-    rests: constraints that are left out;  changes: (number, time, rests, needed), the last of them.
+    rests: constraints that are left out;  placed: which ones has to be chosen, as state or parameters are new;
+    changes: (number, time, rests, needed), the last of them.
     """
 
     x: Array
@@ -53,6 +54,7 @@ class State:
     end: dict[str, Array] | None = None
     counts: dict[str, int] = field(default_factory=dict)
     rests: Array = field(default_factory=lambda: np.zeros(0, bool))
+    placed: bool = True
     changes: list[tuple[int, float, int, int]] = field(default_factory=list)
 
     def change_rest(self, rests: Array, time: float) -> None:

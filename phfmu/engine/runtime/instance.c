@@ -267,7 +267,7 @@ int ph_set_x(ph_instance *in, double t, const double *x) {
     in->table[nx] = t;
     for (int i = 0; i < nx; i++)
         in->rest[i] = 0.0;
-    ph_rest_again(in);
+    ph_rest_placed(in);
     in->head->dirty = 1;
     return PH_OK;
 }
@@ -276,6 +276,7 @@ int ph_set_parameters(ph_instance *in, const double *p) {
     if (!ph_finite(p, in->model->step->np))
         return PH_VALUE;
     copy(in->p, p, in->model->step->np);
+    ph_rest_placed(in);
     in->head->parts = 0;
     in->head->dirty = 1;
     return PH_OK;
@@ -307,6 +308,7 @@ int ph_continue(ph_instance *in, const ph_instance *from) {
         ph_seed(in, in->table + in->offset[PH_A]);
     in->head->parts = 0;
     in->head->dirty = 1;
+    ph_rest_placed(in);
     ph_rest_continue(in, from);
     return ph_set_input(in, from->u);
 }

@@ -37,6 +37,8 @@ int ph_refresh(ph_instance *in) {
     int status;
     if (!in->head->dirty)
         return PH_OK;
+    if (in->head->placed)
+        ph_rest_choose(in);
     status = solve_instant(in);
     if (status)
         return status;

@@ -8,7 +8,6 @@
 
 #include "system.h"
 
-#define SHARE 3.0   /* a constraint with less than the largest share / SHARE in a dependence does not rest */
 #define GAP 1e-9    /* of its natural size: a constraint that misses more is not redundant */
 #define ROUNDS 50   /* of conjugate gradients */
 #define SMALL 1e-14 /* slope along the null vectors, of the forces */
@@ -38,21 +37,13 @@ void ph_rest_begin(ph_instance *in) {
     ph_rest_take(in);
 }
 
-/* A state placed anew: constraints that have come back in motion rest as at the start. */
-void ph_rest_again(ph_instance *in) {
-    int n = 0;
-    for (int c = 0; c < in->step.plan->nhold; c++)
-        n += in->step.plan->hold_rests[c];
-    if (in->step.resting < n)
-        ph_rest_begin(in);
-}
-
 /* Those of another instance of the declaration rest. */
 void ph_rest_continue(ph_instance *in, const ph_instance *from) {
     const int n = in->step.plan->nhold;
     if (n > 0 && n == from->step.plan->nhold) {
         memcpy(in->step.rests, from->step.rests, sizeof(int) * (size_t)n);
         in->step.pivot[0] = in->instant.pivot[0] = -1;
+        in->head->placed = from->head->placed;
         ph_rest_take(in);
     }
 }
@@ -92,6 +83,11 @@ void ph_rest_matrix(ph_system *s) {
         for (int q = p->hold_ptr[c]; q < p->hold_ptr[c + 1]; q++)
             s->a[p->hold_own[q]] = 1.0;
     }
+}
+
+/* First row of constraint c. */
+int ph_rest_first(const ph_plan *p, int c) {
+    return p->hold_row[p->hold_ptr[c]];
 }
 
 /* Size of the forces of a unit of multiplier j. */
@@ -186,9 +182,9 @@ void ph_rest_spread(ph_system *s) {
     s->resting = resting;
 }
 
-/* First row of constraint c. */
-static int first(const ph_plan *p, int c) {
-    return p->hold_row[p->hold_ptr[c]];
+/* Size of the forces of a unit of the first multiplier of constraint c. */
+double ph_rest_force(const ph_system *s, int c) {
+    return force(s, ph_rest_first(s->plan, c));
 }
 
 /* Largest force in a dependence dw, and whose it is among those that do not rest (-1: nobody's). */
@@ -196,8 +192,8 @@ static double largest(const ph_system *s, int *whose) {
     double most = 0.0;
     *whose = -1;
     for (int c = 0; c < s->plan->nhold; c++) {
-        double size = s->rests[c] ? 0.0 : fabs(s->dw[first(s->plan, c)]);
-        if (size > 0.0 && (size *= force(s, first(s->plan, c))) > most) {
+        double size = s->rests[c] ? 0.0 : fabs(s->dw[ph_rest_first(s->plan, c)]);
+        if (size > 0.0 && (size *= ph_rest_force(s, c)) > most) {
             most = size;
             *whose = c;
         }
@@ -207,8 +203,8 @@ static double largest(const ph_system *s, int *whose) {
 
 /* The dependence in which constraint c has a force of 1, the null vector of Dg^T at the first node, into dw.
  */
-static void take_dependence(ph_system *s, int c) {
-    const int row = first(s->plan, c);
+void ph_rest_dependence(ph_system *s, int c) {
+    const int row = ph_rest_first(s->plan, c);
     memset(s->rhs, 0, sizeof(double) * (size_t)s->plan->nw);
     s->rhs[row] = 1.0 / force(s, row);
     ph_lu_solve(&s->lu, s->rhs, s->dw);
@@ -222,15 +218,15 @@ static int share_is_small(ph_system *s) {
     memset(s->rhs, 0, sizeof(double) * (size_t)p->nw);
     for (int c = 0; c < p->nhold; c++) {
         double weight = 1.0 + fmod(0.6180339887498949 * c, 1.0), size;
-        if (s->rests[c] == PH_RESTS && (size = force(s, first(p, c))) > 0.0)
-            s->rhs[first(p, c)] = weight / size;
+        if (s->rests[c] == PH_RESTS && (size = ph_rest_force(s, c)) > 0.0)
+            s->rhs[ph_rest_first(p, c)] = weight / size;
     }
     ph_lu_solve(&s->lu, s->rhs, s->dw);
-    return largest(s, &whose) > SHARE;
+    return largest(s, &whose) > PH_REST_SHARE;
 }
 
 /* Remembers a change at the end of a step. */
-static void note(ph_instance *in, double time, int rests, int needed) {
+void ph_rest_tell(ph_instance *in, double time, int rests, int needed) {
     in->changes[in->head->changes % PH_KEPT_CHANGES] = (ph_rest_change){time, rests, needed};
     in->head->changes++;
 }
@@ -242,14 +238,14 @@ void ph_rest_exchange(ph_instance *in, double time) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     int from = -1, to = -1, whose;
-    double most = SHARE;
+    double most = PH_REST_SHARE;
     if (!s->lu.filled || !share_is_small(s))
         return;
     for (int c = 0; c < p->nhold; c++) {
         double size;
-        if (s->rests[c] != PH_RESTS || !(force(s, first(p, c)) > 0.0))
+        if (s->rests[c] != PH_RESTS || !(ph_rest_force(s, c) > 0.0))
             continue;
-        take_dependence(s, c);
+        ph_rest_dependence(s, c);
         size = largest(s, &whose);
         if (size > most) {
             most = size;
@@ -259,17 +255,17 @@ void ph_rest_exchange(ph_instance *in, double time) {
     }
     if (from < 0)
         return;
-    take_dependence(s, from);
+    ph_rest_dependence(s, from);
     for (int i = 0; i < p->hold_ptr[to + 1] - p->hold_ptr[to]; i++) {
-        const double t = s->last[p->hold_row[p->hold_ptr[to] + i]] / s->dw[first(p, to)];
+        const double t = s->last[p->hold_row[p->hold_ptr[to] + i]] / s->dw[ph_rest_first(p, to)];
         for (int c = 0; c < p->nhold; c++)
-            s->last[p->hold_row[p->hold_ptr[c] + i]] -= t * s->dw[first(p, c)];
+            s->last[p->hold_row[p->hold_ptr[c] + i]] -= t * s->dw[ph_rest_first(p, c)];
     }
     in->step.rests[from] = PH_AWAKE;
     in->step.rests[to] = PH_RESTS;
     s->pivot[0] = in->instant.pivot[0] = -1; /* those of another matrix */
     ph_rest_take(in);
-    note(in, time, to, from);
+    ph_rest_tell(in, time, to, from);
     in->count[PH_EXCHANGED]++;
 }
 
@@ -295,7 +291,7 @@ void ph_rest_settle(ph_instance *in, double time, int accepted) {
             in->step.rests[c] = accepted ? PH_AWAKE : PH_RESTS;
             found = 1;
             if (accepted) {
-                note(in, time, -1, c);
+                ph_rest_tell(in, time, -1, c);
                 in->count[PH_WOKEN]++;
             }
         }

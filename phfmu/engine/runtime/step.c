@@ -298,6 +298,8 @@ int ph_step_parts(ph_instance *in, double t, double h, int n) {
         return PH_ARGUMENT;
     if (h != 0.0 && is_sliver(in, t, h))
         return ph_skip(in, t + h);
+    if (in->head->placed)
+        ph_rest_choose(in);
     allow(in, all);
     if (n == 1 && h != 0.0) {
         if (whole(in, t, h) == PH_OK)

@@ -88,10 +88,18 @@ void ph_newton_bare(ph_system *s, int bare);
 int ph_newton_factor(ph_system *s);
 void ph_explain(ph_system *s, int status, ph_report *report);
 
+/* A constraint with less than the largest share in a dependence over this does not rest. */
+#define PH_REST_SHARE 3.0
+
 enum { PH_AWAKE, PH_RESTS, PH_CALLED }; /* CALLED: needed again in the step being solved */
 
 void ph_rest_begin(ph_instance *in);
-void ph_rest_again(ph_instance *in);
+void ph_rest_placed(ph_instance *in);
+void ph_rest_choose(ph_instance *in);
+int ph_rest_first(const ph_plan *p, int c);
+double ph_rest_force(const ph_system *s, int c);
+void ph_rest_dependence(ph_system *s, int c);
+void ph_rest_tell(ph_instance *in, double time, int rests, int needed);
 void ph_rest_continue(ph_instance *in, const ph_instance *from);
 void ph_rest_take(ph_instance *in);
 void ph_rest_unknowns(ph_system *s);
@@ -112,8 +120,8 @@ typedef struct ph_head {
     int dirty;        /* end values are out of date */
     int parts;        /* substeps of the last communication step, 0 = none yet */
     int changes;      /* of the constraints at rest since the start */
-    int asked; /* internal steps of the last communication step of several, where none was halved: parts */
-    int pad;
+    int asked;  /* internal steps of the last communication step of several, where none was halved: parts */
+    int placed; /* state or parameters are new: which constraints rest has to be chosen */
 } ph_head;
 
 /* Work space of sensitivities over several internal steps; x is NULL without tangents. */
