@@ -14,13 +14,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.tangent import differentiated, tangent
 from phfmu.engine.attempts import Attempts
 from phfmu.engine.evaluate import Buffered, Evaluator
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.newton import Newton
 from phfmu.engine.state import State
 from phfmu.engine.status import Status
+from phfmu.plan.tangent import differentiated, tangent
 
 Array = NDArray[np.float64]
 

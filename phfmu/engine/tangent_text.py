@@ -5,9 +5,9 @@ Only what gives derivatives over several internal steps has this file: units wit
 
 from __future__ import annotations
 
-from phfmu.discretise.tangent import differentiated, tangent
-from phfmu.engine.codegen import HEAD, KernelTable, body, functions_text
+from phfmu.engine.codegen import HEAD, Body, KernelTable, body, functions_text
 from phfmu.plan.plan import Plan
+from phfmu.plan.tangent import differentiated, tangent
 
 
 def tangent_text(table: KernelTable, plan: Plan) -> str:
@@ -23,9 +23,7 @@ def tangent_text(table: KernelTable, plan: Plan) -> str:
     )
 
 
-def _row(made: object) -> str:
-    from phfmu.engine.codegen import Body
-
-    if not isinstance(made, Body):
+def _row(made: Body | None) -> str:
+    if made is None:
         return "    {0, 0, 0, 0, 0},\n"
     return f"    {{{made.name}, {', '.join(str(v) for v in made.sizes.values())}}},\n"
