@@ -104,6 +104,11 @@ def test_every_room_is_in_the_order() -> None:
     assert rooms == set(ROOMS)
 
 
+def test_every_import_names_a_file() -> None:
+    files = {module(p): p for p in walked()}
+    assert [(str(p), m) for p in files.values() for m in imported(p) if not known(m, files)] == []
+
+
 def test_imports_go_down() -> None:
     assert upward(imports()) == UPWARD
 
