@@ -20,7 +20,7 @@ from phfmu.engine.python import PythonInstance
 from phfmu.engine.tables import CTables
 from phfmu.gradients.quadrature import nodes
 from phfmu.schemes.collocated import Collocated
-from phfmu.schur import lane_groups
+from phfmu.schur import lane_groups, text
 from phfmu.schur.elimination import eliminate
 from phfmu.schur.lanes import spectrum
 
@@ -206,6 +206,23 @@ def test_symbolic_elimination_factors_a_schur_matrix(m: int, n: int, listed: int
     whole = lower @ np.diag(entry[:m]) @ lower.T
     exact = (d / mass @ d.T)[np.ix_(e.order, e.order)]
     assert np.abs(whole - exact).max() <= 1e-12
+
+
+@pytest.mark.parametrize(("name", "order"), [("chain", 2), ("stiff chain", 6), ("pushed", 6)])
+def test_written_out_loops_give_the_same_bits(name: str, order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small model, whose tables the compiler knows, against the same loops over the tables of the plan."""
+    m, found, sources = model(BODIES[name](), order), [], []
+    for most in (text.MOST, 0):
+        monkeypatch.setattr(text, "MOST", most)
+        sources.append(kernel_table(kernels(m), m.step.schur).text)
+        instance = NativeInstance(m)
+        for i in range(50):
+            instance.set_input(np.sin(0.3 * i + np.arange(m.step.nu)))
+            instance.do_step(0.01 * i, 0.01)
+        assert instance.counts["schur"] == 50
+        found.append((instance.x.tobytes(), instance.unknowns.tobytes(), instance.counts["sweeps"]))
+    assert "small_tables" in sources[0] and "small_tables" not in sources[1]
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("order", [2, 6])

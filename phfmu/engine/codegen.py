@@ -13,6 +13,7 @@ from typing import Any
 
 import casadi as ca
 
+from phfmu.engine.tables import schur_text
 from phfmu.plan.plan import Kernel
 from phfmu.schur.stepper import SchurStepper
 from phfmu.schur.text import NO_STEPPER, stepper_text
@@ -154,7 +155,7 @@ def kernel_table(kernels: Iterable[Kernel], schur: SchurStepper | None = None) -
     text += "\n" + "\n".join(entries[n][0] for n in order)
     rows = "".join(entries[n][1] for n in order) or "    {0, 0, 0, 0, 0, 0, 0, 0},\n"
     text += f"\nconst ph_kernel ph_kernels[] = {{\n{rows}}};\nconst int ph_nkernel = {len(order)};\n"
-    text += NO_STEPPER if schur is None else stepper_text(schur)
+    text += NO_STEPPER if schur is None else stepper_text(schur, schur_text(schur, "small_tables"))
     token = int(hashlib.sha256(text.encode()).hexdigest()[:16], 16)
     text += f"const uint64_t ph_kernel_token = {token:#x}ULL;\n"
     places = tuple(order.index(name_of[key]) for key in unique)

@@ -11,9 +11,8 @@ from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from phfmu.plan.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
-from phfmu.schur.lane_groups import LaneGroup
+from phfmu.schur.lane_groups import KINDS, LaneGroup, in_order
 from phfmu.schur.stepper import SchurStepper
-from phfmu.schur.text import loop_index, loop_name
 
 
 def capacity(plan: Plan) -> int:
@@ -159,15 +158,9 @@ def plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
     )
 
 
-#: PH_LANE_* of schur.h
-LANE_KINDS = ("constraint", "strain", "force", "start", "mass", "load")
-
-
 def lane_groups(schur: SchurStepper) -> list[tuple[LaneGroup, dict[str, Any]]]:
-    """The groups in order of evaluation, with their loops."""
-    loops = loop_index(schur.groups)
-    groups = sorted(schur.groups, key=lambda g: LANE_KINDS.index(g.kernel.kind))
-    return [(g, {"loop": loops[loop_name(g)], "kind": LANE_KINDS.index(g.kernel.kind)}) for g in groups]
+    """The groups in order of evaluation."""
+    return [(g, {"kind": KINDS.index(g.kernel.kind)}) for g in in_order(schur.groups)]
 
 
 def schur_sizes(schur: SchurStepper) -> dict[str, Any]:

@@ -171,7 +171,8 @@ def _array_of_structs(struct: str, name: str, items: Sequence[tuple[Any, dict[st
     return text + (f"static const {struct} {name}[] = {{\n" + ",\n".join(rows) + "\n};\n" if rows else "")
 
 
-def _schur_text(schur: SchurStepper, name: str) -> str:
+def schur_text(schur: SchurStepper, name: str) -> str:
+    """C source that defines `static const ph_schur <name>`."""
     text = _array_of_structs("ph_lane_group", f"{name}_groups", lane_groups(schur))
     derived = schur_sizes(schur) | {"groups": f"{name}_groups"}
     for part in ("hard", "soft"):
@@ -191,7 +192,7 @@ def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
     derived["groups"] = f"{name}_groups" if plan.groups else "0"
     derived["schur"] = "0"
     if plan.schur is not None:
-        text += _schur_text(plan.schur, f"{name}_schur")
+        text += schur_text(plan.schur, f"{name}_schur")
         derived["schur"] = f"&{name}_schur"
     arrays, members = _struct_text("ph_plan", name, plan, derived)
     return text + arrays + f"static const ph_plan {name} = {members};\n"

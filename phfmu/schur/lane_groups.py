@@ -18,6 +18,9 @@ from phfmu.schur.lanes import LaneKernel
 #: degrees of freedom of a tile: its arrays fill about half of a first-level cache
 TILE = 96
 
+#: PH_LANE_* of schur.h, the order of evaluation
+KINDS = ("constraint", "strain", "force", "start", "mass", "load")
+
 #: degrees of freedom of coordinates: (plus, minus) of each, -1 for nothing
 Ends = tuple[list[int], list[int]]
 
@@ -44,6 +47,11 @@ class LaneGroup:
     om: Ints
     until: Ints = field(default_factory=lambda: np.zeros(1, np.int32))
     settled: Ints = field(default_factory=lambda: np.zeros(1, np.int32))
+
+
+def in_order(groups: Sequence[LaneGroup]) -> list[LaneGroup]:
+    """The groups as the tables list them."""
+    return sorted(groups, key=lambda g: KINDS.index(g.kernel.kind))
 
 
 @dataclass

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from phfmu.schur.lane_groups import LaneGroup
+from phfmu.schur.lane_groups import LaneGroup, in_order
 from phfmu.schur.lanes import LaneKernel
 from phfmu.schur.stepper import SchurStepper
-from phfmu.schur.unroll import unrolled
 
 BINARY = {
     ca.OP_ADD: "{a} + {b}", ca.OP_SUB: "{a} - {b}", ca.OP_MUL: "{a} * {b}", ca.OP_DIV: "{a} / {b}",
@@ -28,6 +27,12 @@ FUNCTIONS = {
     ca.OP_COSH: "cosh", ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1",
     ca.OP_ERF: "erf", ca.OP_ASINH: "asinh", ca.OP_ACOSH: "acosh", ca.OP_ATANH: "atanh",
 }  # fmt: skip
+
+#: the loops of a model with more degrees of freedom, or instances, are not written out
+MOST = 40
+
+#: kinds that a sweep evaluates
+SWEPT = ("constraint", "strain", "force")
 
 #: models without a Schur stepper, and compilers without vectors
 NO_STEPPER = "const ph_schur_code ph_schur_solver = {0};\n"
@@ -91,32 +96,57 @@ def _spread(name: str, is_lane: bool) -> str:
     return name if is_lane else f"PH_SPREAD({name})"
 
 
-def loop_name(group: LaneGroup) -> str:
+def is_small(schur: SchurStepper) -> bool:
+    """Are the loops over the tables of this model written out?"""
+    return schur.ndof <= MOST and sum(g.n for g in schur.groups if g.kernel.kind in SWEPT) <= MOST
+
+
+def stepper_text(schur: SchurStepper, tables: str) -> str:
+    """Functions, their loops, and the stepper for the nodes of a step.
+
+    `tables`: those of `schur` as C, which a small model has beside its functions, under the name `small_tables`.
+    """
+    functions = {kernel.name: kernel for g in schur.groups for kernel in (g.kernel, g.stress) if kernel}
+    bodies = "".join(function_text(functions[name]) for name in sorted(functions))
+    used = sorted(set(re.findall(r"\blane_(\w+)\(", bodies)))
+    text = f'\n#if defined(__GNUC__)\n#define PH_K {schur.k}\n{_small(schur, tables)}#include "lanes.h"\n\n'
+    text += "".join("PH_LANE_POWER\n" if f == "pow" else f"PH_LANE_FUNCTION({f})\n" for f in used) + bodies + "\n"
+    loops = {_loop_name(g): g for g in schur.groups}
+    text += "".join(_loop(name, loops[name]) for name in sorted(loops)) + _calls(schur)
+    return text + f'#include "schur.inc"\n#else\n{NO_STEPPER}#endif\n'
+
+
+def _small(schur: SchurStepper, tables: str) -> str:
+    if not is_small(schur):
+        return ""
+    return f"#define PH_SMALL {schur.ndof}\n#define PH_SMALL_ENTRIES {schur.hard.nentry}\n" + tables
+
+
+def _loop_name(group: LaneGroup) -> str:
     """Name of the loops of a group; a strain's belong to its stresses too."""
     return "_".join(["loop", group.kernel.name, *([group.stress.name] if group.stress else [])])
 
 
-def stepper_text(schur: SchurStepper) -> str:
-    """Functions, their loops, and the solver for the nodes of a step."""
-    k, groups = schur.k, schur.groups
-    functions = {kernel.name: kernel for g in groups for kernel in (g.kernel, g.stress) if kernel}
-    bodies = "".join(function_text(functions[name]) for name in sorted(functions))
-    used = sorted(set(re.findall(r"\blane_(\w+)\(", bodies)))
-    text = f'\n#if defined(__GNUC__)\n#define PH_K {k}\n#include "lanes.h"\n\n'
-    text += "".join("PH_LANE_POWER\n" if f == "pow" else f"PH_LANE_FUNCTION({f})\n" for f in used) + bodies + "\n"
-    loops = {loop_name(g): g for g in groups}
-    rows = []
-    for name in sorted(loops):
-        kernel, stress = loops[name].kernel, loops[name].stress
-        macros = {"NAME": name, "KERNEL": kernel.name, KINDS[kernel.kind][0]: ""}
-        macros |= {KINDS[stress.kind][0]: stress.name, "RELAX": f"{name}_relax"} if stress else {}
-        macros |= {"NX": kernel.nx, "NZ": kernel.nz, "NU": kernel.nu, "NP": kernel.np, "NO": kernel.no}
-        text += "".join(f"#define PH_{m} {v}".rstrip() + "\n" for m, v in macros.items()) + '#include "lane.inc"\n\n'
-        rows.append(f"{{{name}, {f'{name}_relax' if stress else 0}}}")
-    text += f"static const ph_lane_loop ph_lane_loops[] = {{{', '.join(rows)}}};\n\n"
-    return text + f'{unrolled(schur)}#include "schur.inc"\n#else\n{NO_STEPPER}#endif\n'
+def _loop(name: str, group: LaneGroup) -> str:
+    kernel, stress = group.kernel, group.stress
+    macros = {"NAME": name, "KERNEL": kernel.name, KINDS[kernel.kind][0]: ""}
+    macros |= {KINDS[stress.kind][0]: stress.name, "RELAX": f"{name}_relax"} if stress else {}
+    macros |= {"NX": kernel.nx, "NZ": kernel.nz, "NU": kernel.nu, "NP": kernel.np, "NO": kernel.no}
+    return "".join(f"#define PH_{m} {v}".rstrip() + "\n" for m, v in macros.items()) + '#include "lane.inc"\n\n'
 
 
-def loop_index(groups: Sequence[LaneGroup]) -> dict[str, int]:
-    """Place of each loop in the table of loops."""
-    return {name: i for i, name in enumerate(sorted({loop_name(g) for g in groups}))}
+def _calls(schur: SchurStepper) -> str:
+    """The loops of all groups: those of tile t of a sweep, and the others as a whole."""
+    groups = [(i, _loop_name(g), g.kernel.kind) for i, g in enumerate(in_order(schur.groups))]
+    whole = "{loop}(g + {i}, s, 0, g[{i}].n);"
+    parts = [
+        ("sweep_groups", ", int t", SWEPT, "{loop}(g + {i}, s, g[{i}].until[t], g[{i}].until[t + 1]);"),
+        ("relax_groups", "", ("strain",), "{loop}_relax(g + {i}, s);"),
+        ("start_groups", "", ("start",), whole),
+        ("parameter_groups", "", ("mass", "load"), whole),
+    ]
+    text = ""
+    for name, more, kinds, call in parts:
+        body = "".join(f"    {call.format(loop=loop, i=i)}\n" for i, loop, kind in groups if kind in kinds)
+        text += f"static PH_WRITTEN void {name}(const ph_lane_group *g, const ph_sweep *s{more}) {{\n{body}}}\n\n"
+    return text

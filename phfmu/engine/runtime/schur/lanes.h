@@ -105,11 +105,84 @@ typedef struct ph_work {
     ph_lane multiply[PH_LANES];
 } ph_work;
 
-/* A group of the Schur stepper: its loop over some instances, and for strains the one of all their defects.
- */
-typedef struct ph_lane_loop {
-    void (*evaluate)(const ph_lane_group *, ph_work *, int from, int to);
-    void (*relax)(const ph_lane_group *, ph_work *);
-} ph_lane_loop;
+/* Where a sweep finds and leaves its values. */
+typedef struct ph_sweep {
+    const ph_schur *c;
+    int carry;
+    double h;
+    const double *parameters;
+    double *point, *velocity, *inverse_mass, *constant, *start, *slope;
+    const ph_lane *input, *base;
+    ph_lane *multiplier, *f, *x, *v, *n, *force, *next, *slot, *row, *stress, *defect;
+    ph_lane column[PH_K];
+} ph_sweep;
+
+/* A small model has its tables in the generated file, `small_tables`, beside PH_SMALL, the number of its
+ * degrees of freedom, and PH_SMALL_ENTRIES, of its factor. Functions that are PH_WRITTEN and loops behind
+ * PH_UNROLL are written out where they are used: the compiler knows every index. Arrays over degrees of
+ * freedom are taken from the work space by PH_LOCAL and go back by PH_KEEP; in between they are registers.
+ * For other models all of this is nothing, and the same loops run over the tables of the plan. */
+#ifdef PH_SMALL
+#define PH_TABLES(w) (&small_tables)
+#define PH_WRITTEN inline __attribute__((always_inline))
+#ifdef __clang__
+#define PH_UNROLL _Pragma("clang loop unroll(full)")
+#define PH_COPY(to, from) memcpy(to, from, sizeof(ph_lane) * PH_SMALL);
+#else /* gcc keeps in memory what memcpy touches */
+#define PH_UNROLL _Pragma("GCC unroll 65534")
+#define PH_COPY(to, from)                                                                                    \
+    PH_UNROLL                                                                                                \
+    for (int i = 0; i < PH_SMALL; i++)                                                                       \
+        (to)[i] = (from)[i];
+#endif
+#define PH_LOCAL(name)                                                                                       \
+    ph_lane name[PH_SMALL + 1];                                                                              \
+    PH_COPY(name, s.name)                                                                                    \
+    s.name = name;
+#define PH_KEEP(name) PH_COPY(w->name, name)
+#else
+#define PH_SMALL 0
+#define PH_TABLES(w) ((w)->c)
+#define PH_WRITTEN inline
+#define PH_UNROLL
+#define PH_LOCAL(name)
+#define PH_KEEP(name)
+#endif
+
+/* Work space and tables as a sweep sees them. */
+static PH_WRITTEN ph_sweep view(const ph_work *w) {
+    ph_sweep s = {
+        .c = PH_TABLES(w),
+        .carry = w->carry,
+        .h = w->h,
+        .parameters = w->p,
+        .point = w->point,
+        .velocity = w->velocity,
+        .inverse_mass = w->inverse_mass,
+        .constant = w->constant,
+        .start = w->start,
+        .slope = w->slope,
+        .input = w->u,
+        .base = w->base,
+        .multiplier = w->multiplier,
+        .f = w->f,
+        .x = w->x,
+        .v = w->v,
+        .n = w->n,
+        .force = w->force,
+        .next = w->next,
+        .slot = w->slot,
+        .row = w->row,
+        .stress = w->stress,
+        .defect = w->defect,
+    };
+    memcpy(s.column, w->column, sizeof(s.column));
+    return s;
+}
+
+/* a[plus] - a[minus]; the entry behind the last degree of freedom is zero. */
+static PH_WRITTEN ph_lane difference(const ph_lane *a, int plus, int minus) {
+    return PH_SMALL && minus == PH_SMALL ? a[plus] : a[plus] - a[minus];
+}
 
 #endif

@@ -39,7 +39,6 @@ typedef enum ph_lane_kind {
 /* All instances of one function of the Schur stepper; tables are instance-major, index ndof: nothing. */
 typedef struct ph_lane_group {
     int n;         /* instances */
-    int loop;      /* index into the loops of kernels.c */
     int kind;      /* ph_lane_kind */
     int first;     /* row of the first instance (constraints, strains) */
     int point;     /* its first coordinate */
