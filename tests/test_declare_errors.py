@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import subprocess
 import sys
 import warnings
 from dataclasses import replace
@@ -67,6 +68,12 @@ def test_functions_of_numpy_take_variables():
         assert np.allclose(value(np.maximum(x, 2.0), x, 0.5), 2.0)
     refused(lambda: np.heaviside(x, 1.0), "numpy.heaviside", "such as x")
     refused(lambda: math.cos(x), "'x' is a symbol", "casadi.cos(x.sx)")
+
+
+def test_functions_of_numpy_take_expressions_without_a_notice() -> None:
+    code = "import numpy, phfmu; q = phfmu.state('q'); print(numpy.exp(q / 2))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("exp((q/2))\n", "")
 
 
 def test_starts_are_numbers():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
@@ -11,6 +12,9 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.error import DeclarationError
+
+# NumPy's functions of an expression are expressions, as the notice says of symbols; it concerns arrays of numbers.
+warnings.filterwarnings("ignore", r"\s*casadi: a numpy function was called", FutureWarning)
 
 Role = Literal["state", "algebraic", "parameter"]
 Number = float | Sequence[float] | np.ndarray
