@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.evaluate import Evaluator
-from phfmu.engine.newton import Newton
+from phfmu.engine.newton import Fixed, Newton
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -39,6 +39,20 @@ def spread(newton: Newton, w: Array, h: float) -> Array:
         t = np.linalg.lstsq(d[:, i : i + 1] * null, -d[:, i] * w[at], rcond=SPARE)[0]
         out[at] += null @ t
     return out
+
+
+def evaluated(newton: Newton, rests: Flags, w: Array, fixed: Fixed) -> Array:
+    """All rows at the solution w, its multipliers those of least norm where constraints rest."""
+    evaluator = newton.evaluator
+    if rests.any():
+        newton.residual(w, fixed)  # null vectors of the matrix there, not of the one Newton was content with
+        newton.bare = True
+        newton.factor(fixed[3])
+        w = spread(newton, w, fixed[3])
+        evaluator.rests = np.zeros_like(rests)  # their rows are not looked at any more
+    newton.residual(w, fixed)
+    evaluator.rests = rests.copy()
+    return w
 
 
 def exchange(newton: Newton, w: Array, h: float) -> Flags | None:
