@@ -5,6 +5,7 @@
 #ifndef PH_LANES_H
 #define PH_LANES_H
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
