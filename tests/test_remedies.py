@@ -53,17 +53,18 @@ def test_a_run_adds_what_it_had_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps of 0.1 s work; the one of 1e-3 s before an event is refused: no word of smaller steps."""
     model = build_model(mass(1.0, k=4.0, q=1.0))
     instance = PythonInstance(model)
-    solve = instance._solve
+    solves = instance._solves
+    solve = solves._solve
 
-    def refuse(h, u):
+    def refuse(s, h, u):
         if h < 0.01:
-            monkeypatch.setattr("phfmu.engine.python.DEPTH", 0)
-            outcome = solve(h, u)
+            monkeypatch.setattr("phfmu.engine.solves.DEPTH", 0)
+            outcome = solve(s, h, u)
             outcome.status = Status.NO_CONVERGENCE
             return outcome
-        return solve(h, u)
+        return solve(s, h, u)
 
-    monkeypatch.setattr(instance, "_solve", refuse)
+    monkeypatch.setattr(solves, "_solve", refuse)
     with pytest.raises(StepFailure, match=r"steps of 0\.1 s were solved before this one of 0\.001 s"):
         run(Monolithic(model, instance), stop=1.0, step=0.1, events=[Event(0.501, "m", 1.0)])
 
