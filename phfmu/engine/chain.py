@@ -88,20 +88,12 @@ def chained(newton: Newton, s: State, inputs: Callable[[float, float], Array]) -
             dv = np.zeros(plan.nv)
             dv[nw : nw + nu * plan.k].reshape(plan.k, nu)[:, j] = 1.0
             r = tangents.along(x, s.p, h, dx[j], dv)
-            dv[:nw] = _corrected(newton, r[:nw], h) if nw else 0.0
+            dv[:nw] = newton.refined(r[:nw], h) if nw else 0.0
             r = tangents.along(x, s.p, h, dx[j], dv)
             total[:, j] += plan.weights @ r[nw : nw + plan.nq * plan.k].reshape(plan.k, -1)[:, :nu] / parts
             _advance(newton, dx[j], dv[:nw], h)
         _advance(newton, x, w, h)
-        x[: nx + 1][nx] = s.x_old[nx]
     return total
-
-
-def _corrected(newton: Newton, r: Array, h: float) -> Array:
-    """-A^-1 r, with one refinement that takes out the delta of the factor."""
-    m, values = newton.plan.matrix, newton.evaluator.matrix(h)
-    dw = newton.solve(r)
-    return dw + newton.solve(r + np.bincount(m.row, values * dw[m.col], newton.plan.nw))
 
 
 def _advance(newton: Newton, x: Array, w: Array, h: float) -> None:

@@ -103,6 +103,11 @@ class Newton:
         assert self._lu is not None
         return -self._lu.solve(self._scale * r)
 
+    def refined(self, r: Array, h: float) -> Array:
+        """-A^-1 r, with one refinement that takes out the delta of the factor."""
+        m, dw = self.plan.matrix, self.solve(r)
+        return dw + self.solve(r + np.bincount(m.row, self.evaluator.matrix(h) * dw[m.col], self.plan.nw))
+
     def attempt(self, w: Array, fixed: Fixed, damped: bool) -> Outcome:
         """Iterate from w until rounding, then polish once with the old factor."""
         plan, h = self.plan, fixed[3]

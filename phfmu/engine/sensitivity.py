@@ -24,8 +24,5 @@ def derivative(newton: Newton, rests: Flags, w: Array, fixed: Fixed) -> Array:
     if nw == 0 or nu == 0:
         return full[nw:, nw:]
     newton.factor(fixed[3])
-    a = np.zeros((nw, nw))
-    a[plan.matrix.row, plan.matrix.col] = newton.evaluator.matrix(fixed[3])
-    dw = np.column_stack([newton.solve(b) for b in full[:nw, nw:].T])
-    dw += np.column_stack([newton.solve(b) for b in (full[:nw, nw:] + a @ dw).T])
+    dw = np.column_stack([newton.refined(b, fixed[3]) for b in full[:nw, nw:].T])
     return full[nw:, nw:] + full[nw:, :nw] @ dw

@@ -94,7 +94,7 @@ def discrete_gradient(
     method:
         "joint-gonzalez"      grad H(m) + [H(x') - H(x) - grad H(m)^T d] d / |d|^2,   m = x + d/2,  d = x' - x; symmetric
         "per-term"            of each term its own: midpoint (quadratic), secant (`strain_energy`, keeps momentum maps),
-                              else mean value by quadrature with a guarded correction; symmetric
+                              else mean value by quadrature with a correction; symmetric
         "mean-value"          int_0^1 grad H(x + s d) ds for terms of every kind; symmetric
         "itoh-abe", "itoh-abe-symmetric"    coordinate increments in the order of x; the mean of both orders
     ValueError for an unknown method and for symbols that are neither in x nor in `parameters`.

@@ -11,9 +11,8 @@ and E11^T Z_i = W_i, the node gradients of `gradients.py`.  k = 1 is the scheme 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from phfmu.gradients.quadrature import Nodes, nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
@@ -21,13 +20,13 @@ from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown
 from phfmu.schemes import impulses
 from phfmu.schemes.nodal import NodeKernels
-from phfmu.schemes.scheme import Triplet, node_constants, node_holds, node_maps, node_unknowns
+from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
 from phfmu.terms.bare import IMPULSE
 from phfmu.terms.term import CONSTRAINT, DeclarationError, Term, Terms
 
 
 @dataclass(frozen=True)
-class Collocated:
+class Collocated(GaussScheme):
     """k Gauss nodes.  The mean of x2 over the step is reported, nothing of it is carried on.
 
     gradient: "per-term" | "mean-value" | "joint-gonzalez", "itoh-abe", "itoh-abe-symmetric" (these k = 1).
@@ -38,20 +37,6 @@ class Collocated:
     gradient: str = "per-term"
     name: str = "collocated"
     impulses: bool = True
-    two_level: bool = field(default=False, init=False, repr=False)
-    loses_energy: bool = field(default=False, init=False, repr=False)
-
-    @property
-    def joint(self) -> bool:
-        return self.gradient == "joint-gonzalez"
-
-    @property
-    def order(self) -> int:
-        return 1 if self.gradient == "itoh-abe" else 2 * self.k
-
-    @property
-    def nodes(self) -> Nodes:
-        return nodes(self.k)
 
     def prepare(self, terms: Terms) -> Terms:
         """The terms with their impulses; DeclarationError says what does not fit."""
@@ -75,9 +60,6 @@ class Collocated:
         if term.kind is IMPULSE:
             return impulses.specs(term, self.nodes)
         return [impulses.shifted(s, term) for s in NodeKernels(self.nodes, self.gradient).specs(term)]
-
-    def constants(self, layout: Layout) -> list[Triplet]:
-        return node_constants(layout)
 
     def maps(self, layout: Layout) -> Maps:
         return impulses.maps(layout, node_maps(layout, self.nodes))

@@ -14,8 +14,8 @@ Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 223 (2026), (25), (26), Exa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -23,18 +23,17 @@ import numpy as np
 from phfmu.declare.operations import degree
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
-from phfmu.gradients.quadrature import Nodes, nodes
+from phfmu.gradients.quadrature import nodes
 from phfmu.plan.address import Address, algebraic, costate, costate_row, gradient, increment, row, with_algebraics
 from phfmu.plan.arguments import Arguments
 from phfmu.plan.layout import Layout
-from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec, substituted
 from phfmu.plan.unknown import COSTATE, Unknown
 from phfmu.schemes import closure, minimal
 from phfmu.schemes.closure import carried
 from phfmu.schemes.nodal import NodeKernels
-from phfmu.schemes.scheme import Triplet, node_constants, node_unknowns
+from phfmu.schemes.scheme import GaussScheme, Triplet, node_constants, node_unknowns
 from phfmu.terms.term import CLOSED, MASS_BLOCK, DeclarationError, Kind, Term, Terms
 
 #: rows given by the user
@@ -44,7 +43,7 @@ Constraint = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 
 
 @dataclass(frozen=True)
-class DiracDissipative:
+class DiracDissipative(GaussScheme):
     """One step with the costate f as unknown.
 
     closure: "end" | "start" | "midpoint" | "minimal" | a function (x, x', f) -> rows;  `at`: the point of zbar in
@@ -55,22 +54,6 @@ class DiracDissipative:
     at: str = "midpoint"
     gradient: str = "per-term"
     name: str = "dirac-dissipative"
-
-    two_level: bool = field(default=False, init=False, repr=False)
-    impulses: bool = field(default=False, init=False, repr=False)
-    loses_energy: bool = field(default=False, init=False, repr=False)
-
-    @property
-    def joint(self) -> bool:
-        return self.gradient == "joint-gonzalez"
-
-    @property
-    def order(self) -> int:
-        return 1 if self.gradient == "itoh-abe" else 2
-
-    @property
-    def nodes(self) -> Nodes:
-        return nodes(1)
 
     @property
     def _minimal(self) -> bool:
@@ -92,10 +75,6 @@ class DiracDissipative:
         out = node_unknowns(terms, 1) + closure.unknowns(terms)
         return out + minimal.multipliers(terms) if self._minimal else out
 
-    def reports(self, terms: Terms) -> Sequence[Hashable]:
-        del terms
-        return ()
-
     def constants(self, layout: Layout) -> list[Triplet]:
         own = {i for t in layout.terms.of(MASS_BLOCK, CLOSED) for _, i in t.rows}
         costates = [layout.at(COSTATE, i) for i in range(layout.terms.n1) if i not in own]
@@ -104,10 +83,6 @@ class DiracDissipative:
 
     def maps(self, layout: Layout) -> Maps:
         return closure.maps(layout)
-
-    def holds(self, layout: Layout) -> Holds:
-        del layout
-        return Holds()
 
     def specs(self, term: Term) -> list[Spec]:
         """Kernels of one term."""

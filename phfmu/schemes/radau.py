@@ -7,8 +7,7 @@ loss >= 0 for quadratic H (algebraic stability: K. Burrage, J. C. Butcher, SIAM 
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from phfmu.gradients.quadrature import Nodes, radau_nodes
 from phfmu.plan.layout import Layout
@@ -18,21 +17,18 @@ from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown
 from phfmu.schemes.collocated import require_pairs
 from phfmu.schemes.nodal import NodeKernels
-from phfmu.schemes.scheme import Triplet, node_constants, node_holds, node_maps, node_unknowns
+from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
 from phfmu.terms.term import DeclarationError, Term, Terms
 
 
 @dataclass(frozen=True)
-class Radau:
+class Radau(GaussScheme):
     """k right Radau nodes, gradients at the nodes."""
 
     k: int = 2
     name: str = "radau"
-    gradient: str = field(default="nodal", init=False, repr=False)
-    joint: bool = field(default=False, init=False, repr=False)
-    two_level: bool = field(default=False, init=False, repr=False)
-    impulses: bool = field(default=False, init=False, repr=False)
-    loses_energy: bool = field(default=True, init=False, repr=False)
+    gradient = "nodal"
+    loses_energy = True
 
     @property
     def order(self) -> int:
@@ -54,16 +50,9 @@ class Radau:
     def unknowns(self, terms: Terms) -> list[Unknown]:
         return node_unknowns(terms, self.k)
 
-    def reports(self, terms: Terms) -> Sequence[Hashable]:
-        del terms
-        return ()
-
     def specs(self, term: Term) -> list[Spec]:
         """Kernels of one term."""
         return NodeKernels(self.nodes, self.gradient, loses_energy=True).specs(term)
-
-    def constants(self, layout: Layout) -> list[Triplet]:
-        return node_constants(layout)
 
     def maps(self, layout: Layout) -> Maps:
         return node_maps(layout, self.nodes)

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from phfmu.gradients.quadrature import Nodes
+from phfmu.gradients.quadrature import Nodes, nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
@@ -89,6 +89,39 @@ class Scheme(Protocol):
     def holds(self, layout: Layout) -> Holds:
         """Constraints whose rows may rest; none where the scheme cannot leave rows out."""
         ...
+
+
+class GaussScheme:
+    """What schemes with k Gauss nodes have in common; a scheme states where it differs."""
+
+    k: int = 1
+    gradient: str
+    two_level: bool = False
+    impulses: bool = False
+    loses_energy: bool = False
+
+    @property
+    def joint(self) -> bool:
+        return self.gradient == "joint-gonzalez"
+
+    @property
+    def order(self) -> int:
+        return 1 if self.gradient == "itoh-abe" else 2 * self.k
+
+    @property
+    def nodes(self) -> Nodes:
+        return nodes(self.k)
+
+    def reports(self, terms: Terms) -> Sequence[Hashable]:
+        del terms
+        return ()
+
+    def constants(self, layout: Layout) -> list[Triplet]:
+        return node_constants(layout)
+
+    def holds(self, layout: Layout) -> Holds:
+        del layout
+        return Holds()
 
 
 def node_unknowns(terms: Terms, k: int) -> list[Unknown]:

@@ -7,49 +7,26 @@ the GGL form with discrete gradients; `constraints.py` has the rows, docs/proofs
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
-from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
-from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown, of_algebraics
 from phfmu.schemes import constraints, impulses, inertia
 from phfmu.schemes.collocated import Collocated, require_gradient, require_pairs
 from phfmu.schemes.constraints import VELOCITY_LEVEL
-from phfmu.schemes.scheme import Triplet, node_holds, node_unknowns
+from phfmu.schemes.scheme import node_holds, node_unknowns
 from phfmu.terms.term import CONSTRAINT, MASS, DeclarationError, Term, Terms
 
 
 @dataclass(frozen=True)
-class TwoLevel:
-    """k = 1 or 3 Gauss nodes; gradients as for `Collocated`."""
+class TwoLevel(Collocated):
+    """k = 1 or 3 Gauss nodes; gradients and all terms but the constraints and the masses they act on are as for `Collocated`."""
 
-    k: int = 1
-    gradient: str = "per-term"
     name: str = "two-level"
-    two_level: bool = field(default=True, init=False, repr=False)
     impulses: bool = field(default=True, init=False, repr=False)
-    loses_energy: bool = field(default=False, init=False, repr=False)
-
-    @property
-    def _plain(self) -> Collocated:
-        """Of all terms but the constraints and the masses they act on."""
-        return Collocated(self.k, self.gradient, self.name)
-
-    @property
-    def joint(self) -> bool:
-        return self._plain.joint
-
-    @property
-    def order(self) -> int:
-        return self._plain.order
-
-    @property
-    def nodes(self) -> Nodes:
-        return self._plain.nodes
+    two_level = True
 
     def prepare(self, terms: Terms) -> Terms:
         """The terms with the masses of their constraints; DeclarationError says what does not fit."""
@@ -70,22 +47,13 @@ class TwoLevel:
         velocity = of_algebraics(terms, VELOCITY_LEVEL, "velocity constraint of", multipliers)
         return node_unknowns(terms, self.k) + velocity + impulses.unknowns(terms)
 
-    def reports(self, terms: Terms) -> Sequence[Hashable]:
-        return self._plain.reports(terms)
-
     def specs(self, term: Term) -> list[Spec]:
         """Kernels of one term."""
         if term.kind is CONSTRAINT:
             return [impulses.shifted(s, term) for s in constraints.two_level(term, self.nodes)]
         if term.kind is MASS and inertia.is_light(term):
             return [impulses.shifted(s, term) for s in inertia.specs(term, self.nodes)]
-        return self._plain.specs(term)
-
-    def constants(self, layout: Layout) -> list[Triplet]:
-        return self._plain.constants(layout)
-
-    def maps(self, layout: Layout) -> Maps:
-        return self._plain.maps(layout)
+        return super().specs(term)
 
     def holds(self, layout: Layout) -> Holds:
         return node_holds(layout, VELOCITY_LEVEL)

@@ -9,11 +9,6 @@
 
 #include "system.h"
 
-static void clear(double *values, int n) {
-    for (int i = 0; i < n; i++)
-        values[i] = 0.0;
-}
-
 /* target += the tangents of one group along dx and chain.dy. */
 static void group_along(ph_instance *in, const ph_group *g, const double *dx, double *target) {
     const ph_tangent *tangent = &in->model->tangents[g->kernel];
@@ -53,8 +48,8 @@ static void along(ph_instance *in, const double *dx) {
     const ph_plan *p = s->plan;
     const ph_chain *c = &in->chain;
     int i = 0;
-    clear(c->dy + p->nv, p->nz);
-    clear(c->dr, p->nrow);
+    ph_clear(c->dy + p->nv, p->nz);
+    ph_clear(c->dr, p->nrow);
     for (; i < p->ngroup && p->groups[i].stage == 0; i++)
         group_along(in, &p->groups[i], dx, c->dy + p->nv);
     for (int l = 0; l < p->nconst; l++)
@@ -122,7 +117,7 @@ static int link(ph_instance *in, int i, int n, double h, double *out) {
     }
     for (int j = 0; j < p->nu; j++) {
         double *dx = c->dx + j * width;
-        clear(c->dy, p->nv);
+        ph_clear(c->dy, p->nv);
         for (int node = 0; node < p->k; node++)
             c->dy[p->nw + node * p->nu + j] = 1.0;
         along(in, dx);
@@ -154,8 +149,8 @@ int ph_chain_sensitivity(ph_instance *in, double *out) {
     memcpy(count, in->count, sizeof(count));
     memcpy(c->last, s->last, sizeof(double) * (size_t)p->nw);
     memcpy(c->x, in->x_old, sizeof(double) * (size_t)width);
-    clear(c->dx, width * p->nu);
-    clear(out, p->nu * p->nu);
+    ph_clear(c->dx, width * p->nu);
+    ph_clear(out, p->nu * p->nu);
     s->x = c->x;
     for (int i = 0; i < n && status == PH_OK; i++)
         status = link(in, i, n, in->head->step_h / n, out);

@@ -7,13 +7,6 @@
 
 #define DEPTH 6 /* smallest substep: h / 2^DEPTH */
 
-/* sum += term; rest keeps what rounding owes. */
-static void add(double *sum, double *rest, double term) {
-    double y = term - *rest, t = *sum + y;
-    *rest = (t - *sum) - y;
-    *sum = t;
-}
-
 /* x += change, compensated. */
 static void add_all(double *restrict x, double *restrict rest, const double *restrict change, int n) {
     for (int i = 0; i < n; i++) {
@@ -194,17 +187,12 @@ static void allow(ph_instance *in, long long all) {
     in->step.most = in->begun + PH_MOST_ITERATIONS < all ? in->begun + PH_MOST_ITERATIONS : all;
 }
 
-static void clear(double *values, int n) {
-    for (int i = 0; i < n; i++)
-        values[i] = 0.0;
-}
-
 /* The ledger of the communication step starts at zero. */
 static void clear_rows(ph_instance *in) {
     const ph_plan *p = in->step.plan;
     for (int i = 0; i < PH_ROW_PAIRS; i++)
-        clear(in->row[i], p->ncomp);
-    clear(in->row[PH_ROW_PAIRS], p->nq);
+        ph_clear(in->row[i], p->ncomp);
+    ph_clear(in->row[PH_ROW_PAIRS], p->nq);
 }
 
 /* So do its other sums. */
@@ -215,8 +203,8 @@ static void begin(ph_instance *in, double h) {
     if (p->nu > 0)
         memcpy(in->u_old, in->u, sizeof(double) * (size_t)(p->nu * p->k));
     clear_rows(in);
-    clear(in->table + in->offset[PH_Y_STEP], p->nq);
-    clear(in->y_node, p->k > 1 ? p->nq * p->k : 0);
+    ph_clear(in->table + in->offset[PH_Y_STEP], p->nq);
+    ph_clear(in->y_node, p->k > 1 ? p->nq * p->k : 0);
     for (int l = 0; l < p->nmean && !p->carries; l++)
         a[p->mean_a[l]] = 0.0;
     in->head->parts = 0;
@@ -230,13 +218,13 @@ static void finish(ph_instance *in, double t) {
     double *dissipated = in->table + in->offset[PH_DISSIPATED];
     double *residual = in->table + in->offset[PH_RESIDUAL], *rest = in->table_rest;
     for (int j = 0; j < p->nq; j++)
-        add(&energy[j], rest++, in->row[PH_ROW_PAIRS][j]);
+        ph_add(&energy[j], rest++, in->row[PH_ROW_PAIRS][j]);
     for (int c = 0; c < p->ncomp; c++) {
         double stored = in->row[PH_ROW_STORED][c], lost = in->row[PH_ROW_DISSIPATED][c];
         double given = in->row[PH_ROW_SUPPLIED][c];
-        add(&supplied[c], rest++, given);
-        add(&dissipated[c], rest++, lost);
-        add(&residual[c], rest++, stored + lost - given);
+        ph_add(&supplied[c], rest++, given);
+        ph_add(&dissipated[c], rest++, lost);
+        ph_add(&residual[c], rest++, stored + lost - given);
     }
     if (in->step.lu.ready)
         memcpy(in->step.pivot, in->step.lu.pivot, sizeof(int) * (size_t)p->nw);

@@ -176,6 +176,11 @@ struct ph_instance {
     ph_report report;
 };
 
+static inline void ph_clear(double *values, int n) {
+    for (int i = 0; i < n; i++)
+        values[i] = 0.0;
+}
+
 int ph_finite(const double *values, int n);
 void ph_resample(ph_instance *in, double from, double length, double *u);
 void ph_inputs_at(ph_instance *in, double theta, double *u);

@@ -152,11 +152,8 @@ static void open_books(fmu *f) {
 /* The change of stored energy that the last step booked, compensated. */
 static void book(fmu *f) {
     const double *stored = ph_ledger(f->in, PH_ROW_STORED);
-    for (int c = 0; c < f->about->model->step->ncomp; c++) {
-        double term = stored[c] - f->books.rest[c], sum = f->books.booked[c] + term;
-        f->books.rest[c] = (sum - f->books.booked[c]) - term;
-        f->books.booked[c] = sum;
-    }
+    for (int c = 0; c < f->about->model->step->ncomp; c++)
+        ph_add(&f->books.booked[c], &f->books.rest[c], stored[c]);
 }
 
 int fmu_leave(fmu *f, const char *function) {
