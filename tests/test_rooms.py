@@ -10,6 +10,7 @@ from pathlib import Path
 import phfmu
 
 ROOT = Path(phfmu.__file__).parent
+TESTS = Path(__file__).parent
 
 #: from the ground up; a room may import those before it
 ROOMS = (
@@ -102,6 +103,14 @@ def circles(graph: dict[str, set[str]]) -> set[frozenset[str]]:
 def test_every_room_is_in_the_order() -> None:
     rooms = {name.partition(".")[0] for name in imports()} - {"", "__main__"}
     assert rooms == set(ROOMS)
+
+
+def test_tests_stand_in_the_rooms_of_what_they_test() -> None:
+    """Beside this file only what is about the whole tree; pytest and readers tell files by their names."""
+    folders = {p.name for p in TESTS.iterdir() if p.is_dir() and p.name != "__pycache__"}
+    assert folders <= {*ROOMS, "benchmarks", "reference"}
+    files = [p.name for p in TESTS.rglob("test_*.py")]
+    assert sorted(files) == sorted(set(files)) and len(list(TESTS.glob("test_*.py"))) <= 6
 
 
 def test_every_import_names_a_file() -> None:

@@ -23,7 +23,7 @@ from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.sources import HEADERS
 
-HOST = Path(__file__).parent.parent / "fmu_host.c"
+HOST = Path(__file__).parents[1] / "fmu" / "fmu_host.c"
 STEPS, H = 300_000, 0.0143
 
 SLAVE = """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-FOLDER = Path(__file__).parent.parent / "fmus"
+FOLDER = Path(__file__).parents[2] / "fmus"
 _spec = importlib.util.spec_from_file_location("fmus_build", FOLDER / "build.py")
 assert _spec is not None and _spec.loader is not None
 recipe_book = importlib.util.module_from_spec(_spec)

@@ -39,7 +39,7 @@ from phfmu.cli import main
 from phfmu.components.electrical import synchronous_machine
 from phfmu.components.library import build
 from phfmu.schemes.named import named_scheme
-from tests.test_orders import BETA, END, START, G, L, R, drive, reference, rlc, rlc_exact, rlc_rate, slope
+from tests.schemes.test_orders import BETA, END, START, G, L, R, drive, reference, rlc, rlc_exact, rlc_rate, slope
 
 ENGINES = (PythonInstance, NativeInstance)
 POINTS = ("end", "start", "midpoint")

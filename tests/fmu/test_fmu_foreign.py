@@ -19,7 +19,7 @@ from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.refusal import UnitFailure
 from phfmu.fmu.variables import FMUError
 from phfmu.network.fmu_member import FMUMember
-from tests import foreign
+from tests.fmu import foreign
 
 VERSIONS = ["2.0", "3.0"]
 DISCARD, ERROR, FATAL, LEAVE, NOT_A_NUMBER, TERMINATE, EARLY, CHATTER, OUTPUT_ERROR = range(1, 10)

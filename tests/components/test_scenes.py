@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from reference_tools import read
 
 from phfmu import Collocated, NativeInstance, Scene, build_model, run
 from phfmu.components.scenes.drive import drive
@@ -18,9 +17,6 @@ from phfmu.network.coupled import Coupled
 from phfmu.network.members import EngineMember
 from phfmu.network.run import Result
 from phfmu.network.stepper import Monolithic
-
-sys.path.insert(0, str(Path(__file__).parent / "reference"))
-from reference_tools import read  # noqa: E402
 
 RATED = 18881.48  # A, peak, of kundur555_1q
 

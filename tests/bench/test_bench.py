@@ -26,7 +26,7 @@ from phfmu.components.scenes.two_machine import two_machine
 from phfmu.declare.phdae import PHDAE, block
 from phfmu.network.network import Network
 
-REFERENCE = Path(__file__).parent / "reference"
+REFERENCE = Path(__file__).parents[1] / "reference"
 
 
 def declaration(name: str) -> PHDAE:

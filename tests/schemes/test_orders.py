@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from functools import cache
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from reference_tools import read
 from scipy.integrate import solve_ivp
 
 from phfmu import (
@@ -32,18 +30,11 @@ from phfmu import (
 from phfmu.components.electrical import rlc_load
 from phfmu.components.library import build
 
-FOLDER = Path(__file__).parent / "reference"
 TOLERANCE = {1: 0.1, 2: 0.15, 3: 0.25}
 
 
-@cache
-def reference(name):
-    """The columns of reference/<name>.csv."""
-    spec = importlib.util.spec_from_file_location("reference_tools", FOLDER / "reference_tools.py")
-    tools = importlib.util.module_from_spec(spec)
-    sys.modules.setdefault("reference_tools", tools)
-    spec.loader.exec_module(tools)
-    return tools.read(name)
+#: the columns of reference/<name>.csv
+reference = cache(read)
 
 
 def slope(steps, errors):

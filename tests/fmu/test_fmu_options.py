@@ -38,7 +38,7 @@ def test_events_that_are_left_out_are_said_everywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("s.py").write_text("from tests.test_fmu_options import pushed\n")
+    Path("s.py").write_text("from tests.fmu.test_fmu_options import pushed\n")
     assert main(["export", "s.py:pushed"]) == 0
     said = capsys.readouterr()
     lines = [

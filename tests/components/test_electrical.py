@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+import reference_tools
+from machine_reference import MachineReference
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -30,11 +29,7 @@ from phfmu.components.electrical import (
 )
 from phfmu.discretise.model import build_model
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE / "reference"))
-from machine_reference import MachineReference  # noqa: E402
-
-SCENES = json.loads((HERE / "reference" / "data" / "scenes.json").read_text())
+SCENES = reference_tools.load("scenes")
 COORDINATES = ("dq-flux", "abc-flux", "current")
 OMEGA = 120.0 * np.pi
 

@@ -13,7 +13,7 @@ from phfmu.cli import main
 from phfmu.fmu.inspect import fmu_info
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.variables import FMUError
-from tests import foreign
+from tests.fmu import foreign
 
 #: room a reader may take beyond what it takes to read nothing, bytes
 ROOM = 130_000_000

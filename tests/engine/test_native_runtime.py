@@ -20,7 +20,7 @@ from phfmu.engine.model import kernels
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.tables import c_text, ctypes_structures, stamp
-from tests.hand_made import (
+from tests.engine.hand_made import (
     A2,
     C2,
     HandMade,

@@ -22,7 +22,7 @@ from phfmu.network.stepper import Monolithic
 from phfmu.stress.mechanisms import G, bricard, bricard_reference, doubled, frame, hinge
 from phfmu.terms.rank import Dependence
 from phfmu.words import folded
-from tests.mechanisms import crossing, hung, windows
+from tests.engine.mechanisms import crossing, hung, windows
 
 ENGINES = (PythonInstance, NativeInstance)
 MECHANISMS = {"frame": frame, "doubled": doubled, "hinge": hinge}

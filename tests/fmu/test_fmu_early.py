@@ -33,7 +33,7 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.fmu import sources
 from phfmu.fmu.refusal import UnitFailure
-from tests.test_fmu_ledger import gap, needs_cc
+from tests.fmu.test_fmu_ledger import gap, needs_cc
 
 HERE = Path(__file__).parent
 START, POWER, INNER, STEP = 0.507, 1.0, 0.02, 0.2

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from reference_tools import read
 
 from phfmu import Collocated, NativeInstance, build_model, check, run
 from phfmu.components.electrical import machine_at_bus, machine_names, machine_set, steady_state, synchronous_machine
 from phfmu.components.scenes.smib import smib_folded
 from phfmu.network.stepper import Monolithic
-
-sys.path.insert(0, str(Path(__file__).parent / "reference"))
-from reference_tools import read  # noqa: E402
 
 LINE = {"R": 0.03, "L": 4e-4}
 

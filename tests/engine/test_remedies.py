@@ -108,7 +108,7 @@ def test_adaptive_runs_refuse_restarts_that_let_constraints_drift(capsys) -> Non
 
 def test_no_message_names_an_option_or_coupling_that_does_not_exist() -> None:
     """jacobi is no coupling, and --engine is not chosen for one member."""
-    for path in (Path(__file__).parent.parent / "phfmu").rglob("*.py"):
+    for path in (Path(__file__).parents[2] / "phfmu").rglob("*.py"):
         text = path.read_text()
         if path.parent.name != "stress":  # a case there says that it is not offered
             assert "jacobi)" not in text and "--engine native for" not in text, path

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
-from pathlib import Path
 from time import process_time
 
 import casadi as ca
+import chain_reference
+import heavy_top_reference
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -28,11 +28,6 @@ from phfmu import (
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.components.mechanical.multibody import Multibody
-
-sys.path.insert(0, str(Path(__file__).parent / "reference"))
-
-import chain_reference  # noqa: E402
-import heavy_top_reference  # noqa: E402
 
 FIRST, THIRD = (TwoLevel(k) for k in (1, 3))
 ENGINES = (PythonInstance, NativeInstance)

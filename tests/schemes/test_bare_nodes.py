@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from machine_reference import ALPHA, MachineReference
+from reference_tools import load, read
 from scipy.integrate import solve_ivp
 
 from phfmu import (
@@ -36,10 +36,6 @@ from phfmu.network.run import run
 from phfmu.network.stepper import Monolithic
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
-
-sys.path.insert(0, str(Path(__file__).parent / "reference"))
-from machine_reference import ALPHA, MachineReference  # noqa: E402
-from reference_tools import load, read  # noqa: E402
 
 RATED = 18881.48  # A, peak, of kundur555_1q
 STOP = 0.02
