@@ -1,14 +1,12 @@
 """The public names and where they are defined: the one list, for editors, type checkers and `phfmu/__init__.py`."""
 
-from phfmu.declare.check import Problem as Problem
-from phfmu.declare.check import check as check
-from phfmu.declare.check_values import check_values as check_values
-from phfmu.declare.descriptor import reduce_descriptor as reduce_descriptor
+from phfmu.checks.check import Problem as Problem
+from phfmu.checks.check import check as check
+from phfmu.checks.run_values import check_values as check_values
 from phfmu.declare.energy import ClosedPair as ClosedPair
 from phfmu.declare.energy import Energy as Energy
 from phfmu.declare.energy import energy as energy
 from phfmu.declare.energy import strain_energy as strain_energy
-from phfmu.declare.parametrised import Parametrised as Parametrised
 from phfmu.declare.phdae import PHDAE as PHDAE
 from phfmu.declare.phdae import Block as Block
 from phfmu.declare.phdae import Holonomic as Holonomic
@@ -25,8 +23,10 @@ from phfmu.declare.port import Domain as Domain
 from phfmu.declare.port import Given as Given
 from phfmu.declare.port import Port as Port
 from phfmu.declare.port import drive as drive
-from phfmu.declare.transformation import SystemTransformation as SystemTransformation
-from phfmu.declare.transformation import keeping_E as keeping_E
+from phfmu.declare.transform.descriptor import reduce_descriptor as reduce_descriptor
+from phfmu.declare.transform.parametrised import Parametrised as Parametrised
+from phfmu.declare.transform.transformation import SystemTransformation as SystemTransformation
+from phfmu.declare.transform.transformation import keeping_E as keeping_E
 from phfmu.declare.variable import Variable as Variable
 from phfmu.declare.variable import algebraic as algebraic
 from phfmu.declare.variable import parameter as parameter

@@ -7,7 +7,6 @@ every statement of section 6.3.3 is measured and printed with its number.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -155,18 +154,3 @@ def _midpoint_multiplier(model: Model) -> Statement:
         errors.append(float(abs(r.a[-1, 0] - exact[0]) / abs(exact[0])))
     rate = float(np.log2(errors[-2] / errors[-1]))
     return Statement("(not in the paper) multiplier at the interval midpoint: second order", rate, abs(rate - 2) < 0.25)
-
-
-def write(declaration: Any, folder: str | Path) -> list[Statement]:
-    """Figures 3 to 6 (PNG and CSV), table 1 and the statements into `folder`; needs matplotlib."""
-    from phfmu.bench import paper_figures
-
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    models = four_particle_models(declaration)
-    paper_figures.draw(models, folder)
-    found = statements(models)
-    lines = ["holds,number,statement,remark"]
-    lines += [f'{"yes" if s.holds else "no"},{s.number:.6g},"{s.text}","{s.remark}"' for s in found]
-    (folder / "statements.csv").write_text("\n".join(lines) + "\n")
-    return found

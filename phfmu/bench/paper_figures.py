@@ -1,4 +1,4 @@
-"""Figures 3 to 6 and table 1 of section 6.3, as PNG with the plotted numbers as CSV beside them."""
+"""Section 6.3 as files: figures 3 to 6 as PNG with the plotted numbers as CSV beside them, table 1, the statements."""
 
 from __future__ import annotations
 
@@ -7,10 +7,32 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.bench.paper import STEPS, Run, convergence, large_steps, simulate
+from phfmu.bench.paper import (
+    STEPS,
+    Run,
+    Statement,
+    convergence,
+    four_particle_models,
+    large_steps,
+    simulate,
+    statements,
+)
 from phfmu.discretise.model import Model
 
 FLOOR = 1e-18  # zero on a logarithmic axis
+
+
+def write(declaration: Any, folder: str | Path) -> list[Statement]:
+    """Figures 3 to 6 (PNG and CSV), table 1 and the statements into `folder`; needs matplotlib."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    models = four_particle_models(declaration)
+    draw(models, folder)
+    found = statements(models)
+    lines = ["holds,number,statement,remark"]
+    lines += [f'{"yes" if s.holds else "no"},{s.number:.6g},"{s.text}","{s.remark}"' for s in found]
+    (folder / "statements.csv").write_text("\n".join(lines) + "\n")
+    return found
 
 
 def draw(models: dict[str, Model], folder: Path) -> None:

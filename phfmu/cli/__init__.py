@@ -1,6 +1,6 @@
 """The command line: one verb a file, heavy imports inside the verb.
 
-Exit codes: 0 fine, 1 problems found, 2 bad usage or input, 3 no convergence, 4 ledger violated.
+Exit codes: `codes.py`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
-FINE, PROBLEMS, USAGE, NO_CONVERGENCE, LEDGER = range(5)
-
-TARGET = "name in the library | file.py:function | X.fmu"
+from phfmu.cli.codes import FINE, NO_CONVERGENCE, USAGE
 
 
 def _parser() -> argparse.ArgumentParser:

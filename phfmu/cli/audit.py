@@ -20,7 +20,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table, recover, summarise
-    from phfmu.cli import FINE, LEDGER
+    from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.options import tolerance
 
     tolerance(args.rtol)

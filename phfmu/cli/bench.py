@@ -8,7 +8,7 @@ from typing import Any
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import TARGET
+    from phfmu.cli.codes import TARGET
     from phfmu.cli.options import add_settings
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
@@ -60,7 +60,7 @@ def _scaling(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from phfmu.bench.scaling import report
-    from phfmu.cli import FINE
+    from phfmu.cli.codes import FINE
 
     sizes = _numbers("--sizes", args.sizes)
     if any(n != int(n) for n in sizes):
@@ -75,7 +75,7 @@ def _leave_out(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from phfmu.bench.leave_out import page, table
-    from phfmu.cli import FINE
+    from phfmu.cli.codes import FINE
 
     if args.output:
         Path(args.output).write_text(page())
@@ -89,7 +89,7 @@ def _orders(args: argparse.Namespace) -> int:
     from pathlib import Path
 
     from phfmu.bench.orders import measure, table
-    from phfmu.cli import FINE
+    from phfmu.cli.codes import FINE
 
     with _Progress() as progress:
         text = table(measure(_names(args.families), progress))
@@ -106,7 +106,7 @@ def _compare(args: argparse.Namespace) -> int:
     from phfmu.bench.families import member
     from phfmu.bench.problem import problem_of
     from phfmu.bench.run import TOLERANCES, Choice, compare, known_peers, write
-    from phfmu.cli import FINE
+    from phfmu.cli.codes import FINE
     from phfmu.cli.options import settings
     from phfmu.cli.target import scene
 
@@ -163,8 +163,8 @@ class _Progress:
 def _paper(args: argparse.Namespace) -> int:
     from importlib.util import find_spec
 
-    from phfmu.bench.paper import write
-    from phfmu.cli import FINE, PROBLEMS
+    from phfmu.bench.paper_figures import write
+    from phfmu.cli.codes import FINE, PROBLEMS
     from phfmu.cli.target import load
 
     if args.target != "four_particle":

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import TARGET
+    from phfmu.cli.codes import TARGET
 
     parser = verbs.add_parser("check", help="every problem with its remedy; exit 1 if there is an error")
     parser.add_argument("target", help=TARGET)
@@ -19,7 +19,7 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from phfmu.cli import FINE, PROBLEMS
+    from phfmu.cli.codes import FINE, PROBLEMS
     from phfmu.cli.target import is_fmu
 
     lines, errors, warnings = _of_unit(args.target) if is_fmu(args.target) else _of_model(args.target)

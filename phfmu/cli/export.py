@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import TARGET, options
+    from phfmu.cli import options
+    from phfmu.cli.codes import TARGET
 
     parser = verbs.add_parser("export", help="write FMI 2.0 and 3.0 Co-Simulation FMUs")
     parser.add_argument("target", help=TARGET.rsplit(" | ", 1)[0])

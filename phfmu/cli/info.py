@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import TARGET
+    from phfmu.cli.codes import TARGET
 
     parser = verbs.add_parser("info", help="states, ports, parameters with units")
     parser.add_argument("target", help=TARGET)

@@ -48,7 +48,7 @@ def require_sound(args: argparse.Namespace, declaration: PHDAE, events: Sequence
     parameters = {n for v in declaration.parameters for n in (v.name, *v.names())}
     if args.no_check or (events is not None and not any(e.name in parameters for e in events)):
         return
-    from phfmu.declare.check_values import check_values
+    from phfmu.checks.run_values import check_values
 
     problems = check_values(declaration, events=events or ())
     if problems:

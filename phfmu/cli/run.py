@@ -20,7 +20,8 @@ NOTES = 12
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import TARGET, options
+    from phfmu.cli import options
+    from phfmu.cli.codes import TARGET
 
     parser = verbs.add_parser("run", help="simulate; result table, audit")
     parser.add_argument("target", help=TARGET)
@@ -51,8 +52,9 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
-    from phfmu.cli import FINE, LEDGER, options
+    from phfmu.cli import options
     from phfmu.cli.build import order_lost, stepper_for
+    from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.interrupt import Signals
     from phfmu.cli.outputs import Outputs
     from phfmu.cli.target import is_fmu
@@ -92,7 +94,7 @@ def call(args: argparse.Namespace) -> int:
 
 def _print_signs_lost(scene: Scene, events: list[Event], result: Result, components: set[str]) -> None:
     """Where R of components with a negative dissipation lost its sign."""
-    from phfmu.declare.sign_lost import sign_lost
+    from phfmu.checks.sign_lost import sign_lost
 
     declaration = scene.declaration()
     for name in sorted(components & set(result.least)):

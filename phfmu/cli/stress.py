@@ -8,7 +8,7 @@ from typing import Any
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import TARGET
+    from phfmu.cli.codes import TARGET
 
     parser = verbs.add_parser("stress", help="stiff and extreme cases; exit 1 if a criterion is not met")
     parser.add_argument("target", nargs="?", help=f"{TARGET}; default: the whole matrix")
@@ -18,7 +18,7 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from phfmu.cli import FINE, PROBLEMS
+    from phfmu.cli.codes import FINE, PROBLEMS
     from phfmu.cli.target import TargetError, is_fmu
     from phfmu.stress.case import Verdict, answer
     from phfmu.stress.matrix import cases

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_entries import Entries, normal_form
+from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Variable
 

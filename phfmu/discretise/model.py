@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_names import starts
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, _starts, require_declaration
+from phfmu.declare.starts import starts
 from phfmu.declare.variable import Variable
 from phfmu.discretise.instant import instant_plan
 from phfmu.discretise.onestep import step_plan

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from phfmu.declare.check_names import unwritable
+from phfmu.declare.model_name import unwritable
 from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.discretise.model import Model
 from phfmu.engine.compile import compile, host_target, suffix

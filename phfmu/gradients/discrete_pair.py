@@ -18,12 +18,15 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from phfmu.declare.change import Change
 from phfmu.declare.dense import matrices, square, stacked
 from phfmu.declare.energy import ClosedPair
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.transformation import SystemTransformation, inverted
+from phfmu.declare.transform.change import Change
+from phfmu.declare.transform.inverse import inverted
+from phfmu.declare.transform.maps import Maps
+from phfmu.declare.transform.transformation import SystemTransformation
+from phfmu.declare.transform.transformed import transformed
 from phfmu.declare.variable import Variable, key, slices
 from phfmu.gradients.discrete import discrete_gradient, discrete_jacobian
 
@@ -118,9 +121,9 @@ def with_closed_pair(model: PHDAE, T: SystemTransformation, method: str = "per-t
     and B do not depend on replaced states; the balance is exact in any case.  DeclarationError says what does not fit.
     """
     change = Change(model, T)
-    T, old = change.T, change.old
+    maps, old = change.T, change.old
     x = ca.vertcat(*(v.sx for v in old))
-    E = _constant_descriptor(model, T, old)
+    E = _constant_descriptor(model, maps, old)
     own = [e for e in model.energies if ca.depends_on(e.expr, x)]
     rest = [v for v in model.states if not ca.depends_on(v.sx, x)]
     for e in own:
@@ -131,20 +134,20 @@ def with_closed_pair(model: PHDAE, T: SystemTransformation, method: str = "per-t
             )
     p = ca.vertcat(ca.SX(0, 1), *(v.sx for v in model.parameters))
     grad = discrete_gradient(own, list(old), method, parameters=list(model.parameters))
-    left, right = ca.mtimes(T.U.T, E), ca.mtimes(inverted(T.U), inverted(E).T)
+    left, right = ca.mtimes(maps.U.T, E), ca.mtimes(inverted(maps.U), inverted(E).T)
 
     def image(point: ca.SX) -> ca.SX:
-        return ca.substitute([T.image], [T.x], [point])[0]
+        return ca.substitute([maps.image], [maps.x], [point])[0]
 
     total = ca.SX(0)
     for e in own:
         total += e.expr
-    h, slope = ca.substitute([total, ca.gradient(total, x)], [x], [T.image])
-    result = T(replace(model, energies=tuple(e for e in model.energies if e not in own), z={}))
+    h, slope = ca.substitute([total, ca.gradient(total, x)], [x], [maps.image])
+    result = transformed(replace(model, energies=tuple(e for e in model.energies if e not in own), z={}), maps)
     pair = ClosedPair(
         tuple(v for v in result.states if any(ca.is_equal(v.sx[0], w.sx[0]) for w in change.new)),
         hamiltonian=h,
-        E=ca.mtimes(left, T.jacobian),
+        E=ca.mtimes(left, maps.jacobian),
         z=ca.mtimes(right, slope),
         ebar=lambda point, d: ca.mtimes(left, image(point + d) - image(point)),
         zbar=lambda point, d: ca.mtimes(right, grad(image(point), image(point + d), p)),
@@ -156,9 +159,9 @@ def with_closed_pair(model: PHDAE, T: SystemTransformation, method: str = "per-t
     return replace(result, closed=(*result.closed, pair), E=kept, z=given)
 
 
-def _constant_descriptor(model: PHDAE, T: SystemTransformation, old: tuple[Variable, ...]) -> ca.SX:
-    bad = [v.name for v in (*old, *T.new) if v.role != "state"]
-    if bad or ca.depends_on(ca.vec(T.U), T.x):
+def _constant_descriptor(model: PHDAE, maps: Maps, old: tuple[Variable, ...]) -> ca.SX:
+    bad = [v.name for v in (*old, *maps.new) if v.role != "state"]
+    if bad or ca.depends_on(ca.vec(maps.U), maps.x):
         what = f"{', '.join(bad)} is algebraic" if bad else "U depends on the state"
         raise DeclarationError(f"{model.name}: a closed-form pair is for states and constant U; {what}")
     place = slices(old)

@@ -7,10 +7,10 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from phfmu.declare.check import check
-from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_values import check_values
+from phfmu.checks.check import check
+from phfmu.checks.run_values import check_values
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.problem import Problem
 from phfmu.network.scene import Scene
 
 

@@ -28,7 +28,7 @@ def failure(status: Status = Status.NO_CONVERGENCE, h: float = 0.01, **facts) ->
 
 def test_remedies_follow_from_the_facts() -> None:
     """A smaller step is advised where none was tried, and never where smaller ones failed or longer ones worked."""
-    from phfmu.engine.remedy import remedy
+    from phfmu.engine.status import remedy
 
     blunt = failure(residual=3.0, floor=1e-13, update=0.5)
     assert "substeps down to 0.01 s failed too" in remedy(blunt)

@@ -20,7 +20,8 @@ from phfmu.declare.dense import square, stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.regular import undetermined
-from phfmu.declare.transformation import SystemTransformation, blocks
+from phfmu.declare.transform.inverse import blocks
+from phfmu.declare.transform.transformation import SystemTransformation
 from phfmu.declare.variable import Variable, _sx, algebraic, state
 
 Array = NDArray[np.float64]

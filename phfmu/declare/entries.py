@@ -9,11 +9,11 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.check_problem import Problem
 from phfmu.declare.dense import stacked
 from phfmu.declare.energy import ClosedPair
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
+from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable, _sx, key, time
 
 #: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time

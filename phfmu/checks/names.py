@@ -1,4 +1,4 @@
-"""Rules on what is declared: names, units, nominal and start values."""
+"""Rules on what is declared: names, units, nominal values."""
 
 from __future__ import annotations
 
@@ -7,49 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from phfmu.declare.check_problem import Problem
+from phfmu.declare.model_name import model_name
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
+from phfmu.declare.problem import Problem
+from phfmu.declare.starts import variables
 from phfmu.declare.units import UnitError, is_power, parse_unit
-from phfmu.declare.variable import Variable
 
 #: a structured name of FMI: identifiers joined by dots
 _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
 _LEDGER = ("stored", "supplied", "dissipated", "residual")
-
-
-#: the longest name of a model: with what export adds it stays a file name everywhere
-LONGEST = 200
-
-
-def model_name(model: PHDAE) -> list[Problem]:
-    """The model's own name: free text, but of use as the name of a file."""
-    found = unwritable(model)
-    bad = sorted({c for c in str(model.name) if not c.isprintable() or c in "/\\"})
-    if bad and not found:
-        found = [_model_name(model, f"its name has {', '.join(map(repr, bad))}")]
-    return found
-
-
-def unwritable(model: PHDAE) -> list[Problem]:
-    """Names of which no file name can be made."""
-    if not isinstance(model.name, str) or not model.name.strip():
-        return [_model_name(model, f"its name is {model.name!r}")]
-    length = len(model.name.encode())
-    if length <= LONGEST:
-        return []
-    return [_model_name(model, f"its name is {length} bytes long, at most {LONGEST} fit into file names")]
-
-
-def _model_name(model: PHDAE, text: str) -> Problem:
-    return Problem("name", f"model {str(model.name)[:40]!r}", text, "give it a short name of letters, digits and _")
-
-
-def variables(model: PHDAE) -> Iterator[tuple[Variable, str]]:
-    """Every variable with the list it stands in."""
-    for role in ("states", "algebraics", "parameters"):
-        for v in getattr(model, role):
-            yield v, role
 
 
 def names(model: PHDAE) -> list[Problem]:
@@ -193,39 +160,3 @@ def nominals(model: PHDAE) -> list[Problem]:
                 )
             )
     return found
-
-
-def starts(model: PHDAE) -> list[Problem]:
-    """Start values are finite and as many as the variable has entries."""
-    found = []
-    for v, role in variables(model):
-        what = "value" if role == "parameters" else "start"
-        found += _start(f"variable '{v.name}'", what, v.start, v.n, v.names())
-        if len(v.nominal) != v.n:
-            found.append(_count(f"variable '{v.name}'", "nominal", len(v.nominal), v.n))
-    for port in model.ports:
-        found += _start(f"port '{port.name}'", "start", _spread(port.start, port), port.n, port.input_names())
-        if _spread(port.nominal, port).size != port.n:
-            found.append(_count(f"port '{port.name}'", "nominal", np.size(port.nominal), port.n))
-    return found
-
-
-def _spread(value: object, port: Port) -> np.ndarray:
-    array = np.asarray(value, float).ravel()
-    return np.full(port.n, array[0]) if array.size == 1 else array
-
-
-def _count(entry: str, what: str, found: int, expected: int) -> Problem:
-    return Problem(
-        "shape", entry, f"{what} has {found} entries, expected {expected}", "give one number or one per entry"
-    )
-
-
-def _start(entry: str, what: str, value, n: int, scalar: list[str]) -> list[Problem]:
-    array = np.asarray(value, float).ravel()
-    if array.size != n:
-        return [_count(entry, what, array.size, n)]
-    bad = np.flatnonzero(~np.isfinite(array))
-    if not bad.size:
-        return []
-    return [Problem("start", entry, f"the {what} of {scalar[bad[0]]} is {array[bad[0]]}", "give a finite number")]

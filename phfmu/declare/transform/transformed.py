@@ -9,19 +9,19 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.change import Change
 from phfmu.declare.dense import coefficient
 from phfmu.declare.energy import Energy, energy
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, Block, Observable
 from phfmu.declare.port import Port
-from phfmu.declare.transformation import SystemTransformation
-from phfmu.declare.transformed_constraints import velocity_form
-from phfmu.declare.transformed_pair import costates, descriptor, singular_costates
+from phfmu.declare.transform.change import Change
+from phfmu.declare.transform.maps import Maps
+from phfmu.declare.transform.transformed_constraints import velocity_form
+from phfmu.declare.transform.transformed_pair import costates, descriptor, singular_costates
 from phfmu.declare.variable import key
 
 
-def transformed(model: PHDAE, T: SystemTransformation) -> PHDAE:
+def transformed(model: PHDAE, T: Maps) -> PHDAE:
     """`model` in the new variables of `T`; see `SystemTransformation`."""
     model = velocity_form(model, T)
     change = Change(model, T)

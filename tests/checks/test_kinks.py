@@ -24,12 +24,12 @@ from phfmu import (
     state,
     strain_energy,
 )
+from phfmu.checks.bounds import bounded, constants
+from phfmu.checks.pieces import continuous, kinks
+from phfmu.checks.sample import Sample
 from phfmu.components.library import LIBRARY, build
-from phfmu.declare.check_bounds import bounded, constants
-from phfmu.declare.check_entries import Entries, normal_form
-from phfmu.declare.check_pieces import continuous, kinks
-from phfmu.declare.check_sample import Sample
 from phfmu.declare.energy import Energy
+from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.operations import ANALYTIC, degree, piecewise
 from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance

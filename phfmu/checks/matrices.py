@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_entries import Entries, Entry
-from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample, places
+from phfmu.checks.sample import Sample, places
+from phfmu.declare.entries import Entries, Entry
+from phfmu.declare.problem import Problem
 from phfmu.declare.regular import undetermined
 from phfmu.declare.variable import key
 

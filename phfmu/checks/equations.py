@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.check_entries import Entries, key
-from phfmu.declare.check_problem import Problem
+from phfmu.declare.entries import Entries, key
+from phfmu.declare.error import DeclarationError
+from phfmu.declare.junction_words import junction_words
 from phfmu.declare.phdae import PHDAE
-
-if TYPE_CHECKING:
-    from phfmu.discretise.model import Model
-    from phfmu.schemes.scheme import Scheme
+from phfmu.declare.problem import Problem
+from phfmu.discretise.model import CONSISTENCY, Model, build_model
+from phfmu.engine.python import PythonInstance
+from phfmu.engine.status import Status, StepFailure, remedy
+from phfmu.schemes.scheme import Scheme
 
 
 def unused(entries: Entries) -> list[Problem]:
@@ -110,17 +111,11 @@ def _no_velocity(entries: Entries, rate: ca.SX) -> str:
 
 def equations(model: PHDAE, scheme: Scheme | None) -> list[Problem]:
     """The equations can be solved at the start, and the start satisfies their hidden constraints."""
-    from phfmu.discretise.model import build_model
-    from phfmu.engine.python import PythonInstance
-    from phfmu.engine.remedy import remedy
-    from phfmu.engine.status import Status, StepFailure
-    from phfmu.terms.term import DeclarationError
-
     try:
         built = build_model(model, scheme)
     except DeclarationError as e:
-        text, remedy = _split(str(e).removeprefix(f"{model.name}: "))
-        return [Problem("solvability", model.name, text, remedy)]
+        text, advice = _split(str(e).removeprefix(f"{model.name}: "))
+        return [Problem("solvability", model.name, text, advice)]
     try:
         instance = PythonInstance(built)
         signals = instance.signals()
@@ -153,9 +148,6 @@ def _split(text: str) -> tuple[str, str]:
 
 def hidden(model: Model, observables: np.ndarray) -> list[Problem]:
     """Hidden constraints (position, velocity, Kirchhoff) the start violates."""
-    from phfmu.declare.junction_words import junction_words
-    from phfmu.discretise.model import CONSISTENCY
-
     found = []
     values = observables[len(observables) - len(model.checks) :]
     holonomic = {n for c in model.declaration.constraints for n in c.multiplier.names()}

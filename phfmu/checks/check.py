@@ -10,18 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from phfmu.declare.check_bounds import bounded, constants
-from phfmu.declare.check_dimensions import dimensions
-from phfmu.declare.check_energy import closed_pairs, energies
-from phfmu.declare.check_entries import Entries, normal_form
-from phfmu.declare.check_equations import equations, unused, velocities
-from phfmu.declare.check_matrix import costates, finite, masses, passivity, skew_symmetry, symmetry
-from phfmu.declare.check_names import names, nominals, shared_symbols, starts, units
-from phfmu.declare.check_pieces import continuous, kinks
-from phfmu.declare.check_problem import Problem as Problem
-from phfmu.declare.check_ranges import ranges
-from phfmu.declare.check_sample import Sample
+from phfmu.checks.bounds import bounded, constants
+from phfmu.checks.dimensions import dimensions
+from phfmu.checks.energies import closed_pairs, energies
+from phfmu.checks.equations import equations, unused, velocities
+from phfmu.checks.matrices import costates, finite, masses, passivity, skew_symmetry, symmetry
+from phfmu.checks.names import names, nominals, shared_symbols, units
+from phfmu.checks.pieces import continuous, kinks
+from phfmu.checks.ranges import ranges
+from phfmu.checks.sample import Sample
+from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.phdae import PHDAE, require_declaration
+from phfmu.declare.problem import Problem as Problem
+from phfmu.declare.starts import starts
 
 if TYPE_CHECKING:
     from phfmu.schemes.scheme import Scheme

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from phfmu import PHDAE, Monolithic, PythonInstance, build_model, check, damping, energy, run, state, time
+from phfmu.checks.sign_lost import sign_lost
 from phfmu.cli import main
-from phfmu.declare.sign_lost import sign_lost
 
 MODEL = '''
 from phfmu import PHDAE, Network, damping, energy, parameter, skew, state

@@ -25,7 +25,7 @@ from phfmu.declare.dense import matrices
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, skew
 from phfmu.declare.regular import undetermined
-from phfmu.declare.transformation import inverted
+from phfmu.declare.transform.inverse import inverted
 from phfmu.declare.variable import Variable, _sx, key, slices, time
 
 

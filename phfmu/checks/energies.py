@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_entries import Entries, Entry, Pair
-from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample
+from phfmu.checks.sample import Sample
+from phfmu.declare.entries import Entries, Entry, Pair
 from phfmu.declare.operations import piecewise
+from phfmu.declare.problem import Problem
 
 RELATIVE = 1e-8
 SMALL = 1e-6  # increment over nominal at which a pair is compared with its limit

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.check_entries import Entries
-from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample, Setting
+from phfmu.checks.sample import Sample, Setting
+from phfmu.declare.entries import Entries
 from phfmu.declare.operations import analytic, piecewise, switches
+from phfmu.declare.problem import Problem
 
 POINTS = 129  # of a line on which pieces are looked for
 REACH = 3.0  # half its length, in sizes of the states

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from phfmu.declare.check_entries import Entries
-from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample
+from phfmu.checks.sample import Sample
+from phfmu.declare.entries import Entries
+from phfmu.declare.problem import Problem
 
 NEGATIVE = 1e-9  # of the largest eigenvalue
 

@@ -13,14 +13,14 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.check_entries import Entries, Entry, normal_form
-from phfmu.declare.check_matrix import finite, masses, passivity, skew_symmetry, symmetry
-from phfmu.declare.check_names import starts
-from phfmu.declare.check_pieces import continuous
-from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_ranges import ranges
-from phfmu.declare.check_sample import Sample, Setting
+from phfmu.checks.matrices import finite, masses, passivity, skew_symmetry, symmetry
+from phfmu.checks.pieces import continuous
+from phfmu.checks.ranges import ranges
+from phfmu.checks.sample import Sample, Setting
+from phfmu.declare.entries import Entries, Entry, normal_form
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.problem import Problem
+from phfmu.declare.starts import starts
 
 
 class Change(Protocol):

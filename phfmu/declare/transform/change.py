@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from phfmu.declare.dense import stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.transformation import SystemTransformation, inverted, solved_starts
+from phfmu.declare.transform.inverse import inverted
+from phfmu.declare.transform.maps import Maps
+from phfmu.declare.transform.new_starts import solved_starts
 from phfmu.declare.variable import Variable, _sx, key, slices
 
 Array = NDArray[Any]
@@ -26,7 +28,7 @@ ZERO = 1e-12
 class Change:
     """Old and new variables of one transformation of one model, with the substitutions between them."""
 
-    def __init__(self, model: PHDAE, T: SystemTransformation):
+    def __init__(self, model: PHDAE, T: Maps):
         own = {key(v): v for v in (*model.states, *model.algebraics)}
         missing = [v.name for v in T.old if key(v) not in own]
         if missing:

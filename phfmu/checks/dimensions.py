@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from phfmu.declare.check_entries import Entries, Entry
-from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample
+from phfmu.checks.sample import Sample
 from phfmu.declare.dimension import JOULE, NONE, SECOND, WATT, Dimension, Known, Number, Walk, counted_numbers, of_unit
+from phfmu.declare.entries import Entries, Entry
 from phfmu.declare.port import Port
+from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable, time
 
 #: the dimension an entry (row, column) should have, and what it is, in words

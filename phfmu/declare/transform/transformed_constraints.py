@@ -10,11 +10,11 @@ import numpy as np
 from phfmu.declare.dimension import constraint_unit
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, Block, Holonomic, observable
-from phfmu.declare.transformation import SystemTransformation
+from phfmu.declare.transform.maps import Maps
 from phfmu.declare.variable import Variable
 
 
-def velocity_form(model: PHDAE, T: SystemTransformation) -> PHDAE:
+def velocity_form(model: PHDAE, T: Maps) -> PHDAE:
     """Constraints that `T` touches become blocks -Dg^T on the velocities, Dg on the multiplier; g is reported as `g.<name>`.
 
     g stays exact along Gauss nodes while it is at most quadratic.  DeclarationError if the start violates g.

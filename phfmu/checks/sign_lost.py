@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from phfmu.declare.check_entries import Entries, normal_form
-from phfmu.declare.check_matrix import lowest, summed
-from phfmu.declare.check_sample import Sample
+from phfmu.checks.matrices import lowest, summed
+from phfmu.checks.sample import Sample
+from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.phdae import PHDAE
 
 

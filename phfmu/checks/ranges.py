@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from phfmu.declare.check_entries import Entries
-from phfmu.declare.check_problem import Problem
-from phfmu.declare.check_sample import Sample
+from phfmu.checks.sample import Sample
+from phfmu.declare.entries import Entries
 from phfmu.declare.parameter_limits import declared_limits, limits_of
+from phfmu.declare.problem import Problem
 
 
 def ranges(entries: Entries, sample: Sample) -> list[Problem]:

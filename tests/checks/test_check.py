@@ -531,7 +531,7 @@ def test_warnings_are_told_on_request_and_fail_only_where_they_count(monkeypatch
     def odd(entries, sample):
         return [Problem("odd", entries.model.name, f"{sample.n} points look odd", "look again", "warning")]
 
-    monkeypatch.setattr("phfmu.declare.check.WARNING_RULES", (odd,))
+    monkeypatch.setattr("phfmu.checks.check.WARNING_RULES", (odd,))
     assert check(oscillator()) == []
     (found,) = check(oscillator(), strict=True)
     assert found.severity == "warning" and str(found).startswith("warning: oscillator: 6 points look odd; look again")

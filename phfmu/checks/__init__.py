@@ -1,0 +1,1 @@
+"""What is wrong with a declaration: all problems at once, each with its remedy."""

@@ -1,0 +1,8 @@
+"""What all verbs share: exit codes, and what a target may be."""
+
+from __future__ import annotations
+
+#: 0 fine, 1 problems found, 2 bad usage or input, 3 no convergence, 4 ledger violated
+FINE, PROBLEMS, USAGE, NO_CONVERGENCE, LEDGER = range(5)
+
+TARGET = "name in the library | file.py:function | X.fmu"
