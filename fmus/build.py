@@ -12,7 +12,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from phfmu import Scene, build_model, export
+from phfmu import Model, Scene, build_model, export
 from phfmu.components.library import build
 from phfmu.fmu.description import Unit
 from phfmu.fmu.fmi3 import model_description
@@ -26,17 +26,17 @@ def recipes() -> dict[str, dict]:
     return tomllib.loads((HERE / "recipes.toml").read_text())
 
 
-def model_of(recipe: dict):
-    """Declaration and discretised model of a recipe."""
+def model_of(recipe: dict) -> Model:
+    """The model of a recipe."""
     found = build(recipe["target"])
     declaration = found.declaration() if isinstance(found, Scene) else found
     scheme = named_scheme(declaration, recipe.get("scheme", "auto"), recipe.get("order", 2))
-    return declaration, build_model(declaration, scheme)
+    return build_model(declaration, scheme)
 
 
 def unit_of(recipe: dict) -> Unit:
     """What a recipe exports, without a stop time."""
-    return Unit(*model_of(recipe), recipe["step"], None, recipe.get("node_inputs", False))
+    return Unit(model_of(recipe), recipe["step"], None, recipe.get("node_inputs", False))
 
 
 def interface(recipe: dict) -> str:
@@ -60,7 +60,7 @@ def main() -> int:
         (HERE / f"{name}.xml").write_text(interface(recipe))
         if not args.interfaces:
             nodes = recipe.get("node_inputs", False)
-            for path in export(*model_of(recipe), HERE, step=recipe["step"], node_inputs=nodes):
+            for path in export(model_of(recipe), HERE, step=recipe["step"], node_inputs=nodes):
                 print(path)
     return 0
 

@@ -101,7 +101,7 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
         unit = NativeInstance(model)
         seconds = compiler_seconds() - before
         size = unit.build.path.stat().st_size
-        paths = export(declaration, model, folder, versions=versions, step=H)
+        paths = export(model, folder, versions=versions, step=H)
         fmu = sum(p.stat().st_size for p in paths)
     return Row(name, model.step.nw, len(unit.get_state()), len(text), size, seconds, fmu, step_time(unit))
 

@@ -174,7 +174,7 @@ def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: flo
     folder = tempfile.mkdtemp(prefix="phfmu-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     step = step if args.step is None else args.step
-    (path,) = export(declaration, build_model(declaration, scheme), folder, versions=(args.fmi or "3.0",), step=step)
+    (path,) = export(build_model(declaration, scheme), folder, versions=(args.fmi or "3.0",), step=step)
     return FMUInstance(path)
 
 

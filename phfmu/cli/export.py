@@ -57,7 +57,7 @@ def call(args: argparse.Namespace) -> int:
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
     model = build_model(declaration, scheme_of(args, declaration))
     left_out = _left_out(s, declaration)
-    paths = export(declaration, model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
+    paths = export(model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
                    node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
                    terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays)  # fmt: skip
     for line in left_out:

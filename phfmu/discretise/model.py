@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +26,8 @@ from phfmu.terms.hidden import Check
 from phfmu.terms.rest import at_start, hold_names
 
 Array = NDArray[np.float64]
+P = ParamSpec("P")
+R = TypeVar("R")
 
 #: A start is consistent if every hidden constraint is below this fraction of its natural size.
 CONSISTENCY = 1e-8
@@ -92,6 +97,27 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
         instant_names=tuple(instant_layout.names()), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names), hold_names=hold_names(terms) if len(step.hold) else (),
     )  # fmt: skip
+
+
+def require_model(item: Any, what: str) -> Model:
+    """`item`, if it is a model; TypeError with the remedy else."""
+    if isinstance(item, Model):
+        return item
+    remedy = "build it: build_model(declaration)"
+    if isinstance(item, PHDAE):
+        remedy = "leave the declaration out, the model carries it: build_model(declaration)"
+    shown = f"{type(item).__name__} {str(getattr(item, 'name', item))[:60]!r}"
+    raise TypeError(f"{what} takes a model first, got the {shown}; {remedy}")
+
+
+def takes_model(function: Callable[Concatenate[Model, P], R]) -> Callable[Concatenate[Model, P], R]:
+    """`function`, whose first argument is a model: TypeError with the remedy for any other, whatever follows it."""
+
+    @wraps(function)
+    def checked(model: Model, *args: P.args, **kwargs: P.kwargs) -> R:
+        return function(require_model(model, function.__name__), *args, **kwargs)
+
+    return checked
 
 
 def default_scheme(declaration: PHDAE, order: int = 2) -> Scheme:

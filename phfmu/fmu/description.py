@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.units import BASE, parse_unit
-from phfmu.discretise.model import Model
+from phfmu.discretise.model import Model, require_model
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number
@@ -34,15 +34,14 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """A model to be exported.  `step`: longest internal and suggested communication step, s; `stop`: s.
+    """A model to be exported, with its declaration.  `step`: longest internal and suggested communication step, s; `stop`: s.
 
     `node_inputs`: ports also have inputs and outputs at the nodes of a step.  `ledger_outputs`: energies and residuals of
     constraints are outputs, else local variables.  `terminals`: ports are listed as terminals.  `arrays`: vector ports are arrays
-    in FMI 3.0.  `left_out`: what the
-    declaration's scene has and the unit has not, a line each.
+    in FMI 3.0.  `left_out`: what the declaration's scene has and the unit has not, a line each.
+    Errors: TypeError if `model` is none.
     """
 
-    declaration: PHDAE
     model: Model
     step: float
     stop: float | None = None
@@ -51,6 +50,13 @@ class Unit:
     terminals: bool = True
     left_out: tuple[str, ...] = ()
     arrays: bool = False
+
+    def __post_init__(self) -> None:
+        require_model(self.model, "Unit")
+
+    @property
+    def declaration(self) -> PHDAE:
+        return self.model.declaration
 
     @property
     def name(self) -> str:
@@ -66,7 +72,7 @@ class Unit:
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
-        return variables(self.declaration, self.model, self.node_inputs, self.ledger_outputs)
+        return variables(self.model, self.node_inputs, self.ledger_outputs)
 
     @cached_property
     def spans(self) -> dict[int, Span]:

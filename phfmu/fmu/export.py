@@ -1,4 +1,4 @@
-"""Export of a declaration and its discretisation as Functional Mock-up Units."""
+"""Export of a model as Functional Mock-up Units."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from phfmu.declare.model_name import unwritable
-from phfmu.declare.phdae import PHDAE, require_declaration
-from phfmu.discretise.model import Model
+from phfmu.discretise.model import Model, takes_model
 from phfmu.engine.compile import compile, host_target, suffix
 from phfmu.fmu import fmi2, fmi3, manifest, package, sources
 from phfmu.fmu.description import Unit
@@ -27,8 +26,8 @@ VERSIONS = {"2.0": "fmi2", "3.0": "fmi3"}
 FLAGS = ("-DPH_API=",)
 
 
+@takes_model
 def export(
-    declaration: PHDAE,
     model: Model,
     directory: str | Path,
     versions: Sequence[str] = ("2.0", "3.0"),
@@ -44,27 +43,26 @@ def export(
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions`.
 
-    `step`: longest internal and suggested communication step, s.  `platforms`: keys of PLATFORMS, default
-    this machine.  `node_inputs`: optional port inputs at the nodes of a step, and the outputs there (order 4, 6).
-    `ledger_outputs`: energies and residuals of constraints as outputs, else as local variables.  `terminals`: a file that
-    lists the ports as terminals.  `left_out`: lines about what the unit has not, for its documentation and manifest.
-    `arrays`: vector ports as array variables in FMI 3.0.
-    The same model gives the same bytes.  Errors: FMUError, CompilerMissing, CompileError.
+    `model`: of `build_model`, it carries its declaration.  `step`: longest internal and suggested communication step, s.
+    `platforms`: keys of PLATFORMS, default this machine.  `node_inputs`: optional port inputs at the nodes of a step,
+    and the outputs there (order 4, 6).  `ledger_outputs`: energies and residuals of constraints as outputs, else as
+    local variables.  `terminals`: a file that lists the ports as terminals.  `left_out`: lines about what the unit
+    has not, for its documentation and manifest.  `arrays`: vector ports as array variables in FMI 3.0.
+    The same model gives the same bytes.  Errors: TypeError for anything but a model; FMUError, CompilerMissing, CompileError.
     """
-    require_declaration(declaration, "export")
-    if bad := unwritable(declaration):
+    if bad := unwritable(model.declaration):
         raise FMUError("; ".join(str(p) for p in bad))
     if not (math.isfinite(step) and step > 0):
-        raise FMUError(f"{declaration.name}: step = {step} s must be positive")
+        raise FMUError(f"{model.name}: step = {step} s must be positive")
     unknown = [v for v in versions if v not in VERSIONS]
     if unknown or not versions:
         raise FMUError(f"FMI versions {list(versions)}; known: {', '.join(VERSIONS)}")
     if model.loses_energy:
         raise FMUError(
-            f"{declaration.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
+            f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
-    unit = Unit(declaration, model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays)
+    unit = Unit(model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays)
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
     code = sources.complete(unit, equations, token)

@@ -70,9 +70,7 @@ _OF_STATE = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL",
 _BOOKS = (*_OF_STATE, "PH_OBSERVABLES")
 
 
-def variables(
-    declaration: PHDAE, model: Model, node_inputs: bool = False, ledger_outputs: bool = True
-) -> tuple[FMUVariable, ...]:
+def variables(model: Model, node_inputs: bool = False, ledger_outputs: bool = True) -> tuple[FMUVariable, ...]:
     """All variables; the place is the value reference.  FMUError lists illegal and repeated names.
 
     `node_inputs`: port inputs and outputs at the k nodes of a step too; they come last.  `ledger_outputs`: energies and
@@ -80,14 +78,14 @@ def variables(
     """
     table = (
         FMUVariable("time", "independent", "PH_X", model.step.nx, unit="s", description="time"),
-        *_parameters(declaration, model),
-        *_ports(declaration, model),
+        *_parameters(model),
+        *_ports(model),
         *_totals(model),
-        *_starts(declaration.states, "local", "PH_X", list(model.x0)),
-        *_algebraics(declaration, model),
-        *_observables(declaration, model),
+        *_starts(model.declaration.states, "local", "PH_X", list(model.x0)),
+        *_algebraics(model),
+        *_observables(model),
         *_checks(model),
-        *(_nodes(declaration, model) if node_inputs else ()),
+        *(_nodes(model) if node_inputs else ()),
     )
     table = tuple(replace(v, description=plain(v.description)) for v in table)
     if not ledger_outputs:
@@ -96,7 +94,7 @@ def variables(
         )
     problems = _problems(table)
     if problems:
-        raise FMUError(f"{declaration.name}: " + "; ".join(problems))
+        raise FMUError(f"{model.name}: " + "; ".join(problems))
     return table
 
 
@@ -127,9 +125,9 @@ def _starts(declared: tuple[Variable, ...], causality: Causality, block: str, st
     ]
 
 
-def _parameters(declaration: PHDAE, model: Model) -> list[FMUVariable]:
-    limit = limits(declaration)
-    made = _starts(declaration.parameters, "parameter", "FMU_PARAMETER", list(model.p0))
+def _parameters(model: Model) -> list[FMUVariable]:
+    limit = limits(model.declaration)
+    made = _starts(model.declaration.parameters, "parameter", "FMU_PARAMETER", list(model.p0))
     return [replace(v, limit=limit.get(v.name)) for v in made]
 
 
@@ -138,11 +136,11 @@ def _nominal(v: Variable, entry: int) -> float | None:
     return None if v.role == "parameter" or not v.nominal[entry] else abs(v.nominal[entry])
 
 
-def _algebraics(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
+def _algebraics(model: Model) -> Iterator[FMUVariable]:
     what = "carried on by the scheme" if model.step.carries else "mean of the last step"
-    for i, name, text, v, j in _scalars(declaration.algebraics):
+    for i, name, text, v, j in _scalars(model.declaration.algebraics):
         yield FMUVariable(name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, {what}")
-    for i, name, text, v, j in _scalars(declaration.algebraics):
+    for i, name, text, v, j in _scalars(model.declaration.algebraics):
         yield FMUVariable(
             end_name(name),
             "local",
@@ -177,8 +175,8 @@ def ordered_ports(declaration: PHDAE) -> list[tuple[Port, int]]:
 OUTPUTS = (("", "PH_Y_END", "at the present time"), ("_step", "PH_Y_STEP", "mean of the last step"))
 
 
-def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
-    for port, first in ordered_ports(declaration):
+def _ports(model: Model) -> Iterator[FMUVariable]:
+    for port, first in ordered_ports(model.declaration):
         flow, effort = port.domain.flow, port.domain.effort
         given, found = (effort, flow) if port.given == "effort" else (flow, effort)
         text = f"of port {port.name}" + (f" ({port.description})" if port.description else "")
@@ -198,15 +196,15 @@ def _ports(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
         yield FMUVariable(f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J", description=about)
 
 
-def _nodes(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
+def _nodes(model: Model) -> Iterator[FMUVariable]:
     """Inputs of external ports at the nodes of a step, then the outputs conjugate to them."""
     plan = model.step
     if plan.k == 1:
         raise FMUError(
-            f"{declaration.name}: a step of order {model.scheme.order} has one node, its inputs are the held ones; inputs at "
+            f"{model.name}: a step of order {model.scheme.order} has one node, its inputs are the held ones; inputs at "
             "the nodes need order 4 or 6"
         )
-    free = [(p, first) for p, first in ordered_ports(declaration) if p.external]
+    free = [(p, first) for p, first in ordered_ports(model.declaration) if p.external]
     for port, first in free:
         nominal = _entries(port.nominal, port.n)
         for j, names in enumerate(port.node_input_names(plan.k)):
@@ -264,9 +262,9 @@ def _totals(model: Model) -> Iterator[FMUVariable]:
             )
 
 
-def _observables(declaration: PHDAE, model: Model) -> Iterator[FMUVariable]:
+def _observables(model: Model) -> Iterator[FMUVariable]:
     place = 0
-    for o in declaration.observables:
+    for o in model.declaration.observables:
         for i in range(o.expr.numel()):
             name = model.observable_names[place]
             text = o.description or f"observable {o.name}"

@@ -18,7 +18,7 @@ class Columns:
 
     def __init__(self, model: Model, layout: dict[str, slice]):
         place = {f"PH_{block}".upper(): where.start for block, where in layout.items()}
-        chosen = [v for v in variables(model.declaration, model) if v.block in place and v.causality != "independent"]
+        chosen = [v for v in variables(model) if v.block in place and v.causality != "independent"]
         self.names = [v.name for v in chosen]
         self._blocks = list(layout)
         entries = [place[v.block] + v.first + np.arange(v.count) for v in chosen]

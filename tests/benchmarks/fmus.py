@@ -117,7 +117,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model = build_model(declaration, default_scheme(declaration, 6))
-        unit = export(declaration, model, folder, step=H, stop=10.0, versions=("2.0",))[0]
+        unit = export(model, folder, step=H, stop=10.0, versions=("2.0",))[0]
         with FMUInstance(unit) as instance:
             token = instance.interface.token
         in_a_host(unit, folder, token, Run(declaration, 6, H))

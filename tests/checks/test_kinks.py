@@ -425,7 +425,7 @@ def test_native_units_take_every_operation(compiler):
 def test_a_unit_keeps_its_energy_over_kinks(compiler, tmp_path):
     """The stop as FMI 3.0 unit: its states keep H, and so does the energy it reports."""
     model = instance("stop", "order 2", True).model
-    (path,) = export(model.declaration, model, tmp_path, ("3.0",), step=0.05, stop=2.0)
+    (path,) = export(model, tmp_path, ("3.0",), step=0.05, stop=2.0)
     with FMUInstance(path) as unit:
         for i in range(40):
             unit.do_step(0.05 * i, 0.05)

@@ -219,7 +219,7 @@ def test_the_check_of_values_is_cheap_beside_the_plan_of_a_large_model():
 def description(version: str) -> dict[str, dict[str, str]]:
     """Attributes of the variables of the motor."""
     declaration = dc_motor()
-    unit = Unit(declaration, build_model(declaration), 1e-3)
+    unit = Unit(build_model(declaration), 1e-3)
     root = etree.fromstring((fmi2 if version == "2.0" else fmi3).model_description(unit))
     found = root.findall(".//ScalarVariable" if version == "2.0" else ".//Float64")
     return {v.get("name"): dict(v.attrib) | dict(v[0].attrib if len(v) else {}) for v in found}
@@ -240,7 +240,7 @@ def coil() -> PHDAE:
 
 
 def test_a_unit_refuses_parameters_outside_their_limits(tmp_path: Path):
-    paths = export(coil(), build_model(coil()), tmp_path, step=1e-3)
+    paths = export(build_model(coil()), tmp_path, step=1e-3)
     for path in paths:
         for name, value, text in (("R", -1.5, "R = -1.5 must be at least 0"), ("L", 0.0, "L = 0 must be above 0"),
                                   ("R", 101.0, "R = 101 must be at most 100")):  # fmt: skip

@@ -200,7 +200,7 @@ def test_work_of_moving_supports_stays_with_its_member_and_reaches_the_unit(tmp_
         stored = result.column(f"{member}.energy.stored")
         assert supplied[member, "trolley"] == pytest.approx(stored[-1] - stored[0], abs=1e-14)
     single = crane(0.5)
-    (path,) = export(single, build_model(single), tmp_path, versions=("3.0",), step=0.02)
+    (path,) = export(build_model(single), tmp_path, versions=("3.0",), step=0.02)
     unit = FMUInstance(path)
     for i in range(10):
         unit.do_step(0.02 * i, 0.02)

@@ -36,6 +36,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.fmu.description import Unit
 from phfmu.network.check_scene import check_scene
 from phfmu.terms.term import DeclarationError
 
@@ -103,7 +104,23 @@ def test_where_a_declaration_is_wanted():
         refused(lambda call=call: call(Path("a.py")), "got the PosixPath" if sys.platform != "win32" else "got the")
         refused(lambda call=call: call(dc_motor), "call the function")
         refused(lambda call=call: call(net), "compose the network first")
-    refused(lambda: export("dc_motor", build_model(dc_motor()), ".", step=1.0), "export needs a declaration")
+
+
+def test_an_export_takes_the_model_which_carries_its_declaration(tmp_path):
+    motor = dc_motor()
+    model = build_model(motor)
+    pair = "leave the declaration out, the model carries it"
+    for call, words in (
+        (lambda: export(motor, model, tmp_path, step=1.0), f"export takes a model first, got the PHDAE 'dc_motor'; {pair}"),
+        (lambda: export(motor, model, tmp_path, ("3.0",), step=1.0), pair),
+        (lambda: Unit(motor, model, 1.0), f"Unit takes a model first, got the PHDAE 'dc_motor'; {pair}"),
+        (lambda: export(motor, tmp_path, step=1.0), "build_model(declaration)"),
+        (lambda: export("dc_motor", tmp_path, step=1.0), "got the str 'dc_motor'; build it: build_model(declaration)"),
+    ):  # fmt: skip
+        with pytest.raises(TypeError) as caught:
+            call()
+        assert words in str(caught.value)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["", "  ", "m" * 201, "a\0b", "../a", "a\\b", "two\nlines"])
@@ -112,7 +129,7 @@ def test_names_that_no_file_can_have(name, tmp_path):
     assert found.rule == "name" and found.remedy.startswith("give it a short name")
     if len(name.strip()) in (0, 201):  # of the others export makes one
         with pytest.raises(RuntimeError, match="its name"):
-            export(model(name=name), build_model(model(name=name)), tmp_path, step=0.1)
+            export(build_model(model(name=name)), tmp_path, step=0.1)
         assert not list(tmp_path.iterdir())
 
 

@@ -145,7 +145,7 @@ def units(models, tmp_path_factory: pytest.TempPathFactory):
     def get(case: str) -> dict[str, Path]:
         if case not in made:
             declaration, model, step = models(case)
-            paths = export(declaration, model, tmp_path_factory.mktemp(case), step=step)
+            paths = export(model, tmp_path_factory.mktemp(case), step=step)
             made[case] = dict(zip(("2.0", "3.0"), paths, strict=True))
         return made[case]
 

@@ -182,7 +182,7 @@ def test_units_exchange_like_the_native_engine(ill_chosen: Model, tmp_path: Path
     """Both versions; saved before the exchange and restored, the same bits follow."""
     native = NativeInstance(ill_chosen)
     native.run(0.0, 0.01, 110)
-    for path in export(ill_chosen.declaration, ill_chosen, tmp_path, step=0.01):
+    for path in export(ill_chosen, tmp_path, step=0.01):
         with FMUInstance(path) as unit:
             for n in range(80):
                 unit.do_step(0.01 * n, 0.01)
@@ -294,7 +294,7 @@ def test_units_let_rows_rest_at_starts_that_are_set(typed: tuple[Model, np.ndarr
     native.run(0.0, 0.01, 20)
     names = [n for v in m.declaration.states for n in v.names()]
     start = dict(zip(names, x.tolist(), strict=True))
-    for path in export(m.declaration, m, tmp_path, step=0.01):
+    for path in export(m, tmp_path, step=0.01):
         with FMUInstance(path, starts=start) as unit:
             for n in range(20):
                 unit.do_step(0.01 * n, 0.01)

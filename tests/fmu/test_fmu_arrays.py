@@ -27,8 +27,8 @@ def lines(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     declaration = rl_line(0.3, 0.2, i=(1.0, -0.5, -0.5))
     model = build_model(declaration)
     folder = tmp_path_factory.mktemp("line")
-    two, arrays = export(declaration, model, folder / "arrays", step=STEP, arrays=True)
-    (scalars,) = export(declaration, model, folder / "scalars", ("3.0",), step=STEP)
+    two, arrays = export(model, folder / "arrays", step=STEP, arrays=True)
+    (scalars,) = export(model, folder / "scalars", ("3.0",), step=STEP)
     return arrays, scalars, two
 
 

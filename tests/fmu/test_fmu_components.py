@@ -44,7 +44,7 @@ def test_units_equal_the_native_engine(name: str, tmp_path: Path) -> None:
             native.set_input(u[k])
         native.do_step(k * h, h)
         expected[k] = columns.now(native)
-    for path in export(declaration, model, tmp_path, step=h):
+    for path in export(model, tmp_path, step=h):
         assert validate_fmu(str(path)) == []
         with FMUInstance(path) as unit:
             seen = np.zeros_like(expected)

@@ -66,7 +66,7 @@ def coil() -> PHDAE:
 def units(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     declaration = drained()
     folder = tmp_path_factory.mktemp("units")
-    paths = export(declaration, build_model(declaration, Collocated(1)), folder, step=INNER, stop=1.0)
+    paths = export(build_model(declaration, Collocated(1)), folder, step=INNER, stop=1.0)
     return dict(zip(VERSIONS, paths, strict=True))
 
 
@@ -146,7 +146,7 @@ def test_fmi2_tells_how_far_it_came_after_a_discarded_step_only(units: dict[str,
 def test_inputs_at_nodes_belong_to_the_whole_step(tmp_path: Path) -> None:
     declaration = drained()
     model = build_model(declaration, Collocated(2))
-    (path,) = export(declaration, model, tmp_path, ("3.0",), step=INNER, node_inputs=True)
+    (path,) = export(model, tmp_path, ("3.0",), step=INNER, node_inputs=True)
     with FMUInstance(path, early_return=True) as unit:
         before_the_collapse(unit)
         state = unit.get_state()

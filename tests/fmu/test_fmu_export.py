@@ -107,7 +107,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory):
     def get(name: str):
         if name not in made:
             declaration, model, step = build(name)
-            paths = export(declaration, model, tmp_path_factory.mktemp(name), step=step, stop=100 * step)
+            paths = export(model, tmp_path_factory.mktemp(name), step=step, stop=100 * step)
             made[name] = declaration, model, step, dict(zip(("2.0", "3.0"), paths, strict=True))
         return made[name]
 
@@ -193,7 +193,7 @@ def test_simulate_fmu_runs_it_with_other_start_values(exported, version: str) ->
 def test_same_model_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def written(folder: str) -> list[bytes]:
         declaration, model, step = build("pendulum")
-        return [p.read_bytes() for p in export(declaration, model, tmp_path / folder, step=step, stop=1.0)]
+        return [p.read_bytes() for p in export(model, tmp_path / folder, step=step, stop=1.0)]
 
     first = written("a")
     assert written("b") == first
@@ -209,10 +209,10 @@ def test_token_belongs_to_the_content() -> None:
     token = [
         sources.token(unit, sources.generated(unit))
         for unit in (
-            Unit(declaration, model, step),
-            Unit(declaration, model, step),
-            Unit(declaration, model, 2 * step),
-            Unit(declaration, build_model(declaration.with_starts({"k": 99.0})), step),
+            Unit(model, step),
+            Unit(model, step),
+            Unit(model, 2 * step),
+            Unit(build_model(declaration.with_starts({"k": 99.0})), step),
         )
     ]
     assert token[0] == token[1]
@@ -222,13 +222,13 @@ def test_token_belongs_to_the_content() -> None:
 
 def test_names_are_those_of_the_contract(exported) -> None:
     declaration, model, _, _ = exported("pendulum")
-    v = {v.name: v for v in variables(declaration, model)}
+    v = {v.name: v for v in variables(model)}
     names = "hand.f[1] hand.v[2] hand.v_step[2] hand.energy lambda[1] lambda_end[1] p[2] energy.residual"
     assert {*names.split(), "constraint.position.lambda[1]", "constraint.velocity.lambda[1]"} <= set(v)
     assert (v["q[1]"].causality, v["q[1]"].initial, v["q[1]"].start) == ("local", "exact", 0.6)
     assert (v["m"].causality, v["m"].variability) == ("parameter", "fixed")
     composed, model, _, _ = exported("chain")
-    names = {v.name: v for v in variables(composed, model)}
+    names = {v.name: v for v in variables(model)}
     assert names["near.energy.stored"].causality == "local"
     assert names["energy.stored"].count == len(model.members)
     assert names["far.a.i_step[3]"].causality == "local", "joined inside"
@@ -239,20 +239,20 @@ def test_illegal_and_repeated_names_are_refused_together(tmp_path: Path) -> None
     q = state("q 1", unit="m", start=1.0)
     declaration = PHDAE("bad", states=(q,), energies=(energy(0.5 * q.sx**2),), parameters=(parameter("time", 1.0),))
     with pytest.raises(FMUError, match="'q 1' is no structured name.*two variables are called 'time'"):
-        export(declaration, build_model(declaration), tmp_path, step=0.1)
+        export(build_model(declaration), tmp_path, step=0.1)
     declaration, model, _ = build("mass")
     with pytest.raises(FMUError, match="step = 0"):
-        export(declaration, model, tmp_path, step=0.0)
+        export(model, tmp_path, step=0.0)
     with pytest.raises(FMUError, match="known: 2.0, 3.0"):
-        export(declaration, model, tmp_path, versions=("1.0",), step=0.1)
+        export(model, tmp_path, versions=("1.0",), step=0.1)
     with pytest.raises(FMUError, match="unknown platform amiga"):
-        export(declaration, model, tmp_path, step=0.1, platforms=["amiga"])
+        export(model, tmp_path, step=0.1, platforms=["amiga"])
     assert not list(tmp_path.iterdir())
 
 
 def test_without_a_step_time_terminals_or_members_nothing_is_written_about_them(exported, tmp_path: Path) -> None:
     declaration, model, _, paths = exported("four_particle")
-    (path,) = export(declaration, model, tmp_path, ("3.0",), step=0.01)
+    (path,) = export(model, tmp_path, ("3.0",), step=0.01)
     text = zipfile.ZipFile(path).read("modelDescription.xml")
     assert b"stopTime" not in text and b"_step[" not in text and b"member" not in text
     names = zipfile.ZipFile(path).namelist()
@@ -263,7 +263,7 @@ def test_without_a_step_time_terminals_or_members_nothing_is_written_about_them(
 def host_libraries(folder: Path) -> tuple[dict[str, object], Path]:
     """Sources of a unit with the headers, and its library before stripping (compiled by hand)."""
     declaration, model, step = build("pendulum")
-    unit = Unit(declaration, model, step)
+    unit = Unit(model, step)
     equations = sources.generated(unit)
     code = {**sources.complete(unit, equations, sources.token(unit, equations)), **sources.headers()}
     for name, source in code.items():
@@ -410,13 +410,13 @@ def test_its_sources_build_the_same_unit(exported, tmp_path: Path, version: str)
 def test_other_platforms_link(tmp_path: Path, platform: str) -> None:
     pytest.importorskip("ziglang")
     declaration, model, step = build("mass")
-    (path,) = export(declaration, model, tmp_path, ("3.0",), step=step, platforms=[platform])
+    (path,) = export(model, tmp_path, ("3.0",), step=step, platforms=[platform])
     assert [n for n in zipfile.ZipFile(path).namelist() if n.startswith(f"binaries/{platform}/mass.")]
 
 
 def test_warm_export_compiles_nothing(exported) -> None:
     declaration, model, step = build("mass")
-    unit = Unit(declaration, model, step, 100 * step)
+    unit = Unit(model, step, 100 * step)
     exported("mass")
     equations = sources.generated(unit)
     code = sources.complete(unit, equations, sources.token(unit, equations))

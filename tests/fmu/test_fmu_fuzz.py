@@ -47,7 +47,7 @@ def test_calls_without_rules(sanitizers: str, tmp_path: Path, name: str, version
     scheme, step, nodes = MODELS[name]
     declaration = build(name)
     model = build_model(declaration, scheme)
-    (path,) = export(declaration, model, tmp_path, (version,), step=step, node_inputs=nodes)
+    (path,) = export(model, tmp_path, (version,), step=step, node_inputs=nodes)
     about = open_archive(path).interface
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path / "unit")

@@ -79,7 +79,7 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], Pat
     made = {}
     for name, (step, _) in UNITS.items():
         declaration = build(name)
-        paths = export(declaration, build_model(declaration), tmp_path_factory.mktemp(name), step=step)
+        paths = export(build_model(declaration), tmp_path_factory.mktemp(name), step=step)
         made |= {(name, v): p for v, p in zip(("2.0", "3.0"), paths, strict=True)}
     return made
 

@@ -59,7 +59,7 @@ def flywheel(gain: float = 0.0, constant: float = 1e8) -> PHDAE:
 def units(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     declaration = flywheel()
     folder = tmp_path_factory.mktemp("units")
-    paths = export(declaration, build_model(declaration, Collocated(1)), folder, step=STEP, stop=2.0)
+    paths = export(build_model(declaration, Collocated(1)), folder, step=STEP, stop=2.0)
     return dict(zip(("2.0", "3.0"), paths, strict=True))
 
 
@@ -144,7 +144,7 @@ def test_members_of_a_unit_tell_their_gaps_too(tmp_path: Path) -> None:
     net.add("shaft", flexible_shaft(20.0, d=1e-3))
     net.connect("wheel.shaft", "shaft.a")
     declaration = net.compose()
-    (path,) = export(declaration, build_model(declaration), tmp_path, ("3.0",), step=STEP, ledger_outputs=False)
+    (path,) = export(build_model(declaration), tmp_path, ("3.0",), step=STEP, ledger_outputs=False)
     with FMUInstance(path) as unit:
         for i in range(50):
             unit.do_step(i * STEP, STEP)
@@ -198,5 +198,5 @@ def test_a_unit_whose_gap_does_not_close_violates_the_ledger(
 
 def test_a_unit_whose_balance_does_not_close_violates_the_ledger(tmp_path: Path) -> None:
     declaration = flywheel(gain=0.5)
-    (path,) = export(declaration, build_model(declaration, Collocated(1)), tmp_path, ("2.0",), step=STEP)
+    (path,) = export(build_model(declaration, Collocated(1)), tmp_path, ("2.0",), step=STEP)
     assert main(["run", str(path), "--stop", "1", "--step", str(STEP)]) == 4

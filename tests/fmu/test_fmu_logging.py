@@ -29,7 +29,7 @@ ERRORS = "logStatusError"
 def archive(request, tmp_path_factory: pytest.TempPathFactory):
     declaration = mass(1.0)
     folder: Path = tmp_path_factory.mktemp("mass")
-    (path,) = export(declaration, build_model(declaration), folder, (request.param,), step=0.1)
+    (path,) = export(build_model(declaration), folder, (request.param,), step=0.1)
     return open_archive(path)
 
 

@@ -64,7 +64,7 @@ def ways(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Path]]
     declaration = mass(2.0, k=100.0, d=0.5, q=0.1)
     model, made = build_model(declaration), {}
     for name, more in (("ledger", {}), ("local", {"ledger_outputs": False, "terminals": False})):
-        paths = export(declaration, model, tmp_path_factory.mktemp(name), step=1e-2, **more)
+        paths = export(model, tmp_path_factory.mktemp(name), step=1e-2, **more)
         made[name] = dict(zip(VERSIONS, paths, strict=True))
     return made
 
@@ -93,7 +93,7 @@ def test_the_ledger_can_be_local(ways: dict[str, dict[str, Path]], version: str)
 
 def test_residuals_of_constraints_are_local_then_too(tmp_path: Path) -> None:
     declaration = four_particle()
-    (path,) = export(declaration, build_model(declaration), tmp_path, ("3.0",), step=0.01, ledger_outputs=False)
+    (path,) = export(build_model(declaration), tmp_path, ("3.0",), step=0.01, ledger_outputs=False)
     variables = read_model_description(str(path)).modelVariables
     assert not [v.name for v in variables if v.causality == "output"]
     assert [v.causality for v in variables if v.name.startswith("constraint.")] == ["local"] * 4
@@ -125,7 +125,7 @@ NASTY = 'a*/ int x = 1; /* "quoted" \\ ??/ <b>&amp; \x1b[31m\nend %s %n'
 def test_names_that_end_comments_and_strings_do_no_harm(tmp_path: Path) -> None:
     q, c = state("q", unit="m", start=1.0, description=NASTY), parameter("c", 2.0, description=NASTY)
     declaration = PHDAE(NASTY, states=(q,), parameters=(c,), energies=(energy(0.5 * c * q**2),), description=NASTY)
-    for path in export(declaration, build_model(declaration), tmp_path, step=0.1, left_out=[NASTY]):
+    for path in export(build_model(declaration), tmp_path, step=0.1, left_out=[NASTY]):
         assert validate_fmu(str(path)) == []
         shown = NASTY.replace("\x1b", r"\x1b").replace("\n", " ")
         about = read_model_description(str(path))

@@ -56,14 +56,14 @@ def circuits(tmp_path_factory: pytest.TempPathFactory):
     """(model, {version: path}) of the circuit."""
     declaration = circuit()
     model = build_model(declaration)
-    paths = export(declaration, model, tmp_path_factory.mktemp("circuit"), step=STEP, stop=1.0)
+    paths = export(model, tmp_path_factory.mktemp("circuit"), step=STEP, stop=1.0)
     return model, dict(zip(VERSIONS, paths, strict=True))
 
 
 @pytest.fixture(scope="session")
 def particles(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     declaration = four_particle()
-    paths = export(declaration, build_model(declaration), tmp_path_factory.mktemp("particles"), step=0.01)
+    paths = export(build_model(declaration), tmp_path_factory.mktemp("particles"), step=0.01)
     return dict(zip(VERSIONS, paths, strict=True))
 
 
@@ -293,7 +293,7 @@ def hard() -> PHDAE:
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_refused_step_names_the_equation_and_leaves_the_state(tmp_path: Path, version: str) -> None:
     declaration = hard()
-    (path,) = export(declaration, build_model(declaration), tmp_path, (version,), step=0.1)
+    (path,) = export(build_model(declaration), tmp_path, (version,), step=0.1)
     with FMUInstance(path) as unit:
         unit.set_input([0.1])
         unit.do_step(0.0, 0.1)
@@ -470,7 +470,7 @@ def test_fmpy_does_not_see_the_flag_we_read(circuits) -> None:
 def test_a_reference_of_its_own_for_a_mass_with_a_known_solution(tmp_path: Path) -> None:
     """m v' = F - k q: one period later the mass is where it was, to the order of the scheme."""
     declaration = mass(1.0, k=4.0 * np.pi**2, q=1.0)
-    (path,) = export(declaration, build_model(declaration), tmp_path, ("2.0",), step=1e-3)
+    (path,) = export(build_model(declaration), tmp_path, ("2.0",), step=1e-3)
     with FMUInstance(path) as unit:
         for k in range(1000):
             unit.do_step(k * 1e-3, 1e-3)

@@ -102,7 +102,7 @@ def test_units_take_slivers(host: Path, tmp_path: Path, name: str, version: str)
     h = found.step if isinstance(found, Scene) else 0.01 if "mechanical" in LIBRARY[name][1] else 1e-4
     slivers = [s for s in SLIVERS if s <= 1e-9 * h]
     model = build_model(declaration)
-    (path,) = export(declaration, model, tmp_path, (version,), step=h)
+    (path,) = export(model, tmp_path, (version,), step=h)
     with zipfile.ZipFile(path) as archive:
         library = next(n for n in archive.namelist() if n.startswith("binaries/"))
         (tmp_path / "unit.so").write_bytes(archive.read(library))
@@ -115,7 +115,7 @@ def test_units_take_slivers(host: Path, tmp_path: Path, name: str, version: str)
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     before, *after = np.array([float(v) for v in done.stdout.split()]).reshape(1 + len(slivers), len(names))
-    block = {v.name: v.block for v in variables(declaration, model)}
+    block = {v.name: v.block for v in variables(model)}
     rows = np.array([block[n].startswith("FMU_ROW") for n in names])
     kept = np.array([f"{block[n]}".removeprefix("PH_").lower() in KEPT for n in names])
     now = ~rows & ~kept & np.array([n != "time" for n in names])
@@ -132,9 +132,7 @@ def test_units_take_slivers(host: Path, tmp_path: Path, name: str, version: str)
 @pytest.fixture(scope="module", params=["2.0", "3.0"])
 def motor(request, tmp_path_factory: pytest.TempPathFactory) -> Path:
     declaration = dc_motor()
-    (path,) = export(
-        declaration, build_model(declaration), tmp_path_factory.mktemp("motor"), (request.param,), step=0.1
-    )
+    (path,) = export(build_model(declaration), tmp_path_factory.mktemp("motor"), (request.param,), step=0.1)
     return path
 
 

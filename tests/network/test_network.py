@@ -38,7 +38,7 @@ def member(name: str, declaration: PHDAE, kind: str, folder: Any = None, step: f
     model = build_model(own)
     if kind != "fmu":
         return EngineMember(name, model, ENGINES[kind](model))
-    (path,) = export(own, model, folder, versions=("3.0",), step=step)
+    (path,) = export(model, folder, versions=("3.0",), step=step)
     return FMUMember(name, FMUInstance(path))
 
 

@@ -146,7 +146,7 @@ def test_units_have_the_outputs(tmp_path):
     native = NativeInstance(model)
     for k in range(20):
         native.do_step(0.05 * k, 0.05)
-    for path in export(d, model, tmp_path, step=0.05):
+    for path in export(model, tmp_path, step=0.05):
         with FMUInstance(path) as unit:
             for k in range(20):
                 unit.do_step(0.05 * k, 0.05)

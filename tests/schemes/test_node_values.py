@@ -101,7 +101,7 @@ def units(tmp_path_factory):
     def get(name: str, k: int, version: str, size: int | None = None) -> Path:
         if (name, k, size) not in made:
             model, folder = plan(name, k, size), tmp_path_factory.mktemp(name)
-            paths = export(model.declaration, model, folder, step=0.1, node_inputs=True)
+            paths = export(model, folder, step=0.1, node_inputs=True)
             made[name, k, size] = dict(zip(("2.0", "3.0"), paths, strict=True))
         return made[name, k, size][version]
 
@@ -297,7 +297,7 @@ def test_inputs_that_are_never_set_at_nodes_are_held_and_what_is_set_last_counts
 
 def test_units_without_node_inputs_have_no_trace_of_them(tmp_path):
     model = plan("body", 2)
-    (path,) = export(model.declaration, model, tmp_path, ("3.0",), step=0.1)
+    (path,) = export(model, tmp_path, ("3.0",), step=0.1)
     with FMUInstance(path) as unit:
         assert not [n for n in unit.interface.variables if "_node" in n] and unit.nodes.size == 0
         with pytest.raises(FMUError, match="export it with --node-inputs"):
@@ -306,7 +306,7 @@ def test_units_without_node_inputs_have_no_trace_of_them(tmp_path):
 
 def test_node_inputs_need_more_than_one_node(tmp_path, capsys):
     with pytest.raises(FMUError, match="body: a step of order 2 has one node.*order 4 or 6"):
-        export(plan("body", 1).declaration, plan("body", 1), tmp_path, step=0.1, node_inputs=True)
+        export(plan("body", 1), tmp_path, step=0.1, node_inputs=True)
     assert main(["export", "mass", "--node-inputs", "--step", "0.1", "-o", str(tmp_path)]) == 2
     assert "order 4 or 6" in capsys.readouterr().err
 

@@ -216,4 +216,4 @@ def test_an_fmu_has_no_variable_for_the_loss(tmp_path):
 
     motor = build("dc_motor")
     with pytest.raises(FMUError, match="loses energy"):
-        export(motor, build_model(motor, Radau(2)), tmp_path, step=1e-3)
+        export(build_model(motor, Radau(2)), tmp_path, step=1e-3)

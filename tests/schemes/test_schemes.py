@@ -455,7 +455,7 @@ def test_units_equal_the_native_engine(scheme, tmp_path):
     native = NativeInstance(model)
     x, a, _ = steps(model, h, 50, NativeInstance)
     native.reset()
-    for path in export(d, model, tmp_path, step=h):
+    for path in export(model, tmp_path, step=h):
         with FMUInstance(path) as unit:
             for k in range(50):
                 unit.do_step(k * h, h)
