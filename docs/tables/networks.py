@@ -8,7 +8,7 @@ import numpy as np
 from pages import Array
 
 from phfmu import Collocated, Coupled, EngineMember, Monolithic, NativeInstance, Scene, build_model, run
-from phfmu.network.run import Result
+from phfmu.network.run.loop import Result
 
 
 def monolithic(scene: Scene, h: float, stop: float, k: int, impulses: bool = True) -> Result:

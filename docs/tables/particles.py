@@ -7,7 +7,7 @@ from pages import Array, Made, reference, slopes, table
 
 from phfmu import NativeInstance, StepFailure, build_model, run
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.network.stepper import Monolithic
+from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.schemes.named import named_scheme
 
 SCHEMES = {

@@ -13,8 +13,8 @@ from pages import DOCS, Made
 from phfmu import NativeInstance, build_model, default_scheme
 from phfmu.audit import AuditWriter, read
 from phfmu.components.library import build
-from phfmu.network.run import Result, run
-from phfmu.network.stepper import Monolithic
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.run.loop import Result, run
 
 IMAGES = DOCS / "img"
 COLOURS = {"gen": "#1f6fb4", "line": "#d1711b", "grid": "#5b8c3a"}

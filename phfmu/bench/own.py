@@ -12,7 +12,7 @@ from phfmu.bench.candidate import Candidate, Run
 from phfmu.bench.compositions import COMPOSITIONS, Composed, Composition
 from phfmu.bench.problem import Problem
 from phfmu.discretise.model import Model, build_model
-from phfmu.network.stepper import Inputs
+from phfmu.network.members.inputs import Inputs
 from phfmu.schemes.named import named_scheme
 
 Array = NDArray[np.float64]

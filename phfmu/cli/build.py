@@ -15,9 +15,10 @@ from phfmu.words import meant
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
-    from phfmu.network.network import End, Network
+    from phfmu.network.couplings.stepper import Stepper
+    from phfmu.network.junctions.junction import End
+    from phfmu.network.junctions.network import Network
     from phfmu.network.scene import Scene
-    from phfmu.network.stepper import Stepper
 
 
 #: order of members that are joined by one held value per step
@@ -26,7 +27,7 @@ HELD_ORDER = 2
 
 def stepper_for(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
     """Stepper, scene and a label for the run's head line."""
-    from phfmu.network.network import Network
+    from phfmu.network.junctions.network import Network
 
     if args.fmi is not None and args.engine != "fmu":
         raise ValueError(f"--fmi {args.fmi} says what --engine fmu exports; add --engine fmu, or leave out --fmi")
@@ -75,7 +76,7 @@ def _announce() -> None:
 
 
 def _with_settings(system: Any, values: dict[str, float]) -> Any:
-    from phfmu.network.network import Network
+    from phfmu.network.junctions.network import Network
 
     if not values:
         return system
@@ -126,13 +127,13 @@ def order_lost(args: argparse.Namespace) -> list[str]:
 
 def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> tuple[Stepper, Scene, str]:
     from phfmu.discretise.model import build_model
-    from phfmu.network.stepper import Monolithic
+    from phfmu.network.couplings.monolithic import Monolithic
 
     scheme = scheme_of(args, declaration)
     engine = engine_of(args)
     label = _label([scheme], engine, "monolithic")
     if engine == "fmu":
-        from phfmu.network.fmu_member import FMUStepper
+        from phfmu.network.couplings.unit import FMUStepper
 
         return FMUStepper(_as_fmu(declaration, scheme, args, s.step)), s, label
     model = build_model(declaration, scheme)
@@ -141,8 +142,8 @@ def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> tuple
 
 def _coupled(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
     from phfmu.discretise.model import build_model
-    from phfmu.network.coupled import Coupled
-    from phfmu.network.members import EngineMember
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.members.engine_member import EngineMember
 
     engine = engine_of(args)
     members: list[Any] = []
@@ -151,7 +152,7 @@ def _coupled(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
         own = scheme_of(args, declaration, member=True)
         schemes.append(own)
         if engine == "fmu":
-            from phfmu.network.fmu_member import FMUMember
+            from phfmu.network.members.fmu_member import FMUMember
 
             members.append(FMUMember(name, _as_fmu(replace(declaration, name=name), own, args, s.step)))
         else:
@@ -180,7 +181,8 @@ def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: flo
 
 def _fmu_run(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
     from phfmu.fmu.reader import FMUInstance
-    from phfmu.network.fmu_member import FMUStepper, fmu_scene
+    from phfmu.network.couplings.unit import FMUStepper
+    from phfmu.network.scene import fmu_scene
 
     _refuse_compiled_in(args)
     unit = FMUInstance(args.target, starts=settings(args.set))

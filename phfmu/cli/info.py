@@ -41,7 +41,7 @@ def call(args: argparse.Namespace) -> int:
             f"order: --order composed; {HELD_ORDER} with --coupling newton, which joins members by one held value per step"
         )
     if d.junctions:
-        from phfmu.network.nodes import node_kinds
+        from phfmu.network.junctions.nodes import node_kinds
 
         kinds = node_kinds(d)
     for name, ends in d.junctions:

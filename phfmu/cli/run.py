@@ -11,7 +11,7 @@ from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
-    from phfmu.network.run import Result
+    from phfmu.network.run.loop import Result
     from phfmu.network.scene import Event, Scene
 
 
@@ -59,8 +59,8 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.outputs import Outputs
     from phfmu.cli.target import is_fmu
     from phfmu.cli.timeline import timeline
-    from phfmu.network.run import run
-    from phfmu.network.stepper import Monolithic
+    from phfmu.network.couplings.monolithic import Monolithic
+    from phfmu.network.run.loop import run
 
     _check(args)
     outputs = Outputs(args)

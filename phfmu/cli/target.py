@@ -37,7 +37,7 @@ def scene(target: str) -> Scene:
     """The target as a scene; a bare component or network runs 1 s at 1 ms unless the library says otherwise."""
     from phfmu.components.library import RUNS
     from phfmu.declare.phdae import PHDAE
-    from phfmu.network.network import Network
+    from phfmu.network.junctions.network import Network
     from phfmu.network.scene import Scene
 
     item = load(target)

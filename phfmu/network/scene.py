@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.network.network import Network
+from phfmu.network.junctions.network import Network
+
+if TYPE_CHECKING:
+    from phfmu.fmu.reader import FMUInstance
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,7 @@ class Event:
 class Scene:
     """What `phfmu run NAME` runs: stop time and step in seconds, events of the first kind; the grid lands on them.
 
-    `restart`: damping steps after each event, see `phfmu.network.restart`.
+    `restart`: damping steps after each event, see `phfmu.network.run.restart`.
     """
 
     name: str
@@ -35,3 +39,11 @@ class Scene:
     def declaration(self) -> PHDAE:
         """The scene as one PHDAE."""
         return self.system.compose() if isinstance(self.system, Network) else self.system
+
+
+def fmu_scene(unit: FMUInstance) -> Scene:
+    """Stop and step of the unit's default experiment (1 s, 1 ms where it has none)."""
+    face = unit.interface
+    step = face.step or 1e-3
+    stop = face.stop if face.stop is not None else 1.0
+    return Scene(unit.name, PHDAE(unit.name), stop, step, description=face.description)

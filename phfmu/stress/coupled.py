@@ -28,9 +28,9 @@ def stiff(k: float) -> Outcome:
     """Members stepped apart and joined by Newton: the pair moves together as one mass."""
     from dataclasses import replace
 
-    from phfmu.network.coupled import Coupled
-    from phfmu.network.members import EngineMember
-    from phfmu.network.run import run
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.members.engine_member import EngineMember
+    from phfmu.network.run.loop import run
 
     net = stiff_pair(k)
     units = {n: instance(replace(d, name=n)) for n, d in net.members.items()}
@@ -85,8 +85,9 @@ def rigid_link(v1: float, v2: float) -> Any:
 def rigid(project: bool) -> Outcome:
     """Velocities 1 and 0 m/s at a rigid link: refused, or an inelastic impact that loses 1/3 J."""
     from phfmu.discretise.start import project_start
-    from phfmu.network.run import run
-    from phfmu.network.stepper import InconsistentState, Monolithic
+    from phfmu.network.couplings.monolithic import Monolithic
+    from phfmu.network.members.consistent import InconsistentState
+    from phfmu.network.run.loop import run
 
     unit = instance(rigid_link(1.0, 0.0))
     if not project:

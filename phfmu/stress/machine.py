@@ -57,9 +57,9 @@ def driven(
 def switched(resistance: float, phases: int) -> Outcome:
     """The two-machine scene with a fault of `resistance` ohm on some phases."""
     from phfmu.components.scenes.two_machine import two_machine
-    from phfmu.network.run import run
+    from phfmu.network.couplings.monolithic import Monolithic
+    from phfmu.network.run.loop import run
     from phfmu.network.scene import Event
-    from phfmu.network.stepper import Monolithic
 
     scene = two_machine()
     names = ["fault.G"] if phases == 3 else [f"fault.G[{i + 1}]" for i in range(phases)]

@@ -97,8 +97,9 @@ def duplicate(scheme: str) -> Outcome:
 
 def contradicting() -> Outcome:
     """The bar again, 1e-6 m longer: no start meets both."""
-    from phfmu.network.run import run
-    from phfmu.network.stepper import InconsistentState, Monolithic
+    from phfmu.network.couplings.monolithic import Monolithic
+    from phfmu.network.members.consistent import InconsistentState
+    from phfmu.network.run.loop import run
 
     unit = instance(barred(None, 1.0 + 1e-6))
     found = refused(lambda: run(Monolithic(unit.model, unit), stop=0.1, step=H), InconsistentState, "lambda[2]")
@@ -107,8 +108,9 @@ def contradicting() -> Outcome:
 
 def off_manifold(project: bool) -> Outcome:
     """A start 1e-3 m off a bar's length: refused, or moved onto it."""
-    from phfmu.network.run import run
-    from phfmu.network.stepper import InconsistentState, Monolithic
+    from phfmu.network.couplings.monolithic import Monolithic
+    from phfmu.network.members.consistent import InconsistentState
+    from phfmu.network.run.loop import run
 
     unit = instance(four(q_4=1.001))
     stepper = Monolithic(unit.model, unit)

@@ -12,8 +12,10 @@ import pytest
 import phfmu as ph
 from phfmu import PHDAE, Collocated, NativeInstance, PythonInstance, block, build_model, energy, run
 from phfmu.audit import LedgerSummary, summarise
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.couplings.stepper import Steps
+from phfmu.network.members.booking import Booking
 from phfmu.network.scene import Event
-from phfmu.network.stepper import Booking, Monolithic, Steps
 
 ENGINES = [NativeInstance, PythonInstance]
 

@@ -24,7 +24,7 @@ from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.declare.phdae import PHDAE, block
-from phfmu.network.network import Network
+from phfmu.network.junctions.network import Network
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 

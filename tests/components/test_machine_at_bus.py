@@ -9,7 +9,7 @@ from reference_tools import read
 from phfmu import Collocated, NativeInstance, build_model, check, run
 from phfmu.components.electrical import machine_at_bus, machine_names, machine_set, steady_state, synchronous_machine
 from phfmu.components.scenes.smib import smib_folded
-from phfmu.network.stepper import Monolithic
+from phfmu.network.couplings.monolithic import Monolithic
 
 LINE = {"R": 0.03, "L": 4e-4}
 

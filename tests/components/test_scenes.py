@@ -13,10 +13,10 @@ from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib, smib_hydro
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.network.coupled import Coupled
-from phfmu.network.members import EngineMember
-from phfmu.network.run import Result
-from phfmu.network.stepper import Monolithic
+from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.run.loop import Result
 
 RATED = 18881.48  # A, peak, of kundur555_1q
 

@@ -11,8 +11,8 @@ from phfmu.cli import main
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.mechanical.translational import mass
 from phfmu.engine.status import Status
-from phfmu.network.coupled import Coupled
-from phfmu.network.members import EngineMember
+from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.members.engine_member import EngineMember
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:

@@ -17,8 +17,8 @@ from phfmu.discretise.model import Model
 from phfmu.engine.evaluate import Evaluator
 from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
-from phfmu.network.run import run
-from phfmu.network.stepper import Monolithic
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.run.loop import run
 from phfmu.stress.mechanisms import G, bricard, bricard_reference, doubled, frame, hinge
 from phfmu.terms.rank import Dependence
 from phfmu.words import folded

@@ -10,7 +10,7 @@ from fmpy.validation import validate_fmu
 
 from phfmu import FMUInstance, NativeInstance, Scene, build_model, export
 from phfmu.components.library import LIBRARY, build
-from phfmu.network.columns import Columns
+from phfmu.network.members.columns import Columns
 
 STEPS = 1000
 #: scenes bring their own step; components take one at which they move

@@ -40,7 +40,7 @@ from phfmu.fmu.description import Unit
 from phfmu.fmu.export import PLATFORMS, export
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.variables import FMUError, variables
-from phfmu.network.network import Network
+from phfmu.network.junctions.network import Network
 from phfmu.schemes.collocated import Collocated
 
 HERE = Path(__file__).parent

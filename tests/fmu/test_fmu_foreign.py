@@ -18,7 +18,7 @@ from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.refusal import UnitFailure
 from phfmu.fmu.variables import FMUError
-from phfmu.network.fmu_member import FMUMember
+from phfmu.network.members.fmu_member import FMUMember
 from tests.fmu import foreign
 
 VERSIONS = ["2.0", "3.0"]

@@ -32,8 +32,8 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.components.mechanical.rotational import flexible_shaft
 from phfmu.fmu import sources
-from phfmu.network.fmu_member import FMUStepper
-from phfmu.network.stepper import Monolithic
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.couplings.unit import FMUStepper
 
 STEP = 0.01
 needs_cc = pytest.mark.skipif(not shutil.which("cc"), reason="needs cc")

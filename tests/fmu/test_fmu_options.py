@@ -18,7 +18,7 @@ from phfmu.components.mechanical.translational import mass
 from phfmu.fmu.manifest import PATH
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.words import c_comment, c_string
-from phfmu.network.fmu_member import FMUMember
+from phfmu.network.members.fmu_member import FMUMember
 
 VERSIONS = ["2.0", "3.0"]
 PAGE = "documentation/index.html"

@@ -30,7 +30,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.library import build
-from phfmu.network.adaptive import ToleranceMissed
+from phfmu.network.run.adaptive import ToleranceMissed
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 

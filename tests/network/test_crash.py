@@ -17,7 +17,7 @@ import pytest
 
 from phfmu.audit import AuditWriter, read, recover, summarise
 from phfmu.cli import main
-from phfmu.network import march
+from phfmu.network.run import march
 
 LOST = 0.6  # s, what a kill may cost
 
@@ -27,10 +27,10 @@ import os, signal, sys, time
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a test run under nohup hands down that it ignores some
     signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 from phfmu.cli import main
-from phfmu.network.adaptive import Adaptive
-from phfmu.network.coupled import Coupled
-from phfmu.network.fmu_member import FMUStepper
-from phfmu.network.stepper import Monolithic
+from phfmu.network.run.adaptive import Adaptive
+from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.unit import FMUStepper
+from phfmu.network.couplings.monolithic import Monolithic
 stamps, total = os.open("stamps", os.O_CREAT | os.O_WRONLY | os.O_APPEND), 0
 def watched(kind, count):
     advance = kind.advance

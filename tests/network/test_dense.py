@@ -23,7 +23,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.network.dense import Polynomial
+from phfmu.network.run.dense import Polynomial
 
 ENGINES = (PythonInstance, NativeInstance)
 

@@ -21,12 +21,14 @@ from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.engine.status import Status
 from phfmu.fmu.reader import FMUInstance
-from phfmu.network.coupled import Coupled
-from phfmu.network.fmu_member import FMUMember
-from phfmu.network.members import EngineMember, finite_differences
-from phfmu.network.network import ConnectionError
-from phfmu.network.run import Result
-from phfmu.network.stepper import InconsistentState, Monolithic
+from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.junctions.junction import ConnectionError
+from phfmu.network.members.consistent import InconsistentState
+from phfmu.network.members.differences import finite_differences
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.fmu_member import FMUMember
+from phfmu.network.run.loop import Result
 
 PHASES = (1.0, -0.5, -0.5)
 ENGINES = {"python": PythonInstance, "native": NativeInstance}

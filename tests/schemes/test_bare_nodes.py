@@ -32,8 +32,8 @@ from phfmu.components.electrical.synchronous_machine import synchronous_machine
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.discretise.start import project_start
-from phfmu.network.run import run
-from phfmu.network.stepper import Monolithic
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.run.loop import run
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
 

@@ -36,9 +36,9 @@ from phfmu import (
     state,
 )
 from phfmu.components.electrical import resistor, rl_line, rlc_load, transformer
-from phfmu.network.coupled import Coupled
-from phfmu.network.members import EngineMember
-from phfmu.network.stepper import Monolithic
+from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.members.engine_member import EngineMember
 
 ENGINES = (PythonInstance, NativeInstance)
 SCHEMES = [Collocated(1), Collocated(2), Collocated(3), GradientPair(), DiracDissipative()]

@@ -28,7 +28,7 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.gradients.quadrature import nodes, radau_nodes
-from phfmu.network.restart import Restart
+from phfmu.network.run.restart import Restart
 from phfmu.schemes.named import named_scheme
 
 ENGINES = (PythonInstance, NativeInstance)

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.network.book import Book
-from phfmu.network.march import AdaptiveSteps, FixedSteps, Row, monolithic
+from phfmu.network.couplings.stepper import Stepper
+from phfmu.network.run.book import Book
+from phfmu.network.run.march import AdaptiveSteps, FixedSteps, Row, monolithic
 from phfmu.network.scene import Event
-from phfmu.network.stepper import Stepper
 from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger
     from phfmu.discretise.start import Projection
     from phfmu.engine.rest_changes import RestChange
-    from phfmu.network.adaptive import Control
+    from phfmu.network.run.adaptive import Control
 
 Array = NDArray[Any]
 #: takes (times, values, whether each row lies within a step)
@@ -143,10 +143,10 @@ def run(
     else:
         march = AdaptiveSteps(stepper, book, restart, landing, _control(rtol, atol, step, min_step, max_step))
     if dense:
-        from phfmu.network.dense import Dense
+        from phfmu.network.run.dense import Dense
 
         whole = monolithic(stepper, "--dense")
-        whole.dense = Dense(whole.instance, dense)
+        whole.between = Dense(whole.instance, dense).between
     rows = _Rows(keep, progress)
     first, projection, before = True, None, _rest_changes(stepper)
     try:
@@ -253,7 +253,7 @@ def _check_events(stepper: Stepper, events: Sequence[Event], stop: float) -> Non
 
 
 def _control(rtol: float, atol: float | None, step: float, smallest: float, largest: float) -> Control:
-    from phfmu.network.adaptive import Control
+    from phfmu.network.run.adaptive import Control
 
     return Control(rtol, rtol if atol is None else atol, step, smallest, largest)
 

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
+from phfmu.network.couplings.stepper import Stepper, Steps
+from phfmu.network.members.booking import Booking
+from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.scene import Event
-from phfmu.network.stepper import Booking, InconsistentState, Stepper, Steps
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger, PortKey

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.status import Status, StepFailure
-from phfmu.network.restart import gains
-from phfmu.network.stepper import Monolithic, Steps
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.couplings.stepper import Steps
+from phfmu.network.run.restart import gains
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.radau import Radau
 from phfmu.terms.term import DeclarationError

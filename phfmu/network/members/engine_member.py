@@ -1,69 +1,21 @@
-"""Members of a coupled network: an instance with its names, whether Python, native or FMU."""
+"""Members stepped by an engine, Python or native."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.status import Status, StepFailure
-from phfmu.network.columns import Columns
-from phfmu.network.stepper import PROJECT, Booking, Inputs, booking, places, require_consistent
+from phfmu.network.members.booking import Booking, booking
+from phfmu.network.members.columns import Columns
+from phfmu.network.members.consistent import MONOLITHIC, require_consistent
+from phfmu.network.members.differences import finite_differences
+from phfmu.network.members.inputs import Inputs, places
 
 Array = NDArray[np.float64]
-
-
-#: members know their own constraints only, so a coupled network cannot be projected
-MONOLITHIC = f"compose the network (--coupling monolithic) and {PROJECT}"
-
-
-class Member(Protocol):
-    """What the coupling asks of a member; `places`: port name -> slice of the stacked external inputs."""
-
-    name: str
-    nu: int
-    names: list[str]
-    places: dict[str, slice]
-    nominal: Array
-    booking: Booking
-
-    def settable(self) -> list[str]: ...
-    def input_places(self, name: str) -> list[int]: ...
-    def set_parameter(self, name: str, value: float) -> bool: ...
-    def start_inputs(self) -> Array: ...
-    def set_input(self, u: Array) -> None: ...
-    def do_step(self, t: float, h: float) -> None: ...
-    def output(self) -> Array: ...
-    def end_output(self) -> Array: ...
-    def sensitivity(self, t: float, h: float, state: Any) -> Array: ...
-    def get_state(self) -> Any: ...
-    def set_state(self, state: Any) -> None: ...
-    def ledger(self) -> dict[str, Array]: ...
-    def energies(self) -> Array: ...
-    def read(self) -> Array: ...
-    def check_start(self) -> None: ...
-
-
-def finite_differences(member: Member, u: Array, t: float, h: float, state: Any, nominal: Array) -> Array:
-    """G = dY/dU by one-sided differences with rollback (nu extra steps); the member ends at t + h with inputs u."""
-
-    def outputs(value: Array) -> Array:
-        member.set_state(state)
-        member.set_input(value)
-        member.do_step(t, h)
-        return member.output()
-
-    base = outputs(u)
-    G = np.zeros((len(u), len(u)))
-    for j in range(len(u)):
-        step = 1e-6 * (nominal[j] + abs(u[j]))
-        moved = u.copy()
-        moved[j] += step
-        G[:, j] = (outputs(moved) - base) / step
-    outputs(u)
-    return G
 
 
 class EngineMember:

@@ -19,12 +19,16 @@ from numpy.typing import NDArray
 
 from phfmu.declare.junction_words import spread_words
 from phfmu.engine.status import Status, StepFailure
-from phfmu.network.compose import require_members
-from phfmu.network.hidden import hidden_part, instant_sensitivity
-from phfmu.network.interface import interface
-from phfmu.network.members import MONOLITHIC, Member
-from phfmu.network.network import Junction, Network
-from phfmu.network.stepper import Booking, InconsistentState, Steps
+from phfmu.network.couplings.stepper import Steps
+from phfmu.network.junctions.compose import require_members
+from phfmu.network.junctions.hidden import hidden_part
+from phfmu.network.junctions.interface import interface
+from phfmu.network.junctions.junction import Junction
+from phfmu.network.junctions.network import Network
+from phfmu.network.members.booking import Booking
+from phfmu.network.members.consistent import MONOLITHIC, InconsistentState
+from phfmu.network.members.differences import instant_sensitivity
+from phfmu.network.members.member import Member
 from phfmu.words import meant
 
 Array = NDArray[Any]
@@ -45,14 +49,14 @@ class Coupled:
     what, instead = "members stepped apart", "leave out --coupling newton, which composes them"
 
     def __init__(self, network: Network, members: list[Member]):
-        require_members(network)
+        require_members(network.name, network.members)
         self.network, self.members = network, members
         self._hidden: Array | None = None
         self.face = interface(network, members)
+        self._slices = _stacked([m.nu for m in members])
         self.xi = self.face.start.copy()
         self._free = np.concatenate([m.start_inputs() for m in members])
         self._free[self.face.P.any(axis=1)] = 0.0
-        self._slices = _stacked([m.nu for m in members])
         self.names = [f"{m.name}.{n}" for m in members for n in m.names]
         self.names += self.face.names
         self.names += [f"constraint.sum.{n}" for n in self.face.sum_names()]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.network.compose import junction_unknowns
-from phfmu.network.members import Member
-from phfmu.network.network import Network
+from phfmu.network.junctions.junction import End
+from phfmu.network.junctions.network import Network
+from phfmu.network.junctions.unknowns import junction_unknowns
 
 Array = NDArray[Any]
 
@@ -39,13 +40,21 @@ class Interface:
         return [dual if dual.size else np.array([i]) for i, dual in duals]
 
 
-def interface(network: Network, members: list[Member]) -> Interface:
+class Joinable(Protocol):
+    """Whose ports are joined; `places`: port name -> slice of its `nu` external inputs."""
+
+    name: str
+    nu: int
+    places: dict[str, slice]
+
+
+def interface(network: Network, members: Sequence[Joinable]) -> Interface:
     """The interface equations of `network` in the members' stacked external inputs."""
-    offset, column = {}, 0
+    offset, width = {}, 0
     for m in members:
         for port, place in m.places.items():
-            offset[(m.name, port)] = np.arange(place.start, place.stop) + column
-        column += m.nu
+            offset[End(m.name, port)] = np.arange(place.start, place.stop) + width
+        width += m.nu
     names: list[str] = []
     start: list[float] = []
     nominal: list[float] = []
@@ -53,7 +62,7 @@ def interface(network: Network, members: list[Member]) -> Interface:
     skew: list[tuple[Any, Any]] = []
     sums = {}
     for j in network.junctions:
-        u = junction_unknowns(network, j)
+        u = junction_unknowns(network.members, j)
         common = len(names) + np.arange(u.common.n)
         sums[j.name] = slice(len(names), len(names) + u.common.n)
         for variable in (u.common, *u.dual.values()):
@@ -67,9 +76,9 @@ def interface(network: Network, members: list[Member]) -> Interface:
             first += variable.n
             skew += list(zip(common, place[end], strict=True))
         for end, columns in place.items():
-            entries += list(zip(offset[(end.member, end.port)], columns, strict=True))
+            entries += list(zip(offset[end], columns, strict=True))
     n = len(names)
-    P, C = np.zeros((column, n)), np.zeros((n, n))
+    P, C = np.zeros((width, n)), np.zeros((n, n))
     for row, col in entries:
         P[row, col] = 1.0
     for c, d in skew:

@@ -7,7 +7,8 @@ a component would gain instead (other H) is taken by the exact scheme.
 
 from __future__ import annotations
 
-from phfmu.network.stepper import Monolithic, Steps
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.couplings.stepper import Steps
 from phfmu.schemes.radau import Radau
 from phfmu.terms.term import DeclarationError
 

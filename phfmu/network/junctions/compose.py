@@ -10,70 +10,30 @@ so the junctions join the structure matrix J and create no power (van der Schaft
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import casadi as ca
 
 from phfmu.declare.phdae import PHDAE, Observable, skew
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Variable, algebraic
-from phfmu.network.network import ConnectionError, End, Junction, Network
+from phfmu.declare.variable import Variable
+from phfmu.network.junctions.junction import ConnectionError, End, Junction
+from phfmu.network.junctions.unknowns import Unknowns, junction_unknowns
 
 
-@dataclass(frozen=True)
-class Unknowns:
-    """Unknowns of one junction: the common variable and the inputs of the ports that output it."""
-
-    junction: Junction
-    common: Variable
-    dual: dict[End, Variable]
-
-    def input_of(self, end: End) -> Variable:
-        """The algebraic variable that feeds the port `end`."""
-        return self.dual.get(end, self.common)
-
-
-def junction_unknowns(network: Network, junction: Junction) -> Unknowns:
-    """The algebraic variables of `junction`; named `<junction>.v[..]` and `<member>.<port>.i[..]` (domain names)."""
-    ports = {e: network.port_of(e) for e in junction.ends}
-    first = next(iter(ports.values()))
-    shared = "effort" if junction.kind == "0" else "flow"
-    name, unit = (first.domain.effort, first.domain.effort_unit) if shared == "effort" else (
-        first.domain.flow, first.domain.flow_unit)  # fmt: skip
-    givers = [p for p in ports.values() if p.given == shared]
-    common = algebraic(f"{junction.name}.{name}", first.size, unit=unit, nominal=_size(givers), start=_start(givers),
-                       description=f"common {shared} of {', '.join(map(str, junction.ends))}")  # fmt: skip
-    dual = {}
-    for end, port in ports.items():
-        if port.given != shared:
-            member = port.input_names()[0].split("[")[0]
-            dual[end] = algebraic(f"{end.member}.{member}", port.size, unit=port.input_unit, nominal=port.nominal,
-                                  start=port.start, description=f"input of {end}")  # fmt: skip
-    return Unknowns(junction, common, dual)
-
-
-def _size(ports: list[Port]) -> float:
-    import numpy as np
-
-    return max((float(np.max(p.nominal)) for p in ports), default=1.0)
-
-
-def _start(ports: list[Port]):
-    return ports[0].start if ports else 0.0
-
-
-def compose(network: Network) -> PHDAE:
+def compose(name: str, members: Mapping[str, PHDAE], junctions: Sequence[Junction], description: str = "") -> PHDAE:
     """One PHDAE with all states, terms and free ports of the members, and the junction equations."""
-    require_members(network)
-    unknowns = [junction_unknowns(network, j) for j in network.junctions]
+    require_members(name, members)
+    unknowns = [junction_unknowns(members, j) for j in junctions]
     feed = {end: u for u in unknowns for end in u.junction.ends}
-    parts = [_prefixed(name, model, feed) for name, model in network.members.items()]
+    parts = [_prefixed(member, model, feed) for member, model in members.items()]
     blocks = []
     for u in unknowns:
         for v in u.dual.values():
             blocks.append(skew(u.common, v, -ca.SX.eye(v.n)))
     return PHDAE(
-        network.name,
+        name,
         states=_all(parts, "states"),
         algebraics=_all(parts, "algebraics") + tuple(v for u in unknowns for v in (u.common, *u.dual.values())),
         parameters=_all(parts, "parameters"),
@@ -87,15 +47,15 @@ def compose(network: Network) -> PHDAE:
         closed=_all(parts, "closed"),
         observables=_all(parts, "observables"),
         members=_all(parts, "members"),
-        junctions=tuple((j.name, tuple(map(str, j.ends))) for j in network.junctions),
-        description=network.description,
+        junctions=tuple((j.name, tuple(map(str, j.ends))) for j in junctions),
+        description=description,
     )
 
 
-def require_members(network: Network) -> None:
+def require_members(name: str, members: Mapping[str, PHDAE]) -> None:
     """ConnectionError if there is nothing to step."""
-    if not network.members:
-        raise ConnectionError(f"network '{network.name}' has no members; add one: network.add('name', component)")
+    if not members:
+        raise ConnectionError(f"network '{name}' has no members; add one: network.add('name', component)")
 
 
 def _all(parts: list[PHDAE], field: str) -> tuple:

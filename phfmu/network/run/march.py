@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
-from phfmu.network.book import Book
-from phfmu.network.stepper import Monolithic, Stepper, Steps
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.couplings.stepper import Stepper, Steps
+from phfmu.network.run.book import Book
 
 if TYPE_CHECKING:
-    from phfmu.network.adaptive import Control
+    from phfmu.network.run.adaptive import Control
 
 Array = NDArray[Any]
 #: (times, values, whether each row is interpolated)
@@ -66,7 +67,7 @@ class FixedSteps:
         self.stepper, self.book, self.step, self.restart = stepper, book, step, restart
         self._damped = None
         if restart:
-            from phfmu.network.restart import Restart
+            from phfmu.network.run.restart import Restart
 
             self._damped = Restart(monolithic(stepper, "--restart"))
         self._restarted = 0
@@ -125,8 +126,8 @@ class AdaptiveSteps:
     """Steps that keep a tolerance; multiples of `landing` after each event are landed on."""
 
     def __init__(self, stepper: Stepper, book: Book, restart: int, landing: float, control: Control):
-        from phfmu.network.adaptive import Adaptive
-        from phfmu.network.restart import require_fit
+        from phfmu.network.run.adaptive import Adaptive
+        from phfmu.network.run.restart import require_fit
 
         self.book, self.restart, self.landing = book, restart, landing
         whole = monolithic(stepper, "--rtol")

@@ -12,24 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MOVE = 1e-3  # relative change of an input that tells whether outputs follow it
-ROUNDING = 1e-13  # a change of an output below this part of its size is none
 SINGULAR = 1e-9  # relative singular value of M that counts as zero
-
-
-def instant_sensitivity(member, u: Array) -> Array:
-    """G = dy/dU (nu x nu) of a member at the present time; its inputs are u again afterwards."""
-    base = np.array(member.end_output())
-    G = np.zeros((len(u), len(u)))
-    for j in range(len(u)):
-        moved = u.copy()
-        moved[j] += MOVE * (abs(u[j]) + member.nominal[j])
-        member.set_input(moved)
-        change = np.array(member.end_output()) - base
-        change[np.abs(change) <= ROUNDING * np.abs(base)] = 0.0
-        G[:, j] = change / (moved[j] - u[j])
-    member.set_input(u)
-    return G
 
 
 def hidden_part(M: Array, nominal: Array) -> Array:

@@ -1,9 +1,7 @@
-"""FMUs in a run: as a member of a coupled network, or alone."""
+"""Members that are FMUs, of this package or of another tool."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +10,9 @@ from numpy.typing import NDArray
 from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.refusal import UnitFailure
-from phfmu.network.members import finite_differences
-from phfmu.network.scene import Scene
-from phfmu.network.stepper import Booking, Steps, places
-from phfmu.words import meant
+from phfmu.network.members.booking import Booking
+from phfmu.network.members.differences import finite_differences
+from phfmu.network.members.inputs import places
 
 Array = NDArray[np.float64]
 
@@ -137,79 +134,3 @@ class FMUMember:
 
     def check_start(self) -> None:
         """The unit refuses an inconsistent start itself, when it leaves initialisation."""
-
-
-class FMUStepper:
-    """One FMU as the whole system of a run."""
-
-    what, instead = "an FMU, whose method is compiled in", "run the declaration with --engine native or python"
-
-    def __init__(self, unit: FMUInstance):
-        self.member = FMUMember(unit.name, unit)
-        self.unit = unit
-        self.names = self.member.names
-        self.booking = self.member.booking
-        self._u = unit.start_inputs()
-
-    def settable(self) -> list[str]:
-        return self.member.settable() + self.unit.other_inputs
-
-    def set_value(self, name: str, value: float) -> str:
-        """Set an input and say so; KeyError names close ones, ValueError refuses parameters."""
-        if name in self.unit.other_inputs:
-            self.unit.set({name: value})
-            return "input"
-        found = self.member.input_places(name)
-        if not found:
-            if self.member.set_parameter(name, value):
-                return "parameter"
-            raise KeyError(f"{self.unit.name} has no input '{name}'; {meant(name, self.settable())}")
-        self._u[found] = value
-        self.unit.set_input(self._u)
-        return "input"
-
-    def read(self) -> Array:
-        return self.member.read()
-
-    def energies(self) -> Array:
-        return self.unit.energies()
-
-    def check_start(self) -> None:
-        self.member.check_start()
-
-    def project_start(self, t0: float, kept: Sequence[str] = ()) -> None:
-        """The state of a unit is its own; ValueError tells how to start."""
-        raise ValueError(
-            f"{self.unit.name}: a start inside an FMU cannot be projected at t = {t0:g} s; set start values"
-        )
-
-    def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
-        rows: list[tuple[Array, ...]] = []
-        moved: list[Array] = []
-        for k in range(n):
-            try:
-                self.member.do_step(t0 + (first + k) * h, h)
-                values = self.read()
-            except StepFailure as failure:
-                failure.recorded = {"steps": _taken(rows, moved)} if rows else {}
-                raise
-            book = self.member.ledger()
-            moved += [book["moved"]] if "moved" in book else []
-            parts = [book[key] for key in ("stored", "dissipated", "supplied", "pairs")]
-            rows.append((values, self.energies(), *parts, np.array(0.0)))
-        return _taken(rows, moved)
-
-
-def _taken(rows: list[tuple[Array, ...]], moved: list[Array]) -> Steps:
-    """The steps so far; units of other tools do not tell what moved."""
-    return replace(Steps.stacked(rows), moved=np.array(moved) if moved else None)
-
-
-def fmu_scene(unit: FMUInstance) -> Scene:
-    """Stop and step of the unit's default experiment (1 s, 1 ms where it has none)."""
-    from phfmu.declare.phdae import PHDAE
-
-    face = unit.interface
-    step = face.step or 1e-3
-    stop = face.stop if face.stop is not None else 1.0
-    return Scene(unit.name, PHDAE(unit.name), stop, step, description=face.description)

@@ -8,38 +8,13 @@ With power positive into every component the powers of the joined ports add to z
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.units import parse_unit
+from phfmu.network.junctions.compose import compose
+from phfmu.network.junctions.junction import ConnectionError, End, Junction, Kind
 from phfmu.words import meant
-
-Kind = Literal["0", "1"]
-
-
-class ConnectionError(ValueError):
-    """A connection that cannot be made; the message names both sides, the numbers and the remedy."""
-
-
-@dataclass(frozen=True)
-class End:
-    """One side of a connection: port `port` of member `member`."""
-
-    member: str
-    port: str
-
-    def __str__(self) -> str:
-        return f"{self.member}.{self.port}"
-
-
-@dataclass(frozen=True)
-class Junction:
-    """Ports that meet: kind "0" (common effort) or "1" (common flow)."""
-
-    name: str
-    kind: Kind
-    ends: tuple[End, ...]
 
 
 @dataclass
@@ -102,9 +77,7 @@ class Network:
 
     def compose(self) -> PHDAE:
         """The network as one PHDAE: the class is closed under interconnection."""
-        from phfmu.network.compose import compose
-
-        return compose(self)
+        return compose(self.name, self.members, self.junctions, self.description)
 
     def port_of(self, end: End) -> Port:
         """The port an end of a junction refers to."""

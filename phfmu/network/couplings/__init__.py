@@ -1,0 +1,1 @@
+"""Couplings: how the steps of a network are taken, one file each."""

@@ -1,0 +1,105 @@
+"""Monolithic coupling: one model, composed where it has members, in one instance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.discretise.model import Model, build_model
+from phfmu.engine.status import StepFailure
+from phfmu.network.couplings.stepper import Steps
+from phfmu.network.members.booking import booking
+from phfmu.network.members.columns import Columns
+from phfmu.network.members.consistent import require_consistent
+from phfmu.network.members.inputs import Inputs
+from phfmu.schemes.scheme import Scheme
+
+if TYPE_CHECKING:
+    from phfmu.discretise.start import Projection
+
+Array = NDArray[np.float64]
+Between = Callable[[Any, Array, dict[str, Array], float, float, int], Array]
+
+
+class Monolithic:
+    """One instance (Python or native) that is the whole system."""
+
+    what, instead = "one composed model", ""
+
+    def __init__(self, model: Model, instance: Any):
+        self.model, self.instance = model, instance
+        self.booking = booking(model)
+        self._inputs = Inputs(instance, model)
+        self._columns = Columns(model, instance.layout)
+        self.names = self._columns.names
+        #: makes rows within the steps, if asked for: (instance, row before, record, t0, h, first) -> (n x rows x width)
+        self.between: Between | None = None
+
+    def settable(self) -> list[str]:
+        return [*self._inputs.parameters, *self._inputs.inputs]
+
+    def set_value(self, name: str, value: float) -> str:
+        """Set a parameter or free input and say which it is; KeyError names close ones."""
+        kind = self._inputs.set(name, value)
+        if kind:
+            return kind
+        d = self.model.declaration
+        if name in {n for v in (*d.states, *d.algebraics) for n in (v.name, *v.names())}:
+            raise KeyError(f"{d.name}: '{name}' follows from the equations; set a parameter or a free input")
+        raise KeyError(d.unknown_name(name))
+
+    def read(self) -> Array:
+        """Values of `names` now."""
+        return self._columns.now(self.instance)
+
+    def energies(self) -> Array:
+        return self.instance.signal("H")
+
+    def check_start(self) -> None:
+        require_consistent(self.model, self.instance)
+
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
+        """Move the state onto its hidden constraints, but not the states `kept`; None if it has none."""
+        if not self.model.checks:
+            return None
+        from phfmu.discretise.start import project_start
+
+        found = project_start(self.model, self.instance.x, p=self.instance.parameters, t=t0, keep=kept)
+        self.instance.set_x(t0, found.x)
+        self.instance.initialise()
+        return found
+
+    def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
+        try:
+            return self.taken(self.instance, t0, h, n, first)
+        except StepFailure as failure:
+            if len(failure.recorded.get("counts", ())):
+                failure.recorded = {"steps": self._steps(failure.recorded)}
+            raise
+
+    def companion(self, scheme: Scheme) -> Any:
+        """An instance of the same declaration and engine under another scheme."""
+        return type(self.instance)(build_model(self.model.declaration, scheme))
+
+    def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
+        """n steps of the instance or of a companion."""
+        wanted = ("signals", "energy", "stored", "dissipated", "supplied", "moved", "pairs", "counts")
+        if instance.model.loses_energy:
+            wanted += ("numerical",)
+        if self.between is None:
+            return self._steps(instance.run(t0, h, n, record=wanted, first=first))
+        before = np.concatenate(list(instance.signals().values()))
+        r = instance.run(t0, h, n, record=(*wanted, "unknowns"), first=first)
+        rows = self.between(instance, before, r, t0, h, first)
+        picked = self._columns.pick(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], -1)
+        return replace(self._steps(r), between=picked)
+
+    def _steps(self, r: dict[str, Array]) -> Steps:
+        return Steps(
+            self._columns.pick(r["signals"]), r["energy"], r["stored"], r["dissipated"], r["supplied"], r["pairs"],
+            r["counts"][:, 0], r.get("numerical"), r["moved"],
+        )  # fmt: skip

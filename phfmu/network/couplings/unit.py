@@ -1,0 +1,83 @@
+"""One FMU as the whole system of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.status import StepFailure
+from phfmu.fmu.reader import FMUInstance
+from phfmu.network.couplings.stepper import Steps
+from phfmu.network.members.fmu_member import FMUMember
+from phfmu.words import meant
+
+Array = NDArray[np.float64]
+
+
+class FMUStepper:
+    """One FMU as the whole system of a run."""
+
+    what, instead = "an FMU, whose method is compiled in", "run the declaration with --engine native or python"
+
+    def __init__(self, unit: FMUInstance):
+        self.member = FMUMember(unit.name, unit)
+        self.unit = unit
+        self.names = self.member.names
+        self.booking = self.member.booking
+        self._u = unit.start_inputs()
+
+    def settable(self) -> list[str]:
+        return self.member.settable() + self.unit.other_inputs
+
+    def set_value(self, name: str, value: float) -> str:
+        """Set an input and say so; KeyError names close ones, ValueError refuses parameters."""
+        if name in self.unit.other_inputs:
+            self.unit.set({name: value})
+            return "input"
+        found = self.member.input_places(name)
+        if not found:
+            if self.member.set_parameter(name, value):
+                return "parameter"
+            raise KeyError(f"{self.unit.name} has no input '{name}'; {meant(name, self.settable())}")
+        self._u[found] = value
+        self.unit.set_input(self._u)
+        return "input"
+
+    def read(self) -> Array:
+        return self.member.read()
+
+    def energies(self) -> Array:
+        return self.unit.energies()
+
+    def check_start(self) -> None:
+        self.member.check_start()
+
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> None:
+        """The state of a unit is its own; ValueError tells how to start."""
+        raise ValueError(
+            f"{self.unit.name}: a start inside an FMU cannot be projected at t = {t0:g} s; set start values"
+        )
+
+    def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
+        rows: list[tuple[Array, ...]] = []
+        moved: list[Array] = []
+        for k in range(n):
+            try:
+                self.member.do_step(t0 + (first + k) * h, h)
+                values = self.read()
+            except StepFailure as failure:
+                failure.recorded = {"steps": _taken(rows, moved)} if rows else {}
+                raise
+            book = self.member.ledger()
+            moved += [book["moved"]] if "moved" in book else []
+            parts = [book[key] for key in ("stored", "dissipated", "supplied", "pairs")]
+            rows.append((values, self.energies(), *parts, np.array(0.0)))
+        return _taken(rows, moved)
+
+
+def _taken(rows: list[tuple[Array, ...]], moved: list[Array]) -> Steps:
+    """The steps so far; units of other tools do not tell what moved."""
+    return replace(Steps.stacked(rows), moved=np.array(moved) if moved else None)

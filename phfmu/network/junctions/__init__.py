@@ -1,0 +1,1 @@
+"""Junctions: what joins members, their equations, and the network as one model."""

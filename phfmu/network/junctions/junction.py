@@ -1,0 +1,40 @@
+"""Junctions: ports that meet, and connections that cannot be made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.port import Port
+
+Kind = Literal["0", "1"]
+
+
+class ConnectionError(ValueError):
+    """A connection that cannot be made; the message names both sides, the numbers and the remedy."""
+
+
+@dataclass(frozen=True)
+class End:
+    """One side of a connection: port `port` of member `member`."""
+
+    member: str
+    port: str
+
+    def __str__(self) -> str:
+        return f"{self.member}.{self.port}"
+
+
+@dataclass(frozen=True)
+class Junction:
+    """Ports that meet: kind "0" (common effort) or "1" (common flow)."""
+
+    name: str
+    kind: Kind
+    ends: tuple[End, ...]
+
+    def ports(self, members: Mapping[str, PHDAE]) -> dict[End, Port]:
+        """The ports that meet, in the order of the ends."""
+        return {e: members[e.member].port(e.port) for e in self.ends}
