@@ -168,7 +168,7 @@ def _scale(model: Model, x: Array) -> Array:
     size, at = np.zeros(x.shape[1]), 0
     for v in model.declaration.states:
         part = slice(at, at + v.n)
-        size[part] = np.maximum(np.max(np.abs(x[:, part])), 1e-9 * np.array(v.nominal))
+        size[part] = np.maximum(np.max(np.abs(x[:, part])), 1e-6 * np.array(v.nominal))
         at += v.n
     return size
 
