@@ -1,10 +1,16 @@
-"""The sensitivity of a step of several internal steps: their linearisations, chained through the states.
+"""Directional derivatives of a step: the linearisations of its internal steps and substeps, chained through the states.
 
-For one internal step R(x, w, u) = 0 with outputs y(x, w, u) and x+ = x + U w,
+With R(x, w, u) = 0, outputs y(x, w, u) and x+ = x + U w of one of them, X the direction of its old states and V that of
+its inputs,
 
-    dw = -A^-1 (R_x X + R_u),   dy = y_x X + y_w dw + y_u,   X+ = X + U dw,   X = dx/du, zero at the start.
+    dw = -A^-1 (R_x X + R_u V),   dy = y_x X + y_w dw + y_u V,   X+ = X + U dw.
 
-The internal steps are solved again from the state at the start of the step; the readable twin of runtime/chain.c.
+Inputs u_i at the nodes c_i of the communication step reach a part [s, s + l] of it by their polynomial, its outputs go back by
+the adjoint, so that h sum_i b_i u_i . y_i is the energy supplied, whatever the parts:
+
+    u_m = sum_i l_i(s + l c_m) u_i,   y_i = l sum_m (b_m / b_i) l_i(s + l c_m) y_m.
+
+Several parts are solved again, from the state and the unknowns at the start of the step; the readable twin of runtime/chain.c.
 """
 
 from __future__ import annotations
@@ -17,7 +23,7 @@ from numpy.typing import NDArray
 from phfmu.engine.attempts import Attempts
 from phfmu.engine.evaluate import Buffered, Evaluator
 from phfmu.engine.limits import LIMITS
-from phfmu.engine.newton import Newton
+from phfmu.engine.newton import Fixed, Newton
 from phfmu.engine.state import State
 from phfmu.engine.status import Status
 from phfmu.plan.tangent import differentiated, tangent
@@ -58,42 +64,76 @@ class Tangents:
         r[plan.hold.of(evaluator.rests)] = 0.0
         return r
 
+    def follow(self, newton: Newton, x: Array, p: Array, h: float, dx: Array, dv: Array) -> Array:
+        """dR along dx and the inputs of dv, with the unknowns, which go into dv, following."""
+        nw = newton.plan.nw
+        if nw:
+            dv[:nw] = newton.refined(self.along(x, p, h, dx, dv)[:nw], h)
+        return self.along(x, p, h, dx, dv)
 
-def chained(newton: Newton, s: State, inputs: Callable[[float, float], Array]) -> Array | None:
-    """d(mean external outputs)/d(held inputs) of the last step (nu x nu); None if a part cannot be solved again.
 
-    `inputs`: those of the step at the nodes of its part [start, start + length].
+def step_along(
+    tangents: Tangents, newton: Newton, s: State, inputs: Callable[[float, float], Array], du: Array, dx: Array
+) -> tuple[Array, Array] | None:
+    """Changes of the outputs at the nodes (n x k x nu) and of the states at the end along n directions of the last step.
+
+    `du` (n x k x nu): of its node inputs;  `dx` (n x len(x)): of the states at its start.  `inputs`: those of the step at the
+    nodes of its part [start, start + length].  None if a part cannot be solved again.
     """
-    plan, parts, h = newton.plan, s.parts, s.h_last
-    nw, nu, nx = plan.nw, plan.nu, plan.nx
-    tangents = Tangents(newton.evaluator)
+    plan, k, nu = newton.plan, newton.plan.k, newton.plan.nu
     newton.evaluator.rests = s.rests.copy()
-    x, w, h_last = s.x_old.copy(), s.w, s.h_last
-    dx, total = np.zeros((nu, len(x))), np.zeros((nu, nu))
-    for i in range(parts):
-        x[nx] = s.x_old[nx] + i * h
-        u = inputs(i / parts, 1 / parts)
+    x, w, h_last = s.x_old.copy(), s.w if len(s.path) == 1 else s.w_old, s.h_old
+    dx, dy = dx.copy(), np.zeros(du.shape)
+    for start, part, time, h in s.path:
+        x[plan.nx] = time
+        u = inputs(start, part)
 
-        def fixed(length: float, u: Array = u) -> tuple[Array, Array, Array, float]:
+        def fixed(length: float, u: Array = u) -> Fixed:
             return x, np.append(u, length), s.p, length
 
-        outcome = Attempts(newton, w, h_last, fixed, int(LIMITS["MOST_ITERATIONS"])).solve(h)
-        if outcome.status is not Status.OK:
-            return None
-        w, h_last = outcome.w, h
+        if len(s.path) > 1:
+            outcome = Attempts(newton, w, h_last, fixed, int(LIMITS["MOST_ITERATIONS"])).solve(h)
+            if outcome.status is not Status.OK:
+                return None
+            w, h_last = outcome.w, h
         newton.residual(w, fixed(h))
-        if nw and not newton.factor(h):
+        if plan.nw and not newton.factor(h):
             return None
-        for j in range(nu):
+        basis = _basis(plan.nodes, start + part * plan.nodes)
+        back = part * (basis * plan.weights[:, None] / plan.weights).T
+        for j in range(len(du)):
             dv = np.zeros(plan.nv)
-            dv[nw : nw + nu * plan.k].reshape(plan.k, nu)[:, j] = 1.0
-            r = tangents.along(x, s.p, h, dx[j], dv)
-            dv[:nw] = newton.refined(r[:nw], h) if nw else 0.0
-            r = tangents.along(x, s.p, h, dx[j], dv)
-            total[:, j] += plan.weights @ r[nw : nw + plan.nq * plan.k].reshape(plan.k, -1)[:, :nu] / parts
-            _advance(newton, dx[j], dv[:nw], h)
+            dv[plan.nw : plan.nw + k * nu] = (basis @ du[j]).ravel()
+            r = tangents.follow(newton, x, s.p, h, dx[j], dv)
+            dy[j] += back @ r[plan.nw : plan.nw + plan.nq * k].reshape(k, -1)[:, :nu]
+            _advance(newton, dx[j], dv[: plan.nw], h)
         _advance(newton, x, w, h)
-    return total
+    return dy, dx
+
+
+def end_along(tangents: Tangents, newton: Newton, w: Array, fixed: Fixed, du: Array, dx: Array) -> Array:
+    """Changes of the outputs at one instant (n x nu) along n directions of its inputs (n x nu) and states, at its solution w."""
+    plan, (x, _, p, h) = newton.plan, fixed
+    newton.residual(w, fixed)
+    dy = np.zeros(du.shape)
+    if plan.nw:
+        newton.factor(h)
+    for j in range(len(du)):
+        dv = np.zeros(plan.nv)
+        dv[plan.nw : plan.nw + plan.nu] = du[j]
+        dy[j] = tangents.follow(newton, x, p, h, dx[j], dv)[plan.nw : plan.nw + plan.nu]
+    return dy
+
+
+def _basis(nodes: Array, at: Array) -> Array:
+    """Lagrange polynomials of the nodes at some places (places x k)."""
+    k = len(nodes)
+    out = np.ones((len(at), k))
+    for i in range(k):
+        for m in range(k):
+            if m != i:
+                out[:, i] *= (at - nodes[m]) / (nodes[i] - nodes[m])
+    return out
 
 
 def _advance(newton: Newton, x: Array, w: Array, h: float) -> None:

@@ -63,6 +63,17 @@ class RestChange(ctypes.Structure):
     _fields_ = [("time", ctypes.c_double), ("rests", ctypes.c_int), ("needed", ctypes.c_int)]
 
 
+class Directions(ctypes.Structure):
+    """ph_directions."""
+
+    _fields_ = [("n", ctypes.c_int), *((name, ctypes.c_void_p) for name in ("du", "dx", "dy"))]
+
+    @classmethod
+    def of(cls, du: NDArray[np.float64], dx: NDArray[np.float64], dy: NDArray[np.float64]) -> Directions:
+        """Of arrays that outlive the call."""
+        return cls(len(du), du.ctypes.data, dx.ctypes.data, dy.ctypes.data)
+
+
 @cache
 def enums() -> dict[str, tuple[str, ...]]:
     """Names of signal blocks, ledger rows and counters, from the enumerations of phfmu.h."""
@@ -102,7 +113,9 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_refresh": (integer, [pointer]),
         "ph_ledger": (pointer, [pointer, integer]),
         "ph_sensitivity": (integer, [pointer, pointer]),
-        "ph_chained": (integer, [pointer]),
+        "ph_solves": (integer, [pointer]),
+        "ph_step_along": (integer, [pointer, ctypes.POINTER(Directions)]),
+        "ph_end_along": (integer, [pointer, ctypes.POINTER(Directions)]),
         "ph_sensitivity_end": (integer, [pointer, pointer]),
         "ph_state_size": (ctypes.c_size_t, [pointer]),
         "ph_save": (None, [pointer, pointer]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from phfmu.engine.codegen import kernel_table
 from phfmu.engine.library import RECORD, Column, Record, build, enums, load, view
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.model import Model, kernels
+from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.tables import CTables
@@ -207,9 +208,10 @@ class NativeInstance:
         """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu): implicit function theorem.
 
         Internal steps are chained, in a library that is compiled when that is first asked for.  `end`: of the outputs at the
-        present time instead.  StepFailure NO_SENSITIVITY where an internal step was halved.
+        present time instead.  StepFailure NO_SENSITIVITY before the first step, or where more than 16 internal steps of the
+        last one were halved.
         """
-        if not end and self._lib.ph_chained(self._in):
+        if not end and self._lib.ph_solves(self._in) > 1:
             code, s = self._chain.sensitivity(self.get_state())
             self._check(code)
             return s
@@ -217,6 +219,19 @@ class NativeInstance:
         function = self._lib.ph_sensitivity_end if end else self._lib.ph_sensitivity
         self._check(function(self._in, s.ctypes.data))
         return s
+
+    def node_sensitivity(self, inputs: Sequence[int] | None = None, end: bool = False) -> NodeSensitivity:
+        """Derivatives of the last step with respect to the chosen inputs (default: all) at each of its nodes.
+
+        With `end` also of the outputs at its end.  In a library that is compiled when that is first asked for.  StepFailure
+        NO_SENSITIVITY as in `sensitivity`.
+        """
+        plan = self.model.step
+        du = directions(plan, chosen(plan, inputs))
+        dx = np.zeros((len(du), plan.nx + 1 + plan.na))
+        code, dy, dy_end = self._chain.along(self.get_state(), du, dx, end)
+        self._check(code)
+        return columns(plan, dy, dx, dy_end)
 
     @cached_property
     def _chain(self) -> NativeChain:

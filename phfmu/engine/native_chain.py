@@ -1,4 +1,4 @@
-"""Sensitivities of native instances over several internal steps: a second library, made when they are asked for."""
+"""Directional derivatives of native instances: a second library with tangents, made when they are asked for."""
 
 from __future__ import annotations
 
@@ -8,27 +8,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.codegen import kernel_table
-from phfmu.engine.library import build, load
+from phfmu.engine.library import Directions, build, load
 from phfmu.engine.model import Model, kernels
 from phfmu.engine.tables import CTables
 from phfmu.engine.tangent_text import tangent_text
+
+Floats = NDArray[np.float64]
 
 
 class NativeChain:
     """An instance with the tangents of the kernels; it takes over the state of one without them."""
 
     def __init__(self, model: Model) -> None:
-        self._nu = model.step.nu
+        self._plan = model.step
         table = kernel_table(kernels(model), model.step.schur)
-        self._lib = load(build(table, more={"tangents.c": tangent_text(table, model.step)}).path)
+        self._lib = load(build(table, more={"tangents.c": tangent_text(table, model.step, model.instant)}).path)
         address = ctypes.addressof(ctypes.c_char.in_dll(self._lib, "ph_tangents"))
         self._tables = CTables(model, table.index, table.token, address)
         self._memory = np.zeros(self._lib.ph_size(self._tables.pointer) // 8 + 1)
         self._in = self._memory.ctypes.data
         self._init = self._lib.ph_init(self._in, self._tables.pointer)
 
-    def sensitivity(self, state: bytes) -> tuple[int, NDArray[np.float64]]:
+    def sensitivity(self, state: bytes) -> tuple[int, Floats]:
         """Status and S of the last step of a saved state."""
-        s = np.empty((self._nu, self._nu))
-        code = self._init or self._lib.ph_load(self._in, state)
+        s = np.empty((self._plan.nu, self._plan.nu))
+        code = self._take(state)
         return code or self._lib.ph_sensitivity(self._in, s.ctypes.data), s
+
+    def along(self, state: bytes, du: Floats, dx: Floats, end: bool) -> tuple[int, Floats, Floats | None]:
+        """Status and changes of the outputs along directions of the last step: at the nodes (n x k x nu), at the end (n x nu).
+
+        du: n x k x nu;  dx: n x (nx+1+na), directions of the state at its start, on return at its end.
+        """
+        dy, dy_end = np.empty(du.shape), np.empty((len(du), self._plan.nu)) if end else None
+        code = self._take(state)
+        code = code or self._lib.ph_step_along(self._in, Directions.of(du, dx, dy))
+        if code == 0 and dy_end is not None:
+            code = self._lib.ph_end_along(self._in, Directions.of(du, dx, dy_end))
+        return code, dy, dy_end
+
+    def _take(self, state: bytes) -> int:
+        return self._init or self._lib.ph_load(self._in, state)

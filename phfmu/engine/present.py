@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from phfmu.discretise.model import Model
 from phfmu.engine import rest, rest_start
+from phfmu.engine.chain import Tangents, end_along
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.inputs import Array, inputs_at
 from phfmu.engine.newton import Fixed, Newton, Outcome
@@ -74,6 +77,17 @@ class Present:
                 if outcome.status is Status.OK:
                     return outcome
         return outcome
+
+    @cached_property
+    def _tangents(self) -> Tangents:
+        return Tangents(self._newton.evaluator)
+
+    def along(self, s: State, du: Array, dx: Array) -> Array:
+        """Changes of the external outputs at the end of a step (n x nu) along du (n x k x nu) and dx, those of the states."""
+        w = self.values(s)["w"]
+        self._newton.evaluator.rests = s.rests.copy()
+        last = np.array([self.model.scheme.nodes.value(1.0)])
+        return end_along(self._tangents, self._newton, w, self._fixed(s), (last @ du)[:, 0], dx)
 
     def sensitivity(self, s: State) -> Array:
         """d(external outputs)/d(inputs) at the present time (nu x nu)."""

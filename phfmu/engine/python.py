@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.inputs import carried
 from phfmu.engine.limits import LIMITS
+from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.present import Present
 from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.solves import Solves
@@ -103,7 +104,7 @@ class PythonInstance:
             raise StepFailure(Status.ARGUMENT, self.model.name, other.time, 0.0)
         old, s = self._s, other.get_state()
         s.y_node = np.zeros((mine.k, mine.nq))
-        s.u, s.w, s.h_last, s.counts, s.solved = np.tile(held[0], mine.k), old.w.copy(), old.h_last, old.counts, 0
+        s.u, s.w, s.h_last, s.counts, s.path = np.tile(held[0], mine.k), old.w.copy(), old.h_last, old.counts, []
         if old.t != s.t:  # its own last step is no longer the one before the next
             level = mine.increments[mine.mean_w] == 0
             s.w[mine.mean_w[level]], s.h_last = s.a[mine.mean_a[level]], 0.0
@@ -133,7 +134,8 @@ class PythonInstance:
             return
         s, plan = self._s, self.model.step
         s.x[-1] = t
-        s.x_old, s.u_old, s.solved, s.parts = carried(self.model, s).copy(), s.u.copy(), 0, parts
+        s.x_old, s.u_old, s.path, s.halved = carried(self.model, s).copy(), s.u.copy(), [], 0
+        s.w_old, s.h_old = s.w, s.h_last
         s.last = self._nothing()
         try:
             y, a, nodes_y = self._solves.take(s, t, h, parts)
@@ -174,7 +176,7 @@ class PythonInstance:
             raise
         if not self.model.step.carries:
             s.a = end["a"].copy()
-        s.x_old, s.u_old, s.solved, s.last = carried(self.model, s).copy(), s.u.copy(), 0, self._nothing()
+        s.x_old, s.u_old, s.path, s.last = carried(self.model, s).copy(), s.u.copy(), [], self._nothing()
         s.y_step, s.y_node = end["y"].copy(), np.tile(end["y"], (self.model.step.k, 1))
         s.counts["steps"] += 1
 
@@ -285,8 +287,8 @@ class PythonInstance:
     def sensitivity(self, end: bool = False) -> Array:
         """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu): implicit function theorem.
 
-        Internal steps are chained.  `end`: of the outputs at the present time instead.  StepFailure NO_SENSITIVITY where one
-        was halved.
+        Internal steps are chained.  `end`: of the outputs at the present time instead.  StepFailure NO_SENSITIVITY before the
+        first step, or where more than 16 internal steps of the last one were halved.
         """
         s = self._s
         if end:
@@ -295,6 +297,19 @@ class PythonInstance:
         if found is None:
             raise StepFailure(Status.NO_SENSITIVITY, self.model.name, s.t, s.h_last)
         return found
+
+    def node_sensitivity(self, inputs: Sequence[int] | None = None, end: bool = False) -> NodeSensitivity:
+        """Derivatives of the last step with respect to the chosen inputs (default: all) at each of its nodes.
+
+        With `end` also of the outputs at its end.  StepFailure NO_SENSITIVITY as in `sensitivity`.
+        """
+        s, plan = self._s, self.model.step
+        du = directions(plan, chosen(plan, inputs))
+        found = self._solves.along(s, du, np.zeros((len(du), len(s.x_old))))
+        if found is None:
+            raise StepFailure(Status.NO_SENSITIVITY, self.model.name, s.t, s.h_last)
+        dy, dx = found
+        return columns(plan, dy, dx, self._present.along(s, du, dx) if end else None)
 
     def _array(self, values: ArrayLike, *shape: int) -> Array:
         array = np.asarray(values, float)

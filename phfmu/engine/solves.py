@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from phfmu.discretise.model import Model
 from phfmu.engine import rest
 from phfmu.engine.attempts import Attempts
-from phfmu.engine.chain import chained
+from phfmu.engine.chain import Tangents, step_along
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.inputs import Array, carried, inputs_at
 from phfmu.engine.limits import LIMITS
@@ -38,7 +40,9 @@ class Solves:
         self._most = s.counts["iterations"] + LIMITS["MOST_ITERATIONS"] + parts * LIMITS["MORE_ITERATIONS"]
         for i in range(parts):
             self._begun = s.counts["iterations"]
-            for y_part, a_part, start, weight in self._advance(s, t, h, i / parts, 1.0 / parts, 0):
+            pieces = self._advance(s, t, h, i / parts, 1.0 / parts, 0)
+            s.halved += len(pieces) > 1
+            for y_part, a_part, start, weight in pieces:
                 y += weight * (plan.weights @ y_part)
                 a += weight * a_part
                 nodes_y += self._projected(y_part, start, weight)
@@ -53,6 +57,7 @@ class Solves:
         outcome = self._solve(s, h * part, u)
         energies = self._weigh(s, outcome, h * part, u) if outcome.status is Status.OK else {}
         if outcome.status is Status.OK:
+            s.path.append((start, part, t + h * start, h * part))
             return [(*self._accept(s, outcome, h * part, energies), start, part)]
         spent = int(s.counts["iterations"] - self._begun)
         if depth == DEPTH or self._left(s) <= 0:
@@ -118,7 +123,6 @@ class Solves:
     def _accept(self, s: State, outcome: Outcome, h: float, part: dict[str, Array]) -> tuple[Array, Array]:
         """Book the ledger at the converged unknowns and move the state; node outputs and mean algebraic variables."""
         plan = self.model.step
-        s.solved += 1
         for name, row in s.last.items():
             row += part[name]
         s.w, s.h_last = outcome.w.copy(), h
@@ -151,12 +155,28 @@ class Solves:
         basis = np.array([self.model.scheme.nodes.value(start + part * float(c)) for c in self.model.nodes])
         return part * (basis * plan.weights[:, None] / plan.weights).T @ y
 
-    def sensitivity(self, s: State) -> Array | None:
-        """d(mean external outputs)/d(held inputs) of the last step (nu x nu); None where one of its parts was halved."""
-        if s.solved == 1:
-            return derivative(self._newton, s.rests, s.w, (s.x_old, np.append(s.u_old, s.h_last), s.p, s.h_last))
-        if not s.solved == s.parts > 1:
+    def along(self, s: State, du: Array, dx: Array) -> tuple[Array, Array] | None:
+        """Directional derivatives of the last step, see `step_along`; None where it has none."""
+        if not s.path or s.halved > LIMITS["KEPT_HALVED"]:
             return None
-        return chained(
-            self._newton, s, lambda start, part: inputs_at(self.model, s.u_old, start + part * self.model.nodes)
+        return step_along(
+            self._tangents,
+            self._newton,
+            s,
+            lambda start, part: inputs_at(self.model, s.u_old, start + part * self.model.nodes),
+            du,
+            dx,
         )
+
+    @cached_property
+    def _tangents(self) -> Tangents:
+        return Tangents(self._step)
+
+    def sensitivity(self, s: State) -> Array | None:
+        """d(mean external outputs)/d(held inputs) of the last step (nu x nu); None where it has none."""
+        plan = self.model.step
+        if len(s.path) == 1:
+            return derivative(self._newton, s.rests, s.w, (s.x_old, np.append(s.u_old, s.h_last), s.p, s.h_last))
+        du = np.repeat(np.eye(plan.nu)[:, None, :], plan.k, axis=1)
+        found = self.along(s, du, np.zeros((plan.nu, len(s.x_old))))
+        return None if found is None else np.einsum("k,jki->ij", plan.weights, found[0])

@@ -22,12 +22,14 @@ class State:
     """A copy of it is a saved state.
 
     x [states | t], carry (owed by compensated summation), w and h_last (last solve), a (algebraic means), u (k x nu
-    inputs), p, t;  theta: where in its step a node input is read for end values;  x_old, u_old, solved: state and
-    inputs at the start of the last step, how many solves it took, `parts`: of how many internal steps;  y_step, energy: pair
+    inputs), p, t;  theta: where in its step a node input is read for end values;  x_old, u_old: state and
+    inputs at the start of the last step, w_old, h_old: what w and h_last were;  y_step, energy: pair
     outputs and energies;
     y_node: pair outputs at the nodes of the last step (k x nq);
     stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values;
     rests: constraints that are left out;  placed: which ones has to be chosen, as state or parameters are new;
+    path: (start, part, time, length) of each of its solves, [start, start + part] of the step, none before the first one;
+    halved: how many of its internal steps were halved;
     changes: (number, time, rests, needed), the last of them.
     """
 
@@ -42,8 +44,8 @@ class State:
     theta: float
     x_old: Array
     u_old: Array
-    solved: int
-    parts: int
+    w_old: Array
+    h_old: float
     y_step: Array
     y_node: Array
     energy: Array
@@ -55,6 +57,8 @@ class State:
     counts: dict[str, int] = field(default_factory=dict)
     rests: Array = field(default_factory=lambda: np.zeros(0, bool))
     placed: bool = True
+    path: list[tuple[float, float, float, float]] = field(default_factory=list)
+    halved: int = 0
     changes: list[tuple[int, float, int, int]] = field(default_factory=list)
 
     def change_rest(self, rests: Array, time: float) -> None:
@@ -81,8 +85,8 @@ class State:
             theta=0.0,
             x_old=x.copy(),
             u_old=u.copy(),
-            solved=0,
-            parts=0,
+            w_old=np.zeros(plan.nw),
+            h_old=0.0,
             y_step=np.zeros(plan.nq),
             y_node=np.zeros((plan.k, plan.nq)),
             energy=np.zeros(plan.nq),

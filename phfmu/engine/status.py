@@ -24,7 +24,7 @@ class Status(Enum):
     ABI = "model tables and compiled runtime do not belong together"
     ARGUMENT = "an argument is out of range"
     VALUE = "a given value is not finite; it was not taken over"
-    NO_SENSITIVITY = "the sensitivity needs a last step of which no internal step was halved"
+    NO_SENSITIVITY = "the sensitivity needs a last step of which at most 16 internal steps were halved"
     #: not one of `ph_status`: what only a unit of another tool can answer
     UNIT = "a unit of another tool refused a call"
 
@@ -205,7 +205,7 @@ REMEDIES = (
     Remedy(
         Status.NO_SENSITIVITY,
         _always,
-        "take one internal step per communication step, or use finite differences",
+        "take a step first, a shorter one if most of its internal steps were halved, or use finite differences",
     ),
 )
 

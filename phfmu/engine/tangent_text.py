@@ -10,9 +10,9 @@ from phfmu.plan.plan import Plan
 from phfmu.plan.tangent import differentiated, tangent
 
 
-def tangent_text(table: KernelTable, plan: Plan) -> str:
-    """tangents.c: a row for each kernel of the table; those that the rows of `plan` do not need have none."""
-    made = {table.index(k): body(tangent(k)) for k in differentiated(plan)}
+def tangent_text(table: KernelTable, *plans: Plan) -> str:
+    """tangents.c: a row for each kernel of the table; those that the rows of `plans` do not need have none."""
+    made = {table.index(k): body(tangent(k)) for plan in plans for k in differentiated(plan)}
     bodies = {b.name: b for b in made.values()}
     rows = "".join(_row(made.get(place)) for place in range(len(set(table.places)))) or "    {0, 0, 0, 0, 0},\n"
     text = HEAD.replace("values with Jacobians, and ledgers", "tangents").replace('"plan.h"', '"phfmu.h"')

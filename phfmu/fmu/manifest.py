@@ -43,7 +43,7 @@ TEXT = (
 )
 DERIVATIVE = (
     "the directional derivative of a step output with respect to a port input is the sensitivity of the "
-    "step map of the last communication step, of which no internal step may have been halved"
+    "step map of the last communication step, of which at most 16 internal steps may have been halved"
 )
 NODES = (
     "inputs at the nodes of the next communication step (places and weights on [0, 1]); setting the input itself "

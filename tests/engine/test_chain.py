@@ -18,11 +18,8 @@ from phfmu import (
     Scene,
     Status,
     StepFailure,
-    block,
     build_model,
-    energy,
     export,
-    state,
 )
 from phfmu.components.library import build
 from phfmu.components.mechanical.four_particle import four_particle
@@ -229,14 +226,8 @@ def test_a_library_with_tangents_is_made_when_they_are_asked_for(models, monkeyp
 
 
 @pytest.mark.parametrize("engine", [NativeInstance, PythonInstance])
-def test_halved_internal_steps_have_none(engine: type) -> None:
-    """x' = x^2 from 1: a step of 0.4 s solves at the start and has to be halved after it."""
-    x = state("x", start=1.0)
-    one = engine(
-        build_model(PHDAE("grows", (x,), energies=(energy(0.5 * x.sx**2),), dissipation=(block((x,), -x.sx),)))
-    )
-    one.do_step(0.0, 0.8, 2)
-    assert one.counts["substeps"] > 0
+def test_before_the_first_step_there_is_none(models, engine: type) -> None:
+    one = engine(models("dc_motor-2")[1])
     with pytest.raises(StepFailure) as failure:
         one.sensitivity()
     assert failure.value.status is Status.NO_SENSITIVITY

@@ -1,18 +1,20 @@
-/* Sensitivity of a step of several internal steps: their linearisations, chained through the states. With
- * R(x, w, u) = 0, outputs y(x, w, u) and x+ = x + U w of an internal step, and X = dx/du, zero at the start,
+/* Directional derivatives of a step: the linearisations of its internal steps and substeps, chained through
+ * the states. With R(x, w, u) = 0, outputs y(x, w, u) and x+ = x + U w of one of them, X the direction of its
+ * old states and V that of its inputs,
  *
- *     dw = -A^-1 (R_x X + R_u),   dy = y_x X + y_w dw + y_u,   X+ = X + U dw.
+ *     dw = -A^-1 (R_x X + R_u V),   dy = y_x X + y_w dw + y_u V,   X+ = X + U dw.
  *
- * The internal steps are solved again from the state at the start of the step; the twin of engine/chain.py.
+ * Several are solved again, from the state and the unknowns at the start of the step; the twin of
+ * engine/chain.py.
  */
 #include <string.h>
 
 #include "system.h"
 
 /* target += the tangents of one group along dx and chain.dy. */
-static void group_along(ph_instance *in, const ph_group *g, const double *dx, double *target) {
+static void group_along(ph_instance *in, const ph_system *s, const ph_group *g, const double *dx,
+                        double *target) {
     const ph_tangent *tangent = &in->model->tangents[g->kernel];
-    const ph_system *s = &in->step;
     const ph_chain *c = &in->chain;
     double *x = c->local, *y = x + g->nx, *p = y + g->ny, *ex = p + g->np, *ey = ex + g->nx,
            *out = ey + g->ny;
@@ -41,21 +43,20 @@ static void group_along(ph_instance *in, const ph_group *g, const double *dx, do
     }
 }
 
-/* chain.dr = change of all rows along dx (nx+1+na) and chain.dy, whose Z part is filled in; rows at rest: 0.
- */
-static void along(ph_instance *in, const double *dx) {
-    const ph_system *s = &in->step;
+/* chain.dr = change of all rows of s along dx (nx+1+na) and chain.dy, whose Z part is filled in; rows at
+ * rest: 0. */
+static void along(ph_instance *in, const ph_system *s, const double *dx) {
     const ph_plan *p = s->plan;
     const ph_chain *c = &in->chain;
     int i = 0;
     ph_clear(c->dy + p->nv, p->nz);
     ph_clear(c->dr, p->nrow);
     for (; i < p->ngroup && p->groups[i].stage == 0; i++)
-        group_along(in, &p->groups[i], dx, c->dy + p->nv);
+        group_along(in, s, &p->groups[i], dx, c->dy + p->nv);
     for (int l = 0; l < p->nconst; l++)
         c->dr[p->const_row[l]] += s->constants[l] * c->dy[p->const_src[l]];
     for (; i < p->ngroup; i++)
-        group_along(in, &p->groups[i], dx, c->dr);
+        group_along(in, s, &p->groups[i], dx, c->dr);
     for (int h = 0; h < p->nhold; h++)
         for (int l = p->hold_ptr[h]; s->rests[h] == PH_RESTS && l < p->hold_ptr[h + 1]; l++)
             c->dr[p->hold_row[l]] = 0.0;
@@ -93,44 +94,80 @@ static void old_inputs(ph_instance *in, double from, double length, double *u) {
     in->head->held = held;
 }
 
-/* Part i of n, of length h: solved, and its linearisation added to out (nu*nu, the mean outputs). */
-static int link(ph_instance *in, int i, int n, double h, double *out) {
-    ph_system *s = &in->step;
+/* chain.dr along dx and the inputs in chain.dy, with the unknowns, which go into chain.dy, following. */
+static void follow(ph_instance *in, ph_system *s, const double *dx) {
     const ph_plan *p = s->plan;
     const ph_chain *c = &in->chain;
-    const int width = p->nx + 1 + p->na;
+    if (p->nw > 0) {
+        along(in, s, dx);
+        memcpy(s->rhs, c->dr, sizeof(double) * (size_t)p->nw);
+        ph_solve_refined(s);
+    }
+    for (int l = 0; l < p->nw; l++)
+        c->dy[l] = -s->dw[l];
+    along(in, s, dx);
+}
+
+/* The linearisation at the Y of the system. */
+static int linearise(ph_system *s) {
+    ph_eval(s, 1, 1);
+    if (s->plan->nw == 0)
+        return PH_OK;
+    ph_eval_matrix(s);
+    return ph_newton_factor(s);
+}
+
+/* The part [from, from + length] of the step: solved again, unless it is the whole step. */
+static int solve_again(ph_instance *in, double from, double length, double h) {
+    ph_system *s = &in->step;
+    const int nw = s->plan->nw;
     int status;
-    c->x[p->nx] = in->x_old[p->nx] + i * h;
-    old_inputs(in, (double)i / n, 1.0 / n, s->y + p->nw);
+    in->chain.x[s->plan->nx] = in->x_old[s->plan->nx] + in->head->step_h * from;
+    old_inputs(in, from, length, s->y + nw);
+    if (length == 1.0) {
+        memcpy(s->y, s->last, sizeof(double) * (size_t)nw);
+        ph_eval_h(s, h);
+        return PH_OK;
+    }
     s->most = in->count[PH_ITERATIONS] + PH_MOST_ITERATIONS;
     status = ph_solve(s, h);
     if (status)
         return status;
-    memcpy(s->last, s->y, sizeof(double) * (size_t)p->nw);
+    memcpy(s->last, s->y, sizeof(double) * (size_t)nw);
     *s->last_h = h;
-    ph_eval(s, 1, 1);
-    if (p->nw > 0) {
-        ph_eval_matrix(s);
-        status = ph_newton_factor(s);
-        if (status)
-            return status;
+    return PH_OK;
+}
+
+/* That part: what it adds to d->dy, and d->dx at its end. */
+static int link(ph_instance *in, double from, double length, const ph_directions *d) {
+    ph_system *s = &in->step;
+    const ph_plan *p = s->plan;
+    const ph_chain *c = &in->chain;
+    const int k = p->k, nu = p->nu, width = p->nx + 1 + p->na;
+    const double h = in->head->step_h * length;
+    int status = solve_again(in, from, length, h);
+    if (status == PH_OK)
+        status = linearise(s);
+    if (status)
+        return status;
+    for (int m = 0; m < k; m++) {
+        ph_basis(in, from + length * p->nodes[m]);
+        memcpy(c->basis + m * k, in->basis, sizeof(double) * (size_t)k);
     }
-    for (int j = 0; j < p->nu; j++) {
-        double *dx = c->dx + j * width;
+    for (int j = 0; j < d->n; j++) {
+        const double *du = d->du + j * k * nu;
+        double *dx = d->dx + j * width, *dy = d->dy + j * k * nu;
         ph_clear(c->dy, p->nv);
-        for (int node = 0; node < p->k; node++)
-            c->dy[p->nw + node * p->nu + j] = 1.0;
-        along(in, dx);
-        if (p->nw > 0) {
-            memcpy(s->rhs, c->dr, sizeof(double) * (size_t)p->nw);
-            ph_solve_refined(s);
-        }
-        for (int l = 0; l < p->nw; l++)
-            c->dy[l] = -s->dw[l];
-        along(in, dx);
-        for (int m = 0; m < p->nu; m++)
-            for (int node = 0; node < p->k; node++)
-                out[m * p->nu + j] += p->weights[node] * c->dr[p->nw + node * p->nq + m] / n;
+        for (int m = 0; m < k; m++)
+            for (int i = 0; i < k; i++)
+                for (int l = 0; l < nu; l++)
+                    c->dy[p->nw + m * nu + l] += c->basis[m * k + i] * du[i * nu + l];
+        follow(in, s, dx);
+        for (int m = 0; m < k; m++)
+            for (int i = 0; i < k; i++)
+                for (int l = 0; l < nu; l++)
+                    dy[i * nu + l] += length * p->weights[m] / p->weights[i] * c->basis[m * k + i] *
+                                      c->dr[p->nw + m * p->nq + l];
         advance(p, dx, c->dy, h);
     }
     advance(p, c->x, s->last, h);
@@ -138,26 +175,80 @@ static int link(ph_instance *in, int i, int n, double h, double *out) {
 }
 
 /* Nothing that a later step depends on, or that is counted, changes. */
-int ph_chain_sensitivity(ph_instance *in, double *out) {
+int ph_step_along(ph_instance *in, const ph_directions *d) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     const ph_chain *c = &in->chain;
-    const int n = in->head->asked, width = p->nx + 1 + p->na;
+    const int n = in->head->parts == 1 ? 1 : in->head->asked;
     const double last_h = *s->last_h;
     long long count[PH_NCOUNT];
     int status = PH_OK;
+    if (!c->x || !ph_solves(in))
+        return PH_NO_SENSITIVITY;
     memcpy(count, in->count, sizeof(count));
     memcpy(c->last, s->last, sizeof(double) * (size_t)p->nw);
-    memcpy(c->x, in->x_old, sizeof(double) * (size_t)width);
-    ph_clear(c->dx, width * p->nu);
-    ph_clear(out, p->nu * p->nu);
+    memcpy(c->x, in->x_old, sizeof(double) * (size_t)(p->nx + 1 + p->na));
+    ph_clear(d->dy, d->n * p->k * p->nu);
+    if (ph_solves(in) > 1) { /* from where it was solved: to the same solution */
+        memcpy(s->last, in->first, sizeof(double) * (size_t)p->nw);
+        *s->last_h = in->head->first_h;
+    }
     s->x = c->x;
-    for (int i = 0; i < n && status == PH_OK; i++)
-        status = link(in, i, n, in->head->step_h / n, out);
+    for (int i = 0; i < n; i++)
+        for (int at = 0, end; at < PH_SMALLEST && status == PH_OK; at = end) {
+            end = ph_part_end(in, i, at);
+            status = link(in, (i + (double)at / PH_SMALLEST) / n, (double)(end - at) / PH_SMALLEST / n, d);
+        }
     s->x = in->table;
     memcpy(s->last, c->last, sizeof(double) * (size_t)p->nw);
     *s->last_h = last_h;
     memcpy(in->count, count, sizeof(count));
     ph_lu_adopt(&s->lu, s->pivot);
     return status ? PH_NO_SENSITIVITY : PH_OK;
+}
+
+int ph_end_along(ph_instance *in, const ph_directions *d) {
+    ph_system *s = &in->instant;
+    const ph_plan *p = s->plan;
+    const ph_chain *c = &in->chain;
+    const int k = in->model->step->k, nu = p->nu, width = p->nx + 1 + p->na;
+    int status = c->x ? ph_refresh(in) : PH_NO_SENSITIVITY;
+    if (status)
+        return status;
+    memcpy(s->y, s->last, sizeof(double) * (size_t)p->nw);
+    ph_inputs_at(in, in->head->theta, s->y + p->nw);
+    ph_eval_h(s, 1.0);
+    status = linearise(s);
+    ph_basis(in, 1.0);
+    for (int j = 0; j < d->n && status == PH_OK; j++) {
+        ph_clear(c->dy, p->nv);
+        for (int i = 0; i < k; i++)
+            for (int l = 0; l < nu; l++)
+                c->dy[p->nw + l] += in->basis[i] * d->du[(j * k + i) * nu + l];
+        follow(in, s, d->dx + j * width);
+        memcpy(d->dy + j * nu, c->dr + p->nw, sizeof(double) * (size_t)nu);
+    }
+    ph_lu_adopt(&s->lu, s->pivot);
+    return status;
+}
+
+/* Every input at all nodes together, outputs as means. */
+int ph_chain_sensitivity(ph_instance *in, double *out) {
+    const ph_plan *p = in->step.plan;
+    const ph_chain *c = &in->chain;
+    const int k = p->k, nu = p->nu;
+    const ph_directions d = {nu, c->du, c->dx, c->dy_node};
+    int status;
+    ph_clear(c->du, nu * k * nu);
+    for (int j = 0; j < nu; j++)
+        for (int i = 0; i < k; i++)
+            c->du[(j * k + i) * nu + j] = 1.0;
+    ph_clear(c->dx, (p->nx + 1 + p->na) * nu);
+    status = ph_step_along(in, &d);
+    ph_clear(out, nu * nu);
+    for (int j = 0; j < nu; j++)
+        for (int i = 0; i < k; i++)
+            for (int m = 0; m < nu; m++)
+                out[m * nu + j] += p->weights[i] * d.dy[(j * k + i) * nu + m];
+    return status;
 }

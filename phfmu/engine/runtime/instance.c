@@ -46,6 +46,7 @@ static void lay_state(ph_instance *in, block *b) {
     in->p = doubles(b, p->np);
     in->x_old = doubles(b, p->nx + 1 + p->na);
     in->u_old = doubles(b, p->nu * p->k);
+    in->first = doubles(b, p->nw);
     in->y_node = doubles(b, p->k > 1 ? p->nq * p->k : 0);
     in->changes = take(b, p->nhold > 0 ? sizeof(ph_rest_change) * PH_KEPT_CHANGES : 0);
     in->step.last = doubles(b, p->nw);
@@ -104,11 +105,11 @@ static int larger(int a, int b) {
 }
 
 static void lay_chain(ph_instance *in, block *b) {
-    const ph_plan *p = in->model->step;
+    const ph_plan *p = in->model->step, *q = in->model->instant;
     ph_chain *c = &in->chain;
     int local = 0, work = 0, iw = 0, arg = 0, res = 0;
-    for (int i = 0; i < p->ngroup; i++) {
-        const ph_group *g = &p->groups[i];
+    for (int i = 0; i < p->ngroup + q->ngroup; i++) {
+        const ph_group *g = i < p->ngroup ? &p->groups[i] : &q->groups[i - p->ngroup];
         const ph_tangent *tangent = &in->model->tangents[g->kernel];
         local = larger(local, 2 * (g->nx + g->ny) + g->np + g->no);
         work = larger(work, tangent->w);
@@ -117,10 +118,13 @@ static void lay_chain(ph_instance *in, block *b) {
         res = larger(res, tangent->res);
     }
     c->x = doubles(b, p->nx + 1 + p->na);
-    c->dx = doubles(b, p->nu * (p->nx + 1 + p->na));
-    c->dy = doubles(b, p->nv + p->nz);
-    c->dr = doubles(b, p->nrow);
+    c->dy = doubles(b, larger(p->nv + p->nz, q->nv + q->nz));
+    c->dr = doubles(b, larger(p->nrow, q->nrow));
     c->last = doubles(b, p->nw);
+    c->basis = doubles(b, p->k * p->k);
+    c->du = doubles(b, p->nu * p->k * p->nu);
+    c->dx = doubles(b, p->nu * (p->nx + 1 + p->na));
+    c->dy_node = doubles(b, p->nu * p->k * p->nu);
     c->local = doubles(b, local);
     c->work = doubles(b, work);
     c->iw = ints(b, iw);

@@ -134,19 +134,12 @@ static int sensitivity(ph_system *s, double *out) {
     return PH_OK;
 }
 
-int ph_chained(const ph_instance *in) {
-    const int parts = in->head->parts;
-    return parts > 1 && parts == in->head->asked ? parts : 0;
-}
-
 int ph_sensitivity(ph_instance *in, double *out) {
     ph_system *s = &in->step;
     const ph_plan *p = s->plan;
     int status;
-    if (ph_chained(in) && in->chain.x)
-        return ph_chain_sensitivity(in, out);
     if (in->head->parts != 1)
-        return PH_NO_SENSITIVITY;
+        return ph_solves(in) && in->chain.x ? ph_chain_sensitivity(in, out) : PH_NO_SENSITIVITY;
     memcpy(s->y, s->last, sizeof(double) * (size_t)p->nw);
     if (p->nu > 0)
         memcpy(s->y + p->nw, in->u_old, sizeof(double) * (size_t)(p->nu * p->k));

@@ -28,7 +28,7 @@
     X(PH_ABI, "model tables and compiled runtime do not belong together")                                    \
     X(PH_ARGUMENT, "an argument is out of range")                                                            \
     X(PH_VALUE, "a given value is not finite; it was not taken over")                                        \
-    X(PH_NO_SENSITIVITY, "the sensitivity needs a last step of which no internal step was halved")
+    X(PH_NO_SENSITIVITY, "the sensitivity needs a last step of which at most 16 internal steps were halved")
 
 #define PH_STATUS_NAME(name, text) name,
 typedef enum ph_status { PH_STATUS_LIST(PH_STATUS_NAME) PH_NSTATUS } ph_status;
@@ -187,12 +187,27 @@ PH_API const double *ph_unknowns(const ph_instance *in);
 /* The last PH_KEPT_CHANGES of them, number i at i % PH_KEPT_CHANGES; *n: how many since the start. */
 PH_API const ph_rest_change *ph_rest_changes(const ph_instance *in, int *n);
 /* S: nu*nu row-major, S[i,j] = d (step mean of external output i) / d (held input j), last step. Over several
- * internal steps it takes the tangents of the model. */
+ * internal steps or substeps it takes the tangents of the model. */
 PH_API int ph_sensitivity(ph_instance *in, double *s);
-/* Internal steps of the last step if there were several and none was halved, else 0. */
-PH_API int ph_chained(const ph_instance *in);
+/* How many solves the last step took; 0: none, or so many that it has no sensitivity. */
+PH_API int ph_solves(const ph_instance *in);
 /* The same for the outputs at the present time. */
 PH_API int ph_sensitivity_end(ph_instance *in, double *s);
+
+/* n directions, one after the other. */
+typedef struct ph_directions {
+    int n;
+    const double *du; /* n (k*nu): of the inputs at the nodes of the last step, in */
+    double *dx;       /* n (nx+1+na): of the states, the time and the algebraic variables carried along */
+    double *dy;       /* outputs */
+} ph_directions;
+
+/* Directional derivatives of the last step, with tangents only. dx: of the state at its start, in, and at its
+ * end, out; dy: n (k*nu), of the outputs at the nodes, conjugate to its node inputs. */
+PH_API int ph_step_along(ph_instance *in, const ph_directions *d);
+/* The same for the outputs at the present time, the end of that step; dx: of the present state, in; dy: n nu.
+ */
+PH_API int ph_end_along(ph_instance *in, const ph_directions *d);
 
 /* Complete state, without pointers: restored into any instance of the model the same bits follow. */
 PH_API size_t ph_state_size(const ph_instance *in);

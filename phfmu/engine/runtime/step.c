@@ -5,8 +5,6 @@
 
 #include "system.h"
 
-#define DEPTH 6 /* smallest substep: h / 2^DEPTH */
-
 /* x += change, compensated. */
 static void add_all(double *restrict x, double *restrict rest, const double *restrict change, int n) {
     for (int i = 0; i < n; i++) {
@@ -158,11 +156,11 @@ static int try_part(ph_instance *in, double t, double h, double from, double wei
     return status;
 }
 
-/* Internal step i of n; on failure it is halved, and its halves again, down to DEPTH. The place is
+/* Internal step i of n; on failure it is halved, and its halves again, down to PH_DEPTH. The place is
  * counted in smallest substeps; its alignment tells how long the next substep may be. refused: the step as a
  * whole has been tried. */
 static int walk(ph_instance *in, double t, double h, int i, int n, int refused) {
-    const int all = 1 << DEPTH;
+    const int all = PH_SMALLEST;
     for (int at = 0, length; at < all; at += length) {
         for (length = refused && at == 0 ? all / 2 : all; at % length; length /= 2) {
         }
@@ -171,6 +169,8 @@ static int walk(ph_instance *in, double t, double h, int i, int n, int refused) 
             int status = try_part(in, t, h, from, weight);
             if (status == PH_OK) {
                 accept(in, h * weight, from, weight);
+                if (length < all)
+                    ph_part_ends(in, i, at + length);
                 break;
             }
             if (length == 1 || in->count[PH_ITERATIONS] >= in->step.most)
@@ -305,7 +305,7 @@ int ph_step_parts(ph_instance *in, double t, double h, int n) {
         return status;
     }
     begin(in, h);
-    in->head->asked = n;
+    ph_parts_begin(in, n);
     for (int i = 0; i < n; i++) {
         int status;
         if (i > 0)

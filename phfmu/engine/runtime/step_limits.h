@@ -18,4 +18,7 @@
 /* Changes of the constraints at rest that an instance remembers, the last ones. */
 #define PH_KEPT_CHANGES 16
 
+/* Internal steps of a communication step that may have been halved if there is to be a sensitivity. */
+#define PH_KEPT_HALVED 16
+
 #endif

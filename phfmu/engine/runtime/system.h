@@ -88,6 +88,9 @@ void ph_newton_bare(ph_system *s, int bare);
 int ph_newton_factor(ph_system *s);
 void ph_explain(ph_system *s, int status, ph_report *report);
 
+#define PH_DEPTH 6                  /* halvings of an internal step before it is given up */
+#define PH_SMALLEST (1 << PH_DEPTH) /* smallest substeps of an internal step */
+
 /* A constraint with less than the largest share in a dependence over this does not rest. */
 #define PH_REST_SHARE 3.0
 
@@ -120,19 +123,26 @@ typedef struct ph_head {
     int dirty;        /* end values are out of date */
     int parts;        /* substeps of the last communication step, 0 = none yet */
     int changes;      /* of the constraints at rest since the start */
-    int asked;  /* internal steps of the last communication step of several, where none was halved: parts */
-    int placed; /* state or parameters are new: which constraints rest has to be chosen */
+    int placed;       /* state or parameters are new: which constraints rest has to be chosen */
+    int asked;        /* internal steps of the last communication step, if it took more than one solve */
+    int halved;       /* how many of these were halved; the next two are of the first of them */
+    double first_h;   /* last_h[0] before it */
+    int halved_step[PH_KEPT_HALVED];
+    uint64_t halved_ends[PH_KEPT_HALVED]; /* bit l: a substep ends at l + 1 */
 } ph_head;
 
-/* Work space of sensitivities over several internal steps; x is NULL without tangents. */
+/* Work space of directional derivatives of a step; x is NULL without tangents. */
 typedef struct ph_chain {
-    double *x;     /* nx+1+na: old states of an internal step */
-    double *dx;    /* nu (nx+1+na): their derivatives with respect to each input */
-    double *dy;    /* nv+nz: a direction of Y */
-    double *dr;    /* nrow: the change of the rows along it */
-    double *last;  /* nw: unknowns of the last step, put back at the end */
-    double *local; /* arguments and results of one kernel */
-    double *work;  /* of one kernel, as are the next three */
+    double *x;       /* nx+1+na: old states of an internal step */
+    double *dy;      /* nv+nz: a direction of Y */
+    double *dr;      /* nrow: the change of the rows along it */
+    double *last;    /* nw: unknowns of the last step, put back at the end */
+    double *basis;   /* k*k: Lagrange polynomials of the step at the nodes of a part */
+    double *du;      /* nu (k*nu): directions of the held inputs, as are the next two */
+    double *dx;      /* nu (nx+1+na) */
+    double *dy_node; /* nu (k*nu) */
+    double *local;   /* arguments and results of one kernel */
+    double *work;    /* of one kernel, as are the next three */
     int *iw;
     const double **arg;
     double **res;
@@ -153,6 +163,7 @@ struct ph_instance {
     double *p;               /* np */
     double *x_old;           /* nx+1+na: states, time, algebraic variables at the start of the last step */
     double *u_old;           /* nu*k: inputs of the last step */
+    double *first;           /* nw: unknowns it began from, if it took more than one solve */
     double *y_node;          /* nq*k: pair outputs at the nodes of the last step; none if k = 1 */
     ph_rest_change *changes; /* PH_KEPT_CHANGES if constraints may rest */
 
@@ -189,6 +200,10 @@ void ph_book_nodes(ph_instance *in, double from, double weight);
 void ph_seed(ph_instance *in, const double *a);
 void ph_solve_refined(ph_system *s); /* dw = A^-1 rhs; changes rhs and base */
 int ph_chain_sensitivity(ph_instance *in, double *out);
+void ph_parts_begin(ph_instance *in, int n); /* a step of n internal ones, or of one that is halved */
+void ph_part_ends(ph_instance *in, int i, int end);
+int ph_part_end(const ph_instance *in, int i,
+                int at);                              /* of the part of internal step i that begins at `at` */
 void ph_take_instant(ph_instance *in, int algebraic); /* means = values at the present time */
 
 #endif

@@ -1,0 +1,47 @@
+/* Which parts a communication step was solved in: its internal steps, and the substeps of those that were
+ * halved. Places in an internal step are counted in its smallest substeps. */
+#include <string.h>
+
+#include "system.h"
+
+void ph_parts_begin(ph_instance *in, int n) {
+    ph_head *head = in->head;
+    head->asked = n;
+    head->halved = 0;
+    head->first_h = *in->step.last_h;
+    memcpy(in->first, in->step.last, sizeof(double) * (size_t)in->step.plan->nw);
+}
+
+/* A substep of internal step i of several, or of the whole step, ends at `end`. */
+void ph_part_ends(ph_instance *in, int i, int end) {
+    ph_head *head = in->head;
+    int last = head->halved - 1;
+    if (last < 0 || last >= PH_KEPT_HALVED || head->halved_step[last] != i) {
+        last = head->halved;
+        if (last > PH_KEPT_HALVED)
+            return;
+        head->halved++;
+        if (last == PH_KEPT_HALVED)
+            return;
+        head->halved_step[last] = i;
+        head->halved_ends[last] = 0;
+    }
+    head->halved_ends[last] |= (uint64_t)1 << (end - 1);
+}
+
+int ph_part_end(const ph_instance *in, int i, int at) {
+    const ph_head *head = in->head;
+    for (int l = 0; l < head->halved && head->parts > 1; l++)
+        if (head->halved_step[l] == i) {
+            uint64_t ends = head->halved_ends[l] >> at;
+            for (at++; !(ends & 1); ends >>= 1)
+                at++;
+            return at;
+        }
+    return PH_SMALLEST;
+}
+
+int ph_solves(const ph_instance *in) {
+    const ph_head *head = in->head;
+    return head->parts > 1 && head->halved > PH_KEPT_HALVED ? 0 : head->parts;
+}
