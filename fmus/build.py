@@ -15,7 +15,7 @@ from pathlib import Path
 from phfmu import Model, Scene, build_model, export
 from phfmu.components.library import build
 from phfmu.fmu.description import Unit
-from phfmu.fmu.fmi3 import model_description
+from phfmu.fmu.version import FMI3
 from phfmu.schemes.named import named_scheme
 
 HERE = Path(__file__).parent
@@ -41,7 +41,7 @@ def unit_of(recipe: dict) -> Unit:
 
 def interface(recipe: dict) -> str:
     """The golden description of a recipe."""
-    text = model_description(unit_of(recipe), "TOKEN").decode()
+    text = FMI3.description(unit_of(recipe), "TOKEN").decode()
     text = re.sub(r'generationTool="[^"]*"', 'generationTool="phfmu"', text)
     # nine digits of start values: the rest depends on the mathematical library of the machine
     return re.sub(r'start="([^"]*)"', lambda m: f'start="{_rounded(m[1])}"', text)

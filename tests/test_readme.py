@@ -42,6 +42,7 @@ def test_blocks_run(
     compiler: None, page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))  # as for a script beside the saved blocks
     namespace: dict[str, object] = {}
     for number, (language, body) in enumerate(blocks(page), 1):
         if language == "python":

@@ -171,11 +171,12 @@ def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: flo
     from phfmu.discretise.model import build_model
     from phfmu.fmu.export import export
     from phfmu.fmu.reader import FMUInstance
+    from phfmu.fmu.version import LATEST
 
     folder = tempfile.mkdtemp(prefix="phfmu-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     step = step if args.step is None else args.step
-    (path,) = export(build_model(declaration, scheme), folder, versions=(args.fmi or "3.0",), step=step)
+    (path,) = export(build_model(declaration, scheme), folder, versions=(args.fmi or LATEST,), step=step)
     return FMUInstance(path)
 
 

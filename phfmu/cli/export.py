@@ -15,11 +15,14 @@ if TYPE_CHECKING:
 def add_parser(verbs: Any) -> None:
     from phfmu.cli import options
     from phfmu.cli.codes import TARGET
+    from phfmu.fmu.version import VERSIONS
 
-    parser = verbs.add_parser("export", help="write FMI 2.0 and 3.0 Co-Simulation FMUs")
+    parser = verbs.add_parser("export", help=f"write FMI {' and '.join(VERSIONS)} Co-Simulation FMUs")
     parser.add_argument("target", help=TARGET.rsplit(" | ", 1)[0])
     parser.add_argument("-o", "--output", default=".", metavar="DIR", help="folder for the FMUs (default: here)")
-    parser.add_argument("--fmi", action="append", choices=("2", "3"), help="FMI version; both if not given")
+    parser.add_argument(
+        "--fmi", action="append", choices=[_short(n) for n in VERSIONS], help="FMI version; all if not given"
+    )
     parser.add_argument("--step", type=float, help="internal step in s (default: the scene's)")
     options.add_scheme(parser)
     parser.add_argument("--node-inputs", action="store_true",
@@ -43,6 +46,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.target import scene
     from phfmu.discretise.model import build_model
     from phfmu.fmu.export import PLATFORMS, export
+    from phfmu.fmu.version import VERSIONS
 
     s = scene(args.target)
     system = _with_settings(s.system, settings(args.set))
@@ -53,7 +57,8 @@ def call(args: argparse.Namespace) -> int:
         raise ValueError(f"--step {step} s must be positive")
     if Path(args.output).exists() and not Path(args.output).is_dir():
         raise ValueError(f"-o {args.output} is a file; name a folder for the FMUs")
-    versions = tuple(f"{v}.0" for v in (args.fmi or ("2", "3")))
+    asked = {_short(n): n for n in VERSIONS}
+    versions = [asked[v] for v in (args.fmi or asked)]
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
     model = build_model(declaration, scheme_of(args, declaration))
     left_out = _left_out(s, declaration)
@@ -65,6 +70,11 @@ def call(args: argparse.Namespace) -> int:
     for path in paths:
         print(path)
     return 0
+
+
+def _short(number: str) -> str:
+    """2.0 -> 2."""
+    return number.removesuffix(".0")
 
 
 def _left_out(s: Scene, declaration: PHDAE) -> list[str]:

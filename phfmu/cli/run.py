@@ -22,6 +22,7 @@ NOTES = 12
 def add_parser(verbs: Any) -> None:
     from phfmu.cli import options
     from phfmu.cli.codes import TARGET
+    from phfmu.fmu.version import LATEST, VERSIONS
 
     parser = verbs.add_parser("run", help="simulate; result table, audit")
     parser.add_argument("target", help=TARGET)
@@ -30,7 +31,7 @@ def add_parser(verbs: Any) -> None:
     options.add_scheme(parser)
     parser.add_argument("--engine", default="auto", choices=("auto", "python", "native", "fmu"),
                         help="auto: native if a C compiler is there, else python")  # fmt: skip
-    parser.add_argument("--fmi", choices=("2.0", "3.0"), help="FMI version of --engine fmu (default 3.0)")
+    parser.add_argument("--fmi", choices=tuple(VERSIONS), help=f"FMI version of --engine fmu (default {LATEST})")
     parser.add_argument("--coupling", default="monolithic", choices=("monolithic", "newton"),
                         help="monolithic: one composed model; newton: members stepped apart")  # fmt: skip
     options.add_steps(parser)

@@ -21,6 +21,7 @@ from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PATH as MANIFEST
 from phfmu.fmu.model_description import read_interface
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import VERSIONS
 from phfmu.fmu.words import plain
 
 CHUNK = 2**20
@@ -46,8 +47,7 @@ class Archive:
     @cached_property
     def library(self) -> str:
         """Name inside of the library for this machine; FMUError names the platforms there are."""
-        own = fmpy.platform_tuple
-        folders = (fmpy.platform, own) if self.interface.version == "2.0" else (own,)
+        folders = VERSIONS[self.interface.version].folders_of(fmpy.platform_tuple)
         for folder in folders:
             name = f"binaries/{folder}/{self.interface.identifier}{fmpy.sharedLibraryExtension}"
             if name in self._names:

@@ -1,10 +1,11 @@
-"""What the model descriptions of both versions have in common: the unit, its units, names and dates."""
+"""What the descriptions of all versions have in common: the unit, its units, names and dates, how to build it."""
 
 from __future__ import annotations
 
 import math
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
@@ -15,7 +16,7 @@ from phfmu.declare.units import BASE, parse_unit
 from phfmu.discretise.model import Model, require_model
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
-from phfmu.fmu.xml import Element, etree, number
+from phfmu.fmu.xml import Element, etree, number, text_of
 
 #: category of messages -> its description
 LOG_CATEGORIES = {
@@ -161,3 +162,15 @@ def add_experiment(parent: Element, unit: Unit) -> None:
     if unit.stop is not None:
         experiment.set("stopTime", number(unit.stop))
     experiment.set("stepSize", number(unit.step))
+
+
+def build_description(unit: Unit, sources: Sequence[str]) -> bytes:
+    """buildDescription.xml of FMI 3.0, in all archives: how to compile `sources`, which export the standard's functions only."""
+    root = etree.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = etree.SubElement(root, "BuildConfiguration", modelIdentifier=unit.identifier)
+    files = etree.SubElement(configuration, "SourceFileSet", language="C11")
+    for name in sources:
+        etree.SubElement(files, "SourceFile", name=name)
+    etree.SubElement(files, "PreprocessorDefinition", name="PH_API", value="",
+                     description="functions of the runtime stay inside the library")  # fmt: skip
+    return text_of(root)

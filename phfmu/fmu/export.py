@@ -9,20 +9,20 @@ from pathlib import Path
 from phfmu.declare.model_name import unwritable
 from phfmu.discretise.model import Model, takes_model
 from phfmu.engine.compile import compile, host_target, suffix
-from phfmu.fmu import fmi2, fmi3, manifest, package, sources
-from phfmu.fmu.description import Unit
+from phfmu.fmu import manifest, package, sources
+from phfmu.fmu.description import Unit, build_description
 from phfmu.fmu.terminals import terminals as terminals_of
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import VERSIONS, Version
 
-#: platform -> (compiler target, folder of 2.0, folder of 3.0); 2.0 has no names for ARM and borrows them
+#: platform -> compiler target
 PLATFORMS = {
-    "x86_64-linux": ("x86_64-linux-gnu.2.17", "linux64", "x86_64-linux"),
-    "aarch64-linux": ("aarch64-linux-gnu.2.17", "aarch64-linux", "aarch64-linux"),
-    "x86_64-windows": ("x86_64-windows-gnu", "win64", "x86_64-windows"),
-    "x86_64-darwin": ("x86_64-macos", "darwin64", "x86_64-darwin"),
-    "aarch64-darwin": ("aarch64-macos", "aarch64-darwin", "aarch64-darwin"),
+    "x86_64-linux": "x86_64-linux-gnu.2.17",
+    "aarch64-linux": "aarch64-linux-gnu.2.17",
+    "x86_64-windows": "x86_64-windows-gnu",
+    "x86_64-darwin": "x86_64-macos",
+    "aarch64-darwin": "aarch64-macos",
 }
-VERSIONS = {"2.0": "fmi2", "3.0": "fmi3"}
 FLAGS = ("-DPH_API=",)
 
 
@@ -30,7 +30,7 @@ FLAGS = ("-DPH_API=",)
 def export(
     model: Model,
     directory: str | Path,
-    versions: Sequence[str] = ("2.0", "3.0"),
+    versions: Sequence[str | Version] = tuple(VERSIONS),
     *,
     step: float,
     stop: float | None = None,
@@ -41,7 +41,8 @@ def export(
     left_out: Sequence[str] = (),
     arrays: bool = False,
 ) -> list[Path]:
-    """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions`.
+    """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions` (numbers, or rows as
+    in `phfmu.fmu.version`).
 
     `model`: of `build_model`, it carries its declaration.  `step`: longest internal and suggested communication step, s.
     `platforms`: keys of PLATFORMS, default this machine.  `node_inputs`: optional port inputs at the nodes of a step,
@@ -54,8 +55,8 @@ def export(
         raise FMUError("; ".join(str(p) for p in bad))
     if not (math.isfinite(step) and step > 0):
         raise FMUError(f"{model.name}: step = {step} s must be positive")
-    unknown = [v for v in versions if v not in VERSIONS]
-    if unknown or not versions:
+    rows = [v if isinstance(v, Version) else VERSIONS.get(v) for v in versions]
+    if not rows or None in rows:
         raise FMUError(f"FMI versions {list(versions)}; known: {', '.join(VERSIONS)}")
     if model.loses_energy:
         raise FMUError(
@@ -68,8 +69,8 @@ def export(
     code = sources.complete(unit, equations, token)
     libraries = _libraries(code, [host_platform()] if platforms is None else platforms)
     paths = []
-    for version in versions:
-        path = Path(directory) / f"{unit.identifier}_{VERSIONS[version]}.fmu"
+    for version in filter(None, rows):
+        path = Path(directory) / f"{unit.identifier}_{version.prefix}.fmu"
         package.write(path, _files(unit, version, token, code, libraries))
         paths.append(path)
     return paths
@@ -78,37 +79,33 @@ def export(
 def host_platform() -> str:
     """The key of PLATFORMS of this machine."""
     target = host_target()
-    for name, (known, _, _) in PLATFORMS.items():
+    for name, known in PLATFORMS.items():
         if known == target:
             return name
     raise FMUError(f"there is no FMI platform name for {target}; known: {', '.join(PLATFORMS)}")
 
 
 def _libraries(code: sources.Sources, platforms: Sequence[str]) -> dict[str, bytes]:
-    """Platform -> the library with both versions of the interface."""
+    """Platform -> the library with all versions of the interface."""
     unknown = [p for p in platforms if p not in PLATFORMS]
     if unknown:
         raise FMUError(f"unknown platform {', '.join(unknown)}; known: {', '.join(PLATFORMS)}")
     everything = {**code, **sources.headers()}
-    return {p: compile(everything, PLATFORMS[p][0], flags=FLAGS).path.read_bytes() for p in platforms}
+    return {p: compile(everything, PLATFORMS[p], flags=FLAGS).path.read_bytes() for p in platforms}
 
 
 def _files(
-    unit: Unit, version: str, token: str, code: sources.Sources, libraries: dict[str, bytes]
+    unit: Unit, version: Version, token: str, code: sources.Sources, libraries: dict[str, bytes]
 ) -> dict[str, bytes]:
     """Content of the archive of one version."""
     own = sources.of_version(code, version, unit.identifier)
     files = {f"sources/{n}": s.read_bytes() if isinstance(s, Path) else s.encode() for n, s in own.items()}
     compiled = sorted(n for n in own if n.endswith(".c"))
-    files["sources/buildDescription.xml"] = fmi3.build_description(unit, compiled)
-    if version == "2.0":
-        files["modelDescription.xml"] = fmi2.model_description(unit, token, compiled)
-    else:
-        files["modelDescription.xml"] = fmi3.model_description(unit, token)
+    files["sources/buildDescription.xml"] = build_description(unit, compiled)
+    files["modelDescription.xml"] = version.description(unit, token, compiled)
     for platform, library in libraries.items():
-        target, folder2, folder3 = PLATFORMS[platform]
-        folder = folder2 if version == "2.0" else folder3
-        files[f"binaries/{folder}/{unit.identifier}{suffix(target)}"] = library
+        folder = version.folders_of(platform)[0]
+        files[f"binaries/{folder}/{unit.identifier}{suffix(PLATFORMS[platform])}"] = library
     ports = terminals_of(unit, version)
     if ports:
         files["terminalsAndIcons/terminalsAndIcons.xml"] = ports

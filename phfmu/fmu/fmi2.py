@@ -1,12 +1,25 @@
-"""modelDescription.xml of FMI 2.0 for Co-Simulation."""
+"""Names of FMI 2.0 for Co-Simulation: modelDescription.xml, and the calls that differ from other versions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import fmpy
+from fmpy.fmi2 import (
+    FMU2Slave,
+    fmi2CallbackAllocateMemoryTYPE,
+    fmi2CallbackFreeMemoryTYPE,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+)
 
 from phfmu.fmu import description
 from phfmu.fmu.description import Unit
+from phfmu.fmu.refusal import UnitCallError
 from phfmu.fmu.variables import FMUVariable
+from phfmu.fmu.version import Caller
 from phfmu.fmu.xml import Element, etree, number, text_of
 
 CAPABILITIES = {
@@ -22,9 +35,15 @@ CAPABILITIES = {
 }
 
 
-def model_description(unit: Unit, token: str | None = None, sources: Sequence[str] = ()) -> bytes:
-    """The document; without `token` it is the text the token is made of.  `sources`: files to compile."""
-    root = description.root(unit, "2.0", ("guid", token) if token else None)
+#: kinds of the status of a step
+_LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
+
+
+def model_description(
+    unit: Unit, number: str, token: tuple[str, str] | None = None, sources: Sequence[str] = ()
+) -> bytes:
+    """The document; without `token` (attribute, value) it is the text the token is made of.  `sources`: files to compile."""
+    root = description.root(unit, number, token)
     interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
     for name, value in CAPABILITIES.items():
         interface.set(name, value)
@@ -67,3 +86,48 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
         real.set("nominal", number(v.nominal))
     if v.start is not None:
         real.set("start", number(v.start))
+
+
+def instance(
+    library: Path, common: dict[str, Any], log: Callable[[bytes | None], None], loud: bool, early_return: bool
+) -> FMU2Slave:
+    """The binding, instantiated; a step has no early return here."""
+    del early_return
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(lambda _environment, _name, _status, _category, text: log(text))
+    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
+    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
+    fmu = FMU2Slave(libraryPath=str(library), **common)
+    fmu.instantiate(callbacks=callbacks, loggingOn=loud)
+    return fmu
+
+
+def unescaped(words: str) -> str:
+    """Messages are formats of printf, in which # marks value references."""
+    return words.replace("%%", "%").replace("##", "#")
+
+
+def enter(slave: Caller, start: float, stop: float | None) -> None:
+    slave.call(slave.fmu.setupExperiment, None, start, stop)
+    slave.call(slave.fmu.enterInitializationMode)
+
+
+def do_step(slave: Caller, t: float, h: float) -> float:
+    """The time reached, t + h; of a step that is discarded the unit tells the reason on request."""
+    try:
+        slave.call(slave.fmu.doStep, t, h, False)
+    except UnitCallError as error:
+        if error.answer == "discard":
+            raise _discarded(slave, error) from None
+        raise
+    return t + h
+
+
+def _discarded(slave: Caller, error: UnitCallError) -> UnitCallError:
+    try:
+        ended = bool(slave.call(slave.fmu.getBooleanStatus, _TERMINATED))
+        last = slave.call(slave.fmu.getRealStatus, _LAST_SUCCESSFUL_TIME)
+    except UnitCallError:
+        return error
+    words = (*error.words, f"last successful time {last:.9g} s")
+    return UnitCallError(error.unit, error.function, "terminate" if ended else "discard", words)

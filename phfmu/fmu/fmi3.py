@@ -1,13 +1,19 @@
-"""modelDescription.xml and buildDescription.xml of FMI 3.0 for Co-Simulation."""
+"""Names of FMI 3.0 for Co-Simulation: modelDescription.xml, and the calls that differ from other versions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fmpy.fmi3 import FMU3Slave
 
 from phfmu.fmu import description
 from phfmu.fmu.description import Unit
+from phfmu.fmu.refusal import UnitCallError
 from phfmu.fmu.variables import FMUVariable
+from phfmu.fmu.version import Caller
 from phfmu.fmu.xml import Element, etree, number, text_of
 
 CAPABILITIES = {
@@ -25,9 +31,15 @@ CAPABILITIES = {
 }
 
 
-def model_description(unit: Unit, token: str | None = None) -> bytes:
-    """The document; without `token` it is the text the token is made of."""
-    root = description.root(unit, "3.0", ("instantiationToken", token) if token else None)
+def model_description(
+    unit: Unit, number: str, token: tuple[str, str] | None = None, sources: Sequence[str] = ()
+) -> bytes:
+    """The document; without `token` (attribute, value) it is the text the token is made of.
+
+    `sources` stand in buildDescription.xml.
+    """
+    del sources
+    root = description.root(unit, number, token)
     interface = etree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, needsExecutionTool="false")
     for name, value in CAPABILITIES.items():
         interface.set(name, value)
@@ -83,13 +95,33 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> Element:
     return scalar
 
 
-def build_description(unit: Unit, sources: Sequence[str]) -> bytes:
-    """How to compile `sources`; only the functions of the standard are exported."""
-    root = etree.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = etree.SubElement(root, "BuildConfiguration", modelIdentifier=unit.identifier)
-    files = etree.SubElement(configuration, "SourceFileSet", language="C11")
-    for name in sources:
-        etree.SubElement(files, "SourceFile", name=name)
-    etree.SubElement(files, "PreprocessorDefinition", name="PH_API", value="",
-                     description="functions of the runtime stay inside the library")  # fmt: skip
-    return text_of(root)
+def instance(
+    library: Path, common: dict[str, Any], log: Callable[[bytes | None], None], loud: bool, early_return: bool
+) -> FMU3Slave:
+    """The binding, instantiated; it finds the library in its folder."""
+    del library
+    fmu = FMU3Slave(**common)
+    fmu.instantiate(
+        loggingOn=loud,
+        earlyReturnAllowed=early_return,
+        logMessage=lambda _environment, _status, _category, text: log(text),
+    )
+    return fmu
+
+
+def unescaped(words: str) -> str:
+    """Messages are plain text."""
+    return words
+
+
+def enter(slave: Caller, start: float, stop: float | None) -> None:
+    slave.call(slave.fmu.enterInitializationMode, None, start, stop)
+
+
+def do_step(slave: Caller, t: float, h: float) -> float:
+    """The time reached, t + h unless it may return early; UnitCallError if it does where it may not, or asks to end."""
+    _, ended, early, last = slave.call(slave.fmu.doStep, t, h, False)
+    if ended or (early and not slave.early_return):
+        words = (*slave.last_words(), f"last successful time {last:.9g} s")
+        raise UnitCallError(slave.name, "fmi3DoStep", "terminate" if ended else "early return", words)
+    return last if early else t + h

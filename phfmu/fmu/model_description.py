@@ -1,4 +1,4 @@
-"""Reading modelDescription.xml of both versions, tag by tag."""
+"""Reading modelDescription.xml of all versions, tag by tag."""
 
 from __future__ import annotations
 
@@ -11,20 +11,12 @@ from phfmu.fmu import limits
 from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import read_manifest
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import FMI3, VERSIONS, Version, written_by
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import parse, read
 
 TRUE = ("true", "1")
 
-#: types whose values are numbers; names of FMI 2.0 -> those of 3.0
-NAMES_OF_2 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
-NUMBERS = frozenset(
-    {"Float64", "Float32", "Boolean", "Enumeration", *(f"{u}Int{n}" for u in ("", "U") for n in (8, 16, 32, 64))}
-)
-#: abilities: name of the attribute in 2.0, in 3.0
-SAVES = {"2.0": "canGetAndSetFMUstate", "3.0": "canGetAndSetFMUState"}
-DERIVES = {"2.0": "providesDirectionalDerivative", "3.0": "providesDirectionalDerivatives"}
-TOKEN = {"2.0": "guid", "3.0": "instantiationToken"}
 _TIMES = ("startTime", "stopTime", "stepSize")
 _KEPT = 3  # names of a kind of variables that are left out
 
@@ -50,7 +42,7 @@ class ModelDescription:
 
     def __init__(self, name: str):
         self.file = name
-        self.version = ""
+        self.version: Version = FMI3
         self.root: dict[str, str] = {}
         self.cosimulation: dict[str, str] | None = None
         self.times: dict[str, float] = {}
@@ -80,10 +72,10 @@ class ModelDescription:
         elif depth == 3 and self._path[1] == "ModelVariables":
             self._count(1)
             self._own, self._numbers, self._dimensions = dict(attributes), dict(attributes), []
-            self._type = tag if self.version == "3.0" else ""
+            self._type = "" if self.version.inner else tag
         elif depth == 4 and self._path[1] == "ModelVariables":
-            if self.version == "2.0" and tag != "Annotations":
-                self._type, self._numbers = NAMES_OF_2.get(tag, tag), dict(attributes)
+            if self.version.inner and tag != "Annotations":
+                self._type, self._numbers = self.version.inner.get(tag, tag), dict(attributes)
             elif tag == "Dimension":
                 self._dimensions.append(dict(attributes))
 
@@ -96,17 +88,18 @@ class ModelDescription:
         self._path.pop()
 
     def _take_root(self, tag: str, attributes: dict[str, str]) -> None:
-        version = attributes.get("fmiVersion", "")
-        if version != "2.0" and not version.startswith("3."):
-            raise FMUError(f"{self._about()}: FMI version '{plain(version, 50)}'; this reads 2.0 and 3.0")
-        self.version, self.root = "2.0" if version == "2.0" else "3.0", attributes
+        number = attributes.get("fmiVersion", "")
+        version = written_by(number)
+        if version is None:
+            raise FMUError(f"{self._about()}: FMI version '{plain(number, 50)}'; this reads {' and '.join(VERSIONS)}")
+        self.version, self.root = version, attributes
 
     # -- variables ------------------------------------------------------------------------------------------
 
     def _variable(self, type_: str, own: dict[str, str], numbers: dict[str, str], dimensions: list[Any]) -> None:
         name = own.get("name", "")
         limits.within(f"{self._about()}: variable '{plain(name, 50)}'", len(name), limits.NAME, "characters in a name")
-        if type_ not in NUMBERS:
+        if type_ not in self.version.types:
             self._leave_out(type_ or "untyped", name)
         elif "clocks" in own:
             self._leave_out(f"clocked {type_}", name)
@@ -213,15 +206,16 @@ def read_interface(stream: IO[bytes], manifest: bytes | None, name: str) -> Inte
     read(stream, f"{name}/modelDescription.xml", about)
     if about.cosimulation is None:
         raise FMUError(f"{name}: the unit has no Co-Simulation interface")
+    version = about.version
     own = {} if manifest is None else read_manifest(parse(manifest, f"{name}/manifest"))
     return Interface(
-        version=about.version,
+        version=version.number,
         name=plain(about.root.get("modelName", name), 200),
         identifier=about.cosimulation.get("modelIdentifier", ""),
-        token=about.root.get(TOKEN[about.version], ""),
+        token=about.root.get(version.token, ""),
         variables=about.variables,
-        saves=about.cosimulation.get(SAVES[about.version]) in TRUE,
-        derivatives=about.cosimulation.get(DERIVES[about.version]) in TRUE,
+        saves=about.cosimulation.get(version.saves) in TRUE,
+        derivatives=about.cosimulation.get(version.derives) in TRUE,
         start=about.times.get("startTime", 0.0),
         stop=about.times.get("stopTime"),
         step=about.times.get("stepSize"),

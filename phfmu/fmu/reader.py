@@ -20,6 +20,7 @@ from phfmu.fmu.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.slave import Slave
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import VERSIONS
 
 Array = NDArray[np.float64]
 _STEP, _MOVED = ("storedStep", "dissipatedStep", "suppliedStep"), "movedStep"
@@ -66,10 +67,10 @@ class FMUInstance:
         #: the ledger is a quadrature of port power, because the unit does not tell its own
         self.estimated = len(means) != len(self.inputs) or not all(s in self.interface.energy for s in _STEP)
         self._sign = np.array([p.sign for p in self.ports for _ in p.inputs])
-        two, scalars = self.interface.version == "2.0", self.interface.scalars
+        version, scalars = VERSIONS[self.interface.version], self.interface.scalars
 
         def group(names: list[str], what: str) -> References:
-            return References(scalars(names, what), two)
+            return References(scalars(names, what), version)
 
         self._u = group(self.inputs, "input")
         self._y_end = group(self.outputs, "output")
@@ -232,8 +233,8 @@ class FMUInstance:
     @cached_property
     def _derivatives(self) -> list[Derivative]:
         """Of the mean outputs, by each input."""
-        two = self.interface.version == "2.0"
-        return [Derivative(self._y_mean, known, two) for known in self._u.scalars]
+        version = VERSIONS[self.interface.version]
+        return [Derivative(self._y_mean, known, version) for known in self._u.scalars]
 
     def sensitivity(self) -> Array:
         """S = d(mean outputs)/d(held inputs) of the last step (nu x nu).

@@ -1,4 +1,4 @@
-"""One importer's view of both versions: FMPy's bindings behind the same few calls."""
+"""One importer's view of all versions: FMPy's bindings behind the same few calls."""
 
 from __future__ import annotations
 
@@ -8,14 +8,6 @@ from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import (
-    FMU2Slave,
-    fmi2CallbackAllocateMemoryTYPE,
-    fmi2CallbackFreeMemoryTYPE,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-)
-from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 
 from phfmu.fmu import exit_guard
@@ -24,14 +16,13 @@ from phfmu.fmu.interface import Scalar
 from phfmu.fmu.refusal import UnitCallError, said
 from phfmu.fmu.values import Block, Derivative, References
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import VERSIONS
 from phfmu.fmu.words import plain
 
 Array = NDArray[np.float64]
 
 #: messages that are kept, those that are quoted, and the characters of one
 KEPT, QUOTED, LONGEST = 20, 3, 500
-#: kinds of the status of a step in FMI 2.0
-_LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
 _ANSWERS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
 
@@ -40,8 +31,9 @@ class Slave:
 
     def __init__(self, archive: Archive, name: str, early_return: bool = False):
         about = archive.interface
-        self.two = about.version == "2.0"
-        self.name, self._early_return = name, early_return
+        self._version = VERSIONS[about.version]
+        self._names = self._version.code
+        self.name, self.early_return = name, early_return
         self.words: deque[str] = deque(maxlen=KEPT)
         #: after a fatal error nothing may be called any more, not even to free it
         self.dead = False
@@ -53,38 +45,18 @@ class Slave:
         exit_guard.arm()
         exit_guard.current = (name, "the start of its library")
         try:
-            if self.two:
-                self.fmu: Any = FMU2Slave(libraryPath=str(archive.folder / archive.library), **common)
-                self.fmu.instantiate(callbacks=self._callbacks(), loggingOn=ours)
-            else:
-                self.fmu = FMU3Slave(**common)
-                self.fmu.instantiate(
-                    loggingOn=ours, earlyReturnAllowed=early_return,
-                    logMessage=lambda _environment, status, _category, text: self._log(status, text),
-                )  # fmt: skip
+            library = archive.folder / archive.library
+            self.fmu: Any = self._names.instance(library, common, self._log, ours, early_return)
         except Exception as error:  # the bindings raise plain Exception for a library that does not load
-            raise FMUError(f"{archive.path}: {plain(str(error))}{said(self._last_words())}") from error
+            raise FMUError(f"{archive.path}: {plain(str(error))}{said(self.last_words())}") from error
         finally:
             exit_guard.current = None
 
-    def _callbacks(self) -> fmi2CallbackFunctions:
-        import fmpy
-
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(
-            lambda _environment, _name, status, _category, text: self._log(status, text)
-        )
-        callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
-        callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
-        return callbacks
-
-    def _log(self, status: int, text: bytes) -> None:
+    def _log(self, text: bytes | None) -> None:
         words = (text or b"")[: 4 * LONGEST].decode("utf-8", "replace").strip()
-        if self.two:
-            words = words.replace("%%", "%").replace("##", "#")
-        self.words.append(plain(words, LONGEST))
+        self.words.append(plain(self._names.unescaped(words), LONGEST))
 
-    def _last_words(self) -> tuple[str, ...]:
+    def last_words(self) -> tuple[str, ...]:
         return tuple(self.words)[-QUOTED:]
 
     def call(self, function: Any, *arguments: Any) -> Any:
@@ -98,13 +70,13 @@ class Slave:
         except FMICallException as error:
             answer = _ANSWERS.get(error.status, f"status {error.status}")
             self.dead = answer == "fatal"
-            raise UnitCallError(self.name, error.function, answer, self._last_words()) from None
+            raise UnitCallError(self.name, error.function, answer, self.last_words()) from None
         finally:
             exit_guard.current = None
 
     def references(self, scalars: Sequence[Scalar]) -> References:
         """Buffers for a group of scalars."""
-        return References(scalars, self.two)
+        return References(scalars, self._version)
 
     def set(self, r: References) -> None:
         """Values of the buffer into the unit."""
@@ -132,11 +104,7 @@ class Slave:
 
     def enter(self, start: float, stop: float | None) -> None:
         """Into Initialization Mode."""
-        if self.two:
-            self.call(self.fmu.setupExperiment, None, start, stop)
-            self.call(self.fmu.enterInitializationMode)
-        else:
-            self.call(self.fmu.enterInitializationMode, None, start, stop)
+        self._names.enter(self, start, stop)
 
     def leave(self) -> None:
         self.call(self.fmu.exitInitializationMode)
@@ -146,31 +114,7 @@ class Slave:
 
         UnitCallError also if it does so where it may not, or asks to end the simulation.
         """
-        try:
-            answer = self.call(self.fmu.doStep, t, h, False)
-        except UnitCallError as error:
-            if self.two and error.answer == "discard":
-                raise self._discarded(error) from None
-            raise
-        if not self.two:
-            _, ended, early, last = answer
-            if ended or (early and not self._early_return):
-                what = "terminate" if ended else "early return"
-                words = (*self._last_words(), f"last successful time {last:.9g} s")
-                raise UnitCallError(self.name, "fmi3DoStep", what, words)
-            if early:
-                return last
-        return t + h
-
-    def _discarded(self, error: UnitCallError) -> UnitCallError:
-        """FMI 2.0 tells the reason on request."""
-        try:
-            ended = bool(self.call(self.fmu.getBooleanStatus, _TERMINATED))
-            last = self.call(self.fmu.getRealStatus, _LAST_SUCCESSFUL_TIME)
-        except UnitCallError:
-            return error
-        words = (*error.words, f"last successful time {last:.9g} s")
-        return UnitCallError(error.unit, error.function, "terminate" if ended else "discard", words)
+        return self._names.do_step(self, t, h)
 
     def reset(self) -> None:
         self.call(self.fmu.reset)
@@ -193,8 +137,9 @@ class Slave:
 
     def derivative(self, d: Derivative) -> Array:
         """Its values at the present time, in its buffer."""
-        function = self.fmu.fmi2GetDirectionalDerivative if self.two else self.fmu.fmi3GetDirectionalDerivative
-        self.call(function, self.fmu.component, *d.arguments)
+        self.call(
+            getattr(self.fmu, f"{self._version.prefix}GetDirectionalDerivative"), self.fmu.component, *d.arguments
+        )
         return d.buffer[d.picks]
 
     def free(self) -> None:

@@ -16,9 +16,9 @@ from phfmu.engine.library import runtime_sources
 from phfmu.engine.model import kernels
 from phfmu.engine.tables import c_text
 from phfmu.engine.tangent_text import tangent_text
-from phfmu.fmu import fmi2, fmi3
 from phfmu.fmu.description import Unit
 from phfmu.fmu.variables import check_names
+from phfmu.fmu.version import VERSIONS, Version
 from phfmu.fmu.words import c_comment, c_string
 from phfmu.fmu.xml import number
 
@@ -27,8 +27,7 @@ RUNTIME = Path(__file__).parent / "runtime"
 #: headers of the standard; importers that compile sources bring their own
 HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 
-#: layers that belong to one version of the interface
-PROTOCOL = {"2.0": ("fmi2.c",), "3.0": ("fmi3.c", "fmi3_absent.c", "fmi3_arrays.c", "fmi3_arrays.h")}
+_PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
 Sources = dict[str, str | Path]
 
@@ -43,12 +42,12 @@ def generated(unit: Unit) -> dict[str, str]:
 
 
 def token(unit: Unit, equations: dict[str, str]) -> str:
-    """Fingerprint of equations, runtime and both descriptions, in the form of a GUID."""
+    """Fingerprint of equations, runtime and all descriptions, in the form of a GUID."""
     digest = hashlib.sha256()
     for name, source in sorted({**fixed(), **equations}.items()):
         content = source.read_bytes() if isinstance(source, Path) else source.encode()
         digest.update(f"{name} {len(content)}\n".encode() + content)
-    digest.update(fmi2.model_description(unit) + fmi3.model_description(unit))
+    digest.update(b"".join(version.description(unit) for version in VERSIONS.values()))
     h = digest.hexdigest()
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
@@ -60,13 +59,13 @@ def fixed() -> Sources:
 
 
 def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
-    """All a library with both versions is compiled from, but the headers of the standard."""
+    """All a library with all versions is compiled from, but the headers of the standard."""
     return {**fixed(), **equations, "interface.c": interface_text(unit, token)}
 
 
-def of_version(sources: Sources, version: str, identifier: str) -> Sources:
+def of_version(sources: Sources, version: Version, identifier: str) -> Sources:
     """The sources an importer of one version can compile, with names of their own: `identifier` before each."""
-    others = {name for v, names in PROTOCOL.items() if v != version for name in names}
+    others = {name for v in VERSIONS.values() for name in v.layers}.difference(version.layers)
     own = {name: source for name, source in sources.items() if name not in others}
     return own | {"names.h": names_text(own, identifier)}
 
@@ -74,10 +73,11 @@ def of_version(sources: Sources, version: str, identifier: str) -> Sources:
 def names_text(sources: Sources, identifier: str) -> str:
     """names.h: what the headers declare for the linker, renamed."""
     found: set[str] = set()
+    own = rf"\b((?:{'|'.join(('ph', 'fmu', *_PREFIXES))})_\w+)\("
     for name, source in sources.items():
         if name.endswith(".h"):
             text = source.read_text() if isinstance(source, Path) else source
-            found.update(re.findall(r"\b((?:ph|fmu|fmi[23])_\w+)\(", text))
+            found.update(re.findall(own, text))
             found.update(re.findall(r"^extern const [^;=]*?(\w+)(?:\[\])?;", text, flags=re.M))
     found.add("ph_the_model")
     lines = "".join(f"#define {name} {identifier}_{name}\n" for name in sorted(found))
@@ -86,7 +86,7 @@ def names_text(sources: Sources, identifier: str) -> str:
 
 def headers() -> Sources:
     """Headers of the standard."""
-    return {p.name: p for p in sorted(HEADERS.glob("fmi[23]*.h"))}
+    return {p.name: p for p in sorted(HEADERS.glob("*.h")) if p.name.startswith(_PREFIXES)}
 
 
 def _list(values: Iterable[str]) -> str:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from phfmu.declare.port import Port
 from phfmu.fmu.description import Unit
+from phfmu.fmu.version import Version
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, text_of
 
 
-def terminals(unit: Unit, version: str) -> bytes | None:
+def terminals(unit: Unit, version: Version) -> bytes | None:
     """Those of a unit of one FMI version: the document, or None without external ports or if it is not wanted."""
     ports = [p for p in unit.declaration.ports if p.external]
     if not ports or not unit.terminals:
@@ -20,7 +21,7 @@ def terminals(unit: Unit, version: str) -> bytes | None:
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     listed = etree.SubElement(root, "Terminals")
     for port in ports:
-        _terminal(listed, port, unit.arrays and version == "3.0" and port.size is not None)
+        _terminal(listed, port, unit.arrays and version.arrays and port.size is not None)
     return text_of(root)
 
 

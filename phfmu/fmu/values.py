@@ -11,26 +11,17 @@ from numpy.typing import NDArray
 
 from phfmu.fmu.interface import Scalar
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import Version
 
 Array = NDArray[np.float64]
-
-#: type of a variable -> (type of its functions, element) in FMI 2.0; all others are of 3.0
-_TWO = {"Float64": ("Real", ctypes.c_double), "Int32": ("Integer", ctypes.c_int), "Boolean": ("Boolean", ctypes.c_int),
-        "Enumeration": ("Integer", ctypes.c_int)}  # fmt: skip
-_THREE = {
-    "Float64": ("Float64", ctypes.c_double), "Float32": ("Float32", ctypes.c_float), "Boolean": ("Boolean", ctypes.c_bool),
-    "Enumeration": ("Int64", ctypes.c_int64), "Int8": ("Int8", ctypes.c_int8), "UInt8": ("UInt8", ctypes.c_uint8),
-    "Int16": ("Int16", ctypes.c_int16), "UInt16": ("UInt16", ctypes.c_uint16), "Int32": ("Int32", ctypes.c_int32),
-    "UInt32": ("UInt32", ctypes.c_uint32), "Int64": ("Int64", ctypes.c_int64), "UInt64": ("UInt64", ctypes.c_uint64),
-}  # fmt: skip
 
 
 class Block:
     """Variables of one type: `places` of their scalars in a group, `picks` of those in the buffer."""
 
-    def __init__(self, type_: str, two: bool, scalars: Sequence[Scalar], places: list[int]):
-        kind, element = (_TWO if two else _THREE)[type_]
-        self.getter, self.setter = (f"fmi{2 if two else 3}{verb}{kind}" for verb in ("Get", "Set"))
+    def __init__(self, type_: str, version: Version, scalars: Sequence[Scalar], places: list[int]):
+        word, element = version.types[type_]
+        self.getter, self.setter = (f"{version.prefix}{verb}{word}" for verb in ("Get", "Set"))
         first: dict[int, int] = {}
         total, own = 0, []
         for s in scalars:
@@ -44,7 +35,7 @@ class Block:
         self.buffer: NDArray[Any] = np.ctypeslib.as_array(self.address)[:total]
         self.picks, self.places = np.array(own, int), np.array(places, int)
         #: of the functions of the library, after the instance
-        self.arguments = (self.references, self.n, self.address, *(() if two else (self.total,)))
+        self.arguments = (self.references, self.n, self.address, *((self.total,) if version.arrays else ()))
         self.boolean = type_ == "Boolean"
         #: whether every place of the buffer has a scalar; whether they are the same, in order
         self.filled, self.whole = len(set(own)) == total, own == list(range(total))
@@ -53,12 +44,12 @@ class Block:
 class References:
     """A group of scalars; `values` holds what is to be set or what was read (n)."""
 
-    def __init__(self, scalars: Sequence[Scalar], two: bool):
+    def __init__(self, scalars: Sequence[Scalar], version: Version):
         self.scalars, self.n = tuple(scalars), len(scalars)
         kinds: dict[str, list[int]] = {}
         for i, s in enumerate(scalars):
             kinds.setdefault(s.type, []).append(i)
-        self.blocks = [Block(k, two, [scalars[i] for i in own], own) for k, own in kinds.items()]
+        self.blocks = [Block(k, version, [scalars[i] for i in own], own) for k, own in kinds.items()]
         b = self.blocks[0] if len(self.blocks) == 1 else None
         #: numbers of type double without gaps are set and read in place
         self.direct = b if b is not None and b.whole and b.buffer.dtype == np.float64 else None
@@ -86,13 +77,13 @@ class References:
 class Derivative:
     """d unknowns / d known, all of type Float64: the arguments of the call, made once."""
 
-    def __init__(self, unknowns: References, known: Scalar, two: bool):
-        found, given = unknowns.blocks[0], Block(known.type, two, [known], [0])
+    def __init__(self, unknowns: References, known: Scalar, version: Version):
+        found, given = unknowns.blocks[0], Block(known.type, version, [known], [0])
         given.buffer[known.entry] = 1.0
         result = type(found.address)()
         self.buffer: Array = np.ctypeslib.as_array(result)
         self.picks = found.picks
-        ends = ((), ()) if two else ((given.total,), (found.total,))
+        ends = ((given.total,), (found.total,)) if version.arrays else ((), ())
         self.arguments = (
             found.references,
             found.n,

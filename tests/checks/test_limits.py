@@ -33,8 +33,8 @@ from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
 from phfmu.declare.parameter_limits import Limit, limits
-from phfmu.fmu import fmi2, fmi3
 from phfmu.fmu.description import Unit
+from phfmu.fmu.version import VERSIONS
 
 
 def texts(model: PHDAE) -> dict[str, str]:
@@ -220,7 +220,7 @@ def description(version: str) -> dict[str, dict[str, str]]:
     """Attributes of the variables of the motor."""
     declaration = dc_motor()
     unit = Unit(build_model(declaration), 1e-3)
-    root = etree.fromstring((fmi2 if version == "2.0" else fmi3).model_description(unit))
+    root = etree.fromstring(VERSIONS[version].description(unit))
     found = root.findall(".//ScalarVariable" if version == "2.0" else ".//Float64")
     return {v.get("name"): dict(v.attrib) | dict(v[0].attrib if len(v) else {}) for v in found}
 

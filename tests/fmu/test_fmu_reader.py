@@ -23,6 +23,7 @@ from phfmu.fmu.manifest import PATH, PortMap
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.values import Derivative
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import VERSIONS as ROWS
 
 VERSIONS = ["2.0", "3.0"]
 STEP = 1e-3
@@ -171,7 +172,7 @@ def test_directional_derivatives_of_other_pairs_are_refused(circuits, version: s
 
         def slope(unknowns: list[str], known: str) -> np.ndarray:
             group = unit._slave.references([unit.variable(n) for n in unknowns])
-            return unit._slave.derivative(Derivative(group, unit.variable(known), version == "2.0"))
+            return unit._slave.derivative(Derivative(group, unit.variable(known), ROWS[version]))
 
         for unknown, known, words in (
             ("psi", "line.v", "'psi' is not an output of an external port"),

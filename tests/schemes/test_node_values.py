@@ -29,6 +29,7 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.fmu.values import Derivative
 from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import FMI3
 from phfmu.gradients.quadrature import nodes
 
 ENGINES = (PythonInstance, NativeInstance)
@@ -319,7 +320,7 @@ def test_wrong_node_inputs_are_refused(units):
         unit.do_step(0.0, 0.1)
         with pytest.raises(FMUError, match=r"'flange.force_node\[1\]' is an input at a node; derivatives"):
             means = unit._slave.references(unit.interface.scalars(["flange.velocity_step"], "variable"))
-            unit._slave.derivative(Derivative(means, unit.variable("flange.force_node[1]"), False))
+            unit._slave.derivative(Derivative(means, unit.variable("flange.force_node[1]"), FMI3))
 
 
 def test_export_from_the_command_line(tmp_path, capsys):
