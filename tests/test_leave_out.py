@@ -12,7 +12,7 @@ from phfmu.components.mechanical.multibody import Multibody
 from phfmu.components.mechanical.translational import mass
 from phfmu.engine.library import build as build_library
 
-HEAVY = ("numpy", "casadi", "scipy", "fmpy", "lxml", "pyarrow", "matplotlib", "rich", "ziglang")
+HEAVY = ("numpy", "casadi", "scipy", "fmpy", "lxml", "pyarrow", "matplotlib", "plotly", "rich", "ziglang")
 LOADED = "import sys; print(*sorted(m for m in %r if m in sys.modules))"
 CPU = "import time; t = time.process_time(); %s; print(time.process_time() - t)"
 

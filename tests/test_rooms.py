@@ -16,7 +16,7 @@ TESTS = Path(__file__).parent
 ROOMS = (
     "words", "files", "declare", "terms", "gradients", "plan", "schemes", "schur", "discretise", "engine", "checks",
     "audit", "fmu", "network.junctions", "network.scene", "network.members", "network.couplings", "network.run",
-    "network.check_scene", "components", "stress", "bench", "cli",
+    "network.check_scene", "components", "report", "stress", "bench", "cli",
 )  # fmt: skip
 #: not in order yet, (file, what it imports from above): only ever fewer
 UPWARD = {

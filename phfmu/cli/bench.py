@@ -170,7 +170,7 @@ def _paper(args: argparse.Namespace) -> int:
     if args.target != "four_particle":
         raise ValueError("--paper reproduces the paper of four_particle only: phfmu bench four_particle --paper -o DIR")
     if find_spec("matplotlib") is None:
-        raise ValueError('figures need matplotlib: pip install "phfmu[plot]"')
+        raise ValueError('figures need matplotlib: pip install "phfmu[report]"')
     found = write(load(args.target), args.output)
     for s in found:
         print(f"{'yes' if s.holds else 'NO '}  {s.number:12.4g}  {s.text}" + (f" ({s.remark})" if s.remark else ""))

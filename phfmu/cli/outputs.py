@@ -1,4 +1,4 @@
-"""What a run writes: the result table and the audit; begun with it, fed by it, kept however it ends."""
+"""What a run writes: the result table, the audit and the picture; begun with it, fed by it, kept however it ends."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ import numpy as np
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
     from phfmu.cli.table import TableWriter
+    from phfmu.network.scene import Event
+    from phfmu.report.rows import Rows
 
 
 class Outputs:
-    """The files of -o and --audit.
+    """The files of -o, --audit and --plot.
 
     Made before the model is: what would fail after the run fails here (ValueError, OSError), and the paths are those
     of the present folder, wherever a unit goes later. As a context manager it ends the files; on an exception they keep
@@ -24,12 +26,16 @@ class Outputs:
     """
 
     def __init__(self, args: argparse.Namespace):
-        self._shown = {"-o": args.output, "--audit": args.audit}
+        self._shown = {"-o": args.output, "--audit": args.audit, "--plot": args.plot}
         self._table_path = self._audit_path = None
         self.table: TableWriter | None = None
         self.sink: AuditWriter | None = None
+        self._picture: Path | None = None
+        self._drawn: Rows | None = None
         #: wall time spent on the result table
         self.seconds = 0.0
+        #: what the picture does not show
+        self.notes: tuple[str, ...] = ()
         if args.output:
             from phfmu.cli.table import check_table
 
@@ -40,13 +46,23 @@ class Outputs:
 
             require_free(args.audit, f"--audit {args.audit}")
             self._audit_path = Path(args.audit).absolute()
+        if args.plot:
+            from phfmu.report.draw import check_picture
+
+            check_picture(args.plot, "--plot")
+            self._picture = Path(args.plot).absolute()
         if self._table_path and self._audit_path:
             here = self._table_path.resolve()
             if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
-    def begin(self, names: Sequence[str], about: dict[str, str], marked: bool) -> None:
+    def begin(self, names: Sequence[str], about: dict[str, str], marked: bool, events: Sequence[Event]) -> None:
         """Open the files of a run with the columns `names`; `marked`: rows within steps are among them."""
+        if self._picture:
+            from phfmu.report.recording import Mark
+            from phfmu.report.rows import Rows
+
+            self._drawn = Rows(about["target"], names, [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events])
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
@@ -62,6 +78,8 @@ class Outputs:
             before = perf_counter()
             self.table.add(time, values, inside)
             self.seconds += perf_counter() - before
+        if self._drawn is not None:
+            self._drawn.add(time, values)
 
     def __enter__(self) -> Outputs:
         return self
@@ -79,7 +97,7 @@ class Outputs:
             error.add_note(f"kept: {'; '.join(said)}")
 
     def _end(self) -> list[str]:
-        """Finish both files; what they hold, in words."""
+        """Finish the files; what they hold, in words."""
         said = []
         try:
             if self.table is not None and self.table.rows:
@@ -91,4 +109,16 @@ class Outputs:
                 said.append(f"the audit {self._shown['--audit']}")
             elif self.sink is not None:
                 self.sink.discard()
-        return said
+        return said + self._draw()
+
+    def _draw(self) -> list[str]:
+        """The picture of the rows, if it was asked for and there are any."""
+        if self._picture is None or self._drawn is None or not self._drawn.rows:
+            return []
+        from phfmu.report.draw import draw
+        from phfmu.report.picture import picture
+
+        drawn = picture(self._drawn)
+        draw(drawn, self._picture)
+        self.notes = drawn.notes
+        return [f"the picture {self._shown['--plot']}"]

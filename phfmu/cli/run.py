@@ -40,6 +40,7 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--input", metavar="CSV", help="input and parameter values over time (first column time), held")
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--audit", metavar="FILE", help="energy ledger per step, FILE.parquet")
+    parser.add_argument("--plot", metavar="FILE", help="picture of the run, X.png or X.html (see: phfmu plot)")
     parser.add_argument(
         "--audit-rtol", type=float, default=1e-11, help="allowed residual of a step relative to the energies in play"
     )
@@ -73,7 +74,7 @@ def call(args: argparse.Namespace) -> int:
     if changes and not is_fmu(args.target):
         options.require_sound(args, scene.declaration(), changes)
     with Signals() as signals, outputs, _Progress(stop, args.quiet, signals.check) as report:
-        outputs.begin(stepper.names, {"target": args.target, "run": label}, args.dense is not None)
+        outputs.begin(stepper.names, {"target": args.target, "run": label}, args.dense is not None, changes)
         result = run(
             stepper, stop=stop, step=step, events=events, sink=outputs.sink, progress=report.update, keep=outputs.keep,
             project=args.project, kept=args.keep, audit_rtol=args.audit_rtol,
@@ -82,7 +83,7 @@ def call(args: argparse.Namespace) -> int:
     summary = result.ledger.summary()
     if not args.quiet:
         _print_run(args, label, result, stop, step, report.seconds - outputs.seconds)
-        _print_notes([*order_lost(args), *dropped, *result.notes])
+        _print_notes([*order_lost(args), *dropped, *result.notes, *outputs.notes])
         print(audit_table(summary), end="")
     if not summary.closed:
         places = dict.fromkeys(v.name for v in summary.violations)
@@ -139,6 +140,8 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float
         print(f"largest |{name}| over the run: {value:.6g}")
     if args.output:
         print(f"results: {args.output}")
+    if args.plot:
+        print(f"picture: {args.plot}")
     if args.audit:
         print(f"audit: {args.audit} (print with: phfmu audit {args.audit})")
 

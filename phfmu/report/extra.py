@@ -1,0 +1,10 @@
+"""Packages that only pictures need."""
+
+from importlib.util import find_spec
+
+
+def require(package: str) -> None:
+    """ValueError unless the package is installed."""
+    if find_spec(package) is None:
+        what = {"matplotlib": "a PNG", "plotly": "an HTML page"}[package]
+        raise ValueError(f'{what} needs {package}, which is not installed: pip install "phfmu[report]"')

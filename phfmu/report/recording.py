@@ -1,0 +1,53 @@
+"""What a run leaves to draw: signals over time and marks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Values [n] over times [n] in seconds; `unit` None: the file does not say.
+
+    `topic`: signals of one topic share an axis; without one those of a unit do. `log`: drawn as magnitude on a log axis.
+    `dashed`: a limit to another signal, drawn with it.
+    """
+
+    name: str
+    unit: str | None
+    time: Floats
+    values: Floats
+    topic: str = ""
+    log: bool = False
+    dashed: bool = False
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Something that happened at a time."""
+
+    time: float
+    text: str
+
+
+class Recording(Protocol):
+    """What signals can be read from; `names` in the order of the file."""
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def names(self) -> Sequence[str]: ...
+
+    def usual(self) -> list[str]:
+        """Names that are drawn when none are asked for."""
+        ...
+
+    def read(self, names: Sequence[str]) -> list[Signal]: ...
+
+    def marks(self) -> list[Mark]: ...

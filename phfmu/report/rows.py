@@ -1,0 +1,42 @@
+"""Rows of a run under way as a recording: what a picture of them needs, and no more."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from phfmu.report.recording import Floats, Mark, Signal
+from phfmu.report.result_table import usual
+
+
+class Rows:
+    """Keeps the signals that are drawn unasked; `units` by name, where they are known."""
+
+    def __init__(
+        self, title: str, names: Sequence[str], marks: Sequence[Mark] = (), units: Mapping[str, str] | None = None
+    ):
+        self.title, self.names = title, list(names)
+        self._marks, self._units = list(marks), units or {}
+        self._chosen = usual(self.names)
+        self._columns = [self.names.index(n) for n in self._chosen]
+        self._time: list[Floats] = []
+        self._values: list[Floats] = []
+
+    def add(self, time: Floats, values: Floats) -> None:
+        """Take n rows: time [n], values [n, names]."""
+        self._time.append(np.array(time))
+        self._values.append(values[:, self._columns])
+
+    @property
+    def rows(self) -> int:
+        return sum(map(len, self._time))
+
+    def usual(self) -> list[str]:
+        return self._chosen
+
+    def marks(self) -> list[Mark]:
+        return self._marks
+
+    def read(self, names: Sequence[str]) -> list[Signal]:
+        time = np.concatenate(self._time)
+        at = {n: i for i, n in enumerate(self._chosen)}
+        return [Signal(n, self._units.get(n), time, np.concatenate([v[:, at[n]] for v in self._values])) for n in names]
