@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from phfmu.network.scene import Scene
 
 
-#: order of members that are joined by one held value per step
-HELD_ORDER = 2
-
-
 def stepper_for(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
     """Stepper, scene and a label for the run's head line."""
     from phfmu.network.junctions.network import Network
@@ -117,11 +113,13 @@ def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf
 
 def order_lost(args: argparse.Namespace) -> list[str]:
     """A line if the coupling does not keep the order that was asked for."""
-    if args.coupling != "newton" or (args.order or 2) <= HELD_ORDER:
+    from phfmu.network.couplings.newton import Newton
+
+    if args.coupling != Newton.name or (args.order or 2) <= Newton.order:
         return []
     return [
         f"--order {args.order} is that of the members: newton joins them by one value per step, held, so the run is of order "
-        f"{HELD_ORDER}; --coupling monolithic keeps order {args.order}"
+        f"{Newton.order}; --coupling monolithic keeps order {args.order}"
     ]
 
 
@@ -159,7 +157,7 @@ def _coupled(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
             model = build_model(replace(declaration, name=name), own)
             members.append(EngineMember(name, model, instance_of(model, engine)))
     coupled = Coupled(s.system, members)  # type: ignore[arg-type]
-    return coupled, s, _label(schemes, engine, "newton coupling", HELD_ORDER)
+    return coupled, s, _label(schemes, engine, f"{coupled.coupling.name} coupling", coupled.coupling.order)
 
 
 def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: float) -> Any:

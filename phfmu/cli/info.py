@@ -20,7 +20,6 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from phfmu.cli.build import HELD_ORDER
     from phfmu.cli.target import is_fmu, scene
     from phfmu.declare.parameter_limits import limits
 
@@ -37,8 +36,10 @@ def call(args: argparse.Namespace) -> int:
         print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
     if d.members != ("",):
         print(f"members: {', '.join(d.members)}")
+        from phfmu.network.couplings.newton import Newton
+
         print(
-            f"order: --order composed; {HELD_ORDER} with --coupling newton, which joins members by one held value per step"
+            f"order: --order composed; {Newton.order} with --coupling newton, which joins members by one held value per step"
         )
     if d.junctions:
         from phfmu.network.junctions.nodes import node_kinds

@@ -117,6 +117,11 @@ class Unit:
 
     def check_start(self) -> None: ...
 
+    def prepare(self, t0: float, h: float) -> None: ...
+
+    def rest_changes(self) -> dict:
+        return {}
+
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         gained = np.full((n, 1), h * self._supplied)
         H = self._H + np.cumsum(gained, axis=0)

@@ -249,10 +249,10 @@ def test_names() -> None:
 
 def bits(stepper: Coupled) -> list[Any]:
     """Everything that the members and the junctions hold."""
-    first, second, third = stepper.members
+    first, second, third = stepper.joined.members
     python, unit = second.get_state(), third.unit
     return [first.get_state(), [np.array(python.x).tobytes(), python.carry.tobytes(), python.w.tobytes(), python.t],
-            unit.serialize(unit.get_state()), unit.time, stepper.xi.tobytes()]  # fmt: skip
+            unit.serialize(unit.get_state()), unit.time, stepper.last.xi.tobytes()]  # fmt: skip
 
 
 @pytest.mark.parametrize("error", [StepFailure(Status.NO_CONVERGENCE, "spring12", 0.2, 0.01), ValueError("not finite")])
@@ -262,8 +262,8 @@ def test_rollback(tmp_path: Path, error: Exception, trial: int) -> None:
     kinds, net = "native python fmu", oscillator().system
     stepper, twin = couple(net, kinds, tmp_path), couple(net, kinds, tmp_path)
     for k in range(5):
-        stepper.step(k * 0.01, 0.01)
-    before, last = bits(stepper), stepper.members[2]
+        stepper.advance(k * 0.01, 0.01, 1)
+    before, last = bits(stepper), stepper.joined.members[2]
     sound, left = last.do_step, iter([*[None] * (trial - 1), error])
 
     def stubborn(t: float, h: float) -> None:
@@ -273,12 +273,12 @@ def test_rollback(tmp_path: Path, error: Exception, trial: int) -> None:
 
     last.do_step = stubborn
     with pytest.raises(type(error), match=str(error)[:8]):
-        stepper.step(0.05, 0.01)
+        stepper.advance(0.05, 0.01, 1)
     assert bits(stepper) == before
     last.do_step = sound
-    stepper.step(0.05, 0.01)
+    stepper.advance(0.05, 0.01, 1)
     for k in range(6):
-        twin.step(k * 0.01, 0.01)
+        twin.advance(k * 0.01, 0.01, 1)
     assert bits(twin) == bits(stepper)
 
 
@@ -286,13 +286,13 @@ def test_finite_differences(tmp_path: Path) -> None:
     """Units without derivatives: differences stand in, and the ledger is exact.  Two internal steps have derivatives."""
     net = drive().system
     stepper = couple(net, "fmu", tmp_path, step=5e-5)
-    stepper.step(0.0, 1e-4)
-    assert np.isfinite(stepper.members[0].unit.sensitivity()).all()
+    stepper.advance(0.0, 1e-4, 1)
+    assert np.isfinite(stepper.joined.members[0].unit.sensitivity()).all()
     stepper = couple(net, "fmu", tmp_path, step=5e-5)
-    for unit in (m.unit for m in stepper.members):
+    for unit in (m.unit for m in stepper.joined.members):
         unit.interface = replace(unit.interface, derivatives=False)
     with pytest.raises(StepFailure, match="sensitivity"):
-        stepper.members[0].unit.sensitivity()
+        stepper.joined.members[0].unit.sensitivity()
     result = run(stepper, stop=0.01, step=1e-4)
     closes(result)
     fine = run(composed(net, "native"), stop=0.01, step=5e-5)

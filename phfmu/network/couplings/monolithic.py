@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model, build_model
+from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.network.couplings.stepper import Steps
 from phfmu.network.members.booking import booking
@@ -59,6 +60,9 @@ class Monolithic:
     def energies(self) -> Array:
         return self.instance.signal("H")
 
+    def rest_changes(self) -> dict[str, list[RestChange]]:
+        return {"": self.instance.rest_changes}
+
     def check_start(self) -> None:
         require_consistent(self.model, self.instance)
 
@@ -72,6 +76,9 @@ class Monolithic:
         self.instance.set_x(t0, found.x)
         self.instance.initialise()
         return found
+
+    def prepare(self, t0: float, h: float) -> None:
+        """One instance has its values from its own start."""
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         try:

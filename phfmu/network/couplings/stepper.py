@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from phfmu.network.members.booking import Booking
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
+    from phfmu.engine.rest_changes import RestChange
 
 Array = NDArray[np.float64]
 
@@ -36,9 +37,10 @@ class Steps:
     between: Array | None = None
 
     @classmethod
-    def stacked(cls, rows: list[tuple[Array, ...]]) -> Steps:
-        """From one tuple of values per step, in the order of the fields."""
-        return cls(*(np.array(column) for column in zip(*rows, strict=True)))
+    def stacked(cls, rows: Sequence[Mapping[str, Any]]) -> Steps:
+        """From the values of each step by field; a field that a step lacks is None."""
+        names = [f.name for f in fields(cls) if all(f.name in row for row in rows)]
+        return cls(**{name: np.array([row[name] for row in rows]) for name in names})
 
     @classmethod
     def joined(cls, parts: list[Steps]) -> Steps:
@@ -73,6 +75,14 @@ class Stepper(Protocol):
     def set_value(self, name: str, value: float) -> str: ...
     def read(self) -> Array: ...
     def energies(self) -> Array: ...
+    def rest_changes(self) -> dict[str, list[RestChange]]:
+        """Member ("" for a whole system) -> the last changes of its constraints at rest."""
+        ...
+
     def check_start(self) -> None: ...
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None: ...
+    def prepare(self, t0: float, h: float) -> None:
+        """Once before the first step, of size h: what `read` shows of a step is of a trial step that is taken back."""
+        ...
+
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps: ...

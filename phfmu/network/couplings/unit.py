@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.couplings.stepper import Steps
@@ -52,6 +53,9 @@ class FMUStepper:
     def energies(self) -> Array:
         return self.unit.energies()
 
+    def rest_changes(self) -> dict[str, list[RestChange]]:
+        return {"": self.member.rest_changes()}
+
     def check_start(self) -> None:
         self.member.check_start()
 
@@ -61,23 +65,17 @@ class FMUStepper:
             f"{self.unit.name}: a start inside an FMU cannot be projected at t = {t0:g} s; set start values"
         )
 
+    def prepare(self, t0: float, h: float) -> None:
+        """A unit has its values from its own start."""
+
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
-        rows: list[tuple[Array, ...]] = []
-        moved: list[Array] = []
+        rows: list[dict[str, Any]] = []
         for k in range(n):
             try:
                 self.member.do_step(t0 + (first + k) * h, h)
-                values = self.read()
+                known = {"signals": self.read(), "H": self.energies(), "iterations": 0.0}
+                rows.append(known | self.member.ledger())
             except StepFailure as failure:
-                failure.recorded = {"steps": _taken(rows, moved)} if rows else {}
+                failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
                 raise
-            book = self.member.ledger()
-            moved += [book["moved"]] if "moved" in book else []
-            parts = [book[key] for key in ("stored", "dissipated", "supplied", "pairs")]
-            rows.append((values, self.energies(), *parts, np.array(0.0)))
-        return _taken(rows, moved)
-
-
-def _taken(rows: list[tuple[Array, ...]], moved: list[Array]) -> Steps:
-    """The steps so far; units of other tools do not tell what moved."""
-    return replace(Steps.stacked(rows), moved=np.array(moved) if moved else None)
+        return Steps.stacked(rows)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.members.booking import Booking, booking
 from phfmu.network.members.columns import Columns
@@ -90,6 +91,9 @@ class EngineMember:
 
     def read(self) -> Array:
         return self._columns.now(self.instance)
+
+    def rest_changes(self) -> list[RestChange]:
+        return self.instance.rest_changes
 
     def check_start(self) -> None:
         require_consistent(self.model, self.instance, MONOLITHIC)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.refusal import UnitFailure
@@ -131,6 +132,10 @@ class FMUMember:
             names = [self.names[i] for i in self._watched]
             raise self.unit.not_finite(names, values[self._watched], self.unit.time)
         return values
+
+    def rest_changes(self) -> list[RestChange]:
+        """A unit does not tell which of its constraints rest."""
+        return []
 
     def check_start(self) -> None:
         """The unit refuses an inconsistent start itself, when it leaves initialisation."""

@@ -148,7 +148,7 @@ def run(
         whole = monolithic(stepper, "--dense")
         whole.between = Dense(whole.instance, dense).between
     rows = _Rows(keep, progress)
-    first, projection, before = True, None, _rest_changes(stepper)
+    first, projection, before = True, None, stepper.rest_changes()
     try:
         for start, end, here in segments(t0, stop, events, close=1e-9 * step):
             for e in here:
@@ -160,9 +160,7 @@ def run(
                 if project:
                     projection = book.project(t0, kept)
                 stepper.check_start()
-                prepare = getattr(stepper, "prepare", None)
-                if prepare is not None:
-                    prepare(t0, min(step, end - t0))
+                stepper.prepare(t0, min(step, end - t0))
                 book.start()
                 rows.take(np.array([t0]), stepper.read()[None], np.zeros(1, bool))
                 first = False
@@ -176,7 +174,7 @@ def run(
     time, values, inside = rows.joined(len(stepper.names))
     worst, facts = book.worst(), march.facts()
     facts |= {"interpolated": inside} if dense else {}
-    rest_notes = _rest_notes(before, _rest_changes(stepper))
+    rest_notes = _rest_notes(before, stepper.rest_changes())
     notes = (*_unreached(events, stop - 1e-9 * step, stop), *book.notes, *march.notes(), *rest_notes)
     return Result(
         stepper.names,
@@ -256,18 +254,6 @@ def _control(rtol: float, atol: float | None, step: float, smallest: float, larg
     from phfmu.network.run.adaptive import Control
 
     return Control(rtol, rtol if atol is None else atol, step, smallest, largest)
-
-
-def _instances(stepper: Any) -> list[tuple[str, Any]]:
-    """The instances of a run by the names of their members, "" for a whole system."""
-    members = getattr(stepper, "members", None)
-    whole = [("", stepper)] if members is None else [(m.name, m) for m in members]
-    return [(name, getattr(m, "instance", None)) for name, m in whole]
-
-
-def _rest_changes(stepper: Any) -> dict[str, list[RestChange]]:
-    """Member -> the last changes of its constraints at rest."""
-    return {name: getattr(i, "rest_changes", []) for name, i in _instances(stepper)}
 
 
 def _rest_notes(before: dict[str, list[RestChange]], now: dict[str, list[RestChange]]) -> list[str]:

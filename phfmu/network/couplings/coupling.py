@@ -1,0 +1,54 @@
+"""What a coupling of members is: it finds the junction unknowns of one step; `Coupled` does all else.
+
+A coupling is one file with one class; `newton.py` is one.  It is given the members with the equations of their junctions
+(`Joined`), what it found for the step before, and the step; it leaves every member at the end of the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.network.couplings.joined import Joined
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Step:
+    """From t by h; `states`: of the members at t, to which they may be brought back as often as it takes."""
+
+    t: float
+    h: float
+    states: list[Any]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Junction unknowns xi of a step and outputs y of the members under them; trials; by which test they were accepted."""
+
+    xi: Array
+    y: Array
+    iterations: int = 0
+    accepted_by: str = ""
+
+
+class Coupling(Protocol):
+    """Finds the junction unknowns of a step.
+
+    `name`: for the head line of a run;  `order`: the most that it keeps, whatever the order of the members.
+    """
+
+    name: str
+    order: int
+
+    def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
+        """One step from step.t, where the members are; they end at step.t + step.h under the returned unknowns.
+
+        `last`: of the step before, at the start its unknowns are the start values.  StepFailure: the members may be anywhere,
+        who calls brings them back.
+        """
+        ...

@@ -1,0 +1,77 @@
+"""What the states of coupled members violate at their junctions at one instant, and starts that do."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.junction_words import spread_words
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.junctions.hidden import hidden_part
+from phfmu.network.junctions.junction import Junction
+from phfmu.network.members.consistent import MONOLITHIC, InconsistentState
+from phfmu.network.members.differences import instant_sensitivity
+
+Array = NDArray[np.float64]
+
+CONSISTENT = 1e-7  # a sum below this part of the largest output it is made of, and of
+UNIT = 1e-6  # this where all of them are zero
+
+
+class EndSums:
+    """Per common variable: the sum of the joined flows (efforts) at the present time.
+
+    A junction with dual inputs meets its sum by them; there it is the spread of the outputs that must be equal.
+    Zero where outputs follow the junction unknowns.
+    """
+
+    def __init__(self, joined: Joined):
+        self.joined = joined
+        face = joined.face
+        self.names = [f"constraint.sum.{n}" for n in face.sum_names()]
+        self._rows = face.rows_of_sums()
+        self._projector: Array | None = None
+
+    def forget(self) -> None:
+        """After parameters or inputs were set: outputs may follow other unknowns."""
+        self._projector = None
+
+    def values(self, xi: Array) -> Array:
+        """The sums, with the junction unknowns xi."""
+        r = self._hidden(xi) @ self.joined.rows(xi, self.joined.end_outputs())
+        return np.array([r[own[0]] if len(own) == 1 else np.ptp(r[own]) for own in self._rows])
+
+    def require_zero(self, xi: Array) -> None:
+        """InconsistentState if joined flows (efforts) of states do not sum to zero."""
+        face, network = self.joined.face, self.joined.network
+        sums = self.values(xi)
+        size = np.abs(face.P.T) @ np.abs(self.joined.end_outputs())
+        bad = []
+        at = [j for j in network.junctions for _ in range(network.port_of(j.ends[0]).n)]
+        for j, n, v, own in zip(at, face.sum_names(), sums, self._rows, strict=True):
+            if not abs(v) <= CONSISTENT * (size[own].max() + UNIT):
+                pure = not face.C[own[0], : own[0]].any()
+                bad.append(f"{n}: sum {v:.6g}" if pure else f"{n}: {self._differ(j, v)}")
+        if bad:
+            raise InconsistentState(
+                f"{network.name}: inconsistent start: {'; '.join(bad)}. Joined flows of states must sum to zero "
+                f"and joined outputs must be equal at the start; change the start values, or {MONOLITHIC}"
+            )
+
+    def _hidden(self, xi: Array) -> Array:
+        """Projector to what no junction unknown can change."""
+        if self._projector is None:
+            face, u = self.joined.face, self.joined.inputs(xi)
+            M = face.C.copy()
+            for m, place in zip(self.joined.members, self.joined.places, strict=True):
+                part = face.P[place]
+                if part.any():
+                    M += part.T @ instant_sensitivity(m, u[place]) @ part
+            self._projector = hidden_part(M, face.nominal)
+        return self._projector
+
+    def _differ(self, junction: Junction, value: float) -> str:
+        shared = "effort" if junction.kind == "0" else "flow"
+        ports = junction.ports(self.joined.network.members)
+        givers = {str(e): p for e, p in ports.items() if p.given != shared}
+        return spread_words(next(iter(givers.values())), tuple(givers), value)

@@ -1,0 +1,128 @@
+"""Members of a network with the equations of their junctions: what all couplings of members work with.
+
+With xi the junction unknowns (common variables and dual inputs), U = P xi + U_free the port inputs and Y the outputs
+conjugate to them, the equations of all junctions are those of the composed model,
+
+    r = P^T Y + C xi = 0,     C skew.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.network.junctions.compose import require_members
+from phfmu.network.junctions.interface import interface
+from phfmu.network.junctions.network import Network
+from phfmu.network.members.booking import Booking
+from phfmu.network.members.member import Member
+from phfmu.words import meant
+
+Array = NDArray[np.float64]
+
+
+class Joined:
+    """Stacked: inputs and outputs of all members (nu); `face`: P (nu x n) and C (n x n).  ConnectionError without members."""
+
+    def __init__(self, network: Network, members: list[Member]):
+        require_members(network.name, network.members)
+        self.network, self.members = network, members
+        self.face = interface(network, members)
+        self.booking = _booking(network, members)
+        self.names = [f"{m.name}.{n}" for m in members for n in m.names]
+        ends = np.cumsum([0, *(m.nu for m in members)]).tolist()
+        #: where the inputs of each member are among all
+        self.places = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        self._free = np.concatenate([m.start_inputs() for m in members])
+        self._free[self.face.P.any(axis=1)] = 0.0
+
+    # -- a step -----------------------------------------------------------------------------------------------------
+
+    def inputs(self, xi: Array) -> Array:
+        """U = P xi + U_free (nu)."""
+        return self.face.P @ xi + self._free
+
+    def apply(self, xi: Array) -> None:
+        """Give every member its inputs."""
+        u = self.inputs(xi)
+        for m, place in zip(self.members, self.places, strict=True):
+            m.set_input(u[place])
+
+    def trial(self, xi: Array, t: float, h: float) -> Array:
+        """Step every member from t by h under xi; their outputs Y (nu)."""
+        self.apply(xi)
+        for m in self.members:
+            m.do_step(t, h)
+        return np.concatenate([m.output() for m in self.members])
+
+    def rows(self, xi: Array, y: Array) -> Array:
+        """r = P^T Y + C xi (n)."""
+        return self.face.P.T @ y + self.face.C @ xi
+
+    def matrix(self, sensitivities: list[Array]) -> Array:
+        """dr/dxi = P^T G P + C (n x n) of G = dY/dU, a block (its nu x its nu) per member."""
+        matrix = self.face.C.copy()
+        for g, place in zip(sensitivities, self.places, strict=True):
+            part = self.face.P[place]
+            matrix += part.T @ g @ part
+        return matrix
+
+    def states(self) -> list[Any]:
+        return [m.get_state() for m in self.members]
+
+    def restore(self, states: list[Any]) -> None:
+        for m, s in zip(self.members, states, strict=True):
+            m.set_state(s)
+
+    # -- what can be set, what there is to tell -----------------------------------------------------------------------
+
+    def settable(self) -> list[str]:
+        return [f"{m.name}.{n}" for m in self.members for n in m.settable()]
+
+    def set_value(self, name: str, value: float, xi: Array) -> str:
+        """Set a member's parameter or free input `member.name` and say which it is; KeyError names close ones."""
+        member, _, rest = name.partition(".")
+        for m, place in zip(self.members, self.places, strict=True):
+            if m.name == member:
+                indices = [place.start + i for i in m.input_places(rest)]
+                if indices:
+                    if self.face.P[indices].any():
+                        raise KeyError(f"{name} is fed by a junction; it cannot be set")
+                    self._free[indices] = value
+                    m.set_input(self.inputs(xi)[place])
+                    return "input"
+                if m.set_parameter(rest, value):
+                    return "parameter"
+        raise KeyError(f"{self.network.name} has no parameter or input '{name}'; {meant(name, self.settable())}")
+
+    def read(self) -> Array:
+        """Values of `names` now."""
+        return np.concatenate([m.read() for m in self.members])
+
+    def energies(self) -> Array:
+        return np.concatenate([m.energies() for m in self.members])
+
+    def end_outputs(self) -> Array:
+        """Outputs at the present time (nu)."""
+        return np.concatenate([m.end_output() for m in self.members])
+
+    def ledger(self) -> dict[str, Array]:
+        """The ledgers of the last step side by side; what a member does not tell is zero, its moved energy all of its H."""
+        books = [
+            {"numerical": np.zeros(len(m.booking.components)), "moved": np.abs(m.energies())} | m.ledger()
+            for m in self.members
+        ]
+        return {key: np.concatenate([b[key] for b in books]) for key in books[0]}
+
+
+def _booking(network: Network, members: list[Member]) -> Booking:
+    """The audit names of all members; ports that meet are booked at their junction."""
+    at = {str(e): j.name for j in network.junctions for e in j.ends}
+    components = tuple(c for m in members for c in m.booking.components)
+    pairs = tuple(
+        (c, p, i, at.get(f"{m.name}.{p}") if c == m.name else junction)
+        for m in members for c, p, i, junction in m.booking.pairs
+    )  # fmt: skip
+    return Booking(components, pairs, frozenset(c for m in members for c in m.booking.estimated))

@@ -1,0 +1,118 @@
+"""Newton coupling: an interface Newton iteration on the step maps of the members.
+
+With Y(U) the step-conjugate outputs of a trial step, held inputs U = P xi + U_free, the junction rows of `Joined` are
+
+    r(xi) = P^T Y(P xi + U_free) + C xi = 0,     dr/dxi = P^T G P + C,
+
+with G = dY/dU of each member's step (implicit function theorem, or finite differences with rollback).  sym(G) > 0 makes
+the matrix regular.  Whatever the iteration leaves is booked at the junctions: sum of h U^T Y over joined ports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.status import Status, StepFailure
+from phfmu.network.couplings.coupling import Solution, Step
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.junctions.interface import Interface
+
+Array = NDArray[Any]
+
+# the words are those of the engines' Newton, of which this is the outer one
+ENERGY = 1e-14  # accepted interface energy relative to the energy in play
+ROUNDING = 1e-13  # scaled residual that counts as solved
+STAGNATION = 1e-9  # a scaled residual below this that stays is rounding, if the energy is
+FLOOR = 16.0  # units of rounding in a row that cannot be told from zero
+ITERATIONS = 30
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Junction unknowns, the outputs Y of the members under them, and the rows r that these leave."""
+
+    xi: Array
+    y: Array
+    r: Array
+
+    def scaled(self, face: Interface) -> Array:
+        """|r| relative to the terms of its rows; a row without terms is measured by nominal values."""
+        nominal = np.maximum(np.abs(face.C) @ face.nominal, 1e-3)
+        size = np.abs(face.P.T) @ np.abs(self.y) + np.abs(face.C) @ np.abs(self.xi) + 1e-12 * nominal
+        return np.abs(self.r) / size
+
+
+class Newton:
+    """One value per junction unknown and step, held: the whole is of order 2, whatever the order of the members is."""
+
+    name, order = "newton", 2
+
+    def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
+        """StepFailure (no convergence, singular, not finite) names the worst junction row."""
+        xi, history, gain = last.xi.copy(), [], np.zeros_like(joined.face.C)
+        for i in range(ITERATIONS):
+            if i > 0:
+                joined.restore(step.states)
+            trial = _trial(joined, xi, step)
+            if not np.isfinite(trial.r).all():
+                raise _failure(Status.NOT_FINITE, joined, step, trial, history)
+            history.append(float(np.max(trial.scaled(joined.face), initial=0.0)))
+            accepted_by = _accepted(joined, trial, step.h, history, gain)
+            if accepted_by:
+                return Solution(xi, trial.y, i + 1, accepted_by)
+            G = [m.sensitivity(step.t, step.h, s) for m, s in zip(joined.members, step.states, strict=True)]
+            matrix = joined.matrix(G)
+            gain = np.abs(matrix)
+            try:
+                xi = xi + _update(matrix, trial.r)
+            except np.linalg.LinAlgError:
+                raise _failure(Status.SINGULAR, joined, step, trial, history) from None
+            if not np.isfinite(xi).all():
+                raise _failure(Status.NOT_FINITE, joined, step, trial, history)
+        raise _failure(Status.NO_CONVERGENCE, joined, step, trial, history)
+
+
+def _trial(joined: Joined, xi: Array, step: Step) -> Trial:
+    y = joined.trial(xi, step.t, step.h)
+    return Trial(xi, y, joined.rows(xi, y))
+
+
+def _update(matrix: Array, r: Array) -> Array:
+    """dxi of matrix dxi = -r with rows scaled by their largest entries; LinAlgError if it is singular."""
+    scale = 1.0 / np.maximum(np.abs(matrix).max(axis=1), 1e-300)
+    return np.linalg.solve(matrix * scale[:, None], -r * scale)
+
+
+def _accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain: Array) -> str:
+    """energy: interface energy below budget, every row at rounding; rounding floor: rows stopped shrinking.
+
+    Rows of stiff members that hardly act stop at what a relative change of xi by eps makes of them.
+    """
+    xi, r = np.abs(trial.xi), np.abs(trial.r)
+    energy = h * float(xi @ r)
+    through = h * float(np.abs(joined.inputs(trial.xi)) @ np.abs(trial.y))
+    in_play = max(float(np.abs(joined.energies()).sum()), through)
+    stalled = len(history) > 2 and history[-1] > 0.5 * history[-2]
+    if stalled and (r <= FLOOR * np.finfo(float).eps * (gain @ xi)).all():
+        return "rounding floor"
+    if energy > ENERGY * in_play and not (stalled and energy <= 10 * ENERGY * in_play):
+        return ""
+    if history[-1] <= ROUNDING:
+        return "energy"
+    return "rounding floor" if stalled and history[-1] <= STAGNATION else ""
+
+
+def _failure(status: Status, joined: Joined, step: Step, trial: Trial, history: list[float]) -> StepFailure:
+    scaled = np.nan_to_num(trial.scaled(joined.face), nan=np.inf)
+    worst = int(np.argmax(scaled))
+    last = ", ".join(f"{v:.3g}" for v in history[-3:])
+    return StepFailure(
+        status, joined.network.name, step.t, step.h,
+        equation=f"junction row of {joined.face.names[worst]} = {trial.xi[worst]:.6g}",
+        residual=float(abs(trial.r[worst])), iterations=len(history),
+        tried=f"interface Newton (last scaled residuals {last}); all members are back at t", joined=True, history=history,
+    )  # fmt: skip
