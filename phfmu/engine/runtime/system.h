@@ -192,6 +192,9 @@ static inline void ph_clear(double *values, int n) {
         values[i] = 0.0;
 }
 
+/* Bytes of the instance of in->model with all it points to; with `memory` (that many, its own) the pointers
+ * are set too. */
+size_t ph_lay_out(ph_instance *in, char *memory);
 int ph_finite(const double *values, int n);
 void ph_resample(ph_instance *in, double from, double length, double *u);
 void ph_inputs_at(ph_instance *in, double theta, double *u);
