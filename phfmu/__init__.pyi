@@ -1,12 +1,12 @@
 """The public names and where they are defined: the one list, for editors, type checkers and `phfmu/__init__.py`."""
 
-from phfmu.checks.check import Problem as Problem
 from phfmu.checks.check import check as check
 from phfmu.checks.run_values import check_values as check_values
 from phfmu.declare.energy import ClosedPair as ClosedPair
 from phfmu.declare.energy import Energy as Energy
 from phfmu.declare.energy import energy as energy
 from phfmu.declare.energy import strain_energy as strain_energy
+from phfmu.declare.error import DeclarationError as DeclarationError
 from phfmu.declare.phdae import PHDAE as PHDAE
 from phfmu.declare.phdae import Block as Block
 from phfmu.declare.phdae import Holonomic as Holonomic
@@ -23,6 +23,7 @@ from phfmu.declare.port import Domain as Domain
 from phfmu.declare.port import Given as Given
 from phfmu.declare.port import Port as Port
 from phfmu.declare.port import drive as drive
+from phfmu.declare.problem import Problem as Problem
 from phfmu.declare.transform.descriptor import reduce_descriptor as reduce_descriptor
 from phfmu.declare.transform.parametrised import Parametrised as Parametrised
 from phfmu.declare.transform.transformation import SystemTransformation as SystemTransformation
@@ -68,7 +69,6 @@ from phfmu.schemes.semi_explicit import SemiExplicit as SemiExplicit
 from phfmu.schemes.two_level import TwoLevel as TwoLevel
 from phfmu.terms.rank import ConstraintRank as ConstraintRank
 from phfmu.terms.rank import constraint_rank as constraint_rank
-from phfmu.terms.term import DeclarationError as DeclarationError
 
 __version__: str
 __all__: tuple[str, ...]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.error import DeclarationError
 from phfmu.discretise.model import Model
-from phfmu.terms.term import DeclarationError
 
 Array = NDArray[np.float64]
 
@@ -96,6 +96,7 @@ def require_lossless(model: Model) -> None:
             names = ", ".join(v.name for v in b.variables)
             fit = "two-level of order 6" if d.constraints else "collocated of order 4 or 6"
             raise DeclarationError(
-                f"{d.name}: compositions of order above 2 step backwards, which gains what R on {names} should dissipate; "
-                f"use the scheme {fit}"
+                d.name,
+                f"compositions of order above 2 step backwards, which gains what R on {names} should dissipate",
+                f"use the scheme {fit}",
             )

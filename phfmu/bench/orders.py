@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.python import PythonInstance
@@ -20,7 +21,6 @@ from phfmu.engine.status import StepFailure
 from phfmu.gradients.gradient_names import GRADIENTS
 from phfmu.schemes.named import named_scheme
 from phfmu.schemes.scheme_names import ORDERS, SCHEMES
-from phfmu.terms.term import DeclarationError
 
 Array = NDArray[np.float64]
 
@@ -31,14 +31,11 @@ ORDER_6 = 132  # steps of the reference
 FLOOR = 1e-11  # relative errors below are rounding
 SETTLED = 0.03  # change of the slope from halving to halving
 LARGEST = 40  # states; larger models repeat what smaller ones show
-#: what a DeclarationError is about -> the word in the table
-REASONS = (
-    ("no holonomic", "no constraint"), ("constraints drift", "g drifts"),
-    ("odd stages", "odd k"), ("drifts off", "odd k"), ("order 2", "order 2"),
-    ("no discrete gradient", "order 2"), ("closed-form pair", "order 2"), ("diagonal", "diagonal E"),
-    ("quadratic constraints", "quadratic g"), ("velocities as states", "velocities"), ("structurally", "singular"),
-    ("without mass", "no mass"),
-)  # fmt: skip
+#: the rule of a DeclarationError -> the word in the table
+REASONS = {
+    "constraint": "no constraint", "drift": "g drifts", "stages": "odd k", "order": "order 2", "pair": "order 2",
+    "gradient": "order 2", "descriptor": "diagonal E", "velocity": "velocities", "singular": "singular", "mass": "no mass",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,7 +100,7 @@ def _row(name: str, declaration: PHDAE) -> Row:
             model = build_model(declaration, named_scheme(declaration, method.scheme, method.order, method.gradient))
             row.cells[method], row.ledger[method] = _slope(model, stop, _shared(truth), scale)
         except DeclarationError as e:
-            row.cells[method] = next((word for text, word in REASONS if text in str(e)), "no")
+            row.cells[method] = REASONS.get(e.rule, "no")
         except StepFailure as e:
             row.cells[method] = e.status.name.lower()
     return row

@@ -21,7 +21,7 @@ from phfmu.checks.ranges import ranges
 from phfmu.checks.sample import Sample
 from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.phdae import PHDAE, require_declaration
-from phfmu.declare.problem import Problem as Problem
+from phfmu.declare.problem import Problem
 from phfmu.declare.starts import starts
 
 if TYPE_CHECKING:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -114,8 +115,7 @@ def equations(model: PHDAE, scheme: Scheme | None) -> list[Problem]:
     try:
         built = build_model(model, scheme)
     except DeclarationError as e:
-        text, advice = _split(str(e).removeprefix(f"{model.name}: "))
-        return [Problem("solvability", model.name, text, advice)]
+        return [replace(p, rule="solvability", entry=p.entry.removeprefix(f"{model.name}: ")) for p in e.problems]
     try:
         instance = PythonInstance(built)
         signals = instance.signals()
@@ -135,15 +135,6 @@ def equations(model: PHDAE, scheme: Scheme | None) -> list[Problem]:
                 )
             )
     return found
-
-
-def _split(text: str) -> tuple[str, str]:
-    """The message of the planner and its last part, the remedy."""
-    for mark in ("; ", ". "):
-        if mark in text:
-            message, _, remedy = text.rpartition(mark)
-            return message, remedy
-    return text, "change the entry it names"
 
 
 def hidden(model: Model, observables: np.ndarray) -> list[Problem]:

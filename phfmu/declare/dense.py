@@ -53,8 +53,9 @@ def matrices(model: PHDAE) -> Matrices:
     def rows(vs: Sequence[Variable | Port]) -> list[int]:
         if any(key(v) not in place for v in vs):
             raise DeclarationError(
-                f"{model.name}: the model has feedthrough ({', '.join(v.name for v in vs)} in one block); let its ports act "
-                "by `on` only"
+                model.name,
+                f"the model has feedthrough ({', '.join(v.name for v in vs)} in one block)",
+                "let its ports act by `on` only",
             )
         return [i for v in vs for i in range(place[key(v)].start, place[key(v)].stop)]
 

@@ -1,5 +1,32 @@
 """The error of a declaration."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phfmu.declare.problem import Problem
+
 
 class DeclarationError(ValueError):
-    """The declaration does not fit what is asked of it; the message names the entry, the numbers and the remedy."""
+    """The declaration does not fit what is asked of it, as data: what of it, why, and what to do.
+
+    entry:     the model, and within it the variable, port, block or setting (`motor: port 'shaft'`)
+    reason:    what does not fit, with its numbers;  remedy: what to do about it
+    rule:      a word for programs, told apart where one asks: "order", "stages", "gradient" (of a scheme), "constraint",
+               "drift", "mass", "velocity", "descriptor", "singular" (of a model), those of `Problem`, else ""
+    problems:  all that were found; the data above are those of the first
+    """
+
+    def __init__(self, entry: str, reason: str, remedy: str, rule: str = "", also: Sequence[Problem] = ()) -> None:
+        super().__init__(entry, reason, remedy, rule, tuple(also))
+        self.entry, self.reason, self.remedy, self.rule = entry, reason, remedy, rule
+        self.problems = (Problem(rule, entry, reason, remedy), *also)
+
+    @classmethod
+    def of(cls, problems: Sequence[Problem]) -> DeclarationError:
+        """One error that carries them all."""
+        first, *others = problems
+        return cls(first.entry, first.reason, first.remedy, first.rule, others)
+
+    def __str__(self) -> str:
+        return "\n".join(f"{p.entry}: {p.reason}; {p.remedy}" for p in self.problems)

@@ -16,6 +16,7 @@ import casadi as ca
 from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.port import Port, drive
+from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable, _sx, time
 
 
@@ -121,8 +122,11 @@ class PHDAE:
     description: str = ""
 
     def __post_init__(self) -> None:
+        found: list[Problem] = []
         for field_, kind, maker in _PARTS:
-            object.__setattr__(self, field_, _listed(self.name, field_, getattr(self, field_), kind, maker))
+            object.__setattr__(self, field_, _listed(self.name, field_, getattr(self, field_), kind, maker, found))
+        if found:
+            raise DeclarationError.of(found)
         known = {s.element_hash() for v in self.states for s in ca.vertsplit(v.sx)}
         object.__setattr__(self, "energies", tuple(resolve_kind(e, known) for e in self.energies))
         constraints = tuple(_driven(c) for c in self.constraints)
@@ -240,23 +244,25 @@ _PARTS: tuple[tuple[str, type, str], ...] = (
 )
 
 
-def _listed(model: str, what: str, items: Any, kind: type, maker: str) -> tuple[Any, ...]:
-    """The items of a field as a tuple; DeclarationError if they are not a list of `kind`."""
+def _listed(model: str, what: str, items: Any, kind: type, maker: str, found: list[Problem]) -> tuple[Any, ...]:
+    """The items of a field as a tuple; into `found` what is not a list of `kind`."""
     if isinstance(items, kind):
-        raise DeclarationError(f"{model}: {what} is one {kind.__name__}, not a list of them; write {what}=(.. ,)")
-    found = tuple(items) if isinstance(items, Iterable) and not isinstance(items, str | Mapping) else (items,)
-    for i, item in enumerate(found):
+        text, remedy = f"{what} is one {kind.__name__}, not a list of them", f"write {what}=(.. ,)"
+        found.append(Problem("type", model, text, remedy))
+        return (items,)
+    listed = tuple(items) if isinstance(items, Iterable) and not isinstance(items, str | Mapping) else (items,)
+    for i, item in enumerate(listed):
         if not isinstance(item, kind):
             shown = f"{type(item).__name__} {str(item)[:40]!r}"
-            raise DeclarationError(f"{model}: entry {i + 1} of {what} is the {shown}; make it with {maker}")
-    return found
+            found.append(Problem("type", model, f"entry {i + 1} of {what} is the {shown}", f"make it with {maker}"))
+    return listed
 
 
 def require_declaration(item: Any, what: str) -> PHDAE:
     """`item`, if it is a declaration; DeclarationError with the remedy if it only leads to one."""
     if isinstance(item, PHDAE):
         return item
-    shown = f"{what} needs a declaration (PHDAE), got the {type(item).__name__} {str(item)[:60]!r}"
+    shown = f"needs a declaration (PHDAE), got the {type(item).__name__} {str(item)[:60]!r}"
     if hasattr(item, "compose"):
         remedy = "compose the network first: network.compose()"
     elif hasattr(item, "declaration"):
@@ -265,7 +271,7 @@ def require_declaration(item: Any, what: str) -> PHDAE:
         remedy = "call the function"
     else:
         remedy = "build it in Python, e.g. phfmu.components.library.build('dc_motor'); the command line takes names and files"
-    raise DeclarationError(f"{shown}; {remedy}")
+    raise DeclarationError(what, shown, remedy, "type")
 
 
 def _driven(c: Holonomic) -> Holonomic:

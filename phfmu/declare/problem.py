@@ -18,10 +18,10 @@ class Problem:
 
     rule: str
     entry: str
-    message: str
+    reason: str
     remedy: str
     severity: Severity = "error"
 
     def __str__(self) -> str:
         mark = "warning: " if self.severity == "warning" else ""
-        return f"{mark}{self.entry}: {self.message}; {self.remedy} [{self.rule}]"
+        return f"{mark}{self.entry}: {self.reason}; {self.remedy} [{self.rule}]"

@@ -29,7 +29,9 @@ def _values(name: str, what: str, value: Number, size: int) -> tuple[float, ...]
     except (TypeError, ValueError):
         array = None
     if array is None:
-        raise DeclarationError(f"{name}: {what} = {value!r}; give a number, or one for each of the {size} entries")
+        raise DeclarationError(
+            name, f"{what} = {value!r}", f"give a number, or one for each of the {size} entries", "start"
+        )
     if array.size == 1:
         array = np.full(size, array[0])
     if array.size != size:
@@ -56,12 +58,16 @@ class _Arithmetic:
                 )
         except (NotImplementedError, TypeError):
             pass
-        raise DeclarationError(f"numpy.{name} does not know symbols such as {self.sx}; write a function of CasADi")
+        raise DeclarationError(
+            f"numpy.{name}", f"does not know symbols such as {self.sx}", "write a function of CasADi"
+        )
 
     def __float__(self) -> float:
         name = getattr(self, "name", "it")
         raise DeclarationError(
-            f"'{name}' is a symbol, not a number; write functions of CasADi, e.g. casadi.cos({name}.sx), not of math"
+            f"'{name}'",
+            "is a symbol, not a number",
+            f"write functions of CasADi, e.g. casadi.cos({name}.sx), not of math",
         )
 
     def __getitem__(self, index: Any) -> ca.SX:

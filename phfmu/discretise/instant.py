@@ -108,8 +108,10 @@ def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], L
     hidden = terms.hidden
     if hidden.rows and terms.solved_costates:
         raise DeclarationError(
-            f"{terms.model.name}: constraints together with a non-diagonal or state-dependent E are not supported yet; "
-            "use coordinates with a diagonal E"
+            terms.model.name,
+            "constraints together with a non-diagonal or state-dependent E are not supported yet",
+            "use coordinates with a diagonal E",
+            "descriptor",
         )
     unknowns = of_states(terms, INCREMENT, "rate of", range(terms.n1)) if hidden.rows else []
     unknowns += of_states(terms, COSTATE, "costate of", terms.solved_costates)

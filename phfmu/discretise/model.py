@@ -83,7 +83,7 @@ def _stack(variables: tuple[Variable, ...]) -> Array:
 def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
     """Discretise `declaration`; DeclarationError names what does not fit.  Default: `default_scheme`."""
     if bad := starts(require_declaration(declaration, "build_model")):
-        raise DeclarationError("; ".join(str(p) for p in bad))
+        raise DeclarationError.of(bad)
     scheme = default_scheme(declaration) if scheme is None else scheme
     terms = extract(declaration, joint=scheme.joint)
     terms = at_start(terms)

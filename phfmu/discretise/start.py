@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from scipy.sparse import block_array, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import time
 from phfmu.discretise.model import CONSISTENCY, Model
 from phfmu.terms.extract import extract
 from phfmu.terms.rank import TOLERANCE
 from phfmu.terms.reach import moved_by_impulses
 from phfmu.terms.rows import check_rows
-from phfmu.terms.term import DeclarationError
 
 Array = NDArray[Any]
 
@@ -103,7 +103,7 @@ def _kept(model: Model, names: list[str], keep: list[str]) -> NDArray[np.bool_]:
             bare = list(dict.fromkeys(n.partition("[")[0] for n in names))
             close = get_close_matches(name, [*names, *bare], 5)
             raise DeclarationError(
-                f"{model.name} has no state {name}; {'close' if close else 'states'}: {', '.join(close or bare)}"
+                model.name, f"has no state {name}", f"{'close' if close else 'states'}: {', '.join(close or bare)}"
             )
         kept[found] = True
     return kept
@@ -216,7 +216,7 @@ def _require(f: _Rows, x: Array, level: _Level, kept: list[str], names: list[str
         touched = {names[j] for i in bad for j in np.flatnonzero(jac[i])}
         held = [n for n in kept if n in touched]
         remedy = f"Keep fewer of {', '.join(held[:12])}, or start nearer" if held else "Start nearer"
-    raise DeclarationError(f"{f.model}: no consistent start near the given one; left over: {left}. {remedy}")
+    raise DeclarationError(f.model, f"no consistent start near the given one; left over: {left}", remedy, "start")
 
 
 def _contradiction(f: _Rows, jac: Array, values: Array, rows: Array, free: Array) -> str:

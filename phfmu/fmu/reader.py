@@ -202,7 +202,7 @@ class FMUInstance:
             reached = self._slave.do_step(t, h)
             after = self._slave.get(self._y_end).copy() if self.estimated else self._after
         except UnitCallError as error:
-            status = None if self.estimated else next((s for s in Status if s.value in str(error)), None)
+            status = None if self.estimated else error.status
             if status is None:  # its words and no remedy of ours
                 raise UnitFailure(self.name, t, h, error.function, error.answer, error.words) from error
             raise StepFailure(status, self.name, t, h, tried=f"in the unit: {error}") from error

@@ -28,6 +28,11 @@ class UnitCallError(FMUError):
         self.unit, self.function, self.answer, self.words = unit, function, answer, tuple(words)
         super().__init__(f"{unit}: {function} answers '{answer}'{said(self.words)}")
 
+    @property
+    def status(self) -> Status | None:
+        """The outcome that a unit of this package told, None for others: FMI has no other way than its words."""
+        return next((s for s in Status for w in self.words if s.value in w), None)
+
 
 class UnitFailure(StepFailure):
     """A step that a unit of another tool refused, or left with values that are not finite (`answer`, see ANSWERS).

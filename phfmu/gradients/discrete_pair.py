@@ -130,7 +130,9 @@ def with_closed_pair(model: PHDAE, T: SystemTransformation, method: str = "per-t
         other = [v.name for v in rest if ca.depends_on(e.expr, v.sx)]
         if other:
             raise DeclarationError(
-                f"{model.name}: a term of H joins replaced states with {', '.join(other)}; replace these too (by themselves)"
+                model.name,
+                f"a term of H joins replaced states with {', '.join(other)}",
+                "replace these too (by themselves)",
             )
     p = ca.vertcat(ca.SX(0, 1), *(v.sx for v in model.parameters))
     grad = discrete_gradient(own, list(old), method, parameters=list(model.parameters))
@@ -163,7 +165,11 @@ def _constant_descriptor(model: PHDAE, maps: Maps, old: tuple[Variable, ...]) ->
     bad = [v.name for v in (*old, *maps.new) if v.role != "state"]
     if bad or ca.depends_on(ca.vec(maps.U), maps.x):
         what = f"{', '.join(bad)} is algebraic" if bad else "U depends on the state"
-        raise DeclarationError(f"{model.name}: a closed-form pair is for states and constant U; {what}")
+        raise DeclarationError(
+            model.name,
+            f"a closed-form pair is for states and constant U; {what}",
+            "leave these variables as they are, or use `T(model)` without a pair",
+        )
     place = slices(old)
     E = ca.SX.eye(sum(v.n for v in old))
     for where, value in model.E.items():
@@ -172,6 +178,9 @@ def _constant_descriptor(model: PHDAE, maps: Maps, old: tuple[Variable, ...]) ->
             E[index, index] = square(value, len(index))
     if ca.depends_on(ca.vec(E), model.x):
         raise DeclarationError(
-            f"{model.name}: a closed-form pair needs a constant E of {', '.join(v.name for v in old)}"
+            model.name,
+            f"a closed-form pair needs a constant E of {', '.join(v.name for v in old)}",
+            "use `T(model)` without a pair",
+            "descriptor",
         )
     return E

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.error import DeclarationError
 from phfmu.plan.layout import Layout
 from phfmu.plan.ordering import StructurallySingular, elimination_order
 from phfmu.plan.plan import Group, Holds, Kernel, Plan, Products
 from phfmu.plan.spec import Spec, build
-from phfmu.terms.term import DeclarationError, Term
+from phfmu.terms.term import Term
 
 
 @dataclass
@@ -75,9 +76,12 @@ def make_plan(
     except StructurallySingular as e:
         names, unknowns = layout.names(), layout.unknowns
         raise DeclarationError(
-            f"{terms.model.name}: structurally singular: {', '.join(names[r] for r in e.rows)} cannot be solved for "
-            f"{', '.join(unknowns[c].variable for c in e.cols)}; check for an ideal loop of sources or a port without inertia, "
-            "compliance or resistance" + (", or for redundant constraints" if terms.model.constraints else "")
+            terms.model.name,
+            f"structurally singular: {', '.join(names[r] for r in e.rows)} cannot be solved for "
+            f"{', '.join(unknowns[c].variable for c in e.cols)}",
+            "check for an ideal loop of sources or a port without "
+            "inertia, compliance or resistance" + (", or for redundant constraints" if terms.model.constraints else ""),
+            "singular",
         ) from None
     regularised = np.flatnonzero((matrix.row == matrix.col) & np.isin(matrix.col, weak)).astype(np.int32)
     guess = [(len(g), [i for i, _, _ in g], [c for _, c, _ in g], [q for _, _, q in g]) for g in maps.guess]

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from phfmu.declare.error import DeclarationError
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.address import Address, algebraic, with_algebraics
 from phfmu.plan.arguments import Arguments
@@ -23,7 +24,7 @@ from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, Role, Unknown, of_algebraics
 from phfmu.schemes.scheme import node_maps
-from phfmu.terms.term import EMPTY, DeclarationError, Kind, Term, Terms
+from phfmu.terms.term import EMPTY, Kind, Term, Terms
 
 POINTS = ("end", "start", "midpoint")
 
@@ -41,7 +42,7 @@ def carried(layout: Layout, term: Term, j: int, node: int) -> int:
 def require(point: str, scheme: str) -> None:
     """DeclarationError if `point` is not one of POINTS."""
     if point not in POINTS:
-        raise DeclarationError(f"{scheme}: closure '{point}' is not known; choose from {', '.join(POINTS)}")
+        raise DeclarationError(scheme, f"closure '{point}' is not known", f"choose from {', '.join(POINTS)}")
 
 
 def unknowns(terms: Terms) -> list[Unknown]:

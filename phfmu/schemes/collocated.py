@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
+from phfmu.declare.error import DeclarationError
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
@@ -22,7 +23,7 @@ from phfmu.schemes import impulses
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
 from phfmu.terms.bare import IMPULSE
-from phfmu.terms.term import CONSTRAINT, DeclarationError, Term, Terms
+from phfmu.terms.term import CONSTRAINT, Term, Terms
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,10 @@ class Collocated(GaussScheme):
         require_gradient(self.gradient, self.k)
         if self.k % 2 == 0 and terms.of(CONSTRAINT):
             raise DeclarationError(
-                f"{terms.model.name}: order {2 * self.k} with holonomic constraints drifts off the velocity constraint; "
-                "use --order 2 or 6"
+                terms.model.name,
+                f"order {2 * self.k} with holonomic constraints drifts off the velocity constraint",
+                "use --order 2 or 6",
+                "stages",
             )
         return impulses.prepare(terms) if self.impulses else terms
 
@@ -73,15 +76,22 @@ def require_pairs(terms: Terms, k: int) -> None:
     for pair in terms.model.closed:
         if pair.ebar is None or pair.zbar is None:
             names = ", ".join(v.name for v in pair.variables)
-            raise DeclarationError(f"{terms.model.name}: the pair (E, z) on {names} has no discrete pair; give ebar and "
-                                   "zbar, or use --scheme dirac-dissipative")  # fmt: skip
+            raise DeclarationError(
+                terms.model.name, f"the pair (E, z) on {names} has no discrete pair",
+                "give ebar and zbar, or use --scheme dirac-dissipative", "pair",
+            )  # fmt: skip
     if terms.closed_states and k > 1:
         raise DeclarationError(
-            f"{terms.model.name}: the closed-form pair has order 2 only; use --order 2, or flux coordinates for order {2 * k}"
+            terms.model.name,
+            "the closed-form pair has order 2 only",
+            f"use --order 2, or flux coordinates for order {2 * k}",
+            "order",
         )
 
 
 def require_gradient(gradient: str, k: int) -> None:
     """DeclarationError for a gradient that has one node only."""
     if k > 1 and gradient not in ("per-term", "mean-value"):
-        raise DeclarationError(f"{gradient} has order 2 at most; use --gradient per-term for a higher order")
+        raise DeclarationError(
+            f"gradient {gradient}", "has order 2 at most", "use --gradient per-term for a higher order", "order"
+        )

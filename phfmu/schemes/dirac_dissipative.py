@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import degree
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
@@ -34,7 +35,7 @@ from phfmu.schemes import closure, minimal
 from phfmu.schemes.closure import carried
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, Triplet, node_constants, node_unknowns
-from phfmu.terms.term import CLOSED, MASS_BLOCK, DeclarationError, Kind, Term, Terms
+from phfmu.terms.term import CLOSED, MASS_BLOCK, Kind, Term, Terms
 
 #: rows given by the user
 GIVEN = Kind("given")
@@ -123,8 +124,11 @@ def _require_regular(terms: Terms) -> None:
         if rank < n:
             names = ", ".join(v.name for v in pair.variables)
             raise DeclarationError(
-                f"{model.name}: E of the pair on {names} has rank {rank} of {n} at the start, so that its costate f is not "
-                "determined by the point closures; use --closure minimal, or DiracDissipative(closure=function)"
+                model.name,
+                f"E of the pair on {names} has rank {rank} of {n} at the start, so that its costate f is not "
+                "determined by the point closures",
+                "use --closure minimal, or DiracDissipative(closure=function)",
+                "descriptor",
             )
 
 
@@ -138,8 +142,10 @@ def _constrained(terms: Terms, constraint: Constraint) -> Terms:
     rows = ca.SX(constraint(x, new, f))
     if rows.shape != (n, 1):
         raise DeclarationError(
-            f"{model.name}: the closure gives {rows.shape[0]} x {rows.shape[1]} rows, but {n} are open "
-            f"(algebraic variables and costates that E^T f = grad H does not contain); give {n}"
+            model.name,
+            f"the closure gives {rows.shape[0]} x {rows.shape[1]} rows, but {n} are open (algebraic variables and "
+            "costates that E^T f = grad H does not contain)",
+            f"give {n}",
         )
     local = {"x": model.x, "a": ca.vertcat(*(v.sx for v in model.algebraics)), "f": f, "new": new,
              "p": ca.vertcat(*(p.sx for p in model.parameters))}  # fmt: skip

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from phfmu.declare.error import DeclarationError
 from phfmu.schemes.semi_explicit import WithClosure
-from phfmu.terms.term import DeclarationError, Terms
+from phfmu.terms.term import Terms
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,10 @@ class GradientPair(WithClosure):
         if terms.na and self.closure == "start":
             names = ", ".join(terms.algebraic_names[:4])
             raise DeclarationError(
-                f"{terms.model.name}: with zbar2 = x2 at the start of the step the new {names} would occur "
-                "in no equation of a gradient pair; use --closure midpoint or end"
+                terms.model.name,
+                f"with zbar2 = x2 at the start of the step the new {names} would occur in no equation of a "
+                "gradient pair",
+                "use --closure midpoint or end",
+                "closure",
             )
         return super().prepare(terms)

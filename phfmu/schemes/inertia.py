@@ -12,12 +12,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.error import DeclarationError
 from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.address import Address, costate_row, increment, own_costate, row
 from phfmu.plan.arguments import Arguments
 from phfmu.plan.spec import Spec
 from phfmu.terms.rank import constraint_jacobian, null_vectors
-from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, DeclarationError, Term, Terms
+from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, Term, Terms
 
 LIGHT = 1e-6
 _LIGHT = "light"
@@ -92,7 +93,7 @@ def light_velocities(terms: Terms, shifted: list[int], mass: dict[int, Term]) ->
     negative = [names[v] for v, m in value.items() if not m >= 0]
     if negative:
         raise DeclarationError(
-            f"{terms.model.name}: the mass of {', '.join(negative[:6])} is negative; give it one from 0"
+            terms.model.name, f"the mass of {', '.join(negative[:6])} is negative", "give it one from 0", "mass"
         )
     largest = max(value[v] for v in shifted) if shifted else 1.0
     light = [v for v in shifted if value[v] <= LIGHT * largest]
@@ -105,8 +106,10 @@ def light_velocities(terms: Terms, shifted: list[int], mass: dict[int, Term]) ->
         entries = sorted(range(len(massless)), key=lambda i: -abs(free[i, 0]))
         vector = ", ".join(f"{names[massless[i]]} = {free[i, 0]:.3g}" for i in entries[:6] if abs(free[i, 0]) > 1e-6)
         raise DeclarationError(
-            f"{terms.model.name}: M is singular on ker Dg: the direction {vector} has no mass and no constraint at the "
-            "start; give it a mass, or constrain it"
+            terms.model.name,
+            f"M is singular on ker Dg: the direction {vector} has no mass and no constraint at the start",
+            "give it a mass, or constrain it",
+            "mass",
         )
     return set(light if not null_vectors(jacobian[:, light].toarray()).shape[1] else massless)
 
@@ -129,8 +132,11 @@ def require_velocities(terms: Terms, shifted: list[int]) -> None:
     for v, count in good.items():
         if count != 1 or v in terms.solved_costates:
             raise DeclarationError(
-                f"{terms.model.name}: the two-level scheme needs velocities as states (M v' = ..., z = v) with a diagonal M; "
-                f"'{names[v]}' is not one. Use --scheme semi-explicit"
+                terms.model.name,
+                "the two-level scheme needs velocities as states (M v' = ..., z = v) with a diagonal M; "
+                f"'{names[v]}' is not one",
+                "use --scheme semi-explicit",
+                "velocity",
             )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.problem import Problem
 from phfmu.gradients.gradient_names import GRADIENTS
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.dirac_dissipative import DiracDissipative
@@ -13,7 +15,6 @@ from phfmu.schemes.scheme import Scheme
 from phfmu.schemes.scheme_names import CLOSURES, ORDERS, SCHEMES
 from phfmu.schemes.semi_explicit import SemiExplicit
 from phfmu.schemes.two_level import TwoLevel
-from phfmu.terms.term import DeclarationError
 
 #: schemes of order 2 only, and what to use for more
 ONE_NODE = ("gradient-pair", "dirac-dissipative")
@@ -44,62 +45,81 @@ def named_scheme(
     if name == "radau":
         return _radau(declaration, order, gradient, closure)
     if order % 2:
-        raise DeclarationError(f"scheme {name} has the orders 2, 4 and 6; order {order} is one of --scheme radau")
+        raise DeclarationError(
+            f"scheme {name}", "has the orders 2, 4 and 6", f"order {order} is one of --scheme radau", "order"
+        )
     holonomic = bool(declaration.constraints)
     if name == "auto":
         name = "two-level" if holonomic else "collocated"
     if name in ONE_NODE and order != 2:
-        raise DeclarationError(f"scheme {name} has order 2 only; use --scheme collocated for order {order}")
+        raise DeclarationError(
+            f"scheme {name}", "has order 2 only", f"use --scheme collocated for order {order}", "order"
+        )
     if name == "gradient-pair":
         if closure == "minimal":
-            raise DeclarationError("closure minimal is for --scheme dirac-dissipative; use --closure midpoint or end")
+            raise DeclarationError(
+                "closure minimal", "is for --scheme dirac-dissipative", "use --closure midpoint or end", "closure"
+            )
         return GradientPair(gradient, closure or "midpoint")
     if name == "dirac-dissipative":
         return DiracDissipative(closure or "midpoint", gradient=gradient)
     if closure is not None and name not in ("collocated", "semi-explicit"):
         fits = "semi-explicit, gradient-pair or dirac-dissipative"
-        raise DeclarationError(f"scheme {name} has no closure; leave out --closure, or use --scheme {fits}")
+        raise DeclarationError(
+            f"scheme {name}", "has no closure", f"leave out --closure, or use --scheme {fits}", "closure"
+        )
     if closure == "minimal":
-        raise DeclarationError("closure minimal is for --scheme dirac-dissipative")
+        raise DeclarationError(
+            "closure minimal", "is for --scheme dirac-dissipative", "use that, or --closure midpoint or end", "closure"
+        )
     if name == "midpoint":
         if order != 2 or gradient != "per-term":
             raise DeclarationError(
-                "scheme midpoint has order 2 and no discrete gradient; leave out --order and --gradient"
+                "scheme midpoint", "has order 2 and no discrete gradient", "leave out --order and --gradient", "order"
             )
         return Midpoint()
     if name == "two-level":
         if not holonomic:
-            raise DeclarationError(f"{declaration.name} has no holonomic constraints; use --scheme collocated")
+            raise DeclarationError(
+                declaration.name, "has no holonomic constraints", "use --scheme collocated", "constraint"
+            )
         if order == 4:
-            raise DeclarationError("the two-level scheme has odd stages only; use --order 2 or 6")
+            raise DeclarationError("scheme two-level", "has odd stages only", "use --order 2 or 6", "stages")
         return TwoLevel(order // 2, gradient)
     if name in ("collocated", "semi-explicit"):
         if closure is None:
             return Collocated(order // 2, gradient, name)
         if order != 2:
             raise DeclarationError(
-                f"closure {closure} of {name} is for order 2 only; use --order 2, or leave out --closure"
+                f"closure {closure} of {name}", "is for order 2 only", "use --order 2, or leave out --closure", "order"
             )
         return SemiExplicit(closure, gradient, name)
-    raise DeclarationError(f"unknown scheme '{name}'; choose from {', '.join(SCHEMES)}")
+    raise DeclarationError(f"scheme '{name}'", "is unknown", f"choose from {', '.join(SCHEMES)}")
 
 
 def _require_known(order: int, gradient: str, closure: str | None) -> None:
-    for what, value, known in (("order", order, ORDERS), ("gradient", gradient, GRADIENTS)):
-        if value not in known:
-            raise DeclarationError(f"{what} {value} is not offered; choose from {', '.join(map(str, known))}")
-    if closure is not None and closure not in CLOSURES:
-        raise DeclarationError(f"closure {closure} is not offered; choose from {', '.join(CLOSURES)}")
+    offered = (("order", order, ORDERS), ("gradient", gradient, GRADIENTS), ("closure", closure, (None, *CLOSURES)))
+    found = [
+        Problem(
+            "", f"{what} {value}", "is not offered", f"choose from {', '.join(str(k) for k in known if k is not None)}"
+        )
+        for what, value, known in offered
+        if value not in known
+    ]
+    if found:
+        raise DeclarationError.of(found)
 
 
 def _radau(declaration: PHDAE, order: int, gradient: str, closure: str | None) -> Scheme:
     if order % 2 == 0:
-        raise DeclarationError(f"scheme radau has the orders 1, 3 and 5; order {order} is one of --scheme collocated")
+        raise DeclarationError(
+            "scheme radau", "has the orders 1, 3 and 5", f"order {order} is one of --scheme collocated", "order"
+        )
     if gradient != "per-term" or closure is not None:
-        raise DeclarationError("scheme radau takes gradients and algebraic variables at its nodes; leave out --gradient and "
-                               "--closure")  # fmt: skip
+        raise DeclarationError("scheme radau", "takes gradients and algebraic variables at its nodes",
+                               "leave out --gradient and --closure", "gradient")  # fmt: skip
     if declaration.constraints:
         raise DeclarationError(
-            f"{declaration.name}: Radau nodes let the holonomic constraints drift; use --scheme two-level"
+            declaration.name, "Radau nodes let the holonomic constraints drift", "use --scheme two-level", "drift"
         )
     return Radau((order + 1) // 2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from phfmu.declare.error import DeclarationError
 from phfmu.gradients.quadrature import Nodes, radau_nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
@@ -18,7 +19,7 @@ from phfmu.plan.unknown import Unknown
 from phfmu.schemes.collocated import require_pairs
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
-from phfmu.terms.term import DeclarationError, Term, Terms
+from phfmu.terms.term import Term, Terms
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,10 @@ class Radau(GaussScheme):
         require_pairs(terms, 1)
         if terms.closed_states:
             raise DeclarationError(
-                f"{terms.model.name}: the closed-form pair has no Radau form; use flux coordinates, or --scheme collocated"
+                terms.model.name,
+                "the closed-form pair has no Radau form",
+                "use flux coordinates, or --scheme collocated",
+                "pair",
             )
         return terms
 

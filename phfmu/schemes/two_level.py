@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from phfmu.declare.error import DeclarationError
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Holds
 from phfmu.plan.spec import Spec
@@ -17,7 +18,7 @@ from phfmu.schemes import constraints, impulses, inertia
 from phfmu.schemes.collocated import Collocated, require_gradient, require_pairs
 from phfmu.schemes.constraints import VELOCITY_LEVEL
 from phfmu.schemes.scheme import node_holds, node_unknowns
-from phfmu.terms.term import CONSTRAINT, MASS, DeclarationError, Term, Terms
+from phfmu.terms.term import CONSTRAINT, MASS, Term, Terms
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,15 @@ class TwoLevel(Collocated):
         require_pairs(terms, self.k)
         require_gradient(self.gradient, self.k)
         if self.k % 2 == 0:
-            raise DeclarationError("the two-level scheme has odd stages only; use --order 2 or 6")
+            raise DeclarationError("scheme two-level", "has odd stages only", "use --order 2 or 6", "stages")
         terms = inertia.prepare(terms)
         if terms.light and self.gradient not in ("per-term", "mean-value"):
             names = ", ".join(terms.state_names[i] for i in terms.light[:6])
             raise DeclarationError(
-                f"{terms.model.name}: {names} without mass have no {self.gradient} gradient; use --gradient per-term"
+                terms.model.name,
+                f"{names} without mass have no {self.gradient} gradient",
+                "use --gradient per-term",
+                "mass",
             )
         return impulses.prepare(terms)
 

@@ -64,13 +64,13 @@ def not_supported(reason: str) -> Callable[[], Outcome]:
     return lambda: Outcome(reason, None)
 
 
-def refused(call: Callable[[], object], kind: type[Exception] | tuple[type[Exception], ...], *words: str) -> Outcome:
-    """Holds if `call` raises an error of `kind` (one or several) whose text contains the words."""
+def refused(call: Callable[[], object], kind: type[Exception], word: str, *words: str) -> Outcome:
+    """Holds if `call` raises an error of `kind` whose text, which is what a user reads, contains the words."""
     try:
         call()
     except kind as error:
         text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
-        missing = [w for w in words if w not in text]
+        missing = [w for w in (word, *words) if w not in text]
         note = f" (does not say {', '.join(missing)})" if missing else ""
         return Outcome(f"{type(error).__name__}: {_first(text)}{note}", not missing)
     return Outcome("was accepted", False)

@@ -61,13 +61,14 @@ def flat(n: int, h: float, order: int) -> Outcome:
 
 def stopped_flat() -> Outcome:
     """A step that ends 3e-5 rad from the flat position, where the constraints have lost rank to rounding."""
-    from phfmu import StepFailure
+    from phfmu.engine.status import StepFailure, remedy
 
     try:
         return flat(1, 0.0005, 6)
     except StepFailure as failure:
-        text = str(failure)
-        return Outcome(f"typed error: {text}", "equation of lambda" in text and "Next:" in text)
+        return Outcome(
+            f"typed error: {failure}", failure.equation.startswith("equation of lambda") and bool(remedy(failure))
+        )
 
 
 def short_steps(h: float, order: int) -> Outcome:

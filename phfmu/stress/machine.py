@@ -82,10 +82,11 @@ def wide() -> Outcome:
     return driven(n=600_000)
 
 
-def impossible(**changes: Any) -> Outcome:
+def impossible(words: str, **changes: Any) -> Outcome:
+    """Data that no machine has: refused with these words."""
     from phfmu.components.electrical.machine_data import MachineDataError
 
-    return refused(lambda: machine(**changes), MachineDataError)
+    return refused(lambda: machine(**changes), MachineDataError, words)
 
 
 BALANCE = "balance <= 1e-11"
@@ -96,10 +97,10 @@ CASES = (
     Case(TARGET, "resistances x 1e-6", BALANCE, lambda: driven(dict.fromkeys(("Ra", "R_f", "R_kd", "R_kq"), 1e-6))),
     *(Case(TARGET, f"inertia x {f:g}, voltage halved", BALANCE,
            lambda f=f: driven({"J": f, "p": f}, amplitude=0.5)) for f in (1e-2, 1e-4, 1e-6)),
-    Case(TARGET, "no inertia", "refused", lambda: impossible(J=0.0)),
-    Case(TARGET, "negative inertia", "refused", lambda: impossible(J=-1.0)),
-    Case(TARGET, "negative resistance", "refused", lambda: impossible(Ra=-1e-3)),
-    Case(TARGET, "singular inductances", "refused", lambda: impossible(Ld=0.0)),
+    Case(TARGET, "no inertia", "refused", lambda: impossible("J = 0", J=0.0)),
+    Case(TARGET, "negative inertia", "refused", lambda: impossible("J = -1", J=-1.0)),
+    Case(TARGET, "negative resistance", "refused", lambda: impossible("Ra = -0.001", Ra=-1e-3)),
+    Case(TARGET, "singular inductances", "refused", lambda: impossible("d-axis block of L", Ld=0.0)),
     Case(TARGET, "no field voltage, no flux", BALANCE, lambda: driven({"psi": 0.0}, field=False)),
     *(Case("two_machine", f"fault of {r:g} ohm, {n} phase{'s' if n > 1 else ''}", "ledger <= 1e-11, finite",
            lambda r=r, n=n: switched(r, n)) for r, n in ((0.05, 3), (0.005, 3), (1e-6, 3), (0.05, 1))),

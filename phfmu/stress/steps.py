@@ -104,12 +104,12 @@ def tiny(unit: Any, h: float) -> Outcome:
 
 
 def longer(unit: Any, h: float) -> Outcome:
-    from phfmu import StepFailure
+    from phfmu.engine.status import StepFailure, remedy
 
     try:
         r = record(unit, h, STEPS)
     except StepFailure as failure:
-        return Outcome(f"typed error after {unit.counts['steps']} steps: {failure}", "Next:" in str(failure))
+        return Outcome(f"typed error after {unit.counts['steps']} steps: {failure}", bool(remedy(failure)))
     return Outcome(f"balance {r.balance:.1e}; {effort(r)}", r.finite and r.balance <= 1e-11)
 
 

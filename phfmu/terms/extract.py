@@ -80,13 +80,23 @@ def _masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
         variables = stacked(key)
         label = f"E of {', '.join(repr(v.name) for v in variables)}"
         if any(v.role != "state" for v in variables):
-            raise DeclarationError(f"{label}: E acts on states; an algebraic variable has zero rows of E")
+            raise DeclarationError(
+                label,
+                "E acts on states; an algebraic variable has zero rows of E",
+                "leave it out of E, or make it a state",
+                "symbol",
+            )
         where = [i for v in variables for _, i in locator.of(v)]
         x, z = ca.vertcat(*(v.sx for v in variables)), ca.vertcat(*(v.z for v in variables))
         n = x.numel()
         matrix = square(value, n)
         if matrix.shape != (n, n):
-            raise DeclarationError(f"{label} is {matrix.shape[0]} x {matrix.shape[1]}, expected {n} x {n}")
+            raise DeclarationError(
+                label,
+                f"is {matrix.shape[0]} x {matrix.shape[1]}, expected {n} x {n}",
+                "make it as large as its variables",
+                "shape",
+            )
         kinds = {locator.find(s, label)[0] for s in ca.symvar(matrix)}
         if matrix.sparsity().is_diag() and kinds <= {"p"}:
             for i, m, s in zip(where, scalars(matrix), ca.vertsplit(x), strict=True):
@@ -110,8 +120,10 @@ def _require_regular(label: str, model: PHDAE, matrix: ca.SX) -> None:
     value = ca.Function("E", [p], [ca.densify(matrix)])([s for q in model.parameters for s in q.start])
     if undetermined(np.array(value)) >= 0:
         raise DeclarationError(
-            f"{model.name}: {label} is singular, so z and the rates do not follow from it; give z of its variables and use "
-            "reduce_descriptor(model)"
+            f"{model.name}: {label}",
+            "is singular, so z and the rates do not follow from it",
+            "give z of its variables and use reduce_descriptor(model)",
+            "descriptor",
         )
 
 
@@ -144,7 +156,12 @@ def _rows(
     rows = [("y", i) if kind == "u" else (kind, i) for v in variables for kind, i in locator.of(v)]
     for kind, _ in rows:
         if kind not in ("x", "a", "y"):
-            raise DeclarationError("blocks of J and R act on states, algebraic variables and ports only")
+            raise DeclarationError(
+                f"{model.name}: block on {', '.join(v.name for v in variables)}",
+                "blocks of J and R act on states, algebraic variables and ports only",
+                "list one of these instead",
+                "symbol",
+            )
     plain = [v.role != "algebraic" or v not in model.z for v in variables for _ in range(v.n)]
     sources = [_source(row) if ok else None for row, ok in zip(rows, plain, strict=True)]
     return rows, ca.vertcat(*(model.effort(v) for v in variables)), sources
@@ -179,7 +196,10 @@ def _blocks(model: PHDAE, out: Terms, locator: Locator) -> None:
             label = f"{what} block on {', '.join(v.name for v in b.variables)}"
             if b.matrix.shape != (len(rows), len(rows)):
                 raise DeclarationError(
-                    f"{label} is {b.matrix.shape[0]} x {b.matrix.shape[1]}, expected {len(rows)} square"
+                    label,
+                    f"is {b.matrix.shape[0]} x {b.matrix.shape[1]}, expected {len(rows)} square",
+                    "make it as large as its variables and ports",
+                    "shape",
                 )
             owner = member(out.members, b.owner)
             if what == "R":
@@ -245,8 +265,10 @@ def _ports(out: Terms, locator: Locator) -> None:
             s = ca.SX(_sx(port.source))
             other = [str(x) for x in ca.symvar(s) if locator.find(x, f"source of '{port.name}'")[0] not in ("t", "p")]
             if other:
-                raise DeclarationError(f"source of '{port.name}' depends on {', '.join(other)}; a source may depend on time "
-                                       "and parameters only")  # fmt: skip
+                raise DeclarationError(
+                    f"source of '{port.name}'", f"depends on {', '.join(other)}", "a source may depend on time and "
+                    "parameters only", "source",
+                )  # fmt: skip
             for j in range(port.n):
                 i = first[id(port)] + j
                 out.terms.append(make_term(SOURCE, {"s": s[j]}, locator, f"source of '{port.name}'", rows=[("u", i)]))
@@ -257,8 +279,10 @@ def _port(out: Terms, locator: Locator, port: Port, first: int) -> None:
     for v, value in port.on.items():
         b = coefficient(value, v.n, port.n)
         if b.shape != (v.n, port.n):
-            raise DeclarationError(f"port '{port.name}': B on '{v.name}' is {b.shape[0]} x {b.shape[1]}, "
-                                   f"expected {v.n} x {port.n}")  # fmt: skip
+            raise DeclarationError(
+                f"port '{port.name}'", f"B on '{v.name}' is {b.shape[0]} x {b.shape[1]}, expected {v.n} x {port.n}",
+                "make it as large as the variable and the port", "shape",
+            )  # fmt: skip
         rows, z, sources = _rows(out.model, [v], locator)
         i_row, i_col = b.sparsity().get_triplet()
         for r, j in zip(i_row, i_col, strict=True):
@@ -292,8 +316,10 @@ def _constraints(model: PHDAE, out: Terms, locator: Locator) -> None:
         name = c.multiplier.name
         drive = [] if c.drive is None else [("y", locator.find(c.drive.u[0], f"drive of '{name}'")[1])]
         if c.g.shape != (c.multiplier.n, 1):
-            raise DeclarationError(f"constraint '{c.multiplier.name}': g is {c.g.shape[0]} x {c.g.shape[1]}, its multiplier "
-                                   f"has {c.multiplier.n} entries")  # fmt: skip
+            raise DeclarationError(
+                f"constraint '{c.multiplier.name}'", f"g is {c.g.shape[0]} x {c.g.shape[1]}, its multiplier has "
+                f"{c.multiplier.n} entries", "give the multiplier one entry for each row of g", "shape",
+            )  # fmt: skip
         for j, row in enumerate(locator.of(c.multiplier)):
             rows = [row, *(drive if ca.depends_on(c.g[j], time) else [])]
             out.terms.append(
@@ -318,6 +344,8 @@ def _require_velocities(out: Terms) -> None:
         bad = [out.state_names[q] for q in t.index.get("x", ()) if q not in out.velocity_of]
         if bad:
             raise DeclarationError(
-                f"{out.model.name}: a constraint depends on {', '.join(bad)}, whose row is not q' = z_v; constraints act on "
-                "positions with skew(q, v, 1.0) and no other term in their rows"
+                f"{out.model.name}: constraint of '{out.algebraic_names[t.rows[0][1]]}'",
+                f"depends on {', '.join(bad)}, whose row is not q' = z_v",
+                "constraints act on positions with skew(q, v, 1.0) and no other term in their rows",
+                "velocity",
             )

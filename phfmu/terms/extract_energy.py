@@ -5,10 +5,11 @@ from __future__ import annotations
 import casadi as ca
 
 from phfmu.declare.energy import Energy
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.summands import summands
-from phfmu.terms.term import ENERGY, JOINT, DeclarationError, Locator, Terms, WithIncrement, make_term, member
+from phfmu.terms.term import ENERGY, JOINT, Locator, Terms, WithIncrement, make_term, member
 
 
 def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
@@ -57,9 +58,10 @@ def _require_kind(model: PHDAE, e: Energy, states: list[tuple[ca.SX, int]]) -> N
     if degree(expr, x) not in (0, 1, 2):
         found = ", ".join(piecewise(expr, x))
         raise DeclarationError(
-            f"{model.name}: a {e.kind} energy of {', '.join(str(s) for s, _ in states[:4])}: {what} is not quadratic"
-            + (f" ({found})" if found else "")
-            + "; use energy(H)"
+            f"{model.name}: a {e.kind} energy of {', '.join(str(s) for s, _ in states[:4])}",
+            f"{what} is not quadratic" + (f" ({found})" if found else ""),
+            "use energy(H)",
+            "energy",
         )
 
 
@@ -101,5 +103,7 @@ def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
         if kind == "x":
             found.append((s, i))
         elif kind != "p":
-            raise DeclarationError(f"the energy depends on '{s}'; H may depend on states and parameters only")
+            raise DeclarationError(
+                "the energy", f"depends on '{s}'", "H may depend on states and parameters only", "symbol"
+            )
     return found

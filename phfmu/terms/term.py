@@ -15,7 +15,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.error import DeclarationError as DeclarationError
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, time
@@ -170,8 +170,10 @@ class Locator:
             return self.where[symbol.element_hash()]
         except KeyError:
             raise DeclarationError(
-                f"{context}: symbol '{symbol}' is not a state, algebraic variable, parameter or input of this model; "
-                "list its variable in the declaration"
+                context,
+                f"symbol '{symbol}' is not a state, algebraic variable, parameter or input of this model",
+                "list its variable in the declaration",
+                "symbol",
             ) from None
 
     def of(self, variable: Variable | Port) -> list[tuple[str, int]]:

@@ -436,7 +436,7 @@ def test_kirchhoff_at_a_bare_node():
     found = check(two_lines(1.5))
     assert {p.rule for p in found} == {"start"}
     assert [p.entry for p in found] == ["constraint of 'bus.v[1]'", "constraint of 'bus.v[3]'"]
-    assert found[0].message.startswith(("i of a.b and b.a sum to 0.5 A", "i of a.b and b.a sum to -0.5 A"))
+    assert found[0].reason.startswith(("i of a.b and b.a sum to 0.5 A", "i of a.b and b.a sum to -0.5 A"))
 
 
 def test_all_problems_at_once():

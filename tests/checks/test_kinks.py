@@ -30,13 +30,13 @@ from phfmu.checks.sample import Sample
 from phfmu.components.library import LIBRARY, build
 from phfmu.declare.energy import Energy
 from phfmu.declare.entries import Entries, normal_form
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import ANALYTIC, degree, piecewise
 from phfmu.fmu.export import export
 from phfmu.fmu.reader import FMUInstance
 from phfmu.gradients import gradients
 from phfmu.gradients.coordinate import itoh_abe
 from phfmu.gradients.quadrature import nodes
-from phfmu.terms.term import DeclarationError
 
 EPS = np.finfo(float).eps
 Q = ca.SX.sym("q")
@@ -328,7 +328,7 @@ def told(of: Callable[[ca.SX], ca.SX]) -> list[Problem]:
 def test_a_kink_is_a_warning_with_its_operation_and_what_it_means(of, text):
     (found,) = told(of)
     assert (found.rule, found.severity, found.entry) == ("kink", "warning", "energy term 2")
-    assert re.search(text, found.message) and "balance is exact" in found.remedy
+    assert re.search(text, found.reason) and "balance is exact" in found.remedy
     assert check(oscillator(of)) == []
 
 
@@ -342,7 +342,7 @@ def test_a_kink_is_a_warning_with_its_operation_and_what_it_means(of, text):
 )
 def test_an_energy_that_jumps_is_a_problem(of, jump):
     (found,) = check(oscillator(of))
-    assert found.rule == "energy" and jump in found.message and "continuous" in found.remedy
+    assert found.rule == "energy" and jump in found.reason and "continuous" in found.remedy
 
 
 def test_smooth_energies_and_continuous_uses_of_jumps_pass():
@@ -356,7 +356,7 @@ def test_smooth_energies_and_continuous_uses_of_jumps_pass():
 def test_a_constant_term_is_left_out_and_told(gradient):
     """With and without it the steps are the same to the last bit."""
     (found,) = told(lambda q: ca.SX(1e9))
-    assert found.severity == "warning" and "no state in it" in found.message
+    assert found.severity == "warning" and "no state in it" in found.reason
     plain, shifted = (
         PythonInstance(build_model(oscillator(*e), Collocated(1, gradient))) for e in ((), (lambda q: ca.SX(1e9),))
     )
@@ -377,9 +377,7 @@ def test_a_quadratic_energy_without_a_lower_bound_is_told():
     (found,) = check(model(), strict=True)
     assert (found.rule, found.severity) == ("bounded", "warning")
     assert (
-        "q[1] = 0.707, q[2] = 0.707" in found.message
-        and "eigenvalue -1 J" in found.message
-        and "c = 3" in found.message
+        "q[1] = 0.707, q[2] = 0.707" in found.reason and "eigenvalue -1 J" in found.reason and "c = 3" in found.reason
     )
     assert check(model().with_starts({"c": 1.9}), strict=True) == []
     assert check(model(energy(ca.sumsqr(q.sx) ** 2)), strict=True) == []

@@ -100,7 +100,7 @@ def test_values_are_told_as_by_check_with_name_number_and_remedy():
         found = motor_values(**values)
         told = [p for p in found if p.rule == "limit"]
         assert [p.entry for p in told] == [f"parameter '{n}'" for n in values]
-        assert all(f"is {v:g} " in p.message and f"give {n} a value" in p.remedy
+        assert all(f"is {v:g} " in p.reason and f"give {n} a value" in p.remedy
                    for p, (n, v) in zip(told, values.items(), strict=True))  # fmt: skip
         assert {str(p) for p in found} <= {str(p) for p in check(dc_motor().with_starts(values))}
     assert [p.rule for p in motor_values(flux=float("nan"))] == ["start"]
@@ -124,7 +124,7 @@ def test_parameter_values_that_events_bring_are_checked():
                   dissipation=(block([x], ca.blockcat([[1, coupling.sx], [coupling.sx, 1]])),))  # fmt: skip
     assert check_values(model, events=[Event(0.1 * i, "c", 0.9 - 0.1 * i) for i in range(18)]) == []
     (found,) = check_values(model, events=[Event(0.1, "c", 0.2), Event(0.3, "c", 1.25), Event(0.4, "c", -1.5)])
-    assert found.rule == "passivity" and "eigenvalue -0.5" in found.message and "c = -1.5 at t = 0.4 s" in found.message
+    assert found.rule == "passivity" and "eigenvalue -0.5" in found.reason and "c = -1.5 at t = 0.4 s" in found.reason
     assert check_values(model, events=[Event(0.3, "u", 1.25)]) == []  # no parameter: not its business
 
 

@@ -36,9 +36,9 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.declare.error import DeclarationError
 from phfmu.fmu.description import Unit
 from phfmu.network.check_scene import check_scene
-from phfmu.terms.term import DeclarationError
 
 
 def refused(call: Any, *words: str) -> None:
@@ -68,7 +68,7 @@ def test_functions_of_numpy_take_variables():
         assert np.allclose(value(np.float64(2.0) - x, x, 0.5), 1.5)
         assert np.allclose(value(np.maximum(x, 2.0), x, 0.5), 2.0)
     refused(lambda: np.heaviside(x, 1.0), "numpy.heaviside", "such as x")
-    refused(lambda: math.cos(x), "'x' is a symbol", "casadi.cos(x.sx)")
+    refused(lambda: math.cos(x), "'x': is a symbol", "casadi.cos(x.sx)")
 
 
 def test_functions_of_numpy_take_expressions_without_a_notice() -> None:
@@ -99,7 +99,7 @@ def test_where_a_declaration_is_wanted():
     net = Network("n")
     for call, name in (check, "check"), (build_model, "build_model"):
         refused(
-            lambda call=call: call("dc_motor"), f"{name} needs a declaration (PHDAE), got the str 'dc_motor'", "build("
+            lambda call=call: call("dc_motor"), f"{name}: needs a declaration (PHDAE), got the str 'dc_motor'", "build("
         )
         refused(lambda call=call: call(Path("a.py")), "got the PosixPath" if sys.platform != "win32" else "got the")
         refused(lambda call=call: call(dc_motor), "call the function")
@@ -192,11 +192,11 @@ def test_events_of_a_scene_are_checked(tmp_path, capsys):
     first, second, third = check_scene(scene)
     assert "'terminal.w' is no parameter or free input; did you mean terminal.v" in str(first)
     assert "'flux' is a state, which events do not set" in str(second) and "t = 0.01 s" in third.entry
-    assert "not finite" in third.message and {p.rule for p in (first, second, third)} == {"event"}
+    assert "not finite" in third.reason and {p.rule for p in (first, second, third)} == {"event"}
     (found,) = check_scene(Scene("s", dc_motor(), 1.0, math.nan))
-    assert "step = nan s" in found.message
+    assert "step = nan s" in found.reason
     late = check_scene(Scene("s", dc_motor(), 10.0, 0.01, (Event(9.0, "R", -1.0),)))
-    assert [p.rule for p in late] == ["limit", "passivity"] and "after the event R = -1 at t = 9 s" in late[0].message
+    assert [p.rule for p in late] == ["limit", "passivity"] and "after the event R = -1 at t = 9 s" in late[0].reason
     (tmp_path / "s.py").write_text(
         "from phfmu import Event, Scene\nfrom phfmu.components.electrical.dc_motor import dc_motor\n"
         "def s(): return Scene('s', dc_motor(), 1.0, 0.01, (Event(0.1, 'Rr', 1.0),))\n"

@@ -270,15 +270,15 @@ def test_check_accepts_the_passive_form():
 def test_check_names_what_breaks_passivity():
     """[R, P; P^T, S] = [1, 0.6; 0.6, 0.3] has determinant -0.06 although R and S are positive."""
     (found,) = problems(dissipation=lambda x, p: (block([x, p], np.array([[1.0, 0.6], [0.6, 0.3]])),))
-    assert found.rule == "passivity" and "x, port.v" in found.message and "R block on x, port" in found.entry
-    assert "eigenvalue -0.04" in found.message
+    assert found.rule == "passivity" and "x, port.v" in found.reason and "R block on x, port" in found.entry
+    assert "eigenvalue -0.04" in found.reason
     (found,) = problems(dissipation=lambda x, p: (damping(x, 1.0), damping(p, -0.1)))
     assert found.rule == "passivity" and "port" in found.entry
 
 
 def test_check_names_feedthrough_that_is_not_skew():
     (found,) = problems(structure=lambda x, p: (block([p], np.array([[0.5]])),))
-    assert found.rule == "skew" and "port.v" in found.message
+    assert found.rule == "skew" and "port.v" in found.reason
 
 
 def test_check_names_ports_of_other_models():

@@ -501,7 +501,7 @@ def test_a_model_that_a_scheme_cannot_take_says_what_can(scheme, said):
 def test_closures_that_leave_something_open_are_refused():
     with pytest.raises(DeclarationError, match="x2 would occur in no equation.*--closure midpoint or end"):
         build_model(linear(), GradientPair(closure="start"))
-    with pytest.raises(DeclarationError, match="closure midpoint of collocated is for order 2 only"):
+    with pytest.raises(DeclarationError, match="closure midpoint of collocated: is for order 2 only"):
         named_scheme(linear(), "collocated", 4, closure="midpoint")
 
 

@@ -57,6 +57,15 @@ def test_a_port_joined_to_itself_is_told_so():
     assert own.measure().holds and "itself" in own.measure().happened
 
 
+def test_every_refusal_expects_words():
+    """A case that takes any error for the one it asks for cannot fail."""
+    with pytest.raises(TypeError):
+        refused(lambda: 1 / 0, ZeroDivisionError)  # pyright: ignore[reportCallIssue]
+    assert not machine.impossible("Ra = 0", J=0.0).holds
+    chosen = [c for c in (*machine.CASES, *coupled.CASES) if "refused" in c.criterion]
+    assert len(chosen) >= 9 and all(c.measure().holds for c in chosen)
+
+
 def test_a_port_alone_at_a_junction_is_not_sent_round_in_circles():
     from phfmu import Network
     from phfmu.components.mechanical.translational import spring
@@ -93,9 +102,9 @@ def test_refused_asks_for_the_error_and_its_words():
         raise ValueError("m1 and m2 differ")
 
     assert refused(bad, ValueError, "m1").holds and not refused(bad, ValueError, "m3").holds
-    assert not refused(lambda: None, ValueError).holds
+    assert not refused(lambda: None, ValueError, "m1").holds
     with pytest.raises(ValueError, match="differ"):
-        refused(bad, KeyError)
+        refused(bad, KeyError, "m1")
 
 
 @pytest.mark.parametrize("name", ["oscillator", "rigid_link"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from phfmu.declare.dense import stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.problem import Problem
 from phfmu.declare.transform.inverse import inverted
 from phfmu.declare.transform.maps import Maps
 from phfmu.declare.transform.new_starts import solved_starts
@@ -33,8 +34,9 @@ class Change:
         missing = [v.name for v in T.old if key(v) not in own]
         if missing:
             raise DeclarationError(
-                f"{model.name} has no state or algebraic variable {', '.join(missing)}; it has: "
-                f"{', '.join(v.name for v in own.values())}"
+                model.name,
+                f"there is no state or algebraic variable {', '.join(missing)}",
+                f"replace some of {', '.join(v.name for v in own.values())}",
             )
         touched = {key(v) for v in T.old}
         shared = [v for k in model.E for v in stacked(k) if touched & {key(w) for w in stacked(k)}]
@@ -57,29 +59,34 @@ class Change:
         self._parameters = {h: value for v in model.parameters for h, value in zip(_hashes(v), v.start, strict=True)}
 
     def _require_own_symbols(self, own: dict[int, Variable]) -> None:
+        if found := [*self._foreign(own), *self._fed(own), *self._paired()]:
+            raise DeclarationError.of(found)
+
+    def _foreign(self, own: dict[int, Variable]) -> Iterator[Problem]:
         known = {s.element_hash() for v in self.model.parameters for s in ca.vertsplit(v.sx)}
         mine = {s.element_hash(): v.name for v in own.values() for s in ca.vertsplit(v.sx)}
         for s in self.T.foreign:
             if s.element_hash() in mine:
                 name = mine[s.element_hash()]
-                raise DeclarationError(
-                    f"{self.model.name}: phi or U depends on '{name}', which is not replaced; list a new variable for "
-                    f"it and map '{name}' to that"
-                )
-            if s.element_hash() not in known:
-                raise DeclarationError(f"{self.model.name}: phi or U depends on '{s}', not a parameter of this model")
+                yield Problem("symbol", self.model.name, f"phi or U depends on '{name}', which is not replaced",
+                              f"list a new variable for it and map '{name}' to that")  # fmt: skip
+            elif s.element_hash() not in known:
+                yield Problem("symbol", self.model.name, f"phi or U depends on '{s}', not a parameter of this model",
+                              "use its own parameters, or declare this one")  # fmt: skip
+
+    def _fed(self, own: dict[int, Variable]) -> Iterator[Problem]:
+        mine = {s.element_hash() for v in own.values() for s in ca.vertsplit(v.sx)}
         for port in self.model.ports:
             if any(s.element_hash() in mine and _owner(own, s) in self.row for s in port.bound or ()):
-                raise DeclarationError(
-                    f"{self.model.name}: port '{port.name}' is fed by a replaced variable; transform the members, then "
-                    "compose them"
-                )
+                yield Problem("port", self.model.name, f"port '{port.name}' is fed by a replaced variable",
+                              "transform the members, then compose them")  # fmt: skip
+
+    def _paired(self) -> Iterator[Problem]:
         for pair in self.model.closed:
             if any(key(v) in self.row for v in pair.variables):
-                raise DeclarationError(
-                    f"{self.model.name}: {', '.join(v.name for v in pair.variables)} have a closed-form discrete gradient "
-                    "pair, which is written for these coordinates; leave the pair out"
-                )
+                names = ", ".join(v.name for v in pair.variables)
+                text = f"{names} have a closed-form discrete gradient pair, which is written for these coordinates"
+                yield Problem("pair", self.model.name, text, "leave the pair out")
 
     # -- expressions ------------------------------------------------------------------------------------------------
 

@@ -59,8 +59,10 @@ def _decomposed(model: PHDAE, variables: Sequence[Variable], matrix: ca.SX) -> t
         E = np.array(ca.Function("E", [model.x, parameters], [ca.densify(matrix)])(x, start))
         if undetermined(E) >= 0:
             raise DeclarationError(
-                f"{label} is singular and depends on the state; the decomposition needs a constant E: use a "
-                "SystemTransformation to semi-explicit form, or Parametrised for E of constant rank"
+                label,
+                "is singular and depends on the state; the decomposition needs a constant E",
+                "use a SystemTransformation to semi-explicit form, or Parametrised for E of constant rank",
+                "descriptor",
             )
         return None
     f = ca.Function("E", [parameters], [ca.densify(matrix)])
@@ -121,8 +123,11 @@ def _require_constant_kernels(label: str, model: PHDAE, f: ca.Function, p: Array
         left = max(np.abs(U2.T @ E).max(initial=0.0), np.abs(E @ V2).max(initial=0.0))
         if left > REGULAR * np.abs(E).max(initial=0.0):
             raise DeclarationError(
-                f"{label} is singular at {names[i]} = {p[i]:.6g}, but its kernel changes with it (|E V2| or |U2^T E| = "
-                f"{left:.3g} at {moved[i]:.6g}); write numbers into E instead of this parameter"
+                label,
+                f"is singular at {names[i]} = {p[i]:.6g}, but its kernel changes with it (|E V2| or |U2^T E| = "
+                f"{left:.3g} at {moved[i]:.6g})",
+                "write numbers into E instead of this parameter",
+                "descriptor",
             )
 
 
@@ -130,7 +135,10 @@ def _require_costates(label: str, model: PHDAE, variables: Sequence[Variable], m
     missing = [v.name for v in variables if v not in model.z]
     if missing:
         raise DeclarationError(
-            f"{label} is singular, so E^T z = grad H does not determine z; give z of {', '.join(missing)} in the declaration"
+            label,
+            "is singular, so E^T z = grad H does not determine z",
+            f"give z of {', '.join(missing)} in the declaration",
+            "descriptor",
         )
     x = ca.vertcat(*(v.sx for v in variables))
     z = ca.vertcat(*(ca.SX(_sx(model.z[v])) for v in variables))
@@ -148,8 +156,10 @@ def _require_costates(label: str, model: PHDAE, variables: Sequence[Variable], m
         bad = np.flatnonzero(np.abs(defect) > 1e-9 * scale)
         if bad.size:
             raise DeclarationError(
-                f"{label}: E^T z - grad H = {defect[bad[0]]:.6g} at '{names[bad[0]]}' (parts of {scale[bad[0]]:.3g}); correct "
-                "z, E or H"
+                label,
+                f"E^T z - grad H = {defect[bad[0]]:.6g} at '{names[bad[0]]}' (parts of {scale[bad[0]]:.3g})",
+                "correct z, E or H",
+                "costate",
             )
 
 

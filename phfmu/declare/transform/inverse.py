@@ -14,7 +14,12 @@ def inverted(matrix: ca.SX) -> ca.SX:
     out = ca.SX(*matrix.shape)
     for rows, cols in blocks(matrix):
         if len(rows) != len(cols):
-            raise DeclarationError("a matrix to be inverted is structurally singular")
+            raise DeclarationError(
+                f"a {matrix.shape[0]} x {matrix.shape[1]} matrix to be inverted",
+                f"rows {rows} and columns {cols} meet: structurally singular",
+                "give it as many rows as columns with entries in common",
+                "singular",
+            )
         part = matrix[rows, cols]
         numbers = part.is_constant()
         value = ca.SX(np.linalg.inv(np.array(ca.DM(part)))) if numbers else _inverse(part)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable, _sx, time
 
 
@@ -27,24 +28,31 @@ class Maps:
         phi = {v: ca.SX(_sx(e)) for v, e in self.phi.items()}
         object.__setattr__(self, "phi", phi)
         object.__setattr__(self, "new", tuple(self.new))
-        for v, e in phi.items():
+        n = sum(v.n for v in self.old)
+        U = ca.SX.eye(n) if self.U is None else ca.SX(_sx(self.U))
+        object.__setattr__(self, "U", ca.sparsify(U))
+        if found := [*self._misshapen(), *self._timed()]:
+            raise DeclarationError.of(found)
+
+    def _misshapen(self) -> Iterator[Problem]:
+        for v, e in self.phi.items():
             if e.shape != (v.n, 1):
-                raise DeclarationError(f"phi of '{v.name}' is {e.shape[0]} x {e.shape[1]}, expected {v.n} x 1")
+                yield Problem("shape", f"phi of '{v.name}'", f"is {e.shape[0]} x {e.shape[1]}, expected {v.n} x 1",
+                              "give one expression for each of its entries")  # fmt: skip
         names = f"({listed(self.old)}) from ({listed(self.new)})"
         n, m = sum(v.n for v in self.old), sum(v.n for v in self.new)
         if n != m:
-            raise DeclarationError(
-                f"phi makes {n} coordinates {names}, which have {m}: a diffeomorphism keeps their number; for a redundant "
-                "description use constraints"
-            )
-        U = ca.SX.eye(n) if self.U is None else ca.SX(_sx(self.U))
-        if U.shape != (n, n):
-            raise DeclarationError(
-                f"U is {U.shape[0]} x {U.shape[1]}, expected {n} x {n}: old rows x new columns {names}"
-            )
-        object.__setattr__(self, "U", ca.sparsify(U))
+            yield Problem("shape", "phi", f"makes {n} coordinates {names}, which have {m}: a diffeomorphism keeps their number",
+                          "for a redundant description use constraints")  # fmt: skip
+        elif self.U.shape != (n, n):
+            yield Problem("shape", "U", f"is {self.U.shape[0]} x {self.U.shape[1]}, expected {n} x {n}: {names}",
+                          "give it a row for each old coordinate, a column for each new one")  # fmt: skip
+
+    def _timed(self) -> Iterator[Problem]:
         if any(s.element_hash() == time.element_hash() for s in self.foreign):
-            raise DeclarationError("phi or U depends on time; a system transformation is a function of the state only")
+            yield Problem(
+                "symbol", "phi or U", "depends on time", "a system transformation is a function of the state only"
+            )
 
     @property
     def old(self) -> tuple[Variable, ...]:

@@ -51,8 +51,10 @@ def solved_starts(T: Maps, old: Array, p: Array, parameters: ca.SX, model: str) 
         worst = int(np.argmax(np.nan_to_num(np.abs(r) / size, nan=np.inf)))
         old_names = [n for v in T.old for n in v.names()]
         raise DeclarationError(
-            f"{model}: no start of {', '.join(names)} found with phi(x~) = x: '{old_names[worst]}' is missed by "
-            f"{r[worst]:.6g}; give the new variables starts near the solution"
+            model,
+            f"no start of {', '.join(names)} found with phi(x~) = x: '{old_names[worst]}' is missed by {r[worst]:.6g}",
+            "give the new variables starts near the solution",
+            "start",
         )
     return x
 
@@ -62,8 +64,11 @@ def _require_regular(matrices: Mapping[str, Array], x: Array, names: list[str], 
         column = undetermined(matrix)
         if column >= 0:
             raise DeclarationError(
-                f"{model}: {what} is singular at {names[column]} = {x[column]:.6g} (singular values {_values(matrix)}); a "
-                "transformation is invertible near regular points only: start elsewhere or use other coordinates"
+                model,
+                f"{what} is singular at {names[column]} = {x[column]:.6g} (singular values {_values(matrix)}); a "
+                "transformation is invertible near regular points only",
+                "start elsewhere or use other coordinates",
+                "singular",
             )
 
 

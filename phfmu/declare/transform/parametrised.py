@@ -14,7 +14,7 @@ Source: Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, Theorem 8, Corollary 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,6 +24,7 @@ import numpy as np
 from phfmu.declare.dense import matrices
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, skew
+from phfmu.declare.problem import Problem
 from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.inverse import inverted
 from phfmu.declare.variable import Variable, _sx, key, slices, time
@@ -95,32 +96,11 @@ class Parametrised:
         columns = slices((*self.part.states, *self.part.algebraics))
         out = ca.SX(self.n, sum(v.n for v in (*self.part.states, *self.part.algebraics)))
         for v, value in given.items():
-            matrix = ca.SX(_sx(value))
-            if key(v) not in columns or matrix.shape != (self.n, v.n):
-                where = (
-                    "is no variable of the part"
-                    if key(v) not in columns
-                    else f"is {matrix.shape}, expected {(self.n, v.n)}"
-                )
-                raise DeclarationError(f"{self.part.name}: the entry of (38b) on '{v.name}' {where}")
-            out[:, columns[key(v)]] = matrix
+            out[:, columns[key(v)]] = ca.SX(_sx(value))
         return out
 
     def _inputs(self) -> ca.SX:
-        names = [p.name for p in self.part.ports]
-        unknown = [name for name in self.B if name not in names]
-        if unknown:
-            raise DeclarationError(
-                f"{self.part.name} has no port '{unknown[0]}' for B3; it has: {', '.join(names) or 'none'}"
-            )
-        parts = []
-        for port in self.part.ports:
-            matrix = ca.SX(_sx(self.B.get(port.name, ca.SX(self.n, port.n))))
-            if matrix.shape != (self.n, port.n):
-                raise DeclarationError(
-                    f"{self.part.name}: B3 on port '{port.name}' is {matrix.shape}, expected {(self.n, port.n)}"
-                )
-            parts.append(matrix)
+        parts = [ca.SX(_sx(self.B.get(port.name, ca.SX(self.n, port.n)))) for port in self.part.ports]
         return ca.horzcat(ca.SX(self.n, 0), *parts)
 
     def _eliminated(self) -> tuple[ca.SX, ca.SX]:
@@ -146,18 +126,48 @@ class Parametrised:
     # -- what is refused ----------------------------------------------------------------------------------------------
 
     def _require_sound(self) -> None:
+        found = [*self._out_of_form()]
+        if self.theta:  # without it no shape is right
+            found += [*self._misplaced(), *self._misshapen_inputs()]
+        if found:
+            raise DeclarationError.of(found)
+
+    def _out_of_form(self) -> Iterator[Problem]:
         name, theta = self.part.name, ca.vertcat(*(v.sx for v in self.theta))
         if not self.theta or any(v.role != "state" for v in self.theta):
-            raise DeclarationError(f"{name}: theta is a tuple of one or more states")
-        if ca.depends_on(self.part.hamiltonian, theta):
-            raise DeclarationError(f"{name}: H depends on theta; a variable with energy belongs to x1")
-        wrong = [v.name for v in self.E32 if v.role != "algebraic"]
-        if wrong:
-            raise DeclarationError(
-                f"{name}: E32 acts on algebraic variables, '{wrong[0]}' is a state: put E31 x1' into A31"
-            )
+            yield Problem("symbol", name, "theta is not a tuple of one or more states", "make each with state(..)")
+        elif ca.depends_on(self.part.hamiltonian, theta):
+            yield Problem("energy", name, "H depends on theta", "a variable with energy belongs to x1")
+        for v in self.E32:
+            if v.role != "algebraic":
+                yield Problem(
+                    "symbol", name, f"E32 acts on algebraic variables, '{v.name}' is a state", "put E31 x1' into A31"
+                )
         if self.part.constraints or self.part.closed:
-            raise DeclarationError(f"{name}: the part has constraints or closed-form pairs; write it without them")
+            yield Problem("symbol", name, "the part has constraints or closed-form pairs", "write it without them")
+
+    def _misplaced(self) -> Iterator[Problem]:
+        """Entries on variables of their own, n_theta x n each."""
+        own = {key(v) for v in (*self.part.states, *self.part.algebraics)}
+        for v, value in (*self.A.items(), *self.E32.items()):
+            entry, shape = f"{self.part.name}: the entry of (38b) on '{v.name}'", ca.SX(_sx(value)).shape
+            if key(v) not in own:
+                yield Problem("symbol", entry, "is no variable of the part", "use its states and algebraic variables")
+            elif shape != (self.n, v.n):
+                yield Problem(
+                    "shape", entry, f"is {shape}, expected {(self.n, v.n)}", "give a row for each entry of theta"
+                )
+
+    def _misshapen_inputs(self) -> Iterator[Problem]:
+        ports = {p.name: p for p in self.part.ports}
+        for name, value in self.B.items():
+            shape = ca.SX(_sx(value)).shape
+            if name not in ports:
+                there = ", ".join(ports) or "none"
+                yield Problem("symbol", self.part.name, f"has no port '{name}' for B3", f"it has: {there}")
+            elif shape != (self.n, ports[name].n):
+                yield Problem("shape", f"{self.part.name}: B3 on port '{name}'", f"is {shape}, expected "
+                              f"{(self.n, ports[name].n)}", "give a row for each entry of theta")  # fmt: skip
 
     def _require_held(self, f2: ca.SX, B2: ca.SX) -> None:
         u = ca.vertcat(ca.SX(0, 1), *(p.u for p in self.part.ports))
@@ -167,9 +177,9 @@ class Parametrised:
         what = what or ("they depend on time" if ca.depends_on(f2, time) else "")
         if what:
             raise DeclarationError(
-                f"{self.part.name}: with E32 the rows of the algebraic variables must be free of inputs and time, but {what}: "
-                "x2 would jump with the input, and theta with it; feed the input through a state"
-            )
+                self.part.name, "with E32 the rows of the algebraic variables must be free of inputs and time, but "
+                f"{what}: x2 would jump with the input, and theta with it", "feed the input through a state",
+            )  # fmt: skip
 
     def _require_regular(self, what: str, matrix: ca.SX) -> None:
         variables = (*self.part.states, *self.part.algebraics, *self.theta, *self.part.parameters)
@@ -178,6 +188,6 @@ class Parametrised:
         value = np.array(f(start))
         if undetermined(value) >= 0:
             raise DeclarationError(
-                f"{self.part.name}: {what} is singular at the start ({np.array2string(value, precision=3)}); the form "
-                "(38) needs algebraic variables of index 1"
-            )
+                self.part.name, f"{what} is singular at the start ({np.array2string(value, precision=3)})",
+                "the form (38) needs algebraic variables of index 1", "singular",
+            )  # fmt: skip

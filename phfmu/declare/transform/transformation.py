@@ -44,8 +44,9 @@ class SystemTransformation(Maps):
         """(phi, U) o (phi~, U~) = (phi o phi~, (U o phi~) U~)."""
         if _hashes(self.new) != _hashes(after.old):
             raise DeclarationError(
-                f"the first transformation makes ({listed(self.new)}), the second one replaces ({listed(after.old)}); "
-                "list the same variables in the same order"
+                "S @ T",
+                f"the first transformation makes ({listed(self.new)}), the second one replaces ({listed(after.old)})",
+                "list the same variables in the same order",
             )
         (phi, U) = ca.substitute([self.image, self.U], [self.x], [after.image])
         parts = ca.vertsplit(phi, np.cumsum([0, *(v.n for v in self.old)]).tolist())
@@ -60,14 +61,14 @@ class SystemTransformation(Maps):
         x = ca.vertcat(*(v.sx for v in self.old))
         if psi is None:
             if not self.affine:
-                raise DeclarationError("phi is not affine; give psi: new variable -> expression of the old ones")
+                raise DeclarationError("phi", "is not affine", "give psi: new variable -> expression of the old ones")
             (offset,) = ca.substitute([self.image], [self.x], [ca.SX.zeros(self.x.numel())])
             value = ca.mtimes(inverted(self.jacobian), x - offset)
             parts = ca.vertsplit(value, np.cumsum([0, *(v.n for v in self.new)]).tolist())
             psi = dict(zip(self.new, parts, strict=True))
         missing = [v.name for v in self.new if v not in psi]
         if missing:
-            raise DeclarationError(f"psi misses {', '.join(missing)}")
+            raise DeclarationError("psi", f"misses {', '.join(missing)}", "give each new variable its expression")
         back = ca.vertcat(*(ca.SX(_sx(psi[v])) for v in self.new))
         round_trip, U = ca.substitute([self.image, inverted(self.U)], [self.x], [back])
         self._require_inverse(round_trip, x)
@@ -83,8 +84,10 @@ class SystemTransformation(Maps):
         if not np.abs(value[worst] - start[worst]) <= 1e-9 * size[worst]:
             name = [n for v in self.old for n in v.names()][worst]
             raise DeclarationError(
+                "psi",
                 f"phi(psi(x)) gives {name} = {value[worst]:.9g} instead of {start[worst]:.9g} at the start; psi is not the "
-                "inverse of phi there"
+                "inverse of phi there",
+                "correct psi or phi",
             )
 
 

@@ -76,9 +76,11 @@ def _require_independent(change: Change, e: Energy, h: ca.SX, a: ca.SX) -> None:
         i, j, _ = bad[0]
         name = [n for v in change.new if v.role == "algebraic" for n in v.names()][j]
         raise DeclarationError(
-            f"{change.model.name}: H depends on the algebraic variable '{name}', dH/d({name}) = {value[i, j, 0]:.6g} with "
-            f"parts of {scale[i, j, 0]:.3g}; H may depend on the states only (E^T z = grad H makes it so): correct H, z "
-            "or E"
+            change.model.name,
+            f"H depends on the algebraic variable '{name}', dH/d({name}) = {value[i, j, 0]:.6g} with parts "
+            f"of {scale[i, j, 0]:.3g}; H may depend on the states only (E^T z = grad H makes it so)",
+            "correct H, z or E",
+            "energy",
         )
 
 

@@ -31,8 +31,9 @@ def velocity_form(model: PHDAE, T: Maps) -> PHDAE:
             continue
         if c.drive is not None:
             raise DeclarationError(
-                f"{model.name}: constraint '{c.multiplier.name}' moves (it depends on time) and its velocities are replaced; "
-                "feed the motion by a port, or leave these variables as they are"
+                f"{model.name}: constraint '{c.multiplier.name}'",
+                "moves (it depends on time) and its velocities are replaced",
+                "feed the motion by a port, or leave these variables as they are",
             )
         _require_consistent(model, c, q)
         blocks.append(_block(c, q, velocity))
@@ -91,6 +92,8 @@ def _require_consistent(model: PHDAE, c: Holonomic, q: list[ca.SX]) -> None:
     bad = np.flatnonzero(np.abs(g.ravel()) > allowed)
     if bad.size:
         raise DeclarationError(
-            f"{model.name}: constraint '{c.multiplier.names()[bad[0]]}': g(q) = {g.ravel()[bad[0]]:.6g} at the start; choose "
-            "positions that satisfy it"
+            f"{model.name}: constraint '{c.multiplier.names()[bad[0]]}'",
+            f"g(q) = {g.ravel()[bad[0]]:.6g} at the start",
+            "choose positions that satisfy it",
+            "start",
         )

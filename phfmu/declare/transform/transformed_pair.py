@@ -59,8 +59,10 @@ def _old_costates(change: Change, rows: ca.SX) -> ca.SX:
         else:
             if change.U[where, change.algebraics].nnz() and needed & set(where):
                 raise DeclarationError(
-                    f"{change.model.name}: z of '{v.name}' is needed for the effort of a new algebraic variable; give "
-                    "its z in the declaration, or choose U with zeros between old states and new algebraic variables"
+                    f"{change.model.name}: z of '{v.name}'",
+                    "is needed for the effort of a new algebraic variable",
+                    "give "
+                    "its z in the declaration, or choose U with zeros between old states and new algebraic variables",
                 )
             parts.append(ca.mtimes(change.U[where, :], z))
     return ca.vertcat(*parts)
@@ -88,9 +90,12 @@ def _require_semi_explicit(change: Change, value: Array) -> None:
         if i in change.algebraics or j in change.algebraics:
             a, what = (i, "row") if i in change.algebraics else (j, "column")
             raise DeclarationError(
-                f"{change.model.name}: the {what} of '{names[a]}' in E~ is not zero, E~[{names[i]}, {names[j]}] = "
-                f"{value[0, i, j]:.6g}; an algebraic variable needs a zero row (U) and column (phi of the states must "
-                "not depend on it): make it a state, or change phi or U"
+                change.model.name,
+                f"the {what} of '{names[a]}' in E~ is not zero, E~[{names[i]}, {names[j]}] = "
+                f"{value[0, i, j]:.6g}; an algebraic variable needs a zero row (U) and column (phi of the states must not "
+                "depend on it)",
+                "make it a state, or change phi or U",
+                "descriptor",
             )
 
 
@@ -108,8 +113,10 @@ def singular_costates(change: Change, E: dict[Key, Any]) -> dict[Variable, Any]:
         missing = [v.name for v in change.old if v.role == "state" and key(v) not in given]
         if missing:
             raise DeclarationError(
-                f"{change.model.name}: E~ of {', '.join(v.name for v in variables)} is singular, so z is needed as data; "
-                f"give z of {', '.join(missing)}"
+                change.model.name,
+                f"E~ of {', '.join(v.name for v in variables)} is singular, so z is needed as data",
+                f"give z of {', '.join(missing)}",
+                "descriptor",
             )
         old = ca.vertcat(*(change.at_old(_given(change, v)) for v in change.old))
         z = ca.mtimes(change.inverse, old)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.error import DeclarationError
 from phfmu.discretise.model import Model
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.monolithic import Monolithic
@@ -24,7 +25,6 @@ from phfmu.network.couplings.stepper import Steps
 from phfmu.network.run.restart import gains
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.radau import Radau
-from phfmu.terms.term import DeclarationError
 
 Array = NDArray[np.float64]
 
@@ -190,8 +190,10 @@ def _require_held(model: Model) -> None:
     free = [model.checks[0].name] if fit == "two-level" else _free_nodes(model)
     if free:
         raise DeclarationError(
-            f"{model.name}: scheme {scheme.name} lets {free[0]} chatter from step to step, whatever their size; adaptive steps "
-            f"need --scheme {fit} here"
+            model.name,
+            f"scheme {scheme.name} lets {free[0]} chatter from step to step, whatever their size",
+            f"adaptive steps need --scheme {fit} here",
+            "drift",
         )
 
 

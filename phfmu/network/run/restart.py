@@ -7,10 +7,10 @@ a component would gain instead (other H) is taken by the exact scheme.
 
 from __future__ import annotations
 
+from phfmu.declare.error import DeclarationError
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Steps
 from phfmu.schemes.radau import Radau
-from phfmu.terms.term import DeclarationError
 
 #: a gain below this part of the step's energies is rounding
 ROUNDING = 1e-12
@@ -43,8 +43,10 @@ def require_fit(stepper: Monolithic) -> None:
     declaration = stepper.model.declaration
     if declaration.constraints:
         raise DeclarationError(
-            f"{declaration.name}: restart steps let the holonomic constraints drift; take none (--restart 0) and smaller steps "
-            "after events with --rtol"
+            declaration.name,
+            "restart steps let the holonomic constraints drift",
+            "take none (--restart 0) and smaller steps after events with --rtol",
+            "drift",
         )
 
 

@@ -217,7 +217,7 @@ def test_a_regular_model_is_returned_as_it_is():
 
 
 def test_a_singular_model_is_refused_before_it_is_stepped():
-    with pytest.raises(DeclarationError, match=r"E of 'v' is singular.* reduce_descriptor\(model\)"):
+    with pytest.raises(DeclarationError, match=r"E of 'v': is singular.* reduce_descriptor\(model\)"):
         build_model(mass_spring(reduced=False), Collocated(1))
 
 

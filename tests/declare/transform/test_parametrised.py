@@ -200,7 +200,7 @@ def energetic() -> Parametrised:
         (energetic, "H depends on theta"),
         (lambda: swept(B={"sauce": 1.0}), "no port 'sauce' for B3; it has: source"),
         (lambda: swept(A={swept().part.states[0]: [[1.0, 0.0]]}), "no variable of the part"),
-        (lambda: swept(theta=()), "theta is a tuple"),
+        (lambda: swept(theta=()), "theta is not a tuple"),
         (lambda: (d := swept()) and replace(d, A={d.part.states[0]: [[1.0]]}), "expected \\(1, 2\\)"),
         (lambda: (d := swept()) and replace(d, E32={d.part.states[0]: [[1.0, 0.0]]}), "acts on algebraic variables"),
     ],

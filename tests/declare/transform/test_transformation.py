@@ -282,7 +282,7 @@ def refused(transformation, model=None):
         ),
         (
             lambda q, p: SystemTransformation({q: (w := state("w", 2)).sx}, (w,), np.eye(3)),
-            "U is 3 x 3, expected 2 x 2",
+            "U: is 3 x 3, expected 2 x 2",
         ),
         (lambda q, p: SystemTransformation({state("q", 2): (w := state("w", 2)).sx}, (w,)), "no state or algebraic"),
         (lambda q, p: SystemTransformation({q: (w := algebraic("w", 2)).sx}, (w,)), "is not zero"),
