@@ -87,7 +87,7 @@ def test_constraints_bring_their_columns_and_nothing_else_does():
 
 
 def test_the_compiler_is_announced_only_when_it_runs(tmp_path, monkeypatch):
-    from phfmu.engine import compile as compiling
+    from phfmu.engine import objects
     from phfmu.engine.codegen import kernel_table
     from phfmu.engine.model import kernels
 
@@ -97,6 +97,6 @@ def test_the_compiler_is_announced_only_when_it_runs(tmp_path, monkeypatch):
     build_library(table, lambda: said.append("compiles"))
     assert said == []
     monkeypatch.setenv("PHFMU_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(compiling, "_build", lambda *a: None)
+    monkeypatch.setattr(objects, "build", lambda *a: None)
     build_library(table, lambda: said.append("compiles"))
     assert said == ["compiles"]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import resource
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING
+
+from phfmu.bench.compile_cost import compile_runtime, compiler_seconds, fresh_cache
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
@@ -63,30 +61,6 @@ VARIANTS: tuple[tuple[str, Callable[[], PHDAE], tuple[str, ...]], ...] = (
 )
 
 
-@contextmanager
-def fresh_cache() -> Iterator[None]:
-    """A cache of libraries of its own; the compiler keeps what it has built of its own run time."""
-    from phfmu.engine.cache import cache_folder
-
-    known, before = cache_folder(), os.environ.get("PHFMU_CACHE_DIR")
-    with tempfile.TemporaryDirectory(prefix="phfmu-") as folder:
-        if (known / "zig").is_dir():
-            (Path(folder) / "zig").symlink_to(known / "zig")
-        os.environ["PHFMU_CACHE_DIR"] = folder
-        try:
-            yield
-        finally:
-            os.environ.pop("PHFMU_CACHE_DIR")
-            if before is not None:
-                os.environ["PHFMU_CACHE_DIR"] = before
-
-
-def compiler_seconds() -> float:
-    """CPU time of finished child processes."""
-    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return spent.ru_utime + spent.ru_stime
-
-
 def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
     from phfmu.discretise.model import build_model
     from phfmu.engine.codegen import kernel_table
@@ -97,6 +71,7 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
     model = build_model(declaration)
     text = kernel_table(kernels(model), model.step.schur).text
     with fresh_cache(), tempfile.TemporaryDirectory() as folder:
+        compile_runtime()
         before = compiler_seconds()
         unit = NativeInstance(model)
         seconds = compiler_seconds() - before

@@ -7,12 +7,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phfmu.bench.compile_cost import compiler_seconds, fresh_cache
 from phfmu.bench.families import FAMILIES, Family
 from phfmu.bench.own import solver_iterations
+
+if TYPE_CHECKING:
+    from phfmu.engine.codegen import KernelTable
 
 STEPS = 20  # every size is timed over these first steps: a later part of the motion may take more iterations
 STEPS_TIME = 0.3  # CPU seconds all repetitions take at least
@@ -63,29 +67,24 @@ def measure(family: Family, n: int) -> Size:
     declared = process_time()
     model = build_model(declaration)
     planned = process_time()
-    text = kernel_table(kernels(model), model.step.schur).text
-    seconds = compile_time(text)
+    table = kernel_table(kernels(model), model.step.schur)
+    seconds = compile_time(table)
     instance = NativeInstance(model)
     step, iterations = step_time(instance, family.step)
     return Size(
-        family.name, family.count(n), model.step.nw, declared - start, planned - declared, len(text), seconds,
+        family.name, family.count(n), model.step.nw, declared - start, planned - declared, len(table.text), seconds,
         instance.memory_size, model.step.matrix.nnz, step, iterations,
     )  # fmt: skip
 
 
-def compile_time(text: str) -> float:
-    """CPU seconds of the compiler for runtime and kernels; a definition that nothing uses keeps caches out of it."""
-    import os
-    from time import time_ns
+def compile_time(table: KernelTable) -> float:
+    """CPU seconds of the compiler for runtime and kernels, nothing reused."""
+    from phfmu.engine.library import build
 
-    from phfmu.engine.compile import compile
-    from phfmu.engine.library import runtime_sources
-
-    before = os.times()
-    build = compile({**runtime_sources(), "kernels.c": text}, flags=(f"-DPHFMU_BENCH={time_ns()}",))
-    after = os.times()
-    build.path.unlink()
-    return after.children_user - before.children_user + after.children_system - before.children_system
+    with fresh_cache():
+        before = compiler_seconds()
+        build(table)
+        return compiler_seconds() - before
 
 
 def step_time(instance: Any, h: float) -> tuple[float, float]:

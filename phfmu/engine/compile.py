@@ -5,23 +5,24 @@ Compiler: `python -m ziglang cc` if ziglang is installed (any target), else the 
 
 from __future__ import annotations
 
-import hashlib
+import functools
 import importlib.metadata
 import importlib.util
-import os
 import platform
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from phfmu.engine import cache
+from phfmu.engine import cache, objects
+from phfmu.engine.objects import CompileError as CompileError  # one of the errors of `compile`
+from phfmu.engine.objects import Toolchain
 
 #: contraction to fused multiply-add would make results depend on the target
-FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC", "-s")
+FLAGS = ("-std=c11", "-O2", "-g0", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC")
+LINK = ("-shared", "-s")
 SUFFIX = {"linux": ".so", "macos": ".dylib", "windows": ".dll"}
 SYSTEM = {"linux": "linux-gnu.2.17", "darwin": "macos", "win32": "windows-gnu"}
 MACHINE = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
@@ -29,10 +30,6 @@ MACHINE = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64":
 
 class CompilerMissing(RuntimeError):
     """No compiler for the target; the message says how to install one."""
-
-
-class CompileError(RuntimeError):
-    """The compiler refused the sources; the message holds its output."""
 
 
 @dataclass(frozen=True)
@@ -80,37 +77,43 @@ def suffix(target: str) -> str:
     return SUFFIX.get(target.split("-")[1], ".so")
 
 
-@dataclass(frozen=True)
-class _Compiler:
-    command: tuple[str, ...]
-    version: str
-    flags: tuple[str, ...]
+#: zig's own run-time library, which takes it seconds to compile and these targets need nothing of; were
+#: something of it needed after all, the linker says so
+BARE = ("-nostdlib", "-lc", "-Wl,-z,defs")
+BARE_TARGETS = ("x86_64-linux", "aarch64-linux")
 
 
-def _zig(target: str) -> _Compiler | None:
+def _zig(target: str, flags: Sequence[str]) -> Toolchain | None:
     if importlib.util.find_spec("ziglang") is None:
         return None
-    flags = ("-target", target, "-fno-sanitize=undefined")
+    options = ("-target", target, "-fno-sanitize=undefined", *flags)
     version = f"zig {importlib.metadata.version('ziglang')}"
-    return _Compiler((sys.executable, "-m", "ziglang", "cc"), version, flags)
+    bare = BARE if target.startswith(BARE_TARGETS) else ()
+    program = (sys.executable, "-m", "ziglang", "cc")
+    return Toolchain(program, version, (*FLAGS, *options), (*LINK, *bare))
 
 
-def _system(target: str) -> _Compiler | None:
+def _system(target: str, flags: Sequence[str]) -> Toolchain | None:
     if target != host_target():
         return None
     for name in ("cc", "gcc", "clang"):
         if path := shutil.which(name):
-            lines = subprocess.run([path, "--version"], capture_output=True, text=True).stdout.splitlines()
-            return _Compiler((path,), lines[0] if lines else name, ())
+            return Toolchain((path,), _version(path) or name, (*FLAGS, *flags), LINK)
     return None
 
 
-def _find(target: str, only: str | None) -> _Compiler:
+@functools.cache
+def _version(path: str) -> str:
+    """What the compiler says in its first line."""
+    return subprocess.run([path, "--version"], capture_output=True, text=True).stdout.partition("\n")[0]
+
+
+def _find(target: str, only: str | None, flags: Sequence[str] = ()) -> Toolchain:
     found = None
     if only in (None, "zig"):
-        found = _zig(target)
+        found = _zig(target, flags)
     if found is None and only in (None, "cc"):
-        found = _system(target)
+        found = _system(target, flags)
     if found is None:
         host = host_target()
         missing = "and there is no cc, gcc or clang" if target == host else f"and cc builds for {host} only"
@@ -119,46 +122,6 @@ def _find(target: str, only: str | None) -> _Compiler:
             'Install one with: pip install "phfmu[native]"'
         )
     return found
-
-
-def _key(sources: Mapping[str, str | Path], command: Sequence[str], version: str) -> str:
-    digest = hashlib.sha256(repr((list(command), version)).encode())
-    for name in sorted(sources):
-        source = sources[name]
-        content = source.read_bytes() if isinstance(source, Path) else source.encode()
-        digest.update(f"\0{name}\0{len(content)}\0".encode() + content)
-    return digest.hexdigest()[:32]
-
-
-def _build(sources: Mapping[str, str | Path], compiler: _Compiler, flags: Sequence[str], key: str, end: str) -> Path:
-    """Compiles in a private folder and moves the result into the cache: nobody sees half a file.
-
-    The private folder is searched for headers only if it has some: its name would be part of what zig's own cache
-    knows an object by, and the runtime, the same for every model, would be compiled anew for each.
-    """
-    root = cache.writable()
-    env = os.environ | {
-        "ZIG_GLOBAL_CACHE_DIR": str(root / "zig"),
-        "ZIG_LOCAL_CACHE_DIR": str(root / "zig" / "local"),
-    }
-    with tempfile.TemporaryDirectory(dir=root / "lib") as folder:
-        work = Path(folder)
-        files, folders = [], []
-        for name, source in sorted(sources.items()):
-            path = source if isinstance(source, Path) else work / name
-            if isinstance(source, str):
-                path.write_text(source, encoding="utf-8")
-            if name.endswith(".c"):
-                files.append(str(path))
-            if path.parent not in folders and (isinstance(source, Path) or not name.endswith(".c")):
-                folders.append(path.parent)
-        includes = [f"-I{f}" for f in folders]
-        result = work / ("library" + end)
-        command = [*compiler.command, *flags, *includes, *files, "-o", str(result), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, env=env)
-        if done.returncode != 0:
-            raise CompileError(f"{compiler.version} failed ({done.returncode}):\n{done.stderr[-4000:]}")
-        return cache.put(root, key, result)
 
 
 def compile(
@@ -178,19 +141,18 @@ def compile(
     Errors: CompilerMissing, CompileError.
     """
     target = target or host_target()
-    found = _find(target, compiler)
-    options = (*FLAGS, *found.flags, *flags)
-    key = _key(sources, (*found.command[1:], *options), found.version)
-    path = cache.find(key, suffix(target))
+    tools = _find(target, compiler, flags)
+    files = {n: s.read_bytes() if isinstance(s, Path) else s.encode() for n, s in sources.items()}
+    path = cache.find(tools.library_key(files), suffix(target))
     reused = path is not None
     if path is None:
         if announce is not None:
             announce()
-        path = _build(sources, found, options, key, suffix(target))
+        path = objects.build(files, tools, suffix(target))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, out)
-    return Build(out or path, reused, found.version, target)
+    return Build(out or path, reused, tools.version, target)
 
 
 def require_compiler(target: str | None = None) -> str:

@@ -1,0 +1,110 @@
+"""C sources -> objects -> a shared library.
+
+Objects are cached (`cache.py`) by what they are made of, so the runtime, the same for every model, is compiled once,
+and so is what two libraries of one model have in common.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from phfmu.engine import cache
+
+INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]([^">\n]+)[">]', re.MULTILINE)
+
+
+class CompileError(RuntimeError):
+    """The compiler refused the sources; the message holds its output."""
+
+
+@dataclass(frozen=True)
+class Toolchain:
+    """A compiler with its options; `link`: those it has besides when it links.  `version` stands for the program."""
+
+    program: tuple[str, ...]
+    version: str
+    options: tuple[str, ...]
+    link: tuple[str, ...]
+
+    def key(self, files: Mapping[str, bytes], more: Sequence[str] = ()) -> str:
+        """Name in the cache of what `files` give; where the program stands does not matter."""
+        digest = hashlib.sha256(repr((self.program[1:], self.version, self.options, tuple(more))).encode())
+        for name in sorted(files):
+            digest.update(f"\0{name}\0{len(files[name])}\0".encode() + files[name])
+        return digest.hexdigest()[:32]
+
+    def library_key(self, files: Mapping[str, bytes]) -> str:
+        """Name in the cache of the library of `files`."""
+        return self.key(files, self.link)
+
+
+def needed(name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """The file and those it includes, also by way of others; headers of the system are not among them."""
+    found: dict[str, bytes] = {}
+    todo = [name]
+    while todo:
+        if (n := todo.pop()) in files and n not in found:
+            found[n] = files[n]
+            todo += [m.decode() for m in INCLUDE.findall(files[n])]
+    return found
+
+
+def build(files: Mapping[str, bytes], tools: Toolchain, end: str) -> Path:
+    """Library of all `files` that end in .c, put into the cache.
+
+    Everything happens in a private folder whose results are moved into the cache whole: nobody sees half a file.
+    Only relative names are told to the compiler, so that objects are the same wherever the folder is.
+    """
+    root = cache.writable()
+    with tempfile.TemporaryDirectory(dir=root / "lib") as folder:
+        work = _Work(root, Path(folder), tools, files)
+        for name, content in files.items():
+            (work.folder / name).write_bytes(content)
+        with ThreadPoolExecutor(_processors()) as pool:
+            objects = list(pool.map(work.object, sorted(n for n in files if n.endswith(".c"))))
+        result = "library" + end
+        work.run(*tools.link, *objects, "-o", result, "-lm")
+        return cache.put(root, tools.library_key(files), work.folder / result)
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A private folder with the sources; `root`: the cache."""
+
+    root: Path
+    folder: Path
+    tools: Toolchain
+    files: Mapping[str, bytes]
+
+    def object(self, name: str) -> str:
+        """The object of one source, in the folder: from the cache, else compiled and put there."""
+        key = self.tools.key(needed(name, self.files), ("-c", name))
+        result = f"{name}.o"
+        if known := cache.find(key, ".o"):
+            shutil.copyfile(known, self.folder / result)
+        else:
+            self.run("-c", name, "-o", result)
+            copy = shutil.copyfile(self.folder / result, self.folder / f"{name}.copy.o")
+            cache.put(self.root, key, Path(copy))
+        return result
+
+    def run(self, *options: str) -> None:
+        """What zig keeps of its own C library is cached; of what it compiles here, `cache.py` keeps enough."""
+        own = {"ZIG_GLOBAL_CACHE_DIR": str(self.root / "zig"), "ZIG_LOCAL_CACHE_DIR": str(self.folder / "zig")}
+        command = [*self.tools.program, *self.tools.options, *options]
+        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, env=os.environ | own)
+        if done.returncode != 0:
+            raise CompileError(f"{self.tools.version} failed ({done.returncode}):\n{done.stderr[-4000:]}")

@@ -1,0 +1,186 @@
+"""Objects of libraries: compiled once for all that share them, anew when anything they are made of changes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from phfmu.components.mechanical.translational import mass
+from phfmu.discretise.model import build_model
+from phfmu.engine import cache, objects
+from phfmu.engine.codegen import KernelTable, kernel_table
+from phfmu.engine.compile import CompileError, compile
+from phfmu.engine.library import build, runtime_sources
+from phfmu.engine.model import kernels
+from phfmu.fmu.export import export
+
+#: two sources that share a header by way of another, and one that stands alone
+SOURCES = {
+    "a.c": '#include "outer.h"\nPH int a(void) { return VALUE; }\n',
+    "b.c": '  #  include "inner.h"\nint b(void) { return VALUE + 1; }\n',
+    "c.c": "#include <math.h>\ndouble c(double x) { return sin(x); }\n",
+    "outer.h": '#define PH __attribute__((visibility("default")))\n#include "inner.h"\n',
+    "inner.h": "#define VALUE 1\n",
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiler: None) -> Path:
+    """An empty cache; the compiler keeps what it has built of its own run time."""
+    made, known = tmp_path / "cache", cache.cache_folder()
+    made.mkdir(mode=0o700)
+    (known / "zig").mkdir(parents=True, exist_ok=True)
+    (made / "zig").symlink_to(known / "zig")
+    monkeypatch.setenv("PHFMU_CACHE_DIR", str(made))
+    return made
+
+
+@pytest.fixture
+def compiled(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
+    """The sources compiled since the last call, in alphabetical order."""
+    run, said = subprocess.run, list[str]()
+
+    def watched(command, **more):
+        said.extend([command[command.index("-c") + 1]] if "-c" in command else [])
+        return run(command, **more)
+
+    monkeypatch.setattr(objects.subprocess, "run", watched)
+
+    def since() -> list[str]:
+        found = sorted(said)
+        said.clear()
+        return found
+
+    return since
+
+
+def table(**parameters: float) -> KernelTable:
+    model = build_model(mass(2.0, **parameters))
+    return kernel_table(kernels(model), model.step.schur)
+
+
+def test_a_further_library_compiles_only_what_others_have_not(compiled: Callable[[], list[str]]) -> None:
+    build(table(k=100.0))
+    first = compiled()
+    assert "kernels.c" in first and {n for n in runtime_sources() if n.endswith(".c")} < set(first)
+    assert not build(table()).reused
+    assert compiled() == ["kernels.c"]
+    assert not build(table(), more={"more.c": "int more;\n"}).reused
+    assert compiled() == ["more.c"]
+
+
+def test_a_change_compiles_what_it_reaches_and_nothing_else(compiled: Callable[[], list[str]]) -> None:
+    compile(SOURCES)
+    assert compiled() == ["a.c", "b.c", "c.c"]
+    for changed, reached in (
+        ("inner.h", ["a.c", "b.c"]), ("outer.h", ["a.c"]), ("c.c", ["c.c"]), ("b.c", ["b.c"]),
+    ):  # fmt: skip
+        compile({**SOURCES, changed: SOURCES[changed] + "\n"})
+        assert compiled() == reached, changed
+    compile(SOURCES, flags=("-DX=1",))
+    assert compiled() == ["a.c", "b.c", "c.c"]
+    compile({**SOURCES, "unused.h": ""})
+    assert compiled() == []
+
+
+def test_includes_are_found_through_others_and_in_a_circle() -> None:
+    files = {n: t.encode() for n, t in SOURCES.items()}
+    assert set(objects.needed("a.c", files)) == {"a.c", "outer.h", "inner.h"}
+    assert set(objects.needed("c.c", files)) == {"c.c"}
+    assert set(objects.needed("x.h", {"x.h": b'#include "y.h"', "y.h": b'#include "x.h"'})) == {"x.h", "y.h"}
+
+
+def test_damaged_objects_are_compiled_again(folder: Path, compiled: Callable[[], list[str]]) -> None:
+    sound = compile(SOURCES).path.read_bytes()
+    compiled()
+    for library in (folder / "lib").glob("*/*.*"):
+        if library.suffix != ".o":
+            library.unlink()
+    (victim,) = [p for p in (folder / "lib").glob("*/*.o") if b"a.c" in p.read_bytes()]
+    victim.write_bytes(victim.read_bytes()[:-100])
+    assert compile(SOURCES).path.read_bytes() == sound
+    assert compiled() == ["a.c"]
+
+
+def test_a_unit_has_the_same_bytes_from_a_cold_and_a_warm_cache(
+    folder: Path, tmp_path: Path, compiled: Callable[[], list[str]]
+) -> None:
+    """Also where the objects came with another unit of the same equations."""
+    model = build_model(mass(2.0, k=100.0))
+    (cold,) = export(model, tmp_path / "cold", ("3.0",), step=0.01)
+    assert "kernels.c" in compiled()
+    export(model, tmp_path / "other", ("3.0",), step=0.02)
+    assert compiled() == ["interface.c"]
+    for library in (p for p in (folder / "lib").glob("*/*.*") if p.suffix != ".o"):
+        library.unlink()
+    (warm,) = export(model, tmp_path / "warm", ("3.0",), step=0.01)
+    assert compiled() == [] and warm.read_bytes() == cold.read_bytes()
+
+
+def test_objects_are_the_same_bytes_wherever_the_cache_stands(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = compile(SOURCES).path
+    (tmp_path / "deeper" / "cache").mkdir(parents=True, mode=0o700)
+    (tmp_path / "deeper" / "cache" / "zig").symlink_to((folder / "zig").resolve())
+    monkeypatch.setenv("PHFMU_CACHE_DIR", str(tmp_path / "deeper" / "cache"))
+    other = compile(SOURCES).path
+    names = [sorted(p.name for p in path.parents[1].glob("*/*")) for path in (one, other)]  # content hashes
+    assert one != other and names[0] == names[1] and len(names[0]) == 4
+
+
+#: compiles libraries that share objects; the source that differs is named by the caller
+SHARES = f"""
+import ctypes, sys
+from phfmu.engine.compile import compile
+sources = {SOURCES!r} | {{"own.c": "int own" + sys.argv[1] + ";"}}
+print(ctypes.CDLL(str(compile(sources).path)).a())
+"""
+
+
+def test_processes_that_compile_the_same_objects_at_once(folder: Path) -> None:
+    calls = [[sys.executable, "-c", SHARES, str(i)] for i in range(3)]
+    runs = [subprocess.Popen(c, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for c in calls]
+    assert [run.communicate(timeout=120) for run in runs] == [("1\n", "")] * 3
+    shared = [p for p in (folder / "lib").glob("*/*.o") if b"own" not in p.read_bytes()]
+    assert len(shared) == len({p.parent for p in shared}) == 3  # one object a key, whoever came last
+    assert [p.name for p in (folder / "lib").iterdir() if p.name.startswith("tmp")] == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills a group of processes")
+def test_a_killed_compilation_leaves_nothing_that_is_used(folder: Path, compiled: Callable[[], list[str]]) -> None:
+    code = f"""
+from phfmu.engine.compile import compile
+lines = "".join("double f%d(double x) {{ return x * %d + f%d(x); }}\\n" % (i, i, i - 1) for i in range(1, 3000))
+compile({SOURCES!r} | {{"large.c": "double f0(double x) {{ return x; }}\\n" + lines}})
+"""
+    run = subprocess.Popen([sys.executable, "-c", code], start_new_session=True, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while not list((folder / "lib").glob("[!t]*/*.o")) and time.monotonic() < deadline:  # in its place, not in tmp...
+        time.sleep(0.002)
+    os.killpg(run.pid, signal.SIGKILL)
+    assert run.wait() == -signal.SIGKILL
+    library = compile(SOURCES).path
+    assert set(compiled()) < {"a.c", "b.c", "c.c"}
+    call = [sys.executable, "-c", f"import ctypes; print(ctypes.CDLL({str(library)!r}).a())"]
+    assert subprocess.run(call, capture_output=True, text=True).stdout == "1\n"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems' libraries need it")
+def test_the_first_library_does_not_wait_for_a_run_time_it_does_not_need(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """zig compiles a library of its own for whoever links with it, for eight seconds of CPU time."""
+    pytest.importorskip("ziglang")
+    monkeypatch.setenv("PHFMU_CACHE_DIR", str(tmp_path))
+    compile(SOURCES, compiler="zig")
+    assert list((tmp_path / "zig").rglob("libc.so.6")) and not list((tmp_path / "zig").rglob("*compiler_rt*"))
+    with pytest.raises(CompileError, match="nowhere"):  # what is missing is found by the linker, not in the importer
+        compile({**SOURCES, "a.c": '#include "outer.h"\nint nowhere(void);\nPH int a(void) { return nowhere(); }\n'})
