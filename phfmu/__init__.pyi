@@ -58,6 +58,7 @@ from phfmu.network.members.consistent import InconsistentState as InconsistentSt
 from phfmu.network.members.engine_member import EngineMember as EngineMember
 from phfmu.network.members.fmu_member import FMUMember as FMUMember
 from phfmu.network.run.loop import run as run
+from phfmu.network.run.options import Options as Options
 from phfmu.network.scene import Event as Event
 from phfmu.network.scene import Scene as Scene
 from phfmu.schemes.collocated import Collocated as Collocated

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from pages import Array
 
-from phfmu import Collocated, Coupled, EngineMember, Monolithic, NativeInstance, Scene, build_model, run
-from phfmu.network.run.loop import Result
+from phfmu import Collocated, Coupled, EngineMember, Monolithic, NativeInstance, Options, Scene, build_model, run
+from phfmu.network.run.result import Result
 
 
 def monolithic(scene: Scene, h: float, stop: float, k: int, impulses: bool = True) -> Result:
     """The composed scene, k Gauss nodes."""
     model = build_model(scene.declaration(), Collocated(k, impulses=impulses))
-    return run(Monolithic(model, NativeInstance(model)), stop=stop, step=h, events=scene.events)
+    return run(Monolithic(model, NativeInstance(model)), Options(stop=stop, step=h, events=scene.events))
 
 
 def newton(scene: Scene, h: float, stop: float, k: int) -> Result:
@@ -23,7 +23,7 @@ def newton(scene: Scene, h: float, stop: float, k: int) -> Result:
     for name, declaration in scene.system.members.items():  # type: ignore[union-attr]
         model = build_model(replace(declaration, name=name), Collocated(k))
         members.append(EngineMember(name, model, NativeInstance(model)))
-    return run(Coupled(scene.system, members), stop=stop, step=h, events=scene.events)  # type: ignore[arg-type]
+    return run(Coupled(scene.system, members), Options(stop=stop, step=h, events=scene.events))  # type: ignore[arg-type]
 
 
 def at(result: Result, times: Array, name: str) -> Array:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pages import DOCS, Made, declared, table
 
-from phfmu import Coupled, EngineMember, NativeInstance, Network, PythonInstance, build_model, run
-from phfmu.network.run.loop import Result
+from phfmu import Coupled, EngineMember, NativeInstance, Network, Options, PythonInstance, build_model, run
+from phfmu.network.run.result import Result
 
 STEP, VOLTAGE = 2e-3, 24.0
 COIL, PLATES, LOST, BANK, LEAK = "#1f6fb4", "#5b8c3a", "#b9402f", "#d1711b", "#8a6bb1"
@@ -169,7 +169,7 @@ def pair() -> Result:
     for name, declaration in net.members.items():
         model = build_model(declaration)
         members.append(EngineMember(name, model, NativeInstance(model)))
-    return run(Coupled(net, members), stop=0.2, step=STEP)
+    return run(Coupled(net, members), Options(stop=0.2, step=STEP))
 
 
 def _ledger(ax: Any) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pages import Array, Made, reference, slopes, table
 
-from phfmu import NativeInstance, StepFailure, build_model, run
+from phfmu import NativeInstance, Options, StepFailure, build_model, run
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.schemes.named import named_scheme
@@ -24,7 +24,7 @@ def four(scheme: tuple[str, int, str], h: float, stop: float, **starts: float) -
     declaration = four_particle().with_starts(starts)
     model = build_model(declaration, named_scheme(declaration, *scheme))
     stepper = Monolithic(model, NativeInstance(model))
-    r = run(stepper, stop=stop, step=h)
+    r = run(stepper, Options(stop=stop, step=h))
     rows = {n: r.values[:, i] for i, n in enumerate(r.names)}
     rows["x"] = np.column_stack([r.column(f"{s}[{i}]") for s in "qv" for i in range(1, 13)])
     return rows

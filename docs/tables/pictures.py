@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from pages import DOCS, Made
 
-from phfmu import NativeInstance, build_model, default_scheme
+from phfmu import NativeInstance, Options, build_model, default_scheme
 from phfmu.audit import AuditWriter, read
 from phfmu.components.library import build
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import Result, run
+from phfmu.network.run.loop import run
+from phfmu.network.run.result import Result
 
 IMAGES = DOCS / "img"
 COLOURS = {"gen": "#1f6fb4", "line": "#d1711b", "grid": "#5b8c3a"}
@@ -30,10 +31,7 @@ def recorded(name: str, order: int = 2) -> tuple[Result, Any]:
         with AuditWriter(path) as writer:
             result = run(
                 Monolithic(model, NativeInstance(model)),
-                stop=scene.stop,
-                step=scene.step,
-                events=scene.events,
-                sink=writer,
+                Options(stop=scene.stop, step=scene.step, events=scene.events, sink=writer),
             )
         return result, read(path)
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pages import Made, table
 
-from phfmu import Collocated, Monolithic, NativeInstance, build_model, default_scheme, run
+from phfmu import Collocated, Monolithic, NativeInstance, Options, build_model, default_scheme, run
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
@@ -26,7 +26,7 @@ def restart() -> Made:
              "order 2, two restart steps": (1, {"restart": 2}), "order 4, rtol 1e-8": (2, {"rtol": 1e-8})}  # fmt: skip
     for label, (k, options) in cases.items():
         s = stepper(scene.declaration(), Collocated(k))
-        r = run(s, stop=0.1005, step=1e-4, events=scene.events, landing=1e-4, **options)
+        r = run(s, Options(stop=0.1005, step=1e-4, events=scene.events, landing=1e-4, **options))
         v = np.interp(0.1 + 1e-4 * np.arange(6), r.time, r.column("load.v[2]"))
         network = r.ledger.summary().network
         lost = 0.0 if network is None else network.numerical or 0.0
@@ -44,13 +44,13 @@ def tolerance() -> Made:
     }
     for label, (declaration, stop, events, orders, name) in models.items():
         s = stepper(declaration, default_scheme(declaration, 6))
-        run(s, stop=stop, step=2.5e-4, events=events)
+        run(s, Options(stop=stop, step=2.5e-4, events=events))
         exact = s.instance.x
         for order in orders:
             s, cells = stepper(declaration, default_scheme(declaration, order)), []
             for rtol in tolerances[: 3 if order == 2 else 5]:
                 s.instance.reset()
-                r = run(s, stop=stop, step=1e-4, events=events, rtol=rtol)
+                r = run(s, Options(stop=stop, step=1e-4, events=events, rtol=rtol))
                 error = np.max(np.abs(s.instance.x - exact) / (1 + np.abs(exact)))
                 cells.append(f"{error / rtol:.2g} ({r.steps})")
             rows.append([label, f"{name} {order}", *cells, *[""] * (len(tolerances) - len(cells))])
@@ -62,7 +62,9 @@ def between() -> Made:
     rows = []
     for order in (2, 6):
         for h in (0.02, 0.01):
-            r = run(stepper(four_particle(), default_scheme(four_particle(), order)), stop=1.0, step=h, dense=4)
+            r = run(
+                stepper(four_particle(), default_scheme(four_particle(), order)), Options(stop=1.0, step=h, dense=4)
+            )
             assert r.interpolated is not None
             inside = r.interpolated
             g, w = (max(float(np.abs(r.column(n)[inside]).max()) for n in r.names if n.startswith(f"constraint.{level}"))

@@ -21,9 +21,9 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table, recover, summarise
     from phfmu.cli.codes import FINE, LEDGER
-    from phfmu.cli.options import tolerance
+    from phfmu.network.run.options import ledger_tolerance
 
-    tolerance(args.rtol)
+    ledger_tolerance(args.rtol, "--rtol")
     if args.file[0] == "recover" and len(args.file) == 2:
         found = recover(args.file[1])
         print(f"recovered {found.rows} rows into {found.path}{' (the torn end was left out)' if found.torn else ''}")

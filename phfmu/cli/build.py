@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +18,25 @@ if TYPE_CHECKING:
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.junctions.junction import End
     from phfmu.network.junctions.network import Network
+    from phfmu.network.members.member import Member
     from phfmu.network.scene import Scene
 
 
-def stepper_for(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
-    """Stepper, scene and a label for the run's head line."""
+@dataclass(frozen=True)
+class Job:
+    """What a command line asks to run; `label`: for the run's head line; `whole`: one composed model, not units or members.
+
+    `build` makes the stepper, which may compile: what can be refused before should be.
+    """
+
+    scene: Scene
+    label: str
+    whole: bool
+    build: Callable[[], Stepper]
+
+
+def job_of(args: argparse.Namespace) -> Job:
+    """The scene, with its settings checked, and how it is stepped."""
     from phfmu.network.junctions.network import Network
 
     if args.fmi is not None and args.engine != "fmu":
@@ -36,7 +50,7 @@ def stepper_for(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
     if args.coupling == "newton":
         if not isinstance(s.system, Network):
             raise ValueError(f"{args.target} is a single component; --coupling newton needs a network of members")
-        return _coupled(args, s)
+        return _coupled(args, s, s.system)
     return _monolithic(args, s, declaration)
 
 
@@ -123,41 +137,46 @@ def order_lost(args: argparse.Namespace) -> list[str]:
     ]
 
 
-def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> tuple[Stepper, Scene, str]:
-    from phfmu.discretise.model import build_model
-    from phfmu.network.couplings.monolithic import Monolithic
+def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> Job:
+    scheme, engine = scheme_of(args, declaration), engine_of(args)
 
-    scheme = scheme_of(args, declaration)
-    engine = engine_of(args)
-    label = _label([scheme], engine, "monolithic")
-    if engine == "fmu":
+    def build() -> Stepper:
+        from phfmu.discretise.model import build_model
+        from phfmu.network.couplings.monolithic import Monolithic
         from phfmu.network.couplings.unit import FMUStepper
 
-        return FMUStepper(_as_fmu(declaration, scheme, args, s.step)), s, label
-    model = build_model(declaration, scheme)
-    return Monolithic(model, instance_of(model, engine)), s, label
-
-
-def _coupled(args: argparse.Namespace, s: Scene) -> tuple[Stepper, Scene, str]:
-    from phfmu.discretise.model import build_model
-    from phfmu.network.couplings.coupled import Coupled
-    from phfmu.network.members.engine_member import EngineMember
-
-    engine = engine_of(args)
-    members: list[Any] = []
-    schemes: list[Any] = []
-    for name, declaration in s.system.members.items():  # type: ignore[union-attr]
-        own = scheme_of(args, declaration, member=True)
-        schemes.append(own)
         if engine == "fmu":
-            from phfmu.network.members.fmu_member import FMUMember
+            return FMUStepper(_as_fmu(declaration, scheme, args, s.step))
+        model = build_model(declaration, scheme)
+        return Monolithic(model, instance_of(model, engine))
 
-            members.append(FMUMember(name, _as_fmu(replace(declaration, name=name), own, args, s.step)))
-        else:
-            model = build_model(replace(declaration, name=name), own)
-            members.append(EngineMember(name, model, instance_of(model, engine)))
-    coupled = Coupled(s.system, members)  # type: ignore[arg-type]
-    return coupled, s, _label(schemes, engine, f"{coupled.coupling.name} coupling", coupled.coupling.order)
+    return Job(s, _label([scheme], engine, "monolithic"), engine != "fmu", build)
+
+
+def _coupled(args: argparse.Namespace, s: Scene, network: Network) -> Job:
+    from phfmu.network.couplings.newton import Newton
+
+    engine, coupling = engine_of(args), Newton()
+    schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.members.items()}
+
+    def member(name: str, declaration: PHDAE) -> Member:
+        from phfmu.discretise.model import build_model
+        from phfmu.network.members.engine_member import EngineMember
+        from phfmu.network.members.fmu_member import FMUMember
+
+        own = replace(declaration, name=name)
+        if engine == "fmu":
+            return FMUMember(name, _as_fmu(own, schemes[name], args, s.step))
+        model = build_model(own, schemes[name])
+        return EngineMember(name, model, instance_of(model, engine))
+
+    def build() -> Stepper:
+        from phfmu.network.couplings.coupled import Coupled
+
+        return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling)
+
+    label = _label(list(schemes.values()), engine, f"{coupling.name} coupling", coupling.order)
+    return Job(s, label, False, build)
 
 
 def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: float) -> Any:
@@ -178,7 +197,7 @@ def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: flo
     return FMUInstance(path)
 
 
-def _fmu_run(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
+def _fmu_run(args: argparse.Namespace) -> Job:
     from phfmu.fmu.reader import FMUInstance
     from phfmu.network.couplings.unit import FMUStepper
     from phfmu.network.scene import fmu_scene
@@ -187,7 +206,7 @@ def _fmu_run(args: argparse.Namespace) -> tuple[Stepper, Scene, str]:
     unit = FMUInstance(args.target, starts=settings(args.set))
     if unit.interface.left_out:
         print(f"phfmu: {args.target}: left out, cannot be read or set here: {unit.interface.left_out}", file=sys.stderr)
-    return FMUStepper(unit), fmu_scene(unit), f"FMI {unit.interface.version}"
+    return Job(fmu_scene(unit), f"FMI {unit.interface.version}", False, lambda: FMUStepper(unit))
 
 
 def _refuse_compiled_in(args: argparse.Namespace) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
+    from phfmu.network.run.options import Options
     from phfmu.network.scene import Event, Scene
     from phfmu.schemes.scheme import Scheme
 
@@ -68,34 +69,20 @@ def add_steps(parser: argparse.ArgumentParser) -> None:
                         help="write N interpolated rows within each step too, marked in the column `interpolated`")  # fmt: skip
 
 
-def _dense(args: argparse.Namespace) -> dict[str, Any]:
-    if args.dense is None:
-        return {}
-    if args.dense < 1:
-        raise ValueError(f"--dense {args.dense}: expected a number of rows per step from 1")
-    return {"dense": args.dense}
+def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
+    """The options of a run that its events and outputs are still to be added to; the scene's restarts need one composed model."""
+    from phfmu.network.run.options import Options
 
-
-def steps(args: argparse.Namespace, scene: Scene, *, monolithic: bool) -> dict[str, Any]:
-    """The options of `add_steps` and --step as arguments of `run`; the scene's restarts need one composed model."""
-    restart = args.restart if args.restart is not None else scene.restart if monolithic else 0
-    if restart < 0:
-        raise ValueError(f"--restart {restart}: expected a number of steps from 0")
+    stop = scene.stop if args.stop is None else args.stop
+    step = scene.step if args.step is None else args.step
+    restart = args.restart if args.restart is not None else scene.restart if whole else 0
     given = {"atol": args.atol, "min_step": args.min_step, "max_step": args.max_step}
-    given = {name: value for name, value in given.items() if value is not None}
-    if args.rtol is None:
-        if given:
-            option = "--" + next(iter(given)).replace("_", "-")
-            raise ValueError(f"{option} is for adaptive steps; give --rtol too, or leave it out")
-        return {"restart": restart} | _dense(args)
-    return {"restart": restart, "rtol": args.rtol, "landing": args.step or float("inf")} | given | _dense(args)
-
-
-def tolerance(rtol: float, option: str = "--rtol") -> float:
-    """A tolerance of the ledger, checked."""
-    if not 0 <= rtol < float("inf"):
-        raise ValueError(f"{option} {rtol}: expected a number from 0, e.g. 1e-11")
-    return rtol
+    if args.rtol is not None and args.step:
+        given["landing"] = args.step
+    return Options(
+        stop=stop, step=step, rtol=args.rtol, restart=restart, dense=args.dense, project=args.project, kept=tuple(args.keep),
+        audit_rtol=args.audit_rtol, **{name: value for name, value in given.items() if value is not None},
+    )  # fmt: skip
 
 
 def settings(items: list[str]) -> dict[str, float]:

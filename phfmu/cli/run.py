@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
-    from phfmu.network.run.loop import Result
+    from phfmu.network.run.options import Options
+    from phfmu.network.run.result import Result
     from phfmu.network.scene import Event, Scene
 
 
@@ -55,34 +57,28 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.cli import options
-    from phfmu.cli.build import order_lost, stepper_for
+    from phfmu.cli.build import job_of, order_lost
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.interrupt import Signals
     from phfmu.cli.outputs import Outputs
     from phfmu.cli.target import is_fmu
     from phfmu.cli.timeline import timeline
-    from phfmu.network.couplings.monolithic import Monolithic
     from phfmu.network.run.loop import run
 
-    _check(args)
-    outputs = Outputs(args)
-    stepper, scene, label = stepper_for(args)
-    stop = scene.stop if args.stop is None else args.stop
-    step = scene.step if args.step is None else args.step
-    events, dropped = timeline(args, scene, stepper.settable(), stop)
-    changes = [e for e in events if e.t < stop]
+    outputs, job = Outputs(args), job_of(args)
+    chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
+    stepper = job.build()
+    events, dropped = timeline(args, scene, stepper.settable(), chosen.stop)
+    chosen = replace(chosen, events=events)
+    changes = [e for e in events if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
         options.require_sound(args, scene.declaration(), changes)
-    with Signals() as signals, outputs, _Progress(stop, args.quiet, signals.check) as report:
+    with Signals() as signals, outputs, _Progress(chosen.stop, args.quiet, signals.check) as report:
         outputs.begin(stepper.names, {"target": args.target, "run": label}, args.dense is not None, changes)
-        result = run(
-            stepper, stop=stop, step=step, events=events, sink=outputs.sink, progress=report.update, keep=outputs.keep,
-            project=args.project, kept=args.keep, audit_rtol=args.audit_rtol,
-            **options.steps(args, scene, monolithic=isinstance(stepper, Monolithic)),
-        )  # fmt: skip
+        result = run(stepper, replace(chosen, sink=outputs.sink, progress=report.update, keep=outputs.keep))
     summary = result.ledger.summary()
     if not args.quiet:
-        _print_run(args, label, result, stop, step, report.seconds - outputs.seconds)
+        _print_run(args, label, result, chosen, report.seconds - outputs.seconds)
         _print_notes([*order_lost(args), *dropped, *result.notes, *outputs.notes])
         print(audit_table(summary), end="")
     if not summary.closed:
@@ -108,23 +104,14 @@ def _print_signs_lost(scene: Scene, events: list[Event], result: Result, compone
             print(f"phfmu: {name}: R is not positive semidefinite at t = {t:.6g} s: {lost}", file=sys.stderr)
 
 
-def _check(args: argparse.Namespace) -> None:
-    """What would fail after the run fails before it."""
-    from phfmu.cli.options import tolerance
-
-    tolerance(args.audit_rtol, "--audit-rtol")
-    if args.keep and not args.project:
-        raise ValueError(f"--keep {args.keep[0]} says what a projection leaves alone; add --project")
-
-
-def _print_run(args: argparse.Namespace, label: str, result: Result, stop: float, step: float, seconds: float) -> None:
+def _print_run(args: argparse.Namespace, label: str, result: Result, chosen: Options, seconds: float) -> None:
     its = f", {result.iterations / result.steps:.2f} iterations a step" if result.iterations else ""  # units tell none
     sizes = (
-        f"step {step:g} s"
+        f"step {chosen.step:g} s"
         if args.rtol is None
         else f"rtol {args.rtol:g}, steps {result.smallest:.3g} to {result.largest:.3g} s"
     )
-    print(f"{args.target}: {label}; {sizes} to {stop:g} s: {counted(result.steps, 'step')}{its}, "
+    print(f"{args.target}: {label}; {sizes} to {chosen.stop:g} s: {counted(result.steps, 'step')}{its}, "
           f"{seconds:.3g} s")  # fmt: skip
     if result.projection is not None:
         _print_projection(result.projection)

@@ -18,7 +18,7 @@ from phfmu.files import beside, require_writable
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from phfmu.network.run.loop import HeldInputs
+    from phfmu.network.run.held import HeldInputs
 
 Array = NDArray[Any]
 
@@ -153,7 +153,7 @@ class _Parquet:
 
 def read_inputs(path: str, known: list[str]) -> HeldInputs:
     """A CSV like the output: `time`, then settable names; ValueError names line, column and value."""
-    from phfmu.network.run.loop import HeldInputs
+    from phfmu.network.run.held import HeldInputs
 
     rows = _rows(path)
     if not rows or rows[0][1][0].strip() != "time":

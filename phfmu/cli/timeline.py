@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from phfmu.words import counted
 
 if TYPE_CHECKING:
-    from phfmu.network.run.loop import HeldInputs
+    from phfmu.network.run.held import HeldInputs
     from phfmu.network.scene import Event, Scene
 
 

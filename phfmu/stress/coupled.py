@@ -31,10 +31,11 @@ def stiff(k: float) -> Outcome:
     from phfmu.network.couplings.coupled import Coupled
     from phfmu.network.members.engine_member import EngineMember
     from phfmu.network.run.loop import run
+    from phfmu.network.run.options import Options
 
     net = stiff_pair(k)
     units = {n: instance(replace(d, name=n)) for n, d in net.members.items()}
-    result = run(Coupled(net, [EngineMember(n, u.model, u) for n, u in units.items()]), stop=1.0, step=0.01)
+    result = run(Coupled(net, [EngineMember(n, u.model, u) for n, u in units.items()]), Options(stop=1.0, step=0.01))
     worst = max(c.worst_relative for c in result.ledger.summary().components)
     exact = 0.1 * np.sin(10.0 * result.time)
     error = float(np.abs(result.column("m1.q") - exact).max())
@@ -89,10 +90,13 @@ def rigid(project: bool) -> Outcome:
     from phfmu.network.couplings.monolithic import Monolithic
     from phfmu.network.members.consistent import InconsistentState
     from phfmu.network.run.loop import run
+    from phfmu.network.run.options import Options
 
     unit = instance(rigid_link(1.0, 0.0))
     if not project:
-        return refused(lambda: run(Monolithic(unit.model, unit), stop=0.1, step=0.01), InconsistentState, "link")
+        return refused(
+            lambda: run(Monolithic(unit.model, unit), Options(stop=0.1, step=0.01)), InconsistentState, "link"
+        )
     lost = project_start(unit.model).energy
     return Outcome(f"energy changed by {lost:.15g} J", abs(lost + 1.0 / 3.0) <= 1e-12)
 

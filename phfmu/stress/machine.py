@@ -59,13 +59,14 @@ def switched(resistance: float, phases: int) -> Outcome:
     from phfmu.components.scenes.two_machine import two_machine
     from phfmu.network.couplings.monolithic import Monolithic
     from phfmu.network.run.loop import run
+    from phfmu.network.run.options import Options
     from phfmu.network.scene import Event
 
     scene = two_machine()
     names = ["fault.G"] if phases == 3 else [f"fault.G[{i + 1}]" for i in range(phases)]
     events = [Event(t, n, g) for t, g in ((0.02, 1.0 / resistance), (0.06, 0.0)) for n in names]
     unit = instance(scene.declaration())
-    result = run(Monolithic(unit.model, unit), stop=0.1, step=H, events=events)
+    result = run(Monolithic(unit.model, unit), Options(stop=0.1, step=H, events=events))
     worst = max(c.worst_relative for c in result.ledger.summary().components)
     v = result.column("bus2.v[1]")
     fault = (result.time > 0.021) & (result.time < 0.06)

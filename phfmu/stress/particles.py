@@ -100,9 +100,12 @@ def contradicting() -> Outcome:
     from phfmu.network.couplings.monolithic import Monolithic
     from phfmu.network.members.consistent import InconsistentState
     from phfmu.network.run.loop import run
+    from phfmu.network.run.options import Options
 
     unit = instance(barred(None, 1.0 + 1e-6))
-    found = refused(lambda: run(Monolithic(unit.model, unit), stop=0.1, step=H), InconsistentState, "lambda[2]")
+    found = refused(
+        lambda: run(Monolithic(unit.model, unit), Options(stop=0.1, step=H)), InconsistentState, "lambda[2]"
+    )
     return Outcome(f"{found.happened}; {unit.counts['steps']} steps", found.holds and unit.counts["steps"] == 0)
 
 
@@ -111,12 +114,13 @@ def off_manifold(project: bool) -> Outcome:
     from phfmu.network.couplings.monolithic import Monolithic
     from phfmu.network.members.consistent import InconsistentState
     from phfmu.network.run.loop import run
+    from phfmu.network.run.options import Options
 
     unit = instance(four(q_4=1.001))
     stepper = Monolithic(unit.model, unit)
     if not project:
-        return refused(lambda: run(stepper, stop=0.1, step=H), InconsistentState, "lambda[1]", "position")
-    result = run(stepper, stop=0.1, step=H, project=True)
+        return refused(lambda: run(stepper, Options(stop=0.1, step=H)), InconsistentState, "lambda[1]", "position")
+    result = run(stepper, Options(stop=0.1, step=H, project=True))
     booked, worst = result.ledger.summary().events.get("reprojection", 0), max(result.worst.values())
     assert result.projection is not None
     moved = float(np.abs(result.projection.x[:12] - unit.model.x0[:12]).max())

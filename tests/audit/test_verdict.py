@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import phfmu as ph
-from phfmu import PHDAE, Collocated, NativeInstance, PythonInstance, block, build_model, energy, run
+from phfmu import PHDAE, Collocated, NativeInstance, Options, PythonInstance, block, build_model, energy, run
 from phfmu.audit import LedgerSummary, summarise
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Steps
@@ -40,7 +40,7 @@ def kinds(summary: LedgerSummary) -> set[str]:
 
 def ran(model: PHDAE, engine: type, stop: float = 10.0, events: Sequence[Event] = ()) -> LedgerSummary:
     built = build_model(model, Collocated(1))
-    return run(Monolithic(built, engine(built)), stop=stop, step=0.01, events=events).ledger.summary()
+    return run(Monolithic(built, engine(built)), Options(stop=stop, step=0.01, events=events)).ledger.summary()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -78,7 +78,7 @@ def test_energy_that_the_engine_changes_unbooked_is_found(tmp_path) -> None:
 
     built = build_model(oscillator(), Collocated(1))
     assert (
-        run(Monolithic(built, NativeInstance(built)), stop=1.0, step=0.01, events=[Event(0.5, "k", 5.0)])
+        run(Monolithic(built, NativeInstance(built)), Options(stop=1.0, step=0.01, events=[Event(0.5, "k", 5.0)]))
         .ledger.summary()
         .closed
     )
@@ -91,7 +91,7 @@ def test_energy_that_the_engine_changes_unbooked_is_found(tmp_path) -> None:
             return replace(steps, H=np.vstack([steps.H[:-1], self.energies()[None]]))
 
     with AuditWriter(tmp_path / "x.parquet") as sink:
-        summary = run(Leaks(built, NativeInstance(built)), stop=1.0, step=0.01, sink=sink).ledger.summary()
+        summary = run(Leaks(built, NativeInstance(built)), Options(stop=1.0, step=0.01, sink=sink)).ledger.summary()
     assert kinds(summary) == {"change"}
     assert summary.components[0].gap != 0.0
     assert summarise(tmp_path / "x.parquet") == summary
@@ -132,8 +132,8 @@ class Unit:
 
 def test_books_and_ports_of_a_unit_must_agree() -> None:
     """Ports say 5.80 J, books 2.87 J: each for itself closes."""
-    assert run(Unit([5.8], 5.8), stop=1.0, step=0.1).ledger.summary().closed
-    summary = run(Unit([5.8], 2.87), stop=1.0, step=0.1).ledger.summary()
+    assert run(Unit([5.8], 5.8), Options(stop=1.0, step=0.1)).ledger.summary().closed
+    summary = run(Unit([5.8], 2.87), Options(stop=1.0, step=0.1)).ledger.summary()
     assert kinds(summary) == {"ports", "unexplained"}
     assert summary.violations[0].size == pytest.approx(0.1 * (2.87 - 5.80), rel=1e-12)
     assert summary.components[0].verdict == "VIOLATED"
@@ -141,7 +141,7 @@ def test_books_and_ports_of_a_unit_must_agree() -> None:
 
 def test_a_unit_that_tells_nothing_is_not_called_closed() -> None:
     verdicts = [
-        run(unit, stop=1.0, step=0.1).ledger.summary().components[0].verdict
+        run(unit, Options(stop=1.0, step=0.1)).ledger.summary().components[0].verdict
         for unit in (Unit([], 0.0, estimated=True), Unit([1.0], 1.0, estimated=True), Unit([1.0], 1.0))
     ]
     assert verdicts == ["none", "estimated", "closed"]
@@ -150,5 +150,5 @@ def test_a_unit_that_tells_nothing_is_not_called_closed() -> None:
 def test_a_changed_parameter_without_energy_is_a_parameter() -> None:
     """What sets it says what it is, not whether H changed; one event at several components is one."""
     built = build_model(oscillator(constant=1.0), Collocated(1))
-    result = run(Monolithic(built, NativeInstance(built)), stop=1.0, step=0.01, events=[Event(0.5, "k", 4.0)])
+    result = run(Monolithic(built, NativeInstance(built)), Options(stop=1.0, step=0.01, events=[Event(0.5, "k", 4.0)]))
     assert result.ledger.summary().events == {"parameter": 1}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phfmu import PHDAE, Monolithic, PythonInstance, build_model, check, damping, energy, run, state, time
+from phfmu import PHDAE, Monolithic, Options, PythonInstance, build_model, check, damping, energy, run, state, time
 from phfmu.checks.sign_lost import sign_lost
 from phfmu.cli import main
 
@@ -53,7 +53,7 @@ def test_it_may_depend_on_time_and_costates():
 
 def test_a_run_keeps_the_state_of_its_least_dissipation():
     built = build_model(model())
-    result = run(Monolithic(built, PythonInstance(built)), stop=0.35, step=0.01)
+    result = run(Monolithic(built, PythonInstance(built)), Options(stop=0.35, step=0.01))
     t, row = result.least["softens"]
     i = int(np.argmin(np.abs(result.time - t)))
     assert np.array_equal(row, result.values[i])

@@ -15,6 +15,7 @@ from phfmu import (
     DeclarationError,
     Holonomic,
     NativeInstance,
+    Options,
     PythonInstance,
     TwoLevel,
     algebraic,
@@ -194,7 +195,7 @@ def test_work_of_moving_supports_stays_with_its_member_and_reaches_the_unit(tmp_
     net.add("near", crane(0.25))
     net.add("far", crane(0.5))
     model = build_model(net.compose())
-    result = run(Monolithic(model, PythonInstance(model)), stop=0.2, step=0.02)
+    result = run(Monolithic(model, PythonInstance(model)), Options(stop=0.2, step=0.02))
     supplied = {(p.component, p.port): p.supplied for p in result.ledger.summary().ports}
     for member in ("near", "far"):
         stored = result.column(f"{member}.energy.stored")

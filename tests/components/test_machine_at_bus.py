@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference_tools import read
 
-from phfmu import Collocated, NativeInstance, build_model, check, run
+from phfmu import Collocated, NativeInstance, Options, build_model, check, run
 from phfmu.components.electrical import machine_at_bus, machine_names, machine_set, steady_state, synchronous_machine
 from phfmu.components.scenes.smib import smib_folded
 from phfmu.network.couplings.monolithic import Monolithic
@@ -18,7 +18,7 @@ def errors(coordinates: str, k: int, h: float, until: float) -> dict[str, float]
     """Errors against the reference (DOP853 in abc flux, checked in the rotor frame) on the rows that h meets."""
     scene, ref = smib_folded(coordinates=coordinates), read("smib")  # type: ignore[arg-type]
     model = build_model(scene.declaration(), Collocated(k))
-    r = run(Monolithic(model, NativeInstance(model)), stop=until, step=h, events=scene.events)
+    r = run(Monolithic(model, NativeInstance(model)), Options(stop=until, step=h, events=scene.events))
     assert max(c.worst_relative for c in r.ledger.summary().components) <= 1e-15
     assert not [n for n in r.names if n.startswith("constraint.")]  # no bare node, nothing hidden
     t = ref["time"]

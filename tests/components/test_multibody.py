@@ -17,6 +17,7 @@ from phfmu import (
     DeclarationError,
     Monolithic,
     NativeInstance,
+    Options,
     PythonInstance,
     TwoLevel,
     build_model,
@@ -169,9 +170,9 @@ def test_redundant_rows_are_reported_and_contradictions_refused():
     assert constraint_rank(wrong).redundant[0].gap == pytest.approx(-1e-6, rel=1e-3)
     model = build_model(wrong)
     with pytest.raises(ValueError, match=r"lambda\[4\]: position residual"):
-        run(Monolithic(model, PythonInstance(model)), stop=0.01, step=0.01)
+        run(Monolithic(model, PythonInstance(model)), Options(stop=0.01, step=0.01))
     with pytest.raises(DeclarationError, match=r"lambda\[4\] contradicts lambda\[2\] by 1e-06"):
-        run(Monolithic(model, PythonInstance(model)), stop=0.01, step=0.01, project=True)
+        run(Monolithic(model, PythonInstance(model)), Options(stop=0.01, step=0.01, project=True))
 
 
 # -- parts -------------------------------------------------------------------------------------------------------
@@ -217,7 +218,7 @@ def test_moving_support_books_its_work_under_its_own_name():
     body.bar(trolley, load)
     model = build_model(body.build(), THIRD)
     instance = PythonInstance(model)
-    result = run(Monolithic(model, instance), stop=1.0, step=0.05)
+    result = run(Monolithic(model, instance), Options(stop=1.0, step=0.05))
     th = solve_ivp(lambda t, y: [y[1], -9.81 * np.sin(y[0]) - 0.5 * np.cos(y[0])], (0, 1), [0, 0], "DOP853",
                    rtol=1e-12, atol=1e-12).y[0, -1]  # fmt: skip
     assert instance.x[:2] == pytest.approx([0.25 + np.sin(th), -np.cos(th)], abs=1e-9)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from reference_tools import read
 
-from phfmu import Collocated, NativeInstance, Scene, build_model, run
+from phfmu import Collocated, NativeInstance, Options, Scene, build_model, run
 from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib, smib_hydro
@@ -16,14 +16,14 @@ from phfmu.components.scenes.two_machine import two_machine
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.run.loop import Result
+from phfmu.network.run.result import Result
 
 RATED = 18881.48  # A, peak, of kundur555_1q
 
 
 def monolithic(scene: Scene, h: float, stop: float, k: int = 1, impulses: bool = True) -> Result:
     model = build_model(scene.declaration(), Collocated(k, impulses=impulses))
-    return run(Monolithic(model, NativeInstance(model)), stop=stop, step=h, events=scene.events)
+    return run(Monolithic(model, NativeInstance(model)), Options(stop=stop, step=h, events=scene.events))
 
 
 def coupled(scene: Scene, h: float, stop: float) -> Result:
@@ -31,7 +31,7 @@ def coupled(scene: Scene, h: float, stop: float) -> Result:
     for name, declaration in scene.system.members.items():  # type: ignore[union-attr]
         model = build_model(replace(declaration, name=name))
         members.append(EngineMember(name, model, NativeInstance(model)))
-    return run(Coupled(scene.system, members), stop=stop, step=h, events=scene.events)  # type: ignore[arg-type]
+    return run(Coupled(scene.system, members), Options(stop=stop, step=h, events=scene.events))  # type: ignore[arg-type]
 
 
 def closed(result: Result, rtol: float) -> bool:

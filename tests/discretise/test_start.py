@@ -10,6 +10,7 @@ from phfmu import (
     Event,
     Monolithic,
     Network,
+    Options,
     PythonInstance,
     build_model,
     project_start,
@@ -87,8 +88,8 @@ def test_currents_of_a_bare_node_sum_to_zero() -> None:
 def test_run_projects_on_request_and_books_the_jump() -> None:
     model = joined(1.0, 0.0)
     with pytest.raises(ValueError, match="inconsistent start.*--project"):
-        run(Monolithic(model, PythonInstance(model)), stop=0.1, step=0.01)
-    result = run(Monolithic(model, PythonInstance(model)), stop=0.1, step=0.01, project=True)
+        run(Monolithic(model, PythonInstance(model)), Options(stop=0.1, step=0.01))
+    result = run(Monolithic(model, PythonInstance(model)), Options(stop=0.1, step=0.01, project=True))
     assert np.max(np.abs(result.column("m1.v") - result.column("m2.v"))) <= 1e-14
     assert result.column("m1.energy.stored")[0] == pytest.approx(1 / 18)
 
@@ -96,7 +97,9 @@ def test_run_projects_on_request_and_books_the_jump() -> None:
 def test_changed_parameter_books_the_energy_it_brings() -> None:
     """k1 from 4 pi^2 to 60 N/m at 0.5 s changes H of mass1 by (60 - 4 pi^2) q1^2 / 2."""
     model = build_model(oscillator().declaration())
-    result = run(Monolithic(model, PythonInstance(model)), stop=1.0, step=0.01, events=[Event(0.5, "mass1.k", 60.0)])
+    result = run(
+        Monolithic(model, PythonInstance(model)), Options(stop=1.0, step=0.01, events=[Event(0.5, "mass1.k", 60.0)])
+    )
     q = result.column("mass1.q")[int(np.argmin(np.abs(result.time - 0.5)))]
     component = {c.component: c for c in result.ledger.summary().components}["mass1"]
     assert component.jumps == pytest.approx(0.5 * (60.0 - 4 * np.pi**2) * q**2, rel=1e-12)
@@ -189,6 +192,6 @@ def test_a_projection_after_an_event_turns_no_rotor_and_is_told() -> None:
     scene = smib()
     model = build_model(scene.declaration())
     stepper = Monolithic(model, PythonInstance(model))
-    result = run(stepper, stop=0.003, step=1e-3, events=[Event(0.002, "line.L", 8e-3)])
+    result = run(stepper, Options(stop=0.003, step=1e-3, events=[Event(0.002, "line.L", 8e-3)]))
     assert len(result.notes) == 1 and "at t = 0.002 s" in result.notes[0] and "line.flux[1]: " in result.notes[0]
     assert "gen.theta" not in result.notes[0] and "gen.p:" not in result.notes[0]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from phfmu import Event, Monolithic, Network, PythonInstance, StepFailure, build_model, run
+from phfmu import Event, Monolithic, Network, Options, PythonInstance, StepFailure, build_model, run
 from phfmu.cli import main
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.mechanical.translational import mass
@@ -66,7 +66,7 @@ def test_a_run_adds_what_it_had_solved(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(solves, "_solve", refuse)
     with pytest.raises(StepFailure, match=r"steps of 0\.1 s were solved before this one of 0\.001 s"):
-        run(Monolithic(model, instance), stop=1.0, step=0.1, events=[Event(0.501, "m", 1.0)])
+        run(Monolithic(model, instance), Options(stop=1.0, step=0.1, events=[Event(0.501, "m", 1.0)]))
 
 
 def test_joined_ideal_sources_are_named_with_what_helps() -> None:
@@ -78,7 +78,7 @@ def test_joined_ideal_sources_are_named_with_what_helps() -> None:
     models = {n: build_model(d) for n, d in net.members.items()}
     members = [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()]
     with pytest.raises(StepFailure, match="junction row of .*ideal sources joined"):
-        run(Coupled(net, members), stop=0.1, step=0.01)
+        run(Coupled(net, members), Options(stop=0.1, step=0.01))
 
 
 @pytest.mark.parametrize("option", ["--restart", "--rtol", "--dense"])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import phfmu.terms.rest as at_rest
-from phfmu import NativeInstance, PythonInstance, TwoLevel, build_model, constraint_rank, project_start
+from phfmu import NativeInstance, Options, PythonInstance, TwoLevel, build_model, constraint_rank, project_start
 from phfmu.cli import main
 from phfmu.discretise.model import Model
 from phfmu.engine.evaluate import Evaluator
@@ -130,12 +130,14 @@ def test_a_run_tells_when_which_row_rests(ill_chosen: Model) -> None:
     saved = instance.get_state()
     instance.run(0.0, 0.01, 120)
     instance.set_state(saved)
-    result = run(Monolithic(ill_chosen, instance), stop=1.2, step=0.01)
+    result = run(Monolithic(ill_chosen, instance), Options(stop=1.2, step=0.01))
     (change,) = instance.rest_changes
     assert change.number == 1 and change.needed is not None and re.fullmatch(r"lambda\[\d+\] \(bar .*\)", change.needed)
     text = f"at t = {change.time:.6g} s {change.rests} rests instead of {change.needed}"
     assert result.notes[-2:] == ("redundant constraints: 1 change; the motion does not depend on which rests", text)
-    assert not any("redundant" in n for n in run(Monolithic(ill_chosen, instance), t0=1.2, stop=1.3, step=0.01).notes)
+    assert not any(
+        "redundant" in n for n in run(Monolithic(ill_chosen, instance), Options(t0=1.2, stop=1.3, step=0.01)).notes
+    )
 
 
 def test_an_exchange_is_reversible(ill_chosen: Model) -> None:
@@ -280,7 +282,7 @@ def test_rows_rest_at_a_start_that_is_set(typed: tuple[Model, np.ndarray]) -> No
 
 def test_a_run_projects_a_start_onto_redundant_rows(typed: tuple[Model, np.ndarray]) -> None:
     m, _ = typed
-    result = run(Monolithic(m, NativeInstance(m)), stop=0.5, step=0.01, project=True)
+    result = run(Monolithic(m, NativeInstance(m)), Options(stop=0.5, step=0.01, project=True))
     assert result.ledger.summary().closed
     assert re.fullmatch(r"at t = 0 s lambda\[\d+\] \(bar .*\) rests", result.notes[-1])
 

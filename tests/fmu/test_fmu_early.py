@@ -22,6 +22,7 @@ from phfmu import (
     FMUMember,
     NativeInstance,
     Network,
+    Options,
     Port,
     StepFailure,
     block,
@@ -188,7 +189,7 @@ def test_a_network_takes_all_members_back_and_says_why(units: dict[str, Path], e
     instance = NativeInstance(model)
     coupled = Coupled(net, [FMUMember("cap", unit), EngineMember("coil", model, instance)])
     with pytest.raises(StepFailure) as failure:
-        run(coupled, stop=1.0, step=STEP)
+        run(coupled, Options(stop=1.0, step=STEP))
     assert "part of a step" in str(failure.value) if early else "discard" in str(failure.value)
     assert isinstance(failure.value, UnitFailure) == early
     assert unit.time == instance.time > 0.0

@@ -22,6 +22,7 @@ from phfmu import (
     FMUMember,
     NativeInstance,
     Network,
+    Options,
     Port,
     block,
     build_model,
@@ -190,7 +191,7 @@ def test_a_unit_whose_gap_does_not_close_violates_the_ledger(
     assert "J more than it books as stored" in capsys.readouterr().err
     for path, closed in ((units["3.0"], True), (leaking, False)):
         net, members = coupled(path)
-        summary = run(Coupled(net, members), stop=0.5, step=STEP).ledger.summary()
+        summary = run(Coupled(net, members), Options(stop=0.5, step=STEP)).ledger.summary()
         members[0].unit.close()
         assert summary.closed == closed
         assert {(v.kind, v.name) for v in summary.violations} == (set() if closed else {("change", "wheel")})

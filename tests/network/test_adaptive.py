@@ -16,6 +16,7 @@ from phfmu import (
     Event,
     Monolithic,
     NativeInstance,
+    Options,
     PythonInstance,
     Radau,
     algebraic,
@@ -93,7 +94,7 @@ def test_the_error_is_proportional_to_the_tolerance_and_of_its_size(case):
     s, errors = stepper(d, scheme(d)), []
     for rtol in tolerances:
         s.instance.reset()
-        result = run(s, stop=stop, step=0.01, rtol=rtol)
+        result = run(s, Options(stop=stop, step=0.01, rtol=rtol))
         x = exact()
         errors.append(float(np.max(np.abs(s.instance.x - x) / (1 + np.abs(x)))))
         book = result.ledger.summary().components[0]
@@ -107,7 +108,7 @@ def test_the_error_is_proportional_to_the_tolerance_and_of_its_size(case):
 @pytest.mark.parametrize("k", [1, 2])
 def test_both_engines_take_the_same_steps_bit_for_bit(k):
     times = [
-        run(stepper(circuit(), Collocated(k), e), stop=1.0, step=0.01, rtol=1e-4).time
+        run(stepper(circuit(), Collocated(k), e), Options(stop=1.0, step=0.01, rtol=1e-4)).time
         for e in (PythonInstance, NativeInstance)
     ]
     assert np.array_equal(*times)
@@ -117,7 +118,7 @@ def test_both_engines_take_the_same_steps_bit_for_bit(k):
 def test_rejected_steps_leave_no_trace(engine):
     """The accepted steps, taken again without control, give the same bits."""
     s = stepper(circuit(), Collocated(2), engine)
-    result = run(s, stop=2.0, step=0.7, rtol=1e-6)
+    result = run(s, Options(stop=2.0, step=0.7, rtol=1e-6))
     assert result.rejected > 0
     plain = engine(build_model(circuit(), Collocated(2)))
     for t, end in zip(result.time[:-1], result.time[1:], strict=True):
@@ -131,7 +132,7 @@ EVENTS = [Event(0.1, "r", 1.3), Event(1 / 3, "r", 0.2), Event(0.7000000000000001
 @pytest.mark.parametrize("rtol", [1e-3, 1e-7])
 def test_events_and_communication_points_are_landed_on_to_the_last_bit(rtol):
     s = stepper(circuit(), Collocated(2))
-    result = run(s, stop=1.0, step=0.05, rtol=rtol, events=EVENTS, landing=0.05)
+    result = run(s, Options(stop=1.0, step=0.05, rtol=rtol, events=EVENTS, landing=0.05))
     assert {*(e.t for e in EVENTS), 0.05, 0.1 + 0.05, 1 / 3 + 7 * 0.05, 1.0} <= set(result.time)
     assert (np.diff(result.time) > 0).all()
     x, ends = np.array([0.9, -0.4]), [0.0, *(e.t for e in EVENTS), 1.0]
@@ -154,7 +155,7 @@ def stiff(G=0.0) -> PHDAE:
 @pytest.mark.parametrize("restart", [0, 1])
 def test_the_step_shrinks_for_a_transient_and_grows_when_it_has_died_out(restart):
     s = stepper(stiff(), Collocated(2))
-    result = run(s, stop=5.0, step=0.01, rtol=1e-5, events=[Event(1.0, "G", 1.0)], restart=restart)
+    result = run(s, Options(stop=5.0, step=0.01, rtol=1e-5, events=[Event(1.0, "G", 1.0)], restart=restart))
     h, t = np.diff(result.time), result.time[:-1]
     assert h[t < 1.0].max() > 0.05
     assert h[t >= 1.0].min() < 14e-6
@@ -169,18 +170,18 @@ def test_the_step_shrinks_for_a_transient_and_grows_when_it_has_died_out(restart
 
 def test_limits_of_the_step_are_kept_and_a_missed_tolerance_names_the_state():
     s = stepper(circuit(), Collocated(2))
-    result = run(s, stop=1.0, step=0.01, rtol=1e-3, max_step=0.03)
+    result = run(s, Options(stop=1.0, step=0.01, rtol=1e-3, max_step=0.03))
     assert result.largest <= 0.03
     s = stepper(stiff(), Collocated(2))
     with pytest.raises(ToleranceMissed, match=r"state c\b.*--min-step"):
-        run(s, stop=2.0, step=0.01, rtol=1e-6, events=[Event(1.0, "G", 1.0)], min_step=1e-3)
+        run(s, Options(stop=2.0, step=0.01, rtol=1e-6, events=[Event(1.0, "G", 1.0)], min_step=1e-3))
     assert s.instance.time == 1.0
 
 
 def test_what_does_not_fit_says_what_does():
     four = build("four_particle")
     with pytest.raises(DeclarationError, match="--scheme two-level"):
-        run(stepper(four, Collocated(1), PythonInstance), stop=1.0, step=0.01, rtol=1e-3)
+        run(stepper(four, Collocated(1), PythonInstance), Options(stop=1.0, step=0.01, rtol=1e-3))
     for arguments in (
         {"rtol": 0.0},
         {"rtol": float("nan")},
@@ -188,7 +189,7 @@ def test_what_does_not_fit_says_what_does():
         {"rtol": 1e-3, "min_step": 1.0, "max_step": 0.1},
     ):
         with pytest.raises(ValueError, match="--"):
-            run(stepper(circuit(), Collocated(1), PythonInstance), stop=1.0, step=0.01, **arguments)
+            run(stepper(circuit(), Collocated(1), PythonInstance), Options(stop=1.0, step=0.01, **arguments))
 
 
 def test_the_error_of_a_machine_at_a_grid_is_proportional_to_the_tolerance():
@@ -200,7 +201,7 @@ def test_the_error_of_a_machine_at_a_grid_is_proportional_to_the_tolerance():
     model = build_model(scene.declaration(), Collocated(3))
     for rtol in tolerances:
         s = Monolithic(model, NativeInstance(model))
-        result = run(s, stop=0.2, step=1e-4, rtol=rtol, landing=0.1)
+        result = run(s, Options(stop=0.2, step=1e-4, rtol=rtol, landing=0.1))
         currents = [result.column(f"gen.I[{i}]")[-1] - row[f"I[{i}]"] for i in (1, 2, 3)]
         errors.append(np.max(np.abs(currents)) / 15e3)
         assert max(c.worst_relative for c in result.ledger.summary().components) < 1e-13

@@ -13,6 +13,7 @@ from phfmu import (
     EngineMember,
     Monolithic,
     Network,
+    Options,
     PythonInstance,
     Status,
     StepFailure,
@@ -66,9 +67,9 @@ class Repeated:
 def test_a_coupling_of_ones_own_gives_the_composed_motion() -> None:
     """A coupling without Newton's method, stepped by the same `Coupled`: states of the composed model, a closed ledger."""
     model = build_model(pair().compose(), Collocated(1))
-    one = run(Monolithic(model, PythonInstance(model)), stop=0.3, step=H)
+    one = run(Monolithic(model, PythonInstance(model)), Options(stop=0.3, step=H))
     net = pair()
-    two = run(Coupled(net, members(net), Repeated()), stop=0.3, step=H)
+    two = run(Coupled(net, members(net), Repeated()), Options(stop=0.3, step=H))
     for name in ("m.q", "m.v", "s.e"):
         assert two.column(name) == pytest.approx(one.column(name), abs=1e-13)
     assert two.ledger.summary().closed

@@ -12,6 +12,7 @@ from phfmu import (
     Event,
     Monolithic,
     NativeInstance,
+    Options,
     PythonInstance,
     Radau,
     build_model,
@@ -47,7 +48,7 @@ def stepper(declaration, scheme, engine=PythonInstance):
 def test_rows_between_the_ends_have_order_k_plus_1(scheme, order):
     errors = []
     for n in (20, 40):
-        result = run(stepper(oscillator(), scheme), stop=2.0, step=2.0 / n, dense=4)
+        result = run(stepper(oscillator(), scheme), Options(stop=2.0, step=2.0 / n, dense=4))
         exact = solve_ivp(lambda _, x: [x[1], -x[0] - x[0] ** 3], (0, 2), (1.0, 0.2), method="DOP853", rtol=1e-13, atol=1e-14,
                           t_eval=np.minimum(result.time, 2.0))  # fmt: skip
         assert len(result.time) == 5 * n + 1
@@ -64,7 +65,7 @@ def test_rows_between_the_ends_have_order_k_plus_1(scheme, order):
 def test_the_rows_at_step_ends_are_those_of_a_run_without(name, engine):
     made = build(name)
     d, h = (made, 0.01) if isinstance(made, PHDAE) else (made.declaration(), made.step)
-    plain, dense = (run(stepper(d, default_scheme(d), engine), stop=4 * h, step=h, dense=n) for n in (0, 2))
+    plain, dense = (run(stepper(d, default_scheme(d), engine), Options(stop=4 * h, step=h, dense=n)) for n in (None, 2))
     ends = ~dense.interpolated
     assert plain.interpolated is None
     assert np.array_equal(dense.time[ends], plain.time)
@@ -91,7 +92,7 @@ def test_adaptive_and_restarted_steps_have_rows_within_them_too():
 
     scene = two_machine()
     s = stepper(scene.declaration(), Collocated(2), NativeInstance)
-    result = run(s, stop=1e-3, step=1e-4, rtol=1e-4, dense=3, events=[Event(5e-4, "fault.G", 20.0)], restart=1)
+    result = run(s, Options(stop=1e-3, step=1e-4, rtol=1e-4, dense=3, events=[Event(5e-4, "fault.G", 20.0)], restart=1))
     assert result.restarted == 1
     assert result.interpolated.sum() == 3 * result.steps
     assert 5e-4 in result.time[~result.interpolated]

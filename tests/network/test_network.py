@@ -10,7 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phfmu import PHDAE, Collocated, NativeInstance, Network, PythonInstance, StepFailure, build_model, export, run
+from phfmu import (
+    PHDAE,
+    Collocated,
+    NativeInstance,
+    Network,
+    Options,
+    PythonInstance,
+    StepFailure,
+    build_model,
+    export,
+    run,
+)
 from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
@@ -28,7 +39,7 @@ from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
-from phfmu.network.run.loop import Result
+from phfmu.network.run.result import Result
 
 PHASES = (1.0, -0.5, -0.5)
 ENGINES = {"python": PythonInstance, "native": NativeInstance}
@@ -68,7 +79,7 @@ def joined(members: dict[str, PHDAE], *junctions: tuple[str, ...], kind: Any = N
 
 def both(net: Network, stop: float = 0.2, step: float = 0.01) -> tuple[Result, Result]:
     """The network composed and coupled; the states agree and the ledgers close."""
-    one, two = (run(s, stop=stop, step=step) for s in (composed(net), couple(net)))
+    one, two = (run(s, Options(stop=stop, step=step)) for s in (composed(net), couple(net)))
     same(net, one, two, 1e-10)
     return one, two
 
@@ -137,7 +148,7 @@ def test_inconsistent_starts_are_refused(net: Network, words: tuple[str, str, st
     for stepper, name in ((composed(net), composed_name), (couple(net), coupled_name)):
         before = stepper.energies()
         with pytest.raises(InconsistentState, match="net: inconsistent start") as refusal:
-            run(stepper, stop=0.1, step=0.01)
+            run(stepper, Options(stop=0.1, step=0.01))
         assert name in str(refusal.value) and number in str(refusal.value) and "change the start" in str(refusal.value)
         assert np.array_equal(stepper.energies(), before)
 
@@ -217,9 +228,9 @@ def test_coupled_is_composed(name: str, kinds: str, tmp_path: Path) -> None:
     """Members in Python, compiled, and as units in one network; events fall between the grid points."""
     make, stop, step = SCENES[name]
     scene, net = make(), make().system
-    mono = run(composed(net, "native"), stop=stop, step=step, events=scene.events)
+    mono = run(composed(net, "native"), Options(stop=stop, step=step, events=scene.events))
     apart = couple(net, kinds, tmp_path, step)
-    two = run(apart, stop=stop, step=step, events=scene.events)
+    two = run(apart, Options(stop=stop, step=step, events=scene.events))
     same(net, mono, two, 1e-10)
     for result in (mono, two):
         closes(result)
@@ -293,9 +304,9 @@ def test_finite_differences(tmp_path: Path) -> None:
         unit.interface = replace(unit.interface, derivatives=False)
     with pytest.raises(StepFailure, match="sensitivity"):
         stepper.joined.members[0].unit.sensitivity()
-    result = run(stepper, stop=0.01, step=1e-4)
+    result = run(stepper, Options(stop=0.01, step=1e-4))
     closes(result)
-    fine = run(composed(net, "native"), stop=0.01, step=5e-5)
+    fine = run(composed(net, "native"), Options(stop=0.01, step=5e-5))
     assert result.column("load.w")[-1] == pytest.approx(fine.column("load.w")[-1], rel=1e-4)
     one = member("motor", dc_motor(), "python")
     u = np.array([12.0, 0.1])

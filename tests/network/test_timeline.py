@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from phfmu import Event, Monolithic, PythonInstance, build_model, run
+from phfmu import Event, Monolithic, Options, PythonInstance, build_model, run
 from phfmu.cli import main
 from phfmu.network.run.loop import segments
 
@@ -108,7 +108,7 @@ def test_damping_steps_that_were_not_taken_are_counted() -> None:
     scene = smib(coordinates="abc-flux")
     model = build_model(scene.declaration())
     events = [Event(t, "gen.shaft.torque", v) for t, v in ((0.001, 0.0), (0.003, 3e6))]
-    result = run(Monolithic(model, PythonInstance(model)), stop=0.006, step=1e-3, events=events, restart=2)
+    result = run(Monolithic(model, PythonInstance(model)), Options(stop=0.006, step=1e-3, events=events, restart=2))
     refused = 4 - result.restarted
     told = [n for n in result.notes if "damping steps" in n]
     assert refused > 0 and len(told) == 1 and told[0].startswith(f"{refused} of 4 damping steps after events")

@@ -18,6 +18,7 @@ from phfmu import (
     Event,
     NativeInstance,
     Network,
+    Options,
     Port,
     PythonInstance,
     build_model,
@@ -201,7 +202,7 @@ def test_abc_flux_machine() -> None:
 def test_two_machines_keep_kirchhoff_through_fault_and_clearing() -> None:
     scene = two_machine(t_fault=0.02, t_clear=0.06, stop=0.1)
     model = build_model(scene.declaration(), Collocated(2))
-    r = run(Monolithic(model, NativeInstance(model)), stop=0.1, step=1e-4, events=scene.events)
+    r = run(Monolithic(model, NativeInstance(model)), Options(stop=0.1, step=1e-4, events=scene.events))
     assert r.worst and max(r.worst.values()) <= 1e-10 * RATED
     ref = read("two_machine_early")
     rows = [int(np.argmin(np.abs(r.time - t))) for t in ref["time"] if t <= 0.1]
@@ -303,7 +304,7 @@ def test_an_event_that_breaks_kirchhoff_projects_the_state() -> None:
     events = [Event(0.005, "line.L", 2.0 * scene_inductance(model))]
     instance = NativeInstance(model)
     before = instance.signal("H").sum()
-    r = run(Monolithic(model, instance), stop=0.01, step=1e-3, events=events, sink=sink)
+    r = run(Monolithic(model, instance), Options(stop=0.01, step=1e-3, events=events, sink=sink))
     assert max(r.worst.values()) <= 1e-10 * RATED
     assert [(e.kind, e.component) for e in sink.events] == [
         ("parameter", "line"), ("reprojection", "gen"), ("reprojection", "line"),

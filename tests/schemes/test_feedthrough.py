@@ -19,6 +19,7 @@ from phfmu import (
     GradientPair,
     NativeInstance,
     Network,
+    Options,
     Port,
     PythonInstance,
     Scene,
@@ -228,7 +229,7 @@ def test_networks_of_feedthrough(kind, coupling):
         models = {n: build_model(d, Collocated(1)) for n, d in net.members.items()}
         stepper = Coupled(net, [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()])
         h, tolerance = 0.005, 5e-5
-    result = run(stepper, stop=0.4, step=h)
+    result = run(stepper, Options(stop=0.4, step=h))
     assert result.column("tank.charge[1]")[-1] == pytest.approx(tank_truth(0.4)[0], abs=tolerance)
     assert result.column("tank.flux[1]")[-1] == pytest.approx(tank_truth(0.4)[1], abs=tolerance)
     summary = result.ledger.summary()
@@ -291,7 +292,7 @@ def test_scene_of_feedthrough_runs_with_changed_parameters():
     d = resistor(2.0).with_starts({"R": 4.0, "terminal.v": 8.0})
     scene = Scene("lone", d, stop=1.0, step=0.1)
     model = build_model(scene.declaration())
-    result = run(Monolithic(model, PythonInstance(model)), stop=1.0, step=0.1)
+    result = run(Monolithic(model, PythonInstance(model)), Options(stop=1.0, step=0.1))
     assert result.column("terminal.energy")[-1] == pytest.approx(16.0)
 
 

@@ -14,6 +14,7 @@ from phfmu import (
     Event,
     Monolithic,
     NativeInstance,
+    Options,
     PythonInstance,
     Radau,
     algebraic,
@@ -117,7 +118,7 @@ FAULT = Event(5 * H, "G", 1 / 14)
 def voltages(scheme, restart, engine=PythonInstance, **kwargs):
     """v after the fault, step by step, and the ledger."""
     stepper = Monolithic(build_model(decay(), scheme), engine(build_model(decay(), scheme)))
-    result = run(stepper, stop=12 * H, step=H, events=[FAULT], restart=restart, **kwargs)
+    result = run(stepper, Options(stop=12 * H, step=H, events=[FAULT], restart=restart, **kwargs))
     return result.column("q")[6:] / C, result
 
 
@@ -207,7 +208,7 @@ def test_what_does_not_fit_says_what_does():
     assert named_scheme(motor, "radau").order == 3
     model = build_model(four)
     with pytest.raises(DeclarationError, match="--rtol"):
-        run(Monolithic(model, PythonInstance(model)), stop=1.0, step=0.1, restart=1)
+        run(Monolithic(model, PythonInstance(model)), Options(stop=1.0, step=0.1, restart=1))
 
 
 def test_an_fmu_has_no_variable_for_the_loss(tmp_path):

@@ -12,7 +12,7 @@ lower order (Radau IIA, Itoh-Abe; p < q = order of the estimate), steps keep tol
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from phfmu.discretise.model import Model
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Steps
+from phfmu.network.run.options import Options
 from phfmu.network.run.restart import gains
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.radau import Radau
@@ -50,47 +51,27 @@ class ToleranceMissed(StepFailure):
         )
 
 
-@dataclass(frozen=True)
-class Control:
-    """Tolerances: |error_i| <= rtol |x_i| + atol nominal_i per step; limits of the step size in s.
-
-    `first`: the first trial step.  ValueError names what is out of range.
-    """
-
-    rtol: float
-    atol: float
-    first: float
-    smallest: float = 0.0
-    largest: float = math.inf
-
-    def __post_init__(self) -> None:
-        for name, value in (("--rtol", self.rtol), ("--atol", self.atol)):
-            if not 1e-13 <= value < 1:
-                raise ValueError(f"{name} {value}: expected a number from 1e-13 to below 1, e.g. 1e-6")
-        if not 0 <= self.smallest <= self.largest or not self.largest > 0:
-            raise ValueError(f"--min-step {self.smallest} s and --max-step {self.largest} s: expected 0 <= min <= max")
-
-
 class Adaptive:
-    """Error-controlled steps of a `Monolithic`.
+    """Error-controlled steps of a `Monolithic`: |error_i| <= rtol |x_i| + atol nominal_i per step.
 
     `rejected`: trial steps that were taken back;  `smallest`, `largest`: sizes of accepted steps.
     """
 
-    def __init__(self, stepper: Monolithic, control: Control):
-        self.stepper, self.control = stepper, control
+    def __init__(self, stepper: Monolithic, options: Options, rtol: float):
+        self.stepper = stepper
         model = stepper.model
         _require_held(model)
         k, lossy = model.step.k, model.loses_energy
         self.other = stepper.companion(Collocated(k) if lossy else Radau(k))
         self.order = min(model.scheme.order, self.other.model.scheme.order) + 1
         power = max(1.0, self.order / model.scheme.order)
-        self._rtol, self._atol = control.rtol**power, control.atol**power
+        self._rtol, self._atol = rtol**power, (rtol if options.atol is None else options.atol) ** power
+        self._min_step, self._max_step = options.min_step, options.max_step
         states = model.declaration.states
         self._nominal = np.array([v.nominal[j] for v in states for j in range(v.n)])
         self._names = [n for v in states for n in v.names()]
         self.rejected, self.smallest, self.largest = 0, math.inf, 0.0
-        self._h, self._last = _rounded(min(control.first, control.largest)), 1.0
+        self._h, self._last = _rounded(min(options.step, self._max_step)), 1.0
 
     def after_event(self) -> None:
         """Forget the last error: what comes is not its continuation."""
@@ -157,7 +138,7 @@ class Adaptive:
 
     def _advice(self, t: float) -> str:
         """What is true for this model and its limits."""
-        lower = ", lower --min-step" if self.control.smallest > _least(t) else ""
+        lower = ", lower --min-step" if self._min_step > _least(t) else ""
         jump = "" if self.stepper.model.declaration.constraints or self.stepper.model.loses_energy else (
             ", or take restart steps (--restart) if the state jumps at an event"
         )  # fmt: skip
@@ -165,10 +146,10 @@ class Adaptive:
 
     def _shrink(self, t: float, h: float, factor: float, reason: Exception) -> None:
         """A smaller proposal; `reason` is raised if the step is as small as it may be."""
-        if h <= max(self.control.smallest, _least(t)) * (1 + 1e-9):
+        if h <= max(self._min_step, _least(t)) * (1 + 1e-9):
             raise reason
         self.rejected += 1
-        self._h = _rounded(max(factor * h, self.control.smallest))
+        self._h = _rounded(max(factor * h, self._min_step))
 
     def _grow(self, h: float, error: float, limit: float) -> None:
         """The next proposal by the PI controller; a step cut short by `end` does not lower it."""
@@ -176,7 +157,7 @@ class Adaptive:
         factor = SAFETY * error ** (-INTEGRAL / self.order) * self._last ** (PROPORTIONAL / self.order)
         proposal = h * min(limit, max(SHRINK, factor))
         cut = self._h if h < self._h and limit > 1 else 0.0
-        self._h = _rounded(min(max(proposal, cut, self.control.smallest), self.control.largest))
+        self._h = _rounded(min(max(proposal, cut, self._min_step), self._max_step))
         self._last = error
         self.smallest, self.largest = min(self.smallest, h), max(self.largest, h)
 

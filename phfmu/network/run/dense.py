@@ -50,8 +50,6 @@ class Dense:
     """Rows of the signal table at `rows` equal distances within each step."""
 
     def __init__(self, instance: Any, rows: int):
-        if rows < 1:
-            raise ValueError(f"--dense {rows}: expected a number of rows per step from 1")
         self.tau = np.arange(1, rows + 1) / (rows + 1)
         self._kind = type(instance)
         self._viewers: dict[int, tuple[Polynomial, Any]] = {}

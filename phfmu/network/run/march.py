@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,10 @@ from phfmu.engine.status import StepFailure
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper, Steps
 from phfmu.network.run.book import Book
-
-if TYPE_CHECKING:
-    from phfmu.network.run.adaptive import Control
+from phfmu.network.run.options import Options
+from phfmu.network.run.rows import Row
 
 Array = NDArray[Any]
-#: (times, values, whether each row is interpolated)
-Row = tuple[Array, Array, Array]
 Rows = Iterator[Row]
 
 BLOCK = 4096  # most steps of a block
@@ -63,10 +60,10 @@ class Pace:
 class FixedSteps:
     """Equal steps; the first `restart` ones after an event with damping."""
 
-    def __init__(self, stepper: Stepper, book: Book, step: float, restart: int):
-        self.stepper, self.book, self.step, self.restart = stepper, book, step, restart
+    def __init__(self, stepper: Stepper, book: Book, options: Options):
+        self.stepper, self.book, self.step, self.restart = stepper, book, options.step, options.restart
         self._damped = None
-        if restart:
+        if self.restart:
             from phfmu.network.run.restart import Restart
 
             self._damped = Restart(monolithic(stepper, "--restart"))
@@ -125,15 +122,16 @@ class FixedSteps:
 class AdaptiveSteps:
     """Steps that keep a tolerance; multiples of `landing` after each event are landed on."""
 
-    def __init__(self, stepper: Stepper, book: Book, restart: int, landing: float, control: Control):
+    def __init__(self, stepper: Stepper, book: Book, options: Options):
         from phfmu.network.run.adaptive import Adaptive
         from phfmu.network.run.restart import require_fit
 
-        self.book, self.restart, self.landing = book, restart, landing
+        self.book, self.restart, self.landing = book, options.restart, options.landing
         whole = monolithic(stepper, "--rtol")
-        if restart:
+        if self.restart:
             require_fit(whole)
-        self.adaptive = Adaptive(whole, control)
+        assert options.rtol is not None
+        self.adaptive = Adaptive(whole, options, options.rtol)
         self._restarted, self._wanted = 0, 0
         self._pace = Pace()
 

@@ -1,0 +1,103 @@
+"""How a run goes: everything that `run` is told beside the stepper, checked in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from phfmu.network.scene import Event
+
+#: takes (times, values, whether each row lies within a step)
+Keep = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """A run from `t0` to `stop` in communication steps of size `step`, all in s.
+
+    events:  values that parameters and free inputs take; the grid of steps starts anew at each
+    rtol:  steps are as long as |error| <= rtol |x| + atol nominal allows in each of them (atol: as rtol); then `step` is the
+        first trial, steps are within [min_step, max_step], multiples of `landing` after t0 and each event are landed on
+    restart:  damping steps (Radau IIA) after each event
+    dense:  rows within each step, interpolated (see `dense.py`)
+    project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
+    kept:  states that the projection leaves as they are
+    audit_rtol:  allowed residual of the ledger, relative to the energies in play
+    sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
+    keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
+        accepted before a failure
+    progress:  called with the time after each block; a KeyboardInterrupt from it ends the run there
+    Errors: ValueError for what is out of range or does not go together.
+    """
+
+    stop: float
+    step: float
+    t0: float = 0.0
+    events: Sequence[Event] = ()
+    rtol: float | None = None
+    atol: float | None = None
+    min_step: float = 0.0
+    max_step: float = inf
+    landing: float = inf
+    restart: int = 0
+    dense: int | None = None
+    project: bool = False
+    kept: Sequence[str] = ()
+    audit_rtol: float = 1e-11
+    sink: Any = None
+    keep: Keep | None = None
+    progress: Callable[[float], None] | None = None
+
+    def __post_init__(self) -> None:
+        _times(self)
+        _tolerances(self)
+        for e in self.events:
+            if not isfinite(e.t) or not isfinite(e.value):
+                raise ValueError(f"event {e.name} = {e.value} at t = {e.t} s: time and value must be finite")
+        if self.restart < 0:
+            raise ValueError(f"--restart {self.restart}: expected a number of steps from 0")
+        if self.dense is not None and self.dense < 1:
+            raise ValueError(f"--dense {self.dense}: expected a number of rows per step from 1")
+        if self.kept and not self.project:
+            raise ValueError(f"--keep {self.kept[0]} says what a projection leaves alone; add --project")
+        ledger_tolerance(self.audit_rtol, "--audit-rtol")
+
+
+def _times(o: Options) -> None:
+    if not (isfinite(o.step) and o.step > 0):
+        raise ValueError(f"--step {o.step} s must be positive and finite")
+    if not (isfinite(o.stop) and o.stop > o.t0):
+        raise ValueError(f"--stop {o.stop} s must be finite and after the start {o.t0} s")
+    if o.stop - o.step == o.stop:
+        raise ValueError(
+            f"--step {o.step} s is lost in the rounding of times near --stop {o.stop} s; take a longer one"
+        )
+
+
+def _tolerances(o: Options) -> None:
+    if o.rtol is None:
+        for name, given in (
+            ("atol", o.atol is not None),
+            ("min-step", o.min_step != 0),
+            ("max-step", o.max_step != inf),
+        ):
+            if given:
+                raise ValueError(f"--{name} is for adaptive steps; give --rtol too, or leave it out")
+        return
+    for name, value in (("--rtol", o.rtol), ("--atol", o.rtol if o.atol is None else o.atol)):
+        if not 1e-13 <= value < 1:
+            raise ValueError(f"{name} {value}: expected a number from 1e-13 to below 1, e.g. 1e-6")
+    if not 0 <= o.min_step <= o.max_step or not o.max_step > 0:
+        raise ValueError(f"--min-step {o.min_step} s and --max-step {o.max_step} s: expected 0 <= min <= max")
+
+
+def ledger_tolerance(rtol: float, option: str) -> float:
+    """A tolerance of the ledger, checked."""
+    if not 0 <= rtol < inf:
+        raise ValueError(f"{option} {rtol}: expected a number from 0, e.g. 1e-11")
+    return rtol

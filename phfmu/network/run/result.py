@@ -1,0 +1,48 @@
+"""What a run gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from phfmu.audit import Ledger
+    from phfmu.discretise.start import Projection
+
+Array = NDArray[Any]
+
+
+@dataclass
+class Result:
+    """Rows of a run: `time` (rows), `values` (rows x names); the ledger; step counts; how the start was projected."""
+
+    names: list[str]
+    time: Array
+    values: Array
+    ledger: Ledger
+    steps: int
+    iterations: float
+    worst: dict[str, float] = field(default_factory=dict)
+    projection: Projection | None = None
+    #: steps taken with damping; adaptive runs: rejected trials, smallest and largest step (s)
+    restarted: int = 0
+    rejected: int = 0
+    smallest: float = 0.0
+    largest: float = 0.0
+    #: whether a row lies within a step (rows), None for a run without such rows
+    interpolated: Array | None = None
+    #: what the run left out or did beside what was asked for, one line each
+    notes: tuple[str, ...] = ()
+    #: component -> time and signals at the end of the step in which it dissipated least, where that was negative
+    least: dict[str, tuple[float, Array]] = field(default_factory=dict)
+
+    def column(self, name: str) -> Array:
+        """One signal over time; KeyError lists close names."""
+        try:
+            return self.values[:, self.names.index(name)]
+        except ValueError:
+            from difflib import get_close_matches
+
+            raise KeyError(f"no signal '{name}'; close: {', '.join(get_close_matches(name, self.names, 5))}") from None
