@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from phfmu.words import meant
+from phfmu import meant
 
 _E, _M, _S = "phfmu.components.electrical.", "phfmu.components.mechanical.", "phfmu.components.scenes."
 

@@ -70,6 +70,7 @@ from phfmu.schemes.semi_explicit import SemiExplicit as SemiExplicit
 from phfmu.schemes.two_level import TwoLevel as TwoLevel
 from phfmu.terms.rank import ConstraintRank as ConstraintRank
 from phfmu.terms.rank import constraint_rank as constraint_rank
+from phfmu.words import meant as meant
 
 __version__: str
 __all__: tuple[str, ...]

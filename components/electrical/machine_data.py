@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.words import meant
+from phfmu import meant
 
 #: Peak stator-rotor mutual inductances M act as sqrt(3/2) M in orthonormal dq coordinates.
 COUPLING = sqrt(1.5)

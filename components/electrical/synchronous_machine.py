@@ -18,6 +18,7 @@ from phfmu import (
     block,
     damping,
     energy,
+    meant,
     observable,
     parameter,
     skew,
@@ -33,7 +34,6 @@ from phfmu.components.electrical.park import (
     phase_inductance,
     sinc,
 )
-from phfmu.words import meant
 
 Coordinates = Literal["dq-flux", "abc-flux", "current"]
 

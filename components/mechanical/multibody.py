@@ -6,7 +6,6 @@ q' = v,   M v' = -DV(q) - R(q) v - Dg(q, t)^T lambda + B u,   0 = Dg v + g_t,   
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -17,44 +16,40 @@ from phfmu import (
     parameter,
     time,
 )
+from phfmu.components.mechanical.multibody_declaration import Declaration
 from phfmu.components.mechanical.multibody_parts import (
     Constraint,
     Damper,
     DrivenPoint,
     MovingSupport,
     Particle,
+    Parts,
     Places,
     Point,
+    PointMass,
     Scalar,
     Spring,
     Support,
 )
 
 
-@dataclass
 class Multibody:
     """Particles in `dim` = 1, 2 or 3 dimensions; add parts, then `build()` the declaration.
 
-    Springs, dampers and constraints may depend on parameters made by `parameter`.  Errors: ValueError names the part and
-    the numbers.
+    `parts` is what was added so far: masses with their starts, springs, dampers, bars, constraints, ports.  Springs, dampers
+    and constraints may depend on parameters made by `parameter`.  Errors: ValueError names the part and the numbers.
     """
 
-    name: str
-    dim: int = 3
-    description: str = ""
-    _mass: list[float] = field(default_factory=list)
-    _weight: list[bool] = field(default_factory=list)
-    _q: list[float] = field(default_factory=list)
-    _v: list[float] = field(default_factory=list)
-    _parameters: list[Variable] = field(default_factory=list)
-    _driven: list[DrivenPoint] = field(default_factory=list)
-    _springs: list[Spring] = field(default_factory=list)
-    _potentials: list[Callable[[Places], ca.SX]] = field(default_factory=list)
-    _dampers: list[Damper] = field(default_factory=list)
-    _bars: list[Constraint] = field(default_factory=list)
-    _constraints: list[Constraint] = field(default_factory=list)
-    _ports: list[tuple[str, Particle, Particle | None]] = field(default_factory=list)
-    _gravity: tuple[float, ...] | None = None
+    def __init__(self, name: str, dim: int = 3, description: str = ""):
+        self.parts = Parts(name, dim, description)
+
+    @property
+    def name(self) -> str:
+        return self.parts.name
+
+    @property
+    def dim(self) -> int:
+        return self.parts.dim
 
     # -- points -----------------------------------------------------------------------------------------------------
 
@@ -65,7 +60,7 @@ class Multibody:
 
         Mass 0 is allowed where constraints fix the point; `weight=False`: gravity does not act on it.
         """
-        label = f"particle {len(self._mass) + 1}"
+        label = f"particle {len(self.parts.masses) + 1}"
         velocity = [0.0] * self.dim if v is None else list(v)
         self._sized(f"{label}: q", q)
         self._sized(f"{label}: v", velocity)
@@ -73,11 +68,8 @@ class Multibody:
             raise ValueError(
                 f"{self.name}: {label}: mass {mass} kg must be positive, or 0 where constraints fix the point"
             )
-        self._mass.append(float(mass))
-        self._weight.append(weight)
-        self._q += map(float, q)
-        self._v += map(float, velocity)
-        return Particle(len(self._mass) - 1)
+        self.parts.masses.append(PointMass(float(mass), tuple(map(float, q)), tuple(map(float, velocity)), weight))
+        return Particle(len(self.parts.masses) - 1)
 
     def support(self, position: Sequence[float]) -> Support:
         """A fixed point."""
@@ -92,8 +84,8 @@ class Multibody:
     def driven_point(self, name: str, q: Sequence[float]) -> DrivenPoint:
         """A point at q [m] that carries springs and dampers: port `name` with velocity given, force out."""
         self._sized(f"driven point '{name}'", q)
-        self._driven.append(DrivenPoint(name, tuple(map(float, q))))
-        return self._driven[-1]
+        self.parts.driven.append(DrivenPoint(name, tuple(map(float, q))))
+        return self.parts.driven[-1]
 
     # -- forces -----------------------------------------------------------------------------------------------------
 
@@ -102,13 +94,13 @@ class Multibody:
     ) -> Variable:
         """A parameter that springs, dampers and constraints may use, at least `min`."""
         made = parameter(name, value, unit=unit, min=min, description=description)
-        self._parameters.append(made)
+        self.parts.parameters.append(made)
         return made
 
     def spring(self, a: Point, b: Point, potential: Scalar) -> None:
         """An elastic bond with energy potential(s) of the squared distance s = |b - a|^2 [m2]."""
         self._at_rest("spring", a, b)
-        self._springs.append(Spring(a, b, potential))
+        self.parts.springs.append(Spring(a, b, potential))
 
     def distance_spring(self, a: Point, b: Point, potential: Scalar) -> None:
         """An elastic bond with energy potential(r) of the distance r = |b - a| [m]."""
@@ -124,7 +116,7 @@ class Multibody:
 
     def potential(self, energy_of: Callable[[Places], ca.SX]) -> None:
         """Any energy [J] of positions; `energy_of` gets a function that maps a point to its position."""
-        self._potentials.append(energy_of)
+        self.parts.potentials.append(energy_of)
 
     def damper(self, a: Point, b: Point, value: Scalar | Any, *, axial: bool = False) -> None:
         """A damper with coefficient [N.s/m], a number, parameter, or function of the squared distance s.
@@ -133,12 +125,12 @@ class Multibody:
         """
         self._at_rest("damper", a, b)
         of_s: Any = value if callable(value) else lambda s: ca.SX(getattr(value, "sx", value))
-        self._dampers.append(Damper(a, b, of_s, axial))
+        self.parts.dampers.append(Damper(a, b, of_s, axial))
 
     def gravity(self, acceleration: Sequence[float]) -> None:
         """A uniform field [m/s2]."""
         self._sized("gravity", acceleration)
-        self._gravity = tuple(map(float, acceleration))
+        self.parts.gravity = tuple(map(float, acceleration))
 
     # -- constraints and ports --------------------------------------------------------------------------------------
 
@@ -151,7 +143,7 @@ class Multibody:
             raise ValueError(
                 f"{self.name}: a bar between {_label(a)} and {_label(b)} has length {distance:g} m; it needs a positive one"
             )
-        self._bars.append(
+        self.parts.bars.append(
             Constraint(
                 lambda at: 0.5 * (ca.sumsqr(at(b) - at(a)) - distance**2), f"bar {_label(a)}-{_label(b)}", (a, b)
             )
@@ -163,19 +155,19 @@ class Multibody:
         g may use `phfmu.time` and moving supports; then its work is booked at the port `drive` (default: the name of the
         moving support, else `drive`).
         """
-        self._constraints.append(Constraint(g, name or f"constraint {len(self._constraints) + 1}", drive=drive))
+        self.parts.constraints.append(
+            Constraint(g, name or f"constraint {len(self.parts.constraints) + 1}", drive=drive)
+        )
 
     def port(self, name: str, particle: Particle, base: Particle | None = None) -> None:
         """A port at a particle: force given, velocity out (`dim` scalar pairs); with `base`, both relative to it."""
-        self._ports.append((name, particle, base))
+        self.parts.ports.append((name, particle, base))
 
     # -- the declaration --------------------------------------------------------------------------------------------
 
     def build(self) -> PHDAE:
         """The declaration, with states q and v, multipliers lambda in the order bars, constraints."""
-        from phfmu.components.mechanical.multibody_declaration import Declaration
-
-        return Declaration(self).phdae()  # type: ignore[arg-type]
+        return Declaration(self.parts).phdae()
 
     def _sized(self, what: str, values: Sequence[Any]) -> None:
         if len(values) != self.dim:
@@ -197,9 +189,6 @@ class Multibody:
                     "use a moving_support, or put a spring between"
                 )
 
-    def _rows(self, p: Particle) -> slice:
-        return slice(p.number * self.dim, (p.number + 1) * self.dim)
-
     def _start(self, point: Point) -> Sequence[float]:
         if isinstance(point, Support):
             return point.position
@@ -208,7 +197,7 @@ class Multibody:
         if isinstance(point, MovingSupport):
             expr = ca.vertcat(*map(ca.SX, point.position(time)))
             return [float(x) for x in ca.DM(ca.Function("s", [time], [expr])(0.0)).full().ravel()]
-        return self._q[self._rows(point)]
+        return self.parts.masses[point.number].q
 
 
 def _label(point: Point) -> str:

@@ -1,9 +1,8 @@
-"""From the parts of a `Multibody` to its declaration."""
+"""From the parts of a multibody system to its declaration."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import casadi as ca
 
@@ -25,26 +24,32 @@ from phfmu import (
     strain_energy,
     time,
 )
-from phfmu.components.mechanical.multibody_parts import Constraint, DrivenPoint, MovingSupport, Particle, Point, Support
-
-if TYPE_CHECKING:
-    from phfmu.components.mechanical.multibody import Multibody
+from phfmu.components.mechanical.multibody_parts import (
+    Constraint,
+    DrivenPoint,
+    MovingSupport,
+    Particle,
+    Parts,
+    Point,
+    Support,
+)
 
 
 class Declaration:
     """The variables of one build and the terms on them."""
 
-    def __init__(self, body: Multibody):
-        self.body, dim = body, body.dim
-        n = len(body._mass) * dim
+    def __init__(self, parts: Parts):
+        self.parts, dim, masses = parts, parts.dim, parts.masses
+        n = len(masses) * dim
         if not n:
-            raise ValueError(f"{body.name}: no particles")
-        self.q = state("q", n, unit="m", start=body._q, description="positions of the particles")
-        self.v = state("v", n, unit="m/s", start=body._v, description="velocities of the particles")
-        self.m = parameter("m", body._mass, len(body._mass), unit="kg", description="masses")
-        damped = {p for d in body._dampers for p in (d.a, d.b) if isinstance(p, DrivenPoint)}
+            raise ValueError(f"{parts.name}: no particles")
+        q, v = [x for m in masses for x in m.q], [x for m in masses for x in m.v]
+        self.q = state("q", n, unit="m", start=q, description="positions of the particles")
+        self.v = state("v", n, unit="m/s", start=v, description="velocities of the particles")
+        self.m = parameter("m", [m.mass for m in masses], len(masses), unit="kg", description="masses")
+        damped = {p for d in parts.dampers for p in (d.a, d.b) if isinstance(p, DrivenPoint)}
         self.s = {
-            p: state(f"{p.name}.q", dim, unit="m", start=p.q, description=f"position of {p.name}") for p in body._driven
+            p: state(f"{p.name}.q", dim, unit="m", start=p.q, description=f"position of {p.name}") for p in parts.driven
         }
         self.w = {p: algebraic(f"{p.name}.w", dim, unit="m/s", description=f"velocity of {p.name}") for p in damped}
         self.f = {p: algebraic(f"{p.name}.f", dim, unit="N", description=f"force on {p.name}") for p in damped}
@@ -55,11 +60,11 @@ class Declaration:
             return ca.SX(ca.DM(list(point.position)))
         if isinstance(point, MovingSupport):
             return ca.vertcat(*map(ca.SX, point.position(time)))
-        return self.s[point].sx if isinstance(point, DrivenPoint) else self.q[self.body._rows(point)]
+        return self.s[point].sx if isinstance(point, DrivenPoint) else self.q[self.parts.rows(point)]
 
     def part(self, particle: Particle) -> Variable:
         """Its velocity."""
-        return self.v.part(particle.number * self.body.dim, self.body.dim)
+        return self.v.part(particle.number * self.parts.dim, self.parts.dim)
 
     def velocity(self, point: Point) -> Variable | None:
         """The variable a damper acts on, None for supports."""
@@ -68,57 +73,57 @@ class Declaration:
         return self.w[point] if isinstance(point, DrivenPoint) else None
 
     def phdae(self) -> PHDAE:
-        body = self.body
+        parts = self.parts
         constraints, multipliers = self.constraints()
         structure = [skew(self.q, self.v, 1.0)]
         for p, w in self.w.items():
             structure += [skew(self.s[p], w, 1.0), skew(w, self.f[p], 1.0)]
         return PHDAE(
-            body.name,
+            parts.name,
             states=(self.q, self.v, *self.s.values()),
             algebraics=(*multipliers, *self.w.values(), *self.f.values()),
-            parameters=(self.m, *body._parameters),
+            parameters=(self.m, *parts.parameters),
             energies=tuple(self.energies()),
-            E={self.v: ca.vertcat(*(s for s in ca.vertsplit(self.m.sx) for _ in range(body.dim)))},
+            E={self.v: ca.vertcat(*(s for s in ca.vertsplit(self.m.sx) for _ in range(parts.dim)))},
             structure=tuple(structure),
             dissipation=tuple(self.dissipation()),
             ports=tuple(self.ports()),
             constraints=constraints,
-            description=body.description,
+            description=parts.description,
         )
 
     def energies(self) -> Iterator[Energy]:
-        body = self.body
+        parts = self.parts
         for i, m in enumerate(ca.vertsplit(self.m.sx)):
             p = Particle(i)
-            yield energy(0.5 * m * ca.sumsqr(self.v[body._rows(p)]))
-            if body._gravity is not None and body._weight[i]:
-                yield energy(-m * ca.dot(ca.DM(list(body._gravity)), self.at(p)))
-        for s in body._springs:
+            yield energy(0.5 * m * ca.sumsqr(self.v[parts.rows(p)]))
+            if parts.gravity is not None and parts.masses[i].weight:
+                yield energy(-m * ca.dot(ca.DM(list(parts.gravity)), self.at(p)))
+        for s in parts.springs:
             yield strain_energy(ca.sumsqr(self.at(s.b) - self.at(s.a)), s.potential)
-        for made in body._potentials:
+        for made in parts.potentials:
             yield energy(made(self.at))
 
     def dissipation(self) -> Iterator[Block]:
-        for d in self.body._dampers:
+        for d in self.parts.dampers:
             ends = [v for v in map(self.velocity, (d.a, d.b)) if v is not None]
             if ends:
                 yield block(ends, d.matrix(self.at(d.b) - self.at(d.a), len(ends)))
 
     def ports(self) -> Iterator[Port]:
-        dim = self.body.dim
+        dim = self.parts.dim
         one = ca.SX.eye(dim)
-        for name, p, base in self.body._ports:
+        for name, p, base in self.parts.ports:
             on = {self.part(p): one} | ({} if base is None else {self.part(base): -one})
             whom = f"particle {p.number + 1}" + ("" if base is None else f", reaction on particle {base.number + 1}")
             yield Port(name, TRANSLATIONAL, "effort", on, dim, description=f"force on {whom}")
-        for p in self.body._driven:
+        for p in self.parts.driven:
             on = {self.f.get(p, self.s[p]): one}
             yield Port(p.name, TRANSLATIONAL, "flow", on, dim, description=f"velocity of the driven point {p.name}")
 
     def constraints(self) -> tuple[tuple[Holonomic, ...], tuple[Variable, ...]]:
         """Constraints and the multiplier variable they share by parts."""
-        items = [(c, ca.SX(c.g(self.at))) for c in (*self.body._bars, *self.body._constraints)]
+        items = [(c, ca.SX(c.g(self.at))) for c in (*self.parts.bars, *self.parts.constraints)]
         if not items:
             return (), ()
         total = sum(g.numel() for _, g in items)
@@ -146,7 +151,7 @@ class Declaration:
         c.g(seen)
         if not c.drive and len(touched) > 1:
             raise ValueError(
-                f"{self.body.name}: {c.label} touches the moving supports {', '.join(touched)}, whose work cannot be told "
+                f"{self.parts.name}: {c.label} touches the moving supports {', '.join(touched)}, whose work cannot be told "
                 "apart; give them one name, or name the constraint's drive"
             )
         return c.drive or next(iter(touched), "drive")

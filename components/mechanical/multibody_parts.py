@@ -1,19 +1,31 @@
-"""Parts of a multibody system: points, springs, dampers and constraints, as plain data."""
+"""Parts of a multibody system: masses, points, springs, dampers and constraints, as plain data."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
+
+from phfmu import Variable
 
 Scalar = Callable[[ca.SX], ca.SX]
 
 
 @dataclass(frozen=True)
+class PointMass:
+    """A mass [kg], its start q [m] with velocity v [m/s], and whether gravity acts on it."""
+
+    mass: float
+    q: tuple[float, ...]
+    v: tuple[float, ...]
+    weight: bool = True
+
+
+@dataclass(frozen=True)
 class Particle:
-    """A handle: the particle's number (from 0)."""
+    """A handle: the number of the mass (from 0)."""
 
     number: int
 
@@ -79,3 +91,27 @@ class Constraint:
     label: str
     points: tuple[Point, ...] = ()
     drive: str = ""
+
+
+@dataclass
+class Parts:
+    """What a system in `dim` dimensions is made of, in the order it was added; `Declaration` makes its equations of it."""
+
+    name: str
+    dim: int
+    description: str = ""
+    masses: list[PointMass] = field(default_factory=list)
+    parameters: list[Variable] = field(default_factory=list)
+    driven: list[DrivenPoint] = field(default_factory=list)
+    springs: list[Spring] = field(default_factory=list)
+    potentials: list[Callable[[Places], ca.SX]] = field(default_factory=list)
+    dampers: list[Damper] = field(default_factory=list)
+    bars: list[Constraint] = field(default_factory=list)
+    constraints: list[Constraint] = field(default_factory=list)
+    #: name, the particle it acts on, the one it reacts on
+    ports: list[tuple[str, Particle, Particle | None]] = field(default_factory=list)
+    gravity: tuple[float, ...] | None = None
+
+    def rows(self, particle: Particle) -> slice:
+        """Of a particle in the stacked positions."""
+        return slice(particle.number * self.dim, (particle.number + 1) * self.dim)

@@ -239,6 +239,26 @@ def test_ports_take_forces_on_one_or_between_two_particles():
     assert instance.x[4:] == pytest.approx([0.0, -1.5, 0.5, 0.75], abs=1e-15)
 
 
+def test_the_parts_say_what_the_declaration_is_made_of():
+    """Momentum and kinetic energy of the listed masses are those of the declaration: dH/dv = m v, H = m v^2 / 2."""
+    body = Multibody("two", dim=2)
+    one = body.particle(2.0, (0.0, 1.0), (3.0, 0.0))
+    two = body.particle(0.5, (1.0, 1.0), (0.0, -4.0), weight=False)
+    body.bar(one, two)
+    body.port("push", two)
+    parts, built = body.parts, body.build()
+    assert [m.weight for m in parts.masses] == [True, False] and parts.bars[0].points == (one, two)
+    assert parts.ports == [("push", two, None)] and (parts.name, parts.dim, parts.gravity) == ("two", 2, None)
+    q, v = built.states
+    f = ca.Function(
+        "f", [q.sx, v.sx, built.parameters[0].sx], [built.hamiltonian, ca.gradient(built.hamiltonian, v.sx)]
+    )
+    energy, momentum = (np.array(a).ravel() for a in f(q.start, v.start, built.parameters[0].start))
+    assert np.array_equal(momentum, [m.mass * x for m in parts.masses for x in m.v])
+    assert energy == sum(m.mass * x * x / 2 for m in parts.masses for x in m.v) == 13.0
+    assert q.start == tuple(x for m in parts.masses for x in m.q)
+
+
 def test_bad_parts_are_refused_by_name():
     body = Multibody("bad", 2)
     p = body.particle(1.0, (0, 0))
