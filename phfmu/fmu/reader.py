@@ -4,34 +4,26 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.status import Status, StepFailure
-from phfmu.fmu.archive import open_archive
+from phfmu.fmu.archive import Archive, open_archive
 from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.port_values import PortValues
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
+from phfmu.fmu.saved_states import SavedState, SavedStates
 from phfmu.fmu.slave import Slave
+from phfmu.fmu.unit_books import books
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS
 
 Array = NDArray[np.float64]
-_STEP, _MOVED = ("storedStep", "dissipatedStep", "suppliedStep"), "movedStep"
-
-
-@dataclass(eq=False)
-class SavedState:
-    """A state inside the unit and what the instance knows beside it; freed when nobody holds it."""
-
-    handle: Any
-    memory: dict[str, Any]
 
 
 class FMUInstance:
@@ -61,47 +53,20 @@ class FMUInstance:
         self.interface: Interface = archive.interface
         self.name = name or self.interface.name
         self.ports: tuple[PortMap, ...] = self.interface.ports if ports is None else tuple(ports)
-        self.inputs = [n for p in self.ports for n in p.inputs]
-        self.outputs = [n for p in self.ports for n in p.outputs]
-        means = [n for p in self.ports for n in p.step_outputs]
-        #: the ledger is a quadrature of port power, because the unit does not tell its own
-        self.estimated = len(means) != len(self.inputs) or not all(s in self.interface.energy for s in _STEP)
-        self._sign = np.array([p.sign for p in self.ports for _ in p.inputs])
-        version, scalars = VERSIONS[self.interface.version], self.interface.scalars
-
-        def group(names: list[str], what: str) -> References:
-            return References(scalars(names, what), version)
-
-        self._u = group(self.inputs, "input")
-        self._y_end = group(self.outputs, "output")
-        self._y_mean = self._y_end if self.estimated else group(means, "output")
-        told = () if self.estimated else (*_STEP, *(s for s in (_MOVED,) if s in self.interface.energy))
-        self._books = group([self.interface.energy[s] for s in told], "output")
-        self._u_nodes = group(_in_order(self.ports, "node_inputs"), "input")
-        self._y_nodes = group(_in_order(self.ports, "node_outputs"), "output")
-        self._require_pairs()
-        self._starts, self._span = (
-            dict(starts or {}),
-            (self.interface.start if start is None else start, stop),
-        )
+        self._values = PortValues(self.interface, self.ports, self.name)
+        self.inputs, self.outputs = self._values.inputs, self._values.outputs
+        self._books = books(self._values)
+        self._starts, self._span = dict(starts or {}), (self.interface.start if start is None else start, stop)
         self._asked: dict[tuple[str, ...], References] = {}
         self.early_return = early_return
         self._slave = Slave(archive, self.name, early_return)
-        self._handles: dict[int, Any] = {}
-        self._close = weakref.finalize(self, _free, self._slave, self._handles, archive)
+        self._states = SavedStates(self._slave)
+        self._close = weakref.finalize(self, _free, self._states, archive)
         try:
             self._initialise()
         except BaseException:
             self.close()
             raise
-
-    def _require_pairs(self) -> None:
-        for p in self.ports:
-            if len(p.inputs) != len(p.outputs):
-                raise FMUError(f"{self.name}.{p.name}: {len(p.inputs)} inputs but {len(p.outputs)} outputs; give pairs")
-        for n in self.inputs:
-            if self.interface.variables[n].causality != "input":
-                raise FMUError(f"{self.name}: '{n}' is no input but {self.interface.variables[n].causality}")
 
     # -- life -----------------------------------------------------------------------------------------------
 
@@ -111,12 +76,9 @@ class FMUInstance:
         if self._starts:
             self.set(self._starts)
         self._slave.leave()
-        self._u.values[:] = self.start_inputs()
+        self._values.begin(self._starts)
         self.time, self._h = start, 0.0
-        self._supplied = np.zeros(self.nu)
-        self._pairs = np.zeros(self.nu)
-        self._held = True
-        self._before = self._after = self._slave.get(self._y_end).copy() if self.estimated else np.zeros(0)
+        self._books.begin(self._slave)
 
     def close(self) -> None:
         """Free the unit and its saved states; the instance cannot be used afterwards."""
@@ -138,7 +100,12 @@ class FMUInstance:
     @property
     def nu(self) -> int:
         """Number of scalar port pairs."""
-        return self._u.n
+        return self._values.nu
+
+    @property
+    def estimated(self) -> bool:
+        """Whether the ledger is a quadrature of port power, because the unit does not tell its own."""
+        return self._books.estimated
 
     @property
     def dead(self) -> bool:
@@ -148,23 +115,17 @@ class FMUInstance:
     @property
     def other_inputs(self) -> list[str]:
         """Inputs that belong to no port."""
-        own = {*self.inputs, *_in_order(self.ports, "node_inputs")}
-        return [n for n, v in self.interface.variables.items() if v.causality == "input" and n not in own]
+        return self._values.others()
 
     def start_inputs(self) -> Array:
         """Inputs before anyone sets them."""
-        declared = [self.interface.variables[n].start or 0.0 for n in self.inputs]
-        return np.array([self._starts.get(n, s) for n, s in zip(self.inputs, declared, strict=True)])
+        return self._values.starts(self._starts)
 
     def set_input(self, u: ArrayLike) -> None:
         """Inputs (nu), held over the next steps."""
-        values = np.asarray(u, float)
-        if values.shape != (self.nu,) or not np.isfinite(values).all():
-            raise ValueError(f"{self.name}: expected {self.nu} finite inputs, got {u}")
-        self._u.values[:] = values
-        self._held = True
+        self._values.take(u)
         if self.nu:
-            self._slave.set(self._u)
+            self._slave.set(self._values.u)
 
     @property
     def nodes(self) -> Array:
@@ -176,21 +137,13 @@ class FMUInstance:
 
         FMUError if the unit was exported without them.
         """
-        values, k = np.asarray(u, float), len(self.interface.nodes) if self._u_nodes.n else 0
-        if not k:
-            raise FMUError(
-                f"{self.name}: the unit has no inputs at nodes; export it with --node-inputs and order 4 or 6"
-            )
-        if values.shape != (k, self.nu) or not np.isfinite(values).all():
-            raise ValueError(f"{self.name}: expected {k} x {self.nu} finite inputs, got {u}")
-        self._u_nodes.values[:] = values.ravel()
-        self._held = False
+        self._values.take_at_nodes(u)
         if self.nu:
-            self._slave.set(self._u_nodes)
+            self._slave.set(self._values.u_nodes)
 
     def node_output(self) -> Array:
         """Outputs at the k nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
-        return self._slave.get(self._y_nodes).reshape(-1, self.nu).copy()
+        return self._slave.get(self._values.y_nodes).reshape(-1, self.nu).copy()
 
     def do_step(self, t: float, h: float) -> float:
         """One communication step over [t, t + h]; the time reached.  StepFailure holds the words of the unit.
@@ -200,19 +153,15 @@ class FMUInstance:
         """
         try:
             reached = self._slave.do_step(t, h)
-            after = self._slave.get(self._y_end).copy() if self.estimated else self._after
+            looked = self._books.look()
         except UnitCallError as error:
-            status = None if self.estimated else error.status
-            if status is None:  # its words and no remedy of ours
+            if self.estimated or error.status is None:  # its words and no remedy of ours
                 raise UnitFailure(self.name, t, h, error.function, error.answer, error.words) from error
-            raise StepFailure(status, self.name, t, h, tried=f"in the unit: {error}") from error
-        if not np.isfinite(after).all():
-            raise self.not_finite(self.outputs, after, reached)
+            raise StepFailure(error.status, self.name, t, h, tried=f"in the unit: {error}") from error
+        if not np.isfinite(looked).all():
+            raise self.not_finite(self.outputs, looked, reached)
         self.time, self._h = reached, h if reached == t + h else reached - t
-        if self.estimated:
-            self._before, self._after = self._after, after
-            self._pairs = self._h * self._u.values * self.output()
-            self._supplied = self._supplied + self._pairs
+        self._books.book(self._h, looked)
         return reached
 
     def not_finite(self, names: Sequence[str], values: Array, t: float) -> UnitFailure:
@@ -222,19 +171,17 @@ class FMUInstance:
 
     def output(self) -> Array:
         """Step-conjugate means of the port outputs (nu)."""
-        if self.estimated:
-            return self._sign * (self._before + self._after) / 2
-        return self._slave.get(self._y_mean) * self._sign
+        return self._books.means()
 
     def end_output(self) -> Array:
         """Port outputs at the present time (nu)."""
-        return self._slave.get(self._y_end) * self._sign
+        return self._slave.get(self._values.y_end) * self._values.sign
 
     @cached_property
     def _derivatives(self) -> list[Derivative]:
         """Of the mean outputs, by each input."""
-        version = VERSIONS[self.interface.version]
-        return [Derivative(self._y_mean, known, version) for known in self._u.scalars]
+        means, version = self._values.y_mean, VERSIONS[self.interface.version]
+        return [] if means is None else [Derivative(means, known, version) for known in self._values.u.scalars]
 
     def sensitivity(self) -> Array:
         """S = d(mean outputs)/d(held inputs) of the last step (nu x nu).
@@ -257,29 +204,18 @@ class FMUInstance:
         """A complete copy; stepping after `set_state` gives the same bits.  FMUError if there is none."""
         if not self.interface.saves:
             raise FMUError(
-                f"{self.name}: the unit cannot save its state, which coupled steps need because they are repeated; run it "
+                f"{self.name}: the unit cannot save its state, which --coupling newton needs because it repeats steps; run it "
                 "alone, or export it with saved states (canGetAndSetFMUstate)"
             )
-        handle = self._slave.save()
-        return self._kept(handle)
-
-    def _kept(self, handle: Any) -> SavedState:
-        memory = {n: np.copy(getattr(self, n)) for n in ("_before", "_after", "_supplied", "_pairs")}
-        memory |= {"time": self.time, "_h": self._h, "_held": self._held}
-        memory |= {"_u": self._u.values.copy(), "_u_nodes": self._u_nodes.values.copy()}
-        state = SavedState(handle, memory)
-        self._handles[id(handle)] = handle
-        weakref.finalize(state, _forget, self._slave, self._handles, id(handle))
-        return state
+        memory = {"time": self.time, "h": self._h, "values": self._values.memory(), "books": self._books.memory()}
+        return self._states.keep(self._slave.save(), memory)
 
     def set_state(self, state: SavedState) -> None:
         """Restores what `get_state` gave."""
         self._slave.restore(state.handle)
-        for name, value in state.memory.items():
-            if name in ("_u", "_u_nodes"):
-                getattr(self, name).values[:] = value
-            else:
-                setattr(self, name, value.copy() if isinstance(value, np.ndarray) else value)
+        self.time, self._h = state.memory["time"], state.memory["h"]
+        self._values.recall(state.memory["values"])
+        self._books.recall(state.memory["books"])
 
     def serialize(self, state: SavedState) -> bytes:
         """The state as bytes, for another instance of the same unit, also in another process."""
@@ -287,9 +223,7 @@ class FMUInstance:
 
     def deserialize(self, data: bytes, like: SavedState) -> SavedState:
         """A state of this instance from bytes; `like` gives what the instance knows beside the unit."""
-        state = self._kept(self._slave.deserialize(data))
-        state.memory = dict(like.memory)
-        return state
+        return self._states.keep(self._slave.deserialize(data), dict(like.memory))
 
     # -- reading --------------------------------------------------------------------------------------------
 
@@ -333,14 +267,11 @@ class FMUInstance:
 
     def energies(self) -> Array:
         """Stored energy (1); of an estimated unit, what was supplied since the start."""
-        if self.estimated:
-            return np.array([self._supplied.sum()])
-        return self.get([self.interface.energy["stored"]])
+        return self._books.energies()
 
     def gap(self) -> float | None:
         """H - H(start) - sum of stored [J]: what the ledger of the unit cannot explain; None if it does not tell."""
-        name = None if self.estimated else self.interface.energy.get("gap")
-        return None if name is None else float(self.get([name])[0])
+        return self._books.gap()
 
     def ledger(self) -> dict[str, Array]:
         """Of the last step: stored, dissipated, supplied (1 each) and energy through each pair (nu) [J].
@@ -348,38 +279,10 @@ class FMUInstance:
         `moved` (1), the sum over its energies of |change|, is there if the unit tells it; what cannot close is small to it.
         An estimated unit keeps to itself what it dissipates: stored is what was supplied.
         """
-        if self.estimated:
-            supplied = np.array([self._pairs.sum()])
-            return {
-                "stored": supplied,
-                "dissipated": np.zeros(1),
-                "supplied": supplied,
-                "pairs": self._pairs.copy(),
-            }
-        books = self._slave.get(self._books).copy()
-        if self._held:
-            pairs = self._h * self._u.values * self.output()
-        else:
-            u = self._u_nodes.values.reshape(-1, self.nu)
-            pairs = self._h * np.array(self.interface.weights) @ (u * self.node_output())
-        moved = {"moved": books[3:]} if len(books) > len(_STEP) else {}
-        return {"stored": books[:1], "dissipated": books[1:2], "supplied": books[2:3], "pairs": pairs, **moved}
+        return self._books.ledger(self._h)
 
 
-def _in_order(ports: Sequence[PortMap], field: str) -> list[str]:
-    """Names at the nodes, node by node, in the order of the pairs."""
-    pairs = [names for p in ports for names in getattr(p, field)]
-    return [name for node in zip(*pairs, strict=True) for name in node]
-
-
-def _forget(slave: Slave, handles: dict[int, Any], key: int) -> None:
-    handle = handles.pop(key, None)
-    if handle is not None:
-        slave.forget(handle)
-
-
-def _free(slave: Slave, handles: dict[int, Any], archive: object) -> None:
+def _free(states: SavedStates, archive: Archive) -> None:
     """`archive` is held so that its folder outlives the library."""
-    for key in list(handles):
-        _forget(slave, handles, key)
-    slave.free()
+    del archive
+    states.free()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 from phfmu.engine.status import Status, StepFailure
@@ -21,6 +22,10 @@ ANSWERS = {
 }  # fmt: skip
 
 
+#: what `fmu_log.c` says of a refused call: its name, what `ph_status_text` has, the numbers
+_SAID = re.compile(rf"[^:]*: ({'|'.join(re.escape(s.value) for s in Status)})(\. Worst: .*)?", re.DOTALL)
+
+
 class UnitCallError(FMUError):
     """A call that was not answered with ok: name of the `unit`, `function`, `answer` (a key of ANSWERS), last `words`."""
 
@@ -30,8 +35,9 @@ class UnitCallError(FMUError):
 
     @property
     def status(self) -> Status | None:
-        """The outcome that a unit of this package told, None for others: FMI has no other way than its words."""
-        return next((s for s in Status for w in self.words if s.value in w), None)
+        """The outcome of the solver that a unit of this package tells, which it can in a message only; None in others."""
+        found = next(filter(None, map(_SAID.fullmatch, self.words)), None)
+        return None if found is None else Status(found[1])
 
 
 class UnitFailure(StepFailure):

@@ -1,0 +1,100 @@
+"""Values of the ports of a unit in the order a master counts them: names, buffers, and what was set last."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from phfmu.fmu.interface import Interface
+from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.values import References
+from phfmu.fmu.variables import FMUError
+from phfmu.fmu.version import VERSIONS
+
+Array = NDArray[np.float64]
+
+
+class PortValues:
+    """nu scalar pairs of all ports: inputs `u`, outputs now `y_end`, as means of a step `y_mean` (None: not told).
+
+    `u_nodes`, `y_nodes`: inputs and outputs at the nodes of a step, node by node; `held`: u was set after u_nodes.  `sign`
+    (nu): output * sign * input is power into the component.  FMUError names what the unit has not, and what is no pair.
+    """
+
+    def __init__(self, interface: Interface, ports: Sequence[PortMap], name: str):
+        self.name, self.interface = name, interface
+        self.inputs = [n for p in ports for n in p.inputs]
+        self.outputs = [n for p in ports for n in p.outputs]
+        means = [n for p in ports for n in p.step_outputs]
+        self.sign: Array = np.array([p.sign for p in ports for _ in p.inputs])
+        self.u = self.group(self.inputs, "input")
+        self.y_end = self.group(self.outputs, "output")
+        self.y_mean = self.group(means, "output") if len(means) == len(self.inputs) else None
+        self.u_nodes = self.group(_in_order(ports, "node_inputs"), "input")
+        self.y_nodes = self.group(_in_order(ports, "node_outputs"), "output")
+        self.held = True
+        self._require_pairs(ports)
+
+    def group(self, names: Sequence[str], what: str) -> References:
+        """Buffers for variables of the unit; FMUError names those there are not."""
+        return References(self.interface.scalars(tuple(names), what), VERSIONS[self.interface.version])
+
+    def _require_pairs(self, ports: Sequence[PortMap]) -> None:
+        for p in ports:
+            if len(p.inputs) != len(p.outputs):
+                raise FMUError(f"{self.name}.{p.name}: {len(p.inputs)} inputs but {len(p.outputs)} outputs; give pairs")
+        for n in self.inputs:
+            if self.interface.variables[n].causality != "input":
+                raise FMUError(f"{self.name}: '{n}' is no input but {self.interface.variables[n].causality}")
+
+    @property
+    def nu(self) -> int:
+        return self.u.n
+
+    def starts(self, given: Mapping[str, float]) -> Array:
+        """Inputs (nu) before anyone sets them."""
+        declared = [self.interface.variables[n].start or 0.0 for n in self.inputs]
+        return np.array([given.get(n, s) for n, s in zip(self.inputs, declared, strict=True)])
+
+    def begin(self, given: Mapping[str, float]) -> None:
+        """Held inputs are those of the start."""
+        self.u.values[:], self.held = self.starts(given), True
+
+    def take(self, u: ArrayLike) -> None:
+        """Inputs (nu) into their buffer."""
+        values = np.asarray(u, float)
+        if values.shape != (self.nu,) or not np.isfinite(values).all():
+            raise ValueError(f"{self.name}: expected {self.nu} finite inputs, got {u}")
+        self.u.values[:], self.held = values, True
+
+    def take_at_nodes(self, u: ArrayLike) -> None:
+        """Inputs at the k nodes (k x nu) into theirs; FMUError if the unit was exported without them."""
+        values, k = np.asarray(u, float), len(self.interface.nodes) if self.u_nodes.n else 0
+        if not k:
+            raise FMUError(
+                f"{self.name}: the unit has no inputs at nodes; export it with --node-inputs and order 4 or 6"
+            )
+        if values.shape != (k, self.nu) or not np.isfinite(values).all():
+            raise ValueError(f"{self.name}: expected {k} x {self.nu} finite inputs, got {u}")
+        self.u_nodes.values[:], self.held = values.ravel(), False
+
+    def memory(self) -> dict[str, Any]:
+        """A copy of what was set."""
+        return {"u": self.u.values.copy(), "u_nodes": self.u_nodes.values.copy(), "held": self.held}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        self.u.values[:], self.u_nodes.values[:], self.held = memory["u"], memory["u_nodes"], memory["held"]
+
+    def others(self) -> list[str]:
+        """Inputs that belong to no port."""
+        own = {*self.inputs, *(s.name for s in self.u_nodes.scalars)}
+        return [n for n, v in self.interface.variables.items() if v.causality == "input" and n not in own]
+
+
+def _in_order(ports: Sequence[PortMap], field: str) -> list[str]:
+    """Names at the nodes, node by node, in the order of the pairs."""
+    pairs = [names for p in ports for names in getattr(p, field)]
+    return [name for node in zip(*pairs, strict=True) for name in node]

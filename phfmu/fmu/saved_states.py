@@ -1,0 +1,41 @@
+"""States that are kept inside a unit, each freed when nobody holds it any more."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass
+from typing import Any
+
+from phfmu.fmu.slave import Slave
+
+
+@dataclass(eq=False)
+class SavedState:
+    """A state inside the unit and what the instance knows beside it; freed when nobody holds it."""
+
+    handle: Any
+    memory: dict[str, Any]
+
+
+class SavedStates:
+    """Those of one unit; the unit is freed after them."""
+
+    def __init__(self, slave: Slave):
+        self._slave, self._handles = slave, dict[int, Any]()
+
+    def keep(self, handle: Any, memory: dict[str, Any]) -> SavedState:
+        state = SavedState(handle, memory)
+        self._handles[id(handle)] = handle
+        weakref.finalize(state, self._forget, id(handle))
+        return state
+
+    def _forget(self, key: int) -> None:
+        handle = self._handles.pop(key, None)
+        if handle is not None:
+            self._slave.forget(handle)
+
+    def free(self) -> None:
+        """All of them, then the unit."""
+        for key in list(self._handles):
+            self._forget(key)
+        self._slave.free()

@@ -1,0 +1,146 @@
+"""Books of a unit's energy: what it tells of its own ledger, or an estimate by the power of its ports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.fmu.port_values import PortValues
+from phfmu.fmu.slave import Slave
+from phfmu.fmu.values import References
+
+Array = NDArray[np.float64]
+_STEP, _MOVED = ("storedStep", "dissipatedStep", "suppliedStep"), "movedStep"
+
+
+class Books(Protocol):
+    """What an instance asks of them: `begin` at the start; after a step `look`, then `book` with what that gave."""
+
+    #: the ledger is a quadrature of port power, because the unit does not tell its own
+    estimated: bool
+
+    def begin(self, slave: Slave) -> None: ...
+
+    def look(self) -> Array:
+        """Outputs that are needed to book a step; they have to be finite."""
+        ...
+
+    def book(self, h: float, looked: Array) -> None: ...
+
+    def means(self) -> Array:
+        """Outputs (nu) of which h u^T y is the energy supplied in the last step."""
+        ...
+
+    def energies(self) -> Array:
+        """Stored energy (1) [J]."""
+        ...
+
+    def gap(self) -> float | None:
+        """What the ledgers of the steps do not explain [J]; None if that is not told."""
+        ...
+
+    def ledger(self, h: float) -> dict[str, Array]:
+        """Of the last step, of length h."""
+        ...
+
+    def memory(self) -> dict[str, Any]:
+        """A copy of what the unit does not save itself."""
+        ...
+
+    def recall(self, memory: Mapping[str, Any]) -> None: ...
+
+
+def books(ports: PortValues) -> Books:
+    """The unit's own where it tells enough."""
+    means, told = ports.y_mean, ports.interface.energy
+    return Estimated(ports) if means is None or not {*_STEP, "stored"} <= told.keys() else Told(ports, means)
+
+
+class Told:
+    """The unit's own ledger, exact; nothing is kept here."""
+
+    estimated = False
+
+    def __init__(self, ports: PortValues, means: References):
+        self._ports, self._means, energy = ports, means, ports.interface.energy
+        self._step = ports.group([energy[s] for s in (*_STEP, _MOVED) if s in energy], "output")
+        self._stored = ports.group([energy["stored"]], "output")
+        self._gap = ports.group([energy["gap"]], "output") if "gap" in energy else None
+
+    def begin(self, slave: Slave) -> None:
+        self._slave = slave
+
+    def look(self) -> Array:
+        return np.zeros(0)
+
+    def book(self, h: float, looked: Array) -> None: ...
+
+    def means(self) -> Array:
+        return self._slave.get(self._means) * self._ports.sign
+
+    def energies(self) -> Array:
+        return self._slave.get(self._stored).copy()
+
+    def gap(self) -> float | None:
+        return None if self._gap is None else float(self._slave.get(self._gap)[0])
+
+    def ledger(self, h: float) -> dict[str, Array]:
+        rows, ports = self._slave.get(self._step).copy(), self._ports
+        if ports.held:
+            pairs = h * ports.u.values * self.means()
+        else:
+            u, y = ports.u_nodes.values, self._slave.get(ports.y_nodes)
+            pairs = h * np.array(ports.interface.weights) @ (u * y).reshape(-1, ports.nu)
+        moved = {"moved": rows[3:]} if len(rows) > len(_STEP) else {}
+        return {"stored": rows[:1], "dissipated": rows[1:2], "supplied": rows[2:3], "pairs": pairs, **moved}
+
+    def memory(self) -> dict[str, Any]:
+        return {}
+
+    def recall(self, memory: Mapping[str, Any]) -> None: ...
+
+
+class Estimated:
+    """By the trapezoidal rule.  What the unit dissipates it keeps to itself: stored is what was supplied."""
+
+    estimated = True
+
+    def __init__(self, ports: PortValues):
+        self._ports = ports
+
+    def begin(self, slave: Slave) -> None:
+        self._slave = slave
+        self._supplied, self._pairs = np.zeros(self._ports.nu), np.zeros(self._ports.nu)
+        self._before = self._after = self.look()
+
+    def look(self) -> Array:
+        return self._slave.get(self._ports.y_end).copy()
+
+    def book(self, h: float, looked: Array) -> None:
+        self._before, self._after = self._after, looked
+        self._pairs = h * self._ports.u.values * self.means()
+        self._supplied = self._supplied + self._pairs
+
+    def means(self) -> Array:
+        return self._ports.sign * (self._before + self._after) / 2
+
+    def energies(self) -> Array:
+        return np.array([self._supplied.sum()])
+
+    def gap(self) -> float | None:
+        return None
+
+    def ledger(self, h: float) -> dict[str, Array]:
+        del h
+        supplied = np.array([self._pairs.sum()])
+        return {"stored": supplied, "dissipated": np.zeros(1), "supplied": supplied, "pairs": self._pairs.copy()}
+
+    def memory(self) -> dict[str, Any]:
+        return {n: getattr(self, f"_{n}").copy() for n in ("before", "after", "supplied", "pairs")}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        self._before, self._after = memory["before"].copy(), memory["after"].copy()
+        self._supplied, self._pairs = memory["supplied"].copy(), memory["pairs"].copy()

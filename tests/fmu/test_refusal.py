@@ -1,0 +1,47 @@
+"""What a unit answers, as data: the outcome its solver had, told in a message, is found at the border and nowhere else."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from phfmu.engine.status import Status
+from phfmu.fmu import reader
+from phfmu.fmu.refusal import UnitCallError
+
+NUMBERS = (
+    "Worst: x, scaled residual 1 (rounding floor 1e-16), last update 2 after 3 iterations, in [0 s, 1 s]. The component"
+)
+
+
+@pytest.mark.parametrize("status", Status)
+def test_a_unit_of_this_package_tells_its_status(status: Status) -> None:
+    for words in (f"fmi3DoStep: {status.value}. {NUMBERS}", f"fmi2GetDirectionalDerivative: {status.value}"):
+        assert UnitCallError("u", "fmi3DoStep", "discard", ["other words", words]).status is status
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "",
+        "solver: a value is not finite, giving up",
+        "I think that the Newton matrix is singular: an equation is missing",
+        "x",
+    ],
+)
+def test_other_words_are_no_status(words: str) -> None:
+    assert UnitCallError("u", "fmi3DoStep", "discard", [words]).status is None
+    assert UnitCallError("u", "fmi3DoStep", "discard").status is None
+
+
+def test_the_reader_compares_no_texts_of_errors() -> None:
+    tree = ast.parse(Path(reader.__file__).read_text(encoding="utf-8"))
+    texts = [
+        n.lineno
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Compare)
+        and any(isinstance(c, ast.Call) and getattr(c.func, "id", "") == "str" for c in (n.left, *n.comparators))
+    ]
+    assert texts == []
