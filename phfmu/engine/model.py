@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.phdae import PHDAE
 from phfmu.plan.plan import Kernel, Plan
 
 Floats = NDArray[np.float64]
@@ -22,6 +23,8 @@ class Model(Protocol):
 
     @property
     def name(self) -> str: ...
+    @property
+    def declaration(self) -> PHDAE: ...
     @property
     def step(self) -> Plan: ...
     @property

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.codegen import kernel_table
+from phfmu.engine.impulses import Ports
 from phfmu.engine.library import RECORD, Column, Record, build, enums, load, view
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.model import Model, kernels
@@ -21,6 +22,8 @@ from phfmu.engine.tables import CTables
 
 if TYPE_CHECKING:
     from phfmu.engine.native_chain import NativeChain
+    from phfmu.engine.native_impulses import NativeImpulses
+    from phfmu.terms.port_impulses import PortImpulse
 
 STATUS = tuple(Status)
 Floats = NDArray[np.float64]
@@ -53,13 +56,16 @@ class NativeInstance:
         self.layout = {n if n != "h" else "H": slice(offset[i], offset[i + 1]) for i, n in enumerate(names)}
         self._table = view(self._lib.ph_signals(self._in), offset[len(names)])
         self._state_size = self._lib.ph_state_size(self._in)
-        self._step = self._lib.ph_step
+        self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
+        self._kicked: NativeImpulses | None = None
         self._means = self._table[self.layout["y_step"]][: model.step.nu]
         self.initialise()
 
     def reset(self) -> None:
         """Back to the start values; the algebraic variables are solved for the start."""
         self._check(self._lib.ph_reset(self._in))
+        if self._kicked is not None:
+            self._kicked.values[:] = 0.0
         self.initialise()
 
     def initialise(self) -> None:
@@ -97,6 +103,36 @@ class NativeInstance:
         """
         self._check(self._lib.ph_continue(self._in, other._in))
 
+    @property
+    def impulse_ports(self) -> tuple[PortImpulse, ...]:
+        """What each external port does with impulses, and why not more."""
+        return self._ports.offered
+
+    def set_impulses(self, s0: ArrayLike, s1: ArrayLike) -> None:
+        """Impulses at start and end of the coming steps (n each), as of `PythonInstance`; a small library is compiled first."""
+        s = self._ports.checked(s0, s1)
+        self._check(self._kicks.set(s))
+        self._step, self._steps = self._kicked_step, self._kicked_step
+
+    def jump(self) -> Floats:
+        """S = L^T H'' L at the present time (n x n): by how much impulses change the outputs, y* = y + S s (A/(V s))."""
+        return self._kicks.jump() if self._ports.kernels.n else np.zeros((0, 0))
+
+    @cached_property
+    def _ports(self) -> Ports:
+        return Ports(self.model.declaration)
+
+    @property
+    def _kicks(self) -> NativeImpulses:
+        if self._kicked is None:
+            from phfmu.engine.native_impulses import NativeImpulses
+
+            self._kicked = NativeImpulses(self._lib, self._in, self._ports.kernels)
+        return self._kicked
+
+    def _kicked_step(self, _: int, t: float, h: float, parts: int = 1) -> int:
+        return self._kicks.step(t, h, parts)
+
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
         """One communication step over [t, t + h] in `parts` equal internal steps.
 
@@ -105,7 +141,7 @@ class NativeInstance:
         A sliver, what rounding leaves of a master's clock, books nothing and keeps state and means: |h| up to two
         rounding units of t or 1e-9 of the last internal step.
         """
-        status = self._step(self._in, t, h) if parts == 1 else self._lib.ph_step_parts(self._in, t, h, parts)
+        status = self._step(self._in, t, h) if parts == 1 else self._steps(self._in, t, h, parts)
         if status:
             self._check(status)
 
@@ -220,18 +256,32 @@ class NativeInstance:
         self._check(function(self._in, s.ctypes.data))
         return s
 
-    def node_sensitivity(self, inputs: Sequence[int] | None = None, end: bool = False) -> NodeSensitivity:
+    def node_sensitivity(
+        self, inputs: Sequence[int] | None = None, impulses: bool = False, end: bool = False
+    ) -> NodeSensitivity:
         """Derivatives of the last step with respect to the chosen inputs (default: all) at each of its nodes.
 
-        With `end` also of the outputs at its end.  In a library that is compiled when that is first asked for.  StepFailure
-        NO_SENSITIVITY as in `sensitivity`.
+        `impulses`: then with respect to those at its start and at its end too, in the order of `set_impulses`;  `end`: of the
+        outputs at its end too.  In a library that is compiled when that is first asked for.
+        StepFailure NO_SENSITIVITY as in `sensitivity`.
         """
         plan = self.model.step
-        du = directions(plan, chosen(plan, inputs))
+        kicks = self._kicks if impulses else self._kicked
+        du, ds = directions(plan, chosen(plan, inputs), kicks.n if kicks and impulses else 0)
         dx = np.zeros((len(du), plan.nx + 1 + plan.na))
-        code, dy, dy_end = self._chain.along(self.get_state(), du, dx, end)
+        starts, ends = np.ascontiguousarray(ds[:, 0]), np.ascontiguousarray(ds[:, 1])
+        if kicks and impulses:
+            kicks.along(False, starts, dx)
+        code, dy = self._chain.along(self.get_state(), du, dx)
         self._check(code)
-        return columns(plan, dy, dx, dy_end)
+        if kicks:
+            kicks.along(True, ends if impulses else np.zeros((len(dx), kicks.n)), dx)
+        return columns(plan, dy, dx, self._end_along(du, dx) if end else None)
+
+    def _end_along(self, du: Floats, dx: Floats) -> Floats:
+        code, dy = self._chain.end_along(du, dx)
+        self._check(code)
+        return dy
 
     @cached_property
     def _chain(self) -> NativeChain:
@@ -243,13 +293,19 @@ class NativeInstance:
         """A complete opaque copy; after `set_state`, in any instance of the model, the same bits follow."""
         buffer = ctypes.create_string_buffer(self._state_size)
         self._lib.ph_save(self._in, buffer)
-        return buffer.raw
+        return buffer.raw if self._kicked is None else buffer.raw + self._kicked.values.tobytes()
 
     def set_state(self, state: bytes) -> None:
         """Restores what `get_state` gave."""
-        if len(state) != self._state_size:
+        more = len(state) - self._state_size
+        if more and more != 32 * self._ports.kernels.n:
             raise ValueError(f"{self.model.name}: state of {len(state)} bytes, expected {self._state_size}")
         self._check(self._lib.ph_load(self._in, state))
+        if more:
+            self._kicks.values[:] = np.frombuffer(state[self._state_size :]).reshape(4, -1)
+            self._step, self._steps = self._kicked_step, self._kicked_step
+        elif self._kicked is not None:
+            self._kicked.values[:] = 0.0
 
     def _array(self, values: ArrayLike, *shape: int) -> Floats:
         array = np.ascontiguousarray(values, float)

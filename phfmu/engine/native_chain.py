@@ -35,17 +35,18 @@ class NativeChain:
         code = self._take(state)
         return code or self._lib.ph_sensitivity(self._in, s.ctypes.data), s
 
-    def along(self, state: bytes, du: Floats, dx: Floats, end: bool) -> tuple[int, Floats, Floats | None]:
-        """Status and changes of the outputs along directions of the last step: at the nodes (n x k x nu), at the end (n x nu).
+    def along(self, state: bytes, du: Floats, dx: Floats) -> tuple[int, Floats]:
+        """Status and changes of the outputs at the nodes (n x k x nu) along directions of the last step of a saved state.
 
         du: n x k x nu;  dx: n x (nx+1+na), directions of the state at its start, on return at its end.
         """
-        dy, dy_end = np.empty(du.shape), np.empty((len(du), self._plan.nu)) if end else None
-        code = self._take(state)
-        code = code or self._lib.ph_step_along(self._in, Directions.of(du, dx, dy))
-        if code == 0 and dy_end is not None:
-            code = self._lib.ph_end_along(self._in, Directions.of(du, dx, dy_end))
-        return code, dy, dy_end
+        dy = np.empty(du.shape)
+        return self._take(state) or self._lib.ph_step_along(self._in, Directions.of(du, dx, dy)), dy
+
+    def end_along(self, du: Floats, dx: Floats) -> tuple[int, Floats]:
+        """The same of the outputs at the end (n x nu), for the state taken last; dx: directions of the state there."""
+        dy = np.empty((len(du), self._plan.nu))
+        return self._lib.ph_end_along(self._in, Directions.of(du, dx, dy)), dy
 
     def _take(self, state: bytes) -> int:
         return self._init or self._lib.ph_load(self._in, state)

@@ -35,14 +35,15 @@ def chosen(plan: Plan, inputs: Sequence[int] | None) -> list[int]:
     return found
 
 
-def directions(plan: Plan, inputs: Sequence[int]) -> Array:
-    """Unit directions of the chosen inputs at each node (n x k x nu)."""
-    k = plan.k
-    du = np.zeros((k * len(inputs), k, plan.nu))
+def directions(plan: Plan, inputs: Sequence[int], impulses: int = 0) -> tuple[Array, Array]:
+    """Unit directions of the chosen inputs at each node (m x k x nu), then of impulses at start and end (m x 2 x n)."""
+    k, rows = plan.k, plan.k * len(inputs)
+    du, ds = np.zeros((rows + 2 * impulses, k, plan.nu)), np.zeros((rows + 2 * impulses, 2, impulses))
+    ds[rows:] = np.eye(2 * impulses).reshape(2 * impulses, 2, impulses)
     for node in range(k):
         for place, j in enumerate(inputs):
             du[node * len(inputs) + place, node, j] = 1.0
-    return du
+    return du, ds
 
 
 def columns(plan: Plan, dy: Array, dx: Array, end: Array | None) -> NodeSensitivity:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.engine.impulses import Kicks, Ports
 from phfmu.engine.inputs import carried
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
@@ -18,6 +19,7 @@ from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.solves import Solves
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
+from phfmu.terms.port_impulses import PortImpulse
 
 Array = NDArray[Any]
 
@@ -31,7 +33,8 @@ class PythonInstance:
 
     def __init__(self, model: Model):
         self.model = model
-        self._solves, self._present = Solves(model), Present(model)
+        self._solves, self._present, self._ports = Solves(model), Present(model), Ports(model.declaration)
+        self._kicks = Kicks(self._ports)
         self.reset()
 
     # -- state ------------------------------------------------------------------------------------------------------
@@ -112,6 +115,24 @@ class PythonInstance:
             s.rests, s.placed = old.rests, True
         self._s = s
 
+    @property
+    def impulse_ports(self) -> tuple[PortImpulse, ...]:
+        """What each external port does with impulses, and why not more."""
+        return self._ports.offered
+
+    def set_impulses(self, s0: ArrayLike, s1: ArrayLike) -> None:
+        """Impulses at the start and at the end of the coming steps, each (n) over the inputs of `impulse_ports` that take some.
+
+        x0* = x + L(x) s0, the step, x1 = x1* + L(x1*) s1; [V s] at an electrical port.  Their work is in the ledger and the
+        pair energies; outputs at nodes and means are without them.  They stay until set; 0 is as if they had never been.  Steps
+        of no length and slivers take none.  ValueError names the ports.
+        """
+        self._s.impulses = self._ports.checked(s0, s1)
+
+    def jump(self) -> Array:
+        """S = L^T H'' L at the present time (n x n): by how much impulses change the outputs, y* = y + S s (A/(V s))."""
+        return np.array(self._ports.kernels.jump(self._s.x[:-1], self._s.p))
+
     # -- stepping ---------------------------------------------------------------------------------------------------
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
@@ -134,11 +155,15 @@ class PythonInstance:
             return
         s, plan = self._s, self.model.step
         s.x[-1] = t
-        s.x_old, s.u_old, s.path, s.halved = carried(self.model, s).copy(), s.u.copy(), [], 0
-        s.w_old, s.h_old = s.w, s.h_last
-        s.last = self._nothing()
+        s.last, s.impulses_old = self._nothing(), s.impulses.copy()
         try:
+            if s.impulses.any():
+                self._kicks.kick(s, s.impulses[0])
+            s.x_old, s.u_old, s.path, s.halved = carried(self.model, s).copy(), s.u.copy(), [], 0
+            s.w_old, s.h_old = s.w, s.h_last
             y, a, nodes_y = self._solves.take(s, t, h, parts)
+            if s.impulses.any():
+                self._kicks.kick(s, s.impulses[1])
         except StepFailure:
             counts = self._s.counts
             self._s = before
@@ -298,17 +323,23 @@ class PythonInstance:
             raise StepFailure(Status.NO_SENSITIVITY, self.model.name, s.t, s.h_last)
         return found
 
-    def node_sensitivity(self, inputs: Sequence[int] | None = None, end: bool = False) -> NodeSensitivity:
+    def node_sensitivity(
+        self, inputs: Sequence[int] | None = None, impulses: bool = False, end: bool = False
+    ) -> NodeSensitivity:
         """Derivatives of the last step with respect to the chosen inputs (default: all) at each of its nodes.
 
-        With `end` also of the outputs at its end.  StepFailure NO_SENSITIVITY as in `sensitivity`.
+        `impulses`: then with respect to those at its start and at its end too, in the order of `set_impulses`;  `end`: of the
+        outputs at its end too.  StepFailure NO_SENSITIVITY as in `sensitivity`.
         """
         s, plan = self._s, self.model.step
-        du = directions(plan, chosen(plan, inputs))
-        found = self._solves.along(s, du, np.zeros((len(du), len(s.x_old))))
+        du, ds = directions(plan, chosen(plan, inputs), self._ports.kernels.n if impulses else 0)
+        dx = np.zeros((len(du), len(s.x_old)))
+        found = self._solves.along(s, du, self._kicks.start_along(s, dx, ds[:, 0]) if impulses else dx)
         if found is None:
             raise StepFailure(Status.NO_SENSITIVITY, self.model.name, s.t, s.h_last)
         dy, dx = found
+        if impulses or s.impulses_old.any():
+            dx = self._kicks.end_along(s, dx, ds[:, 1])
         return columns(plan, dy, dx, self._present.along(s, du, dx) if end else None)
 
     def _array(self, values: ArrayLike, *shape: int) -> Array:

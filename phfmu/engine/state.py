@@ -30,6 +30,7 @@ class State:
     rests: constraints that are left out;  placed: which ones has to be chosen, as state or parameters are new;
     path: (start, part, time, length) of each of its solves, [start, start + part] of the step, none before the first one;
     halved: how many of its internal steps were halved;
+    impulses, impulses_old: at start and end of the coming and of the last step (2 x n), empty until set;
     changes: (number, time, rests, needed), the last of them.
     """
 
@@ -59,6 +60,8 @@ class State:
     placed: bool = True
     path: list[tuple[float, float, float, float]] = field(default_factory=list)
     halved: int = 0
+    impulses: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    impulses_old: Array = field(default_factory=lambda: np.zeros((2, 0)))
     changes: list[tuple[int, float, int, int]] = field(default_factory=list)
 
     def change_rest(self, rests: Array, time: float) -> None:

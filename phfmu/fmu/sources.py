@@ -29,6 +29,9 @@ HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 
 _PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
+#: of the runtime what units have no use for: their ports take no impulses
+ABSENT = ("impulses.c", "impulses.h")
+
 Sources = dict[str, str | Path]
 
 
@@ -55,7 +58,8 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
 def fixed() -> Sources:
     """The hand-written part: name -> path."""
     layers = {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
-    return {**runtime_sources(), **layers}
+    runtime = {name: path for name, path in runtime_sources().items() if name not in ABSENT}
+    return {**runtime, **layers}
 
 
 def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:

@@ -108,13 +108,13 @@ class Finder:
         for r in cluster:
             if ca.depends_on(self.expr[r], algebraics) or ca.depends_on(self.L[r], self.z):
                 return "none", f"the row of {nodes[r]} contains other algebraic variables"
-            if _depends(self.L[r], psi):
+            if depends(self.L[r], psi):
                 return "none", f"the coefficients of {nodes[r]} depend on the states they act on"
         at = [self.place[r] for r in cluster]
         values = np.linalg.eigvalsh(self._at_start(self.S[at, at]))
         if not values[0] > 1e-12 * values[-1]:
             return "none", "its inductance matrix is singular (isolated neutral)"
-        if _depends(self.S[at, at], psi):
+        if depends(self.S[at, at], psi):
             return "projection", "the stored energy is not quadratic in the states of its branches (saturation)"
         return "pair", ""
 
@@ -166,6 +166,6 @@ class Finder:
         return out
 
 
-def _depends(expr: ca.SX, on: ca.SX) -> bool:
+def depends(expr: ca.SX, on: ca.SX) -> bool:
     """Structural dependence after cancelling what differentiates to zero."""
     return ca.simplify(ca.jacobian(ca.densify(expr), on)).nnz() > 0 and ca.depends_on(expr, on)

@@ -23,21 +23,35 @@ def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX) -> dict[int, ca
 
     Free inputs are left out, and so are the rows of holonomic constraints.
     """
+    return _expressions(terms, "a", rows, z, ca.SX.zeros(len(terms.pairs)))
+
+
+def output_expressions(terms: Terms, pairs: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
+    """The chosen pair outputs y = B^T z in x, `z` (n1), algebraic variables, parameters and free inputs `u` (a symbol a pair)."""
+    return _expressions(terms, "y", pairs, z, u)
+
+
+def _expressions(terms: Terms, kind: str, rows: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
+    """The chosen rows of one kind; `u`: what stands for the free inputs."""
     model, bound, x = terms.model, terms.bound, terms.model.x
     found = {r: ca.SX(0) for r in rows}
     p = ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
-    for kind, row, source, i, value in terms.constants:
-        if kind == "a" and row in found:
-            variable = i if source == "a" else bound.get(i) if source == "u" else None
-            found[row] += value * (z[i] if source == "z" else 0 if variable is None else a[variable])
+    for k, row, source, i, value in terms.constants:
+        if k == kind and row in found:
+            found[row] += value * (z[i] if source == "z" else a[i] if source == "a" else _input(i, u, a, bound))
     for t in terms.of(FLOW):
-        if any(k == "a" and i in found for k, i in t.rows):
-            f = ca.substitute([t.data["f"]], *_globals(t, x, z, p, a, bound))[0]
+        if any(k == kind and i in found for k, i in t.rows):
+            f = ca.substitute([t.data["f"]], *_globals(t, x, z, p, a, bound, u))[0]
             for j, (k, i) in enumerate(t.rows):
-                if k == "a" and i in found:
+                if k == kind and i in found:
                     found[i] += f[j]
     return found
+
+
+def _input(i: int, u: ca.SX, a: ca.SX, bound: dict[int, int]) -> ca.SX:
+    """Input of a pair: the algebraic variable that feeds it, or its entry of `u`."""
+    return a[bound[i]] if i in bound else u[i]
 
 
 def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
@@ -98,8 +112,10 @@ def costates(terms: Terms) -> ca.SX:
     return z
 
 
-def _globals(t: Term, x: ca.SX, z: ca.SX, p: ca.SX, a: ca.SX, bound: dict[int, int]) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Old and new symbols that bring a local expression back to the model's; free inputs become 0."""
+def _globals(
+    t: Term, x: ca.SX, z: ca.SX, p: ca.SX, a: ca.SX, bound: dict[int, int], u: ca.SX | None = None
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Old and new symbols that bring a local expression back to the model's; free inputs become those of `u`, or 0."""
     old, new = [], []
     for kind, source in (("x", x), ("z", z), ("p", p), ("a", a)):
         if kind in t.local and not (t.kind is CLOSED and kind == "z"):
@@ -110,5 +126,6 @@ def _globals(t: Term, x: ca.SX, z: ca.SX, p: ca.SX, a: ca.SX, bound: dict[int, i
         new.append(time)
     if "u" in t.local:
         old.append(t.local["u"])
-        new.append(ca.vertcat(*(a[bound[i]] if i in bound else ca.SX(0) for i in t.index["u"])))
+        free = ca.SX.zeros(1 + max(t.index["u"])) if u is None else u
+        new.append(ca.vertcat(*(_input(i, free, a, bound) for i in t.index["u"])))
     return old, new

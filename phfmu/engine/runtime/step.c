@@ -249,7 +249,7 @@ static int stay(ph_instance *in, double t) {
     return PH_OK;
 }
 
-static int is_sliver(const ph_instance *in, double t, double h) {
+int ph_is_sliver(const ph_instance *in, double t, double h) {
     return fabs(h) <= PH_SLIVER_CLOCK * DBL_EPSILON * fabs(t) ||
            fabs(h) <= PH_SLIVER_STEP * fabs(*in->step.last_h);
 }
@@ -284,7 +284,7 @@ int ph_step_parts(ph_instance *in, double t, double h, int n) {
     int refused = 0;
     if (!isfinite(t + h) || n < 1)
         return PH_ARGUMENT;
-    if (h != 0.0 && is_sliver(in, t, h))
+    if (h != 0.0 && ph_is_sliver(in, t, h))
         return ph_skip(in, t + h);
     if (in->head->placed)
         ph_rest_choose(in);

@@ -196,6 +196,7 @@ static inline void ph_clear(double *values, int n) {
  * are set too. */
 size_t ph_lay_out(ph_instance *in, char *memory);
 int ph_finite(const double *values, int n);
+int ph_is_sliver(const ph_instance *in, double t, double h);
 void ph_resample(ph_instance *in, double from, double length, double *u);
 void ph_inputs_at(ph_instance *in, double theta, double *u);
 void ph_basis(ph_instance *in, double theta);
