@@ -15,7 +15,7 @@ TESTS = Path(__file__).parent
 #: from the ground up; a room may import those before it
 ROOMS = (
     "words", "files", "declare", "terms", "gradients", "plan", "schemes", "schur", "discretise", "engine", "checks",
-    "audit", "fmu", "network.junctions", "network.scene", "network.members", "network.couplings", "network.run",
+    "importers", "audit", "fmu", "network.junctions", "network.scene", "network.members", "network.couplings", "network.run",
     "network.check_scene", "components", "report", "stress", "bench", "cli",
 )  # fmt: skip
 #: not in order yet, (file, what it imports from above): only ever fewer

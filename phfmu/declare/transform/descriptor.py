@@ -66,7 +66,7 @@ def _decomposed(model: PHDAE, variables: Sequence[Variable], matrix: ca.SX) -> t
             )
         return None
     f = ca.Function("E", [parameters], [ca.densify(matrix)])
-    U1, U2, V1, V2 = _kernels(matrix, np.array(f(start)))
+    U1, U2, V1, V2 = kernels(matrix, np.array(f(start)))
     if not V2.shape[1]:
         return None
     _require_constant_kernels(label, model, f, start, U2, V2)
@@ -74,7 +74,7 @@ def _decomposed(model: PHDAE, variables: Sequence[Variable], matrix: ca.SX) -> t
     return U1, U2, V1, V2
 
 
-def _kernels(matrix: ca.SX, E: Array) -> tuple[Array, Array, Array, Array]:
+def kernels(matrix: ca.SX, E: Array) -> tuple[Array, Array, Array, Array]:
     """Orthonormal U1, U2, V1, V2, one connected part of the pattern at a time; a regular part keeps its coordinates."""
     n = len(E)
     found: tuple[list[Array], ...] = ([], [], [], [])
