@@ -37,6 +37,10 @@ def commands(body: str) -> list[str]:
     return [line.removeprefix("$ ") for line in body.splitlines() if line.startswith("$ ")]
 
 
+#: endings of pictures and what draws them
+DRAWN = {".png": "matplotlib", ".html": "plotly"}
+
+
 @pytest.mark.parametrize("page", RUN, ids=name)
 def test_blocks_run(
     compiler: None, page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -1,6 +1,8 @@
 """The signals of an audit: powers, stored energies, residuals, iterations, step sizes."""
 
+import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -46,35 +48,38 @@ class AuditSignals:
         return self.names
 
     def read(self, names: Sequence[str]) -> list[Signal]:
-        return [self._makers[n]() for n in names]
+        """Signals by their exact names; a component has its colour on all axes."""
+        owners = {name: i for i, (name,) in enumerate((*self.history.components, *self.history.junctions))}
+        return [replace(make(), owner=owners.get(owner)) for owner, make in (self._makers[n] for n in names)]
 
     def marks(self) -> list[Mark]:
         return marks(self.history)
 
     @cached_property
-    def _makers(self) -> dict[str, Callable[[], Signal]]:
-        h, made = self.history, dict[str, Callable[[], Signal]]()
+    def _makers(self) -> dict[str, tuple[str, Callable[[], Signal]]]:
+        """What each signal belongs to, and what makes it."""
+        h, made = self.history, dict[str, tuple[str, Callable[[], Signal]]]()
         for (component, port, _), c in h.ports.items():
             name = f"{component}.{port}.power"
-            made[name] = lambda name=name, c=c: Signal(name, "W", *_power(c, "supplied"), topic=POWER)
+            made[name] = component, lambda name=name, c=c: Signal(name, "W", *_power(c, "supplied"), topic=POWER)
         for (component,), c in h.components.items():
             if _any(c["dissipated"]):
                 name = f"{component}.dissipated_power"
-                made[name] = lambda name=name, c=c: Signal(name, "W", *_power(c, "dissipated"), topic=LOSS)
+                made[name] = component, lambda name=name, c=c: Signal(name, "W", *_power(c, "dissipated"), topic=LOSS)
         for (component,), c in h.components.items():
             if _any(c["H0"]) or _any(c["H1"]):
-                made[f"{component}.H"] = lambda name=f"{component}.H", c=c: _stored(name, c)
+                made[f"{component}.H"] = component, lambda name=f"{component}.H", c=c: _stored(name, c)
         for (name,), c in (*h.components.items(), *h.junctions.items()):
             if _any(c["residual"]):
-                made[f"{name}.residual"] = lambda name=name, c=c: _residual(name, c)
+                made[f"{name}.residual"] = name, lambda name=name, c=c: _residual(name, c)
             if _any(c.get("residual_rel", np.zeros(0))):
-                made[f"{name}.allowed"] = lambda name=name, c=c: _allowed(name, c)
+                made[f"{name}.allowed"] = name, lambda name=name, c=c: _allowed(name, c)
         made |= self._solver()
         return made
 
-    def _solver(self) -> dict[str, Callable[[], Signal]]:
+    def _solver(self) -> dict[str, tuple[str, Callable[[], Signal]]]:
         """Iterations, once where all components share them, and step sizes where they differ."""
-        h, made = self.history, dict[str, Callable[[], Signal]]()
+        h, made = self.history, dict[str, tuple[str, Callable[[], Signal]]]()
         counts = {n: (c, "newton") for (n,), c in h.components.items() if _any(c["newton"])}
         first = next(iter(counts.values()), None)
         if first and all(np.array_equal(c[k], first[0][first[1]]) for c, k in counts.values()):
@@ -82,10 +87,10 @@ class AuditSignals:
         counts |= {n: (c, "iterations") for (n,), c in h.junctions.items() if _any(c["iterations"])}
         for owner, (c, key) in counts.items():
             name = f"{owner}.iterations".lstrip(".")
-            made[name] = lambda name=name, c=c, key=key: Signal(name, "1", _middle(c), c[key], topic=ITERATIONS)
+            made[name] = owner, lambda name=name, c=c, key=key: Signal(name, "1", _middle(c), c[key], topic=ITERATIONS)
         sizes = h.steps["h"]
         if len(sizes) and np.ptp(sizes) > 1e-9 * sizes.max():
-            made["step_size"] = lambda: Signal("step_size", "s", _middle(h.steps), sizes, topic=STEP)
+            made["step_size"] = "", lambda: Signal("step_size", "s", _middle(h.steps), sizes, topic=STEP)
         return made
 
 
@@ -94,8 +99,16 @@ def marks(history: History) -> list[Mark]:
     texts: dict[float, list[str]] = {}
     for (kind, _, message), c in history.events.items():
         for t in c["t0"].tolist():
-            texts.setdefault(t, []).append(message or kind)
+            texts.setdefault(t, []).append(_NUMBER.sub(_short, message) or kind)
     return [Mark(t, ", ".join(dict.fromkeys(texts[t]))) for t in sorted(texts)]
+
+
+#: the value of an event, as the log writes it
+_NUMBER = re.compile(r"(?<== )-?\d[\d.]*(?:e[+-]?\d+)?$")
+
+
+def _short(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.5g}"
 
 
 def per_step(c: Columns, name: str) -> tuple[Columns, Floats]:
@@ -128,7 +141,7 @@ def _allowed(name: str, c: Columns) -> Signal:
     """What the verdict allows at its usual tolerance: the log records how large the residual is against it."""
     there = (c["residual"] != 0.0) & (c["residual_rel"] > 0.0)
     allowed = RECORDED_RTOL * np.abs(c["residual"][there]) / c["residual_rel"][there]
-    return Signal(f"{name}.allowed", "J", _middle(c)[there], allowed, topic=RESIDUAL, log=True, dashed=True)
+    return Signal(f"{name}.allowed", "J", _middle(c)[there], allowed, topic=RESIDUAL, log=True, limit=True)
 
 
 def _any(values: Floats) -> bool:

@@ -47,7 +47,7 @@ def write_page(path: str | os.PathLike[str], title: str, body: Sequence[str]) ->
 def chart(drawn: Picture) -> str:
     """Panels below each other over one time axis, each with a legend of its own."""
     require("plotly")
-    heights = [max(PANEL, ENTRY * sum(not c.dashed for c in p.curves)) for p in drawn.panels]
+    heights = [max(PANEL, ENTRY * sum(not c.limit for c in p.curves)) for p in drawn.panels]
     total = sum(heights) + GAP * (len(heights) - 1)
     figure: Any = import_module("plotly.subplots").make_subplots(
         rows=max(len(heights), 1), cols=1, shared_xaxes=True, vertical_spacing=GAP / max(total, 1),
@@ -80,12 +80,12 @@ def part(figure: Any) -> str:
 
 
 def _style(curve: Curve) -> dict[str, Any]:
-    colour = COLOURS[curve.style % len(COLOURS)]
+    colour = COLOURS[curve.colour]
     name = html.escape(curve.label)
-    if curve.dashed:
+    if curve.limit:
         return {"mode": "lines", "name": name, "showlegend": False, "opacity": 0.8,
                 "line": {"color": colour, "dash": "dash", "width": 1}}  # fmt: skip
-    dash = DASHES[curve.style // len(COLOURS) % len(DASHES)]
+    dash = DASHES[curve.dash % len(DASHES)]
     return {"mode": "lines", "name": name, "line": {"color": colour, "dash": dash, "width": 1.5}}
 
 

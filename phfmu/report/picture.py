@@ -19,13 +19,14 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 
 @dataclass(frozen=True)
 class Curve:
-    """Points to draw, thinned; `style` counts colours and then dashes, -1 is that of a limit."""
+    """Points to draw, thinned; `colour` is an index of `COLOURS`, `dash` counts the lines of that colour on the axis."""
 
     label: str
     time: Floats
     values: Floats
-    style: int
-    dashed: bool = False
+    colour: int
+    dash: int = 0
+    limit: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,12 +114,12 @@ def panel(title: str, signals: Sequence[Signal]) -> Panel:
     log, unit = signals[0].log, signals[0].unit
     size = max((_largest(s.values) for s in signals), default=0.0)
     factor, text = (1.0, unit or "") if log else scaled(size, unit)
-    curves, count = [], 0
-    for s in signals:
+    curves, lines = list[Curve](), dict[int, int]()
+    for i, s in enumerate(signals):
         time, values = thin(s.time, _logged(s.values) if log else s.values)
-        style = count - 1 if s.dashed else count
-        count += not s.dashed
-        curves.append(Curve(s.name, time, values * factor, max(style, 0), s.dashed))
+        colour = (i if s.owner is None else s.owner) % len(COLOURS)
+        curves.append(Curve(s.name, time, values * factor, colour, lines.get(colour, 0), s.limit))
+        lines[colour] = lines.get(colour, 0) + (not s.limit)
     whole = unit == "1" and all((s.values == np.round(s.values)).all() for s in signals)
     return Panel(title, "" if text == "1" else text, tuple(curves), log, whole)
 

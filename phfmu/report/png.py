@@ -53,7 +53,7 @@ def write_png(drawn: Picture, path: str | os.PathLike[str], size: tuple[int, int
 
 def _heights(drawn: Picture, rows: int, columns: int) -> list[int]:
     """Pixels of each row: legends stand beside their axes."""
-    entries = [sum(not c.dashed for c in p.curves) for p in drawn.panels] + [0] * columns
+    entries = [sum(not c.limit for c in p.curves) for p in drawn.panels] + [0] * columns
     return [max(HEIGHT, 30 + ENTRY * max(entries[i * columns : (i + 1) * columns])) for i in range(rows)]
 
 
@@ -61,7 +61,7 @@ def _panel(ax: Any, panel: Panel) -> None:
     from matplotlib.ticker import MaxNLocator
 
     for curve in panel.curves:
-        ax.plot(curve.time, curve.values, **_style(curve))
+        ax.plot(curve.time, curve.values, **_style(curve, panel.log))
     if panel.log and any(np.isfinite(c.values).any() for c in panel.curves):
         ax.set_yscale("log")
     else:
@@ -80,12 +80,12 @@ def _panel(ax: Any, panel: Panel) -> None:
         ax.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=2.6)
 
 
-def _style(curve: Curve) -> dict[str, Any]:
-    colour = COLOURS[curve.style % len(COLOURS)]
-    if curve.dashed:
+def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
+    colour = COLOURS[curve.colour]
+    if curve.limit:
         return {"color": colour, "ls": (0, (4, 3)), "lw": 0.8, "alpha": 0.8}
-    dash = DASHES[curve.style // len(COLOURS) % len(DASHES)]
-    return {"color": colour, "ls": dash, "lw": 1.1, "label": curve.label}
+    dash = DASHES[curve.dash % len(DASHES)]
+    return {"color": colour, "ls": dash, "lw": 0.6 if log else 1.1, "label": curve.label}
 
 
 def _marks(ax: Any, drawn: Picture, labelled: bool) -> None:

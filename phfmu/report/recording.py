@@ -15,7 +15,7 @@ class Signal:
     """Values [n] over times [n] in seconds; `unit` None: the file does not say.
 
     `topic`: signals of one topic share an axis; without one those of a unit do. `log`: drawn as magnitude on a log axis.
-    `dashed`: a limit to another signal, drawn with it.
+    `limit`: the limit of another signal. `owner` counts what signals belong to, for colours that are the same on all axes.
     """
 
     name: str
@@ -24,7 +24,8 @@ class Signal:
     values: Floats
     topic: str = ""
     log: bool = False
-    dashed: bool = False
+    limit: bool = False
+    owner: int | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,170 @@
+"""The page of a run: diagram, flows, books, signals, events, verdict and what the model is."""
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from phfmu.audit import summarise
+from phfmu.audit.summary import LedgerSummary
+from phfmu.report.audit_signals import AuditSignals, marks
+from phfmu.report.diagram import one_line
+from phfmu.report.flows import Book, books, links, ports
+from phfmu.report.history import History, read_history
+from phfmu.report.html import chart, part, write_page
+from phfmu.report.pick import pick
+from phfmu.report.picture import ALWAYS, picture, with_marks
+from phfmu.report.prefix import engineering
+from phfmu.report.recording import Mark
+from phfmu.report.result_table import ResultTable
+from phfmu.report.sankey import sankey
+from phfmu.words import counted
+
+#: rows of the table of events
+EVENTS = 60
+
+
+@dataclass(frozen=True)
+class Run:
+    """The files of one run, and what is wanted of its table; at least one of `audit` and `table`."""
+
+    name: str
+    audit: str | None = None
+    table: str | None = None
+    signals: Sequence[str] = field(default=())
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a page does not show, in lines; whether the ledger is closed (also of a run without an audit)."""
+
+    notes: tuple[str, ...]
+    closed: bool
+
+
+def write_report(run: Run, path: str | os.PathLike[str], window: tuple[float, float] = ALWAYS) -> Written:
+    """Write the page of a run over a window.
+
+    Errors: ValueError for files that cannot be read, a window without a step, signals that are not there.
+    """
+    body: list[str] = []
+    closed = True
+    notes: list[str] = []
+    events: list[Mark] = []
+    title = run.name
+    if run.audit is not None:
+        history, summary = read_history(run.audit), summarise(run.audit)
+        recording, closed = AuditSignals(history), summary.closed
+        title = recording.title if recording.title == run.name else f"{recording.title} ({run.name})"
+        events = marks(history)
+        body += [*_verdict(summary), *_facts(history, run)]
+        if summary.steps:
+            inside = _window(history, window)
+            body += _energy(inside, summary)
+            drawn = picture(recording, (), window)
+            body += [_heading("Over time"), chart(drawn)]
+            notes += drawn.notes
+    if run.table is not None:
+        table = ResultTable(run.table)
+        drawn = picture(table, pick(run.signals, table.names, run.table), window)
+        drawn = with_marks(drawn, events, window)
+        body += [_heading("Signals"), chart(drawn)]
+        notes += drawn.notes
+    body += _events([m for m in events if window[0] <= m.time <= window[1]])
+    notes = list(dict.fromkeys(notes))
+    body += [f'<p class="note">{escape(note)}</p>' for note in notes]
+    write_page(path, title, body)
+    return Written(tuple(notes), closed)
+
+
+def _window(history: History, window: tuple[float, float]) -> History:
+    inside = history.within(*window)
+    if not len(inside.steps["t0"]):
+        t0, h = history.steps["t0"], history.steps["h"]
+        raise ValueError(
+            f"{history.path} has no step from {window[0]:g} s to {window[1]:g} s; "
+            f"the run is from {t0[0]:g} s to {t0[-1] + h[-1]:g} s"
+        )
+    return inside
+
+
+def _verdict(summary: LedgerSummary) -> Iterator[str]:
+    if summary.closed:
+        yield f"<p><b>Ledger closed</b>: all energy is accounted for (tolerance {summary.rtol:g} of the energies in play).</p>"
+        return
+    yield '<p class="bad">Ledger violated:</p><ul>'
+    yield from (f"<li>{escape(str(v))}</li>" for v in summary.violations)
+    yield "</ul>"
+
+
+def _facts(history: History, run: Run) -> Iterator[str]:
+    about, steps = history.about, history.steps
+    versions = about.get("phfmu.audit.versions", {})
+    facts: dict[str, Any] = {"target": about.get("target"), "run": about.get("run")}
+    if len(steps["t0"]):
+        t, h = steps["t0"], steps["h"]
+        size = f"{h.min():.3g} s" if h.max() - h.min() <= 1e-9 * h.max() else f"{h.min():.3g} s to {h.max():.3g} s"
+        facts["steps"] = f"{len(t)} of {size}, from {t[0]:.6g} s to {t[-1] + h[-1]:.6g} s"
+    external = sum(not junction for _, _, junction in history.ports)
+    parts = [(len(history.components), "member"), (len(history.junctions), "junction"), (external, "external port")]
+    facts["model"] = ", ".join(counted(n, what) for n, what in parts if n)
+    facts["files"] = ", ".join(Path(f).name for f in (run.audit, run.table) if f)
+    facts["versions"] = ", ".join(f"{name} {text}" for name, text in versions.items())
+    rows = [f"<tr><th>{name}</th><td>{escape(str(value))}</td></tr>" for name, value in facts.items() if value]
+    yield f'<table class="facts">{"".join(rows)}</table>'
+
+
+def _energy(inside: History, summary: LedgerSummary) -> Iterator[str]:
+    """Diagram, Sankey and books of the steps of a window."""
+    t, h = inside.steps["t0"], inside.steps["h"]
+    span = f"{t[0]:.6g} s to {t[-1] + h[-1]:.6g} s"
+    accounts, flows = books(inside), links(inside)
+    below = {b.component: f"dissipated {engineering(b.dissipated, 'J')}" for b in accounts if b.dissipated}
+    diagram = one_line([b.component for b in accounts], ports(inside), below)
+    if diagram:
+        yield _heading(f"Energy through the ports, {span}")
+        yield f'<div class="wide">{diagram}</div>'
+        yield '<p class="note">Widths are proportional to energy (1 px at least); arrows show which way it went.</p>'
+    if flows:
+        yield _heading(f"Where the energy went, {span}")
+        yield part(sankey(flows))
+        yield from _books(accounts, summary)
+
+
+def _books(accounts: Sequence[Book], summary: LedgerSummary) -> Iterator[str]:
+    """The energies of the members as a table; columns that are empty are left out."""
+    words = {c.component: c.verdict for c in summary.components}
+    names = ("stored", "dissipated", "numerical", "supplied", "events", "residual")
+    shown = [n for n in names if any(getattr(b, n) is not None for b in accounts)]
+    heads = {"numerical": "lost by the scheme", "events": "by events"}
+    head = "".join(f'<th class="n">{heads.get(n, n)}</th>' for n in shown)
+    rows = [
+        f"<tr><td>{escape(b.component)}</td>"
+        + "".join(_cell(getattr(b, n)) for n in shown)
+        + f"<td{' class=bad' if words[b.component] == 'VIOLATED' else ''}>{escape(words[b.component])}</td></tr>"
+        for b in accounts
+    ]
+    yield f"<table><tr><th>component</th>{head}<th>verdict</th></tr>{''.join(rows)}</table>"
+    worst = {j.junction: j.worst_residual for j in summary.junctions}
+    if worst:
+        said = ", ".join(f"{name} {engineering(size, 'J')}" for name, size in worst.items())
+        yield f'<p class="note">Largest energy that a junction created or lost in a step: {escape(said)}.</p>'
+
+
+def _cell(value: float | None) -> str:
+    return "<td></td>" if value is None else f'<td class="n" title="{value!r} J">{engineering(value, "J")}</td>'
+
+
+def _events(found: Sequence[Mark]) -> Iterator[str]:
+    if not found:
+        return
+    yield _heading("Events")
+    rows = "".join(f'<tr><td class="n">{m.time:.9g} s</td><td>{escape(m.text)}</td></tr>' for m in found[:EVENTS])
+    more = f'<p class="note">and {len(found) - EVENTS} more times</p>' if len(found) > EVENTS else ""
+    yield f"<table>{rows}</table>{more}"
+
+
+def _heading(text: str) -> str:
+    return f"<h2>{escape(text)}</h2>"
