@@ -132,6 +132,13 @@ def test_pages_name_files_that_exist(page: Path) -> None:
         assert path == example or (ROOT / path).exists(), f"{name(page)} names {path}"
 
 
+def test_each_kind_of_part_has_an_example_that_runs() -> None:
+    text = (ROOT / "docs" / "internals" / "add-a-part.md").read_text(encoding="utf-8")
+    sections = {s.partition("\n")[0]: s for s in text.split("\n## ")[1:]}
+    for kind in ("domain", "component", "scheme", "coupling", "FMI version"):
+        assert any(kind in title and "```python" in body for title, body in sections.items()), kind
+
+
 def test_code_names_pages_that_exist() -> None:
     sources = [
         p for folder in ("phfmu", "components", "tests") for p in (ROOT / folder).rglob("*") if p.suffix != ".pyc"

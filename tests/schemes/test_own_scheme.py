@@ -1,4 +1,4 @@
-"""A scheme with unknowns of its own, written here and nowhere else: the package knows it by its protocol only.
+"""A scheme with unknowns of its own, written on a page of the docs and nowhere else: the package knows it by its protocol only.
 
 Midpoint collocation keeps g(q) of a holonomic model, its velocities come off the constraint.  At the end of each step an
 impulse puts them back, what that costs is a numerical loss:
@@ -8,8 +8,9 @@ impulse puts them back, what that costs is a numerical loss:
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field, replace
+import re
+from collections.abc import Callable
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -17,108 +18,19 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-from phfmu import (
-    PHDAE,
-    Collocated,
-    Holonomic,
-    NativeInstance,
-    PythonInstance,
-    algebraic,
-    build_model,
-    energy,
-    skew,
-    state,
-)
-from phfmu.gradients.quadrature import Nodes, nodes
-from phfmu.plan.address import Address, increment, velocity_increment, with_velocities
-from phfmu.plan.arguments import Arguments
-from phfmu.plan.layout import Layout
-from phfmu.plan.plan import Holds
-from phfmu.plan.planner import Maps
-from phfmu.plan.spec import Result, Spec
-from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
-from phfmu.schemes.scheme import Scheme, Triplet
-from phfmu.terms.term import CONSTRAINT, Term, Terms
+from phfmu import PHDAE, Holonomic, NativeInstance, PythonInstance, algebraic, build_model, energy, skew, state
+from phfmu.schemes.scheme import Scheme
 
-KICK = Role("impulse of a constraint at the end of a step", vanishes=True)
-SHIFT = Role("shift of a velocity by impulses", vanishes=True)
+PAGE = Path(__file__).parents[2] / "docs" / "internals" / "add-a-part.md"
 
 
-def kick(layout: Layout, term: Term, j: int, node: int) -> int:
-    del j, node
-    return layout.at(KICK, term.rows[0][1])
-
-
-def shift(layout: Layout, term: Term, j: int, node: int) -> int:
-    return layout.at(SHIFT, layout.terms.velocity_of[term.index["x"][j]], node)
-
-
-@dataclass(frozen=True)
-class Kicked:
-    """Midpoint collocation with impulses that keep Dg v = 0; unit masses."""
-
-    name: str = "kicked"
-    gradient: str = "per-term"
-    order: int = 2
-    joint: bool = field(default=False, init=False)
-    loses_energy: bool = field(default=True, init=False)
-    two_level: bool = field(default=True, init=False)
-    impulses: bool = field(default=False, init=False)
-
-    @property
-    def _base(self) -> Collocated:
-        return Collocated(1, self.gradient, impulses=False)
-
-    @property
-    def nodes(self) -> Nodes:
-        return nodes(1)
-
-    def prepare(self, terms: Terms) -> Terms:
-        return self._base.prepare(terms)
-
-    def unknowns(self, terms: Terms) -> Sequence[Unknown]:
-        bars = terms.of(CONSTRAINT)
-        velocities = sorted({terms.velocity_of[q] for t in bars for q in t.index["x"]})
-        out = self._base.unknowns(terms)
-        out += of_algebraics(terms, KICK, "velocity at the end on", [t.rows[0][1] for t in bars])
-        return out + of_states(terms, SHIFT, "impulse on", velocities)
-
-    def reports(self, terms: Terms) -> Sequence[Hashable]:
-        return self._base.reports(terms)
-
-    def specs(self, term: Term) -> list[Spec]:
-        found = self._base.specs(term)
-        return [*found, _impulse(term)] if term.kind is CONSTRAINT else found
-
-    def constants(self, layout: Layout) -> list[Triplet]:
-        own = [w for w, u in enumerate(layout.unknowns) if u.role is SHIFT]
-        return self._base.constants(layout) + [(w, w, 1.0, 0) for w in own]
-
-    def maps(self, layout: Layout) -> Maps:
-        base = self._base.maps(layout)
-        shifts = [(u.index, w, 1.0) for w, u in enumerate(layout.unknowns) if u.role is SHIFT]
-        return replace(base, update=base.update + shifts)
-
-    def holds(self, layout: Layout) -> Holds:
-        del layout
-        return Holds()
-
-
-def _impulse(term: Term) -> Spec:
-    args, q, g = Arguments(term, 1), term.local["x"], term.data["g"]
-    n = q.numel()
-    v = ca.SX.sym("v", n)
-    d, dv, s, mu = (
-        args.matrix(increment, n),
-        args.matrix(velocity_increment, n),
-        args.matrix(shift, n),
-        args.symbol(kick),
-    )
-    end = ca.substitute(ca.gradient(g, q), q, q + d)
-    out: list[Result] = [(Address(shift, j), 0, -end[j] * mu) for j in range(n)]
-    out.append((Address(kick), 0, ca.dot(end, v + dv + s)))
-    stored = mu * ca.dot(end, v + dv + s / 2)
-    return Spec(1, ca.vertcat(q, v), args.p, args.y, out, stored=stored, numerical=-stored, old=with_velocities)
+@pytest.fixture(scope="module")
+def Kicked() -> Callable[[], Scheme]:
+    """The class as the page has it."""
+    (block,) = re.findall(r"^```python\n(# kicked\.py\n.*?)^```$", PAGE.read_text(encoding="utf-8"), re.M | re.S)
+    space: dict[str, Callable[[], Scheme]] = {}
+    exec(compile(block, PAGE.name, "exec"), space)
+    return space["Kicked"]
 
 
 GRAVITY = 9.81
@@ -149,10 +61,11 @@ def by_hand(x: np.ndarray, h: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
-def test_a_scheme_with_unknowns_of_its_own_runs_in_both_engines(pendulum: PHDAE, engine: type) -> None:
+def test_a_scheme_with_unknowns_of_its_own_runs_in_both_engines(
+    pendulum: PHDAE, Kicked: Callable[[], Scheme], engine: type
+) -> None:
     """Its steps are those of the equations solved by hand; both constraints hold, the ledger closes with its loss."""
-    scheme: Scheme = Kicked()
-    model = build_model(pendulum, scheme)
+    model = build_model(pendulum, Kicked())
     assert model.step.nw == 5 + 1 + 2 and model.loses_energy and "impulse on v[1]" in model.row_names
     instance, x, h, lost = engine(model), START, 0.02, 0.0
     for k in range(40):
@@ -169,7 +82,7 @@ def test_a_scheme_with_unknowns_of_its_own_runs_in_both_engines(pendulum: PHDAE,
     assert lost == pytest.approx(energies[0] - energies[1], abs=1e-11) and abs(lost) > 1e-9
 
 
-def test_it_converges_with_its_order(pendulum: PHDAE) -> None:
+def test_it_converges_with_its_order(pendulum: PHDAE, Kicked: Callable[[], Scheme]) -> None:
     """Against the angle of the pendulum by another method."""
     model, stop = build_model(pendulum, Kicked()), 0.4
     start = [np.arctan2(START[0], -START[1]), START[2] * -START[1] + START[3] * START[0]]
