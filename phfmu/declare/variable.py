@@ -35,7 +35,12 @@ def _values(name: str, what: str, value: Number, size: int) -> tuple[float, ...]
     if array.size == 1:
         array = np.full(size, array[0])
     if array.size != size:
-        raise ValueError(f"{name}: {what} has {array.size} entries, the variable has {size}")
+        raise DeclarationError(
+            name,
+            f"{what} has {array.size} entries, the variable has {size}",
+            "give one number, or one for each entry",
+            "shape",
+        )
     return tuple(float(v) for v in array)
 
 
@@ -152,10 +157,11 @@ class Variable(_Arithmetic):
     def part(self, first: int, n: int) -> Variable:
         """Entries first .. first + n - 1 (from 0) as a view, for blocks and ports that act on few entries.
 
-        ValueError if the variable has no such entries.
+        DeclarationError if the variable has no such entries.
         """
         if first < 0 or n < 1 or first + n > self.n:
-            raise ValueError(f"{self.name} has {self.n} entries, not {first + 1} .. {first + n}")
+            reason = f"has {self.n} entries, not {first + 1} .. {first + n}"
+            raise DeclarationError(self.name, reason, "take a part within them", "shape")
         rows = slice(first, first + n)
         return replace(
             self, size=n, start=self.start[rows], nominal=self.nominal[rows], sx=self.sx[rows], z=self.z[rows],

@@ -36,8 +36,9 @@ class StepFailure(RuntimeError):
     the values at one instant failed; `equation`: name of the row with the largest scaled residual `residual`, of
     which rounding alone leaves `floor`; `update`: last scaled change of the unknowns (1 = nominal); `iterations` of the
     last attempt, `spent` by all at this internal step; `tried`: what was attempted; `joined`: members were being joined,
-    `history` the scaled residuals of that.  A run adds `asked`, the step it asked for, and `longest`, the longest it had
-    solved.  The remedy follows from these (`remedy`).
+    `history` the scaled residuals of that, `composable`: they are all declared, so that one model can be made of them.
+    A run adds `asked`, the step it asked for, and `longest`, the longest it had solved.  The remedy follows from these
+    (`remedy`).
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class StepFailure(RuntimeError):
         spent: int = 0,
         tried: str = "",
         joined: bool = False,
+        composable: bool = False,
         history: Sequence[float] = (),
     ) -> None:
         self.status = status
@@ -68,7 +70,7 @@ class StepFailure(RuntimeError):
         self.iterations = iterations
         self.spent = spent
         self.tried = tried
-        self.joined, self.history = joined, tuple(history)
+        self.joined, self.composable, self.history = joined, composable, tuple(history)
         self.asked, self.longest = 0.0, 0.0
         #: what a run over many steps had recorded of the accepted ones
         self.recorded: dict[str, Any] = {}
@@ -147,15 +149,21 @@ REMEDIES = (
     ),
     Remedy(
         Status.NO_CONVERGENCE,
-        lambda f: f.joined and _stalls(f),
+        lambda f: f.composable and _stalls(f),
         "the residual has stopped shrinking: compose the network (--coupling monolithic), or compare the sizes of members that "
         "meet there",
     ),
     Remedy(
         Status.NO_CONVERGENCE,
-        lambda f: f.joined,
+        lambda f: f.joined and _stalls(f),
+        "the residual has stopped shrinking, and units cannot be composed: compare the sizes of members that meet there",
+    ),
+    Remedy(
+        Status.NO_CONVERGENCE,
+        lambda f: f.composable,
         "the iteration still moves: take a smaller step, or compose the network (--coupling monolithic)",
     ),
+    Remedy(Status.NO_CONVERGENCE, lambda f: f.joined, "the iteration still moves: take a smaller step"),
     Remedy(
         Status.NO_CONVERGENCE,
         _at_rounding,

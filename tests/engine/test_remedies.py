@@ -38,10 +38,27 @@ def test_remedies_follow_from_the_facts() -> None:
     loose = failure(residual=2.5e-14, floor=1.6e-19, update=0.1)
     assert "hardly determined" in remedy(loose)
     assert "start values" in remedy(failure(h=0.0, residual=1.0))
-    assert "take a smaller step" in remedy(failure(joined=True, history=(1.0, 0.3, 0.05)))
-    stuck = remedy(failure(joined=True, history=(1.0, 0.9, 0.95)))
+    assert "take a smaller step" in remedy(failure(joined=True, composable=True, history=(1.0, 0.3, 0.05)))
+    stuck = remedy(failure(joined=True, composable=True, history=(1.0, 0.9, 0.95)))
     assert "stopped shrinking" in stuck and "smaller step" not in stuck
     assert "Next: " + remedy(blunt) in str(blunt)
+
+
+def test_a_network_with_units_is_not_told_to_compose_them() -> None:
+    """A unit is known by its ports: only declared members make one model."""
+    from phfmu import ELECTRICAL, PHDAE, Port
+    from phfmu.components.electrical import resistor, rlc_load
+    from phfmu.engine.status import remedy
+
+    for history in (1.0, 0.3, 0.05), (1.0, 0.9, 0.95):
+        told = [remedy(failure(joined=True, composable=c, history=history)) for c in (True, False)]
+        assert "--coupling monolithic" in told[0] and "--coupling" not in told[1] and told[1]
+    net = Network("net")
+    net.add("a", resistor(1.0))
+    net.add("b", rlc_load(1.0, 1.0, 1.0))
+    assert net.composable
+    net.add("unit", PHDAE("unit", ports=(Port("p", ELECTRICAL, "effort", {}),)))
+    assert not net.composable
 
 
 @pytest.mark.parametrize("status", [s for s in Status if s not in (Status.OK, Status.UNIT)])

@@ -65,9 +65,9 @@ class Coupled:
 
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> None:
         """Members know their own constraints only; ValueError tells how to start."""
-        raise ValueError(
-            f"{self.joined.network.name}: a coupled network cannot be projected at t = {t0:g} s; use --coupling monolithic"
-        )
+        network = self.joined.network
+        instead = "use --coupling monolithic" if network.composable else "start its units where the junctions hold"
+        raise ValueError(f"{network.name}: a coupled network cannot be projected at t = {t0:g} s; {instead}")
 
     def prepare(self, t0: float, h: float) -> None:
         """Junction values before the first step: those of a trial step, then everything back."""

@@ -53,9 +53,10 @@ class EndSums:
                 pure = not face.C[own[0], : own[0]].any()
                 bad.append(f"{n}: sum {v:.6g}" if pure else f"{n}: {self._differ(j, v)}")
         if bad:
+            instead = f", or {MONOLITHIC}" if network.composable else ""
             raise InconsistentState(
                 f"{network.name}: inconsistent start: {'; '.join(bad)}. Joined flows of states must sum to zero "
-                f"and joined outputs must be equal at the start; change the start values, or {MONOLITHIC}"
+                f"and joined outputs must be equal at the start; change the start values{instead}"
             )
 
     def _hidden(self, xi: Array) -> Array:

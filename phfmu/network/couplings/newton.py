@@ -115,4 +115,5 @@ def _failure(status: Status, joined: Joined, step: Step, trial: Trial, history: 
         equation=f"junction row of {joined.face.names[worst]} = {trial.xi[worst]:.6g}",
         residual=float(abs(trial.r[worst])), iterations=len(history),
         tried=f"interface Newton (last scaled residuals {last}); all members are back at t", joined=True, history=history,
+        composable=joined.network.composable,
     )  # fmt: skip

@@ -79,6 +79,11 @@ class Network:
         """The network as one PHDAE: the class is closed under interconnection."""
         return compose(self.name, self.members, self.junctions, self.description)
 
+    @property
+    def composable(self) -> bool:
+        """Whether all members are declared; a unit stands in a network with its ports only."""
+        return all(m.states or m.algebraics or m.structure or m.dissipation for m in self.members.values())
+
     def port_of(self, end: End) -> Port:
         """The port an end of a junction refers to."""
         return self._port(end)
