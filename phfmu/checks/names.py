@@ -39,7 +39,7 @@ def names(model: PHDAE) -> list[Problem]:
         found.append(Problem("name", entries, f"'{name}' is used {n} times", "give each entry a name of its own"))
     if len(once) < len(list(variables(model))) + len(model.ports):
         return found  # entries listed twice repeat all of their signals
-    clear = [(entry, name) for entry, name in _signals(model) if entry.split("'")[1] not in twice]
+    clear = [(entry, name) for whose, entry, name in _signals(model) if whose not in twice]
     for name, (n, entries) in _repeated(clear).items():
         text = f"{n} reported signals are called '{name}'"
         found.append(Problem("name", entries, text, "rename one of them"))
@@ -54,26 +54,26 @@ def _repeated(named: list[tuple[str, str]]) -> dict[str, tuple[int, str]]:
     return {name: (len(e), ", ".join(dict.fromkeys(e))) for name, e in where.items() if len(e) > 1}
 
 
-def _signals(model: PHDAE) -> Iterator[tuple[str, str]]:
-    """(entry, name) of every reported scalar."""
-    yield "the 'time'", "time"
+def _signals(model: PHDAE) -> Iterator[tuple[str, str, str]]:
+    """(what it belongs to, entry, name) of every reported scalar."""
+    yield "time", "the 'time'", "time"
     for member in model.members:
         for what in _LEDGER:
-            yield f"the ledger of '{member}'", f"{member}.energy.{what}" if member else f"energy.{what}"
+            yield member, f"the ledger of '{member}'", f"{member}.energy.{what}" if member else f"energy.{what}"
     for v, role in variables(model):
         for name in v.names():
-            yield f"variable '{v.name}'", name
+            yield v.name, f"variable '{v.name}'", name
             if role == "algebraics":
                 base, bracket, index = name.partition("[")
-                yield f"value of '{v.name}' at the end of a step", f"{base}_end{bracket}{index}"
+                yield v.name, f"value of '{v.name}' at the end of a step", f"{base}_end{bracket}{index}"
     for port in model.ports:
         given = port.input_names() if port.external else []
         for name in (*given, *port.output_names(), *port.output_names("_step"), f"{port.name}.energy"):
-            yield f"port '{port.name}'", name
+            yield port.name, f"port '{port.name}'", name
     for o in model.observables:
         n = o.expr.numel()
         for name in [o.name] if n == 1 else [f"{o.name}[{j + 1}]" for j in range(n)]:
-            yield f"observable '{o.name}'", name
+            yield o.name, f"observable '{o.name}'", name
 
 
 def _owners(model: PHDAE) -> list[Problem]:

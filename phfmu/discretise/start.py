@@ -61,8 +61,9 @@ class Projection:
 
 def _move(name: str, before: float, after: float) -> str:
     """With as many digits as tell the two values apart."""
-    texts = (f"{name}: {before:.{digits}g} -> {after:.{digits}g}" for digits in (9, 13, 17))
-    return next(t for t in texts if len(set(t.removeprefix(f"{name}: ").split(" -> "))) == 2)
+    pairs = ((f"{before:.{digits}g}", f"{after:.{digits}g}") for digits in (9, 13, 17))
+    a, b = next((a, b) for a, b in pairs if a != b)
+    return f"{name}: {a} -> {b}"
 
 
 def project_start(

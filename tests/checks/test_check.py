@@ -644,3 +644,11 @@ def test_random_perturbations_are_caught(drawn, size, rule):
         z[i] += size * x[j] * max(1.0, 1e3)
         model = replace(model, z={x: z})
     assert rules(model) == [rule]
+
+
+def test_a_name_with_a_quote_is_told_once_for_each_rule():
+    """What a signal belongs to is asked of the declaration, not of the words about it."""
+    x = state("a", start=1.0)
+    twice = tuple(observable("x'a", x) for _ in range(2))
+    found = check(PHDAE("m", states=(x,), energies=(energy(x**2 / 2),), observables=twice))
+    assert [p.reason.rpartition("' ")[2] for p in found] == ["is not a structured name"] * 2 + ["is used 2 times"]

@@ -217,5 +217,7 @@ def test_star_import_brings_all_public_names() -> None:
 
 
 def test_entries_that_a_variable_does_not_have():
-    refused(lambda: state("v", 2, start=(1.0, 2.0, 3.0)), "v: start has 3 entries, the variable has 2", "for each entry")
+    refused(
+        lambda: state("v", 2, start=(1.0, 2.0, 3.0)), "v: start has 3 entries, the variable has 2", "for each entry"
+    )
     refused(lambda: state("v", 2).part(1, 2), "v: has 2 entries, not 2 .. 3", "within them")
