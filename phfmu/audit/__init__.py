@@ -7,10 +7,10 @@ if TYPE_CHECKING:
     from .analysis import summarise, verdict
     from .archive import Recovered, metadata, read, recover
     from .block import Block, Layout, PortKey, make_block
+    from .events import EventRow
     from .judge import DEFAULT_RTOL, Judge, Violation
     from .ledger import Ledger
     from .report import audit_table
-    from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
     from .sink import Sink
     from .stream import AuditWriter
     from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
@@ -22,7 +22,7 @@ _HOME = {
     "judge": ("DEFAULT_RTOL", "Judge", "Violation"),
     "ledger": ("Ledger",),
     "report": ("audit_table",),
-    "rows": ("ComponentRow", "EventRow", "JunctionRow", "NetworkRow", "PortRow"),
+    "events": ("EventRow",),
     "sink": ("Sink",),
     "stream": ("AuditWriter",),
     "summary": ("ComponentSummary", "JunctionSummary", "LedgerSummary", "NetworkSummary", "PortSummary"),
@@ -32,19 +32,15 @@ __all__ = [
     "DEFAULT_RTOL",
     "AuditWriter",
     "Block",
-    "ComponentRow",
     "ComponentSummary",
     "EventRow",
     "Judge",
-    "JunctionRow",
     "JunctionSummary",
     "Layout",
     "Ledger",
     "LedgerSummary",
-    "NetworkRow",
     "NetworkSummary",
     "PortKey",
-    "PortRow",
     "PortSummary",
     "Recovered",
     "Sink",

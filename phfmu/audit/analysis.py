@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Layout, PortKey, make_block
+from phfmu.engine.steps import Steps
+
+from .block import ESTIMATED, EXACT, SILENT, Layout, PortKey, make_block
 from .contradictions import Contradictions
 from .judge import DEFAULT_RTOL, Violation
 from .ledger import Ledger
 from .reading import Batches, Interned, Rows
-from .rows import ESTIMATED, EXACT, SILENT
 from .summary import LedgerSummary
 from .sums import Floats
 
@@ -26,7 +27,7 @@ Ints = NDArray[np.int64]
 WAITING_ROWS = 1 << 22
 
 _STEPPED = ("component", "port", "junction")
-_OPTIONAL = ("dissipated", "supplied", "numerical", "moved")
+_OPTIONAL = ("numerical", "moved")
 
 
 def verdict(source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_RTOL) -> list[Violation]:
@@ -161,42 +162,37 @@ class _Reader:
         rows, c = tables.get("component", (None, 0))
         ports, q = tables.get("port", (None, 0))
 
-        def table(name: str) -> Floats | None:
+        def required(source: Rows | None, name: str, m: int, default: float = math.nan) -> Floats:
+            if source is None:
+                return np.zeros((n, m))
+            values, there = source.numbers[name]
+            return np.where(there, values, default).reshape(n, m)
+
+        def optional(name: str) -> Floats | None:
             if rows is None or not rows.numbers[name][1][:c].any():
                 return None
             values, there = rows.numbers[name]
             default = np.maximum(np.abs(rows.values("H0")), np.abs(rows.values("H1"))) if name == "moved" else 0.0
             return np.where(there, values, default).reshape(n, c)
 
-        def required(source: Rows | None, name: str, m: int) -> Floats:
-            if source is None:
-                return np.zeros((n, 0))
-            values, there = source.numbers[name]
-            return np.where(there, values, math.nan).reshape(n, m)
-
-        H0, H1, dH = (required(rows, name, c) for name in ("H0", "H1", "dH"))
-        lost, gained, damped, moved = (table(name) for name in _OPTIONAL)
-        block = make_block(
-            layout, network.step, network.values("t0"), network.values("h"), H1, dH, lost, gained,
-            required(ports, "supplied", q), H0=H0, moved=moved, numerical=damped,
-        )  # fmt: skip
+        H0, H1, stored = (required(rows, name, c) for name in ("H0", "H1", "dH"))
+        lost, gained = (required(rows, name, c, 0.0) for name in ("dissipated", "supplied"))
+        pairs, damped, moved = required(ports, "supplied", q), optional("numerical"), optional("moved")
+        steps = Steps(H1, stored, lost, gained, pairs, damped, moved)
+        block = make_block(layout, network.step, network.values("t0"), network.values("h"), steps, H0)
         self._contradictions.hold(self.ledger.take(block), tables)
 
     def _layout(self, tables: Mapping[str, tuple[Rows, int]]) -> Layout:
         """Names of the columns, from the first step."""
         parts = {kind: rows.take(slice(0, m)) for kind, (rows, m) in tables.items() if kind in ("component", "port")}
-        key = tuple(
-            x.tobytes()
-            for p in parts.values()
-            for x in (*p.names.values(), *(p.numbers[k][1] for k in _OPTIONAL if k in p.numbers), *_index(p))
-        )
+        key = tuple(x.tobytes() for p in parts.values() for x in (*p.names.values(), *_index(p)))
         if key not in self._layouts:
             self._layouts[key] = self._new_layout(parts)
         return self._layouts[key]
 
     def _new_layout(self, parts: Mapping[str, Rows]) -> Layout:
         name = self._interned.name
-        keys, components, absent, silent = [], (), set(), set()
+        keys, components, silent = [], (), set()
         if "port" in parts:
             p = parts["port"]
             for i in range(p.n):
@@ -212,11 +208,10 @@ class _Reader:
             components = tuple(name(code) or "" for code in p.names["component"])
             owners = {key.component for key in keys}
             for i, component in enumerate(components):
-                absent.update((component, k) for k in _OPTIONAL if not p.numbers[k][1][i])
                 claimed = name(p.names["quality"][i])
                 if claimed == SILENT and component not in owners and not p.values("dH")[i]:
                     silent.add(component)
-        layout = Layout(components, tuple(keys), frozenset(silent), frozenset(absent))
+        layout = Layout(components, tuple(keys), frozenset(silent))
         if "component" in parts:
             for component, code in zip(components, parts["component"].names["quality"], strict=True):
                 claimed, found = name(code) or EXACT, layout.quality(component)

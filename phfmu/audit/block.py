@@ -1,4 +1,4 @@
-"""Many steps as columns: what an engine hands over that steps faster than rows can be made."""
+"""Steps as the ledger takes them: what their columns are called, and what follows from them."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,34 +6,37 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .rows import ESTIMATED, EXACT, SILENT
+from phfmu.engine.steps import Steps, balance
+
 from .sums import Floats, Ints, across
+
+# how well the energy of a component or port is known
+EXACT = "exact"
+ESTIMATED = "estimated"  # a quadrature, not the step's own
+SILENT = "none"  # a unit that tells nothing
 
 
 @dataclass(frozen=True, slots=True)
 class PortKey:
-    """What stays the same of a `PortRow` from step to step; one column of a block."""
+    """One effort/flow pair, one column of `Steps.pairs`; `index` numbers the pairs of a vector port from 1."""
 
     component: str
     port: str
     index: int | None = None
     junction: str | None = None
-    kind: str = "step-conjugate"
     quality: str = EXACT
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Names of a block's columns: c components, q scalar ports; the junctions follow from the ports.
+    """Names of the columns of `Steps`: c components, q scalar ports; the junctions follow from the ports.
 
     `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
-    `absent`: (component, column) where a column that others fill does not exist, e.g. ("spring", "dissipated").
     """
 
     components: tuple[str, ...]
     ports: tuple[PortKey, ...] = ()
     silent: frozenset[str] = frozenset()
-    absent: frozenset[tuple[str, str]] = frozenset()
 
     @cached_property
     def junctions(self) -> dict[str, list[int]]:
@@ -74,17 +77,14 @@ class Layout:
             return SILENT
         return ESTIMATED if component in self.estimated else EXACT
 
-    def has(self, component: str, column: str) -> bool:
-        return (component, column) not in self.absent
-
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """n steps by columns: [n] per step, [n,c] per component, [n,q] per port, [n,junctions] per junction.
+    """n steps with what follows from them: [n] per step, [n,c] per component, [n,junctions] per junction; energies in joule.
 
     `in_play` is what a residual is measured against: the energies that moved within the component (`moved`, or else
-    max(|H0|, |H1|)), |supplied|, |dissipated|, |numerical| and |energy| of each port pair. `network` holds the fields of
-    `NetworkRow` that are present, each [n]. Made by `make_block`.
+    max(|H0|, |H1|)), |supplied|, |dissipated|, |numerical| and |energy| of each port pair. `network` holds the columns of
+    the network's row, each [n]. Made by `make_block`.
     """
 
     layout: Layout
@@ -92,93 +92,56 @@ class Block:
     t0: Floats
     h: Floats
     H0: Floats
-    H1: Floats
-    dH: Floats
+    steps: Steps
     residual: Floats
     in_play: Floats
-    dissipated: Floats | None
-    supplied: Floats | None
-    moved: Floats | None
-    newton: Ints | None
-    substeps: Ints | None
-    port_energy: Floats
-    port_u: Floats | None
-    port_y: Floats | None
     junction_residual: Floats
     junction_exchanged: Floats
     network: dict[str, Floats]
-    numerical: Floats | None = None
     relative: Floats | None = None  # filled in by who judges it
 
 
 def make_block(
-    layout: Layout,
-    step: ArrayLike,
-    t0: ArrayLike,
-    h: ArrayLike,
-    H: ArrayLike,
-    dH: ArrayLike,
-    dissipated: ArrayLike | None = None,
-    supplied: ArrayLike | None = None,
-    port_energy: ArrayLike | None = None,
-    port_u: ArrayLike | None = None,
-    port_y: ArrayLike | None = None,
-    *,
-    H0: ArrayLike | None = None,
-    moved: ArrayLike | None = None,
-    newton: ArrayLike | None = None,
-    substeps: ArrayLike | None = None,
-    numerical: ArrayLike | None = None,
+    layout: Layout, step: ArrayLike, t0: ArrayLike, h: ArrayLike, steps: Steps, H0: ArrayLike | None = None
 ) -> Block:
     """Copy n steps into a block and derive residuals, junctions and the network balance.
 
-    Shapes: step, t0 [n], h [n] or scalar; H (at the ends of the steps), dH, H0 (at their starts; default H - dH), dissipated,
-    supplied, moved, newton, substeps, numerical [n,c]; port_energy, port_u, port_y [n,q].
+    Shapes: step (number), t0 [n], h [n] or scalar; H0 [n,c], at the starts of the steps; default H - stored.
     Errors: ValueError naming the array and both shapes.
     """
-    steps = np.array(step, np.int64, ndmin=1)
-    n, c, q = len(steps), len(layout.components), len(layout.ports)
-    if q and port_energy is None:
-        raise ValueError(f"the layout has {q} ports but port_energy is None; give it with shape {(n, q)}")
-    times, widths = _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,))
-    ends, change = _table("H", H, (n, c)), _table("dH", dH, (n, c))
-    lost, gained = _maybe("dissipated", dissipated, (n, c)), _maybe("supplied", supplied, (n, c))
-    damped = _maybe("numerical", numerical, (n, c))
-    within = _maybe("moved", moved, (n, c))
-    energy = _table("port_energy", np.zeros((n, 0)) if port_energy is None else port_energy, (n, q))
+    numbers = np.array(step, np.int64, ndmin=1)
+    n, c, q = len(numbers), len(layout.components), len(layout.ports)
+    s = _checked(steps, n, c, q)
     with np.errstate(invalid="ignore", over="ignore"):
-        starts = ends - change if H0 is None else _table("H0", H0, (n, c))
-        spent, got, gone = (0.0 if a is None else a for a in (lost, gained, damped))
-        residual = change + spent + gone - got
-        inside = np.maximum(np.abs(starts), np.abs(ends)) if within is None else np.abs(within)
-        in_play = np.maximum(inside, np.abs(change)) + np.abs(got) + np.abs(spent) + np.abs(gone)
+        starts = s.H - s.stored if H0 is None else _table("H0", H0, (n, c))
+        gone = 0.0 if s.numerical is None else s.numerical
+        inside = np.maximum(np.abs(starts), np.abs(s.H)) if s.moved is None else np.abs(s.moved)
+        in_play = np.maximum(inside, np.abs(s.stored)) + np.abs(s.supplied) + np.abs(s.dissipated) + np.abs(gone)
         if q:
-            in_play += per_owner(layout, np.abs(energy))
+            in_play += per_owner(layout, np.abs(s.pairs))
         members = list(layout.junctions.values())
-        created = _stack(n, [across(energy[:, m]) for m in members])
-        exchanged = _stack(n, [0.5 * across(np.abs(energy[:, m])) for m in members])
-    return Block(
-        layout=layout,
-        step=steps,
-        t0=times,
-        h=widths,
-        H0=starts,
-        H1=ends,
-        dH=change,
-        residual=residual,
-        in_play=in_play,
-        dissipated=lost,
-        supplied=gained,
-        moved=within,
-        newton=_counts("newton", newton, (n, c)),
-        substeps=_counts("substeps", substeps, (n, c)),
-        port_energy=energy,
-        port_u=_maybe("port_u", port_u, (n, q)),
-        port_y=_maybe("port_y", port_y, (n, q)),
-        junction_residual=created,
-        junction_exchanged=exchanged,
-        network=_balance(layout, ends, change, lost, damped, energy, created),
-        numerical=damped,
+        created = _stack(n, [across(s.pairs[:, m]) for m in members])
+        exchanged = _stack(n, [0.5 * across(np.abs(s.pairs[:, m])) for m in members])
+        residual = balance(s.stored, s.dissipated, s.supplied, gone)
+        return Block(
+            layout, numbers, _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,)), starts, s, residual,
+            in_play, created, exchanged, _network(layout, s, created),
+        )  # fmt: skip
+
+
+def _checked(s: Steps, n: int, c: int, q: int) -> Steps:
+    """A copy of the columns that are booked, of the right shapes."""
+    shape = (n, c)
+    return Steps(
+        H=_table("H", s.H, shape),
+        stored=_table("stored", s.stored, shape),
+        dissipated=_table("dissipated", s.dissipated, shape),
+        supplied=_table("supplied", s.supplied, shape),
+        pairs=_table("pairs", s.pairs, (n, q)),
+        numerical=_maybe("numerical", s.numerical, shape),
+        moved=_maybe("moved", s.moved, shape),
+        iterations=_maybe("iterations", s.iterations, (n,)),
+        accepted_by=None if s.accepted_by is None else np.array(s.accepted_by),
     )
 
 
@@ -191,25 +154,19 @@ def per_owner(layout: Layout, energy: Floats) -> Floats:
     return sums
 
 
-def _balance(
-    layout: Layout, H: Floats, dH: Floats, lost: Floats | None, damped: Floats | None, energy: Floats, created: Floats
-) -> dict[str, Floats]:
-    """Network columns: unexplained = (dH + dissipated + numerical - external) - junction residuals, each summed."""
-    columns = {"H": across(H), "dH": across(dH)}
-    balance = columns["dH"]
-    with np.errstate(invalid="ignore", over="ignore"):
-        for name, energies in (("dissipated", lost), ("numerical", damped)):
-            if energies is not None:
-                columns[name] = across(energies)
-                balance = balance + columns[name]
-        if layout.external:
-            js, signs = zip(*layout.external, strict=True)
-            columns["external"] = across(energy[:, list(js)] * np.array(signs))
-            balance = balance - columns["external"]
-        if layout.junctions:
-            columns["junction_residual"] = across(created)
-            balance = balance - columns["junction_residual"]
-    columns["unexplained"] = balance
+def _network(layout: Layout, s: Steps, created: Floats) -> dict[str, Floats]:
+    """Columns of the network: unexplained = balance of the sums, with the external supply, - junction residuals."""
+    columns = {"H": across(s.H), "dH": across(s.stored), "dissipated": across(s.dissipated)}
+    if s.numerical is not None:
+        columns["numerical"] = across(s.numerical)
+    if layout.external:
+        js, signs = zip(*layout.external, strict=True)
+        columns["external"] = across(s.pairs[:, list(js)] * np.array(signs))
+    if layout.junctions:
+        columns["junction_residual"] = across(created)
+    none = np.zeros(len(s.H))
+    left = balance(columns["dH"], columns["dissipated"], columns.get("external", none), columns.get("numerical", 0.0))
+    columns["unexplained"] = left - columns.get("junction_residual", none)
     return columns
 
 
@@ -222,10 +179,6 @@ def _table(name: str, x: ArrayLike, shape: tuple[int, ...]) -> Floats:
 
 def _maybe(name: str, x: ArrayLike | None, shape: tuple[int, ...]) -> Floats | None:
     return None if x is None else _table(name, x, shape)
-
-
-def _counts(name: str, x: ArrayLike | None, shape: tuple[int, ...]) -> Ints | None:
-    return None if x is None else _table(name, x, shape).astype(np.int64)
 
 
 def _stack(n: int, columns: list[Floats]) -> Floats:

@@ -1,4 +1,4 @@
-"""The columns of the audit table, and rows or blocks turned into them.
+"""The columns of the audit table, and blocks of steps and events turned into them.
 
 One wide table: the column `row` says what a row is (component, port, junction, network, event) and thereby
 which columns it fills; the others are null. SI units; power positive INTO the component.
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .block import Block
-from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+from .events import EventRow
 
 SCHEMA_VERSION = 1
 
@@ -26,10 +26,8 @@ COLUMNS = {
     "port": "name",
     "index": "i32",  # of the pair within a vector port, from 1
     "junction": "name",
-    "kind": "name",  # of a port: how y was formed; of an event: what happened
+    "kind": "name",  # of an event: what happened
     "quality": "name",  # exact | estimated | none
-    "u": "f64",  # input held over the step, in the port's unit
-    "y": "f64",  # its conjugate mean
     "H": "f64",  # [J] network: sum over the components at the end of the step
     "H0": "f64",  # [J]
     "H1": "f64",  # [J]
@@ -48,17 +46,8 @@ COLUMNS = {
     "cum_external": "f64",
     "cum_junction_residual": "f64",
     "cum_unexplained": "f64",
-    "newton": "i32",
-    "newton_residual": "f64",
-    "substeps": "i32",
-    "rollbacks": "i32",
-    "r_max": "f64",
-    "cond": "f64",
-    "iterations": "i32",
-    "evals": "i32",
-    "method": "name",
-    "accepted_by": "name",
-    "status": "name",
+    "iterations": "i32",  # network: of Newton's method, of a coupling that of its interface
+    "accepted_by": "name",  # network: by which test the coupling took the step
     "energy_jump": "f64",  # [J] event
     "message": "text",
 }
@@ -69,23 +58,17 @@ DTYPES = {"i64": np.int64, "i32": np.int32, "f64": np.float64, "name": np.int32,
 FIELDS: dict[str, tuple[str, ...]] = {
     "component": (
         *("component", "H0", "H1", "dH", "dissipated", "supplied", "numerical", "residual", "moved", "quality"),
-        *("residual_rel", "newton", "newton_residual", "substeps", "rollbacks"),
+        "residual_rel",
     ),
-    "port": ("component", "port", "index", "junction", "kind", "quality", "u", "y", "supplied"),
-    "junction": (
-        *("junction", "residual", "exchanged", "r_max", "cond", "iterations", "evals"),
-        *("method", "accepted_by"),
-    ),
+    "port": ("component", "port", "index", "junction", "quality", "supplied"),
+    "junction": ("junction", "residual", "exchanged"),
     "network": (
-        *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained", "status"),
-        *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained"),
+        *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained"),
+        *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained", "iterations", "accepted_by"),
     ),
     "event": ("kind", "component", "energy_jump", "message"),
 }
-# a row's column whose attribute has another name
-_ATTRIBUTE = {"residual_rel": "relative"}
 
-Row = ComponentRow | PortRow | JunctionRow | NetworkRow | EventRow
 Encode = Callable[[str, Sequence[str | None]], NDArray[np.int32]]
 
 
@@ -108,57 +91,43 @@ def _filled(column: str, values: Sequence[Any], encode: Encode) -> tuple[NDArray
     return np.array([0 if value is None else value for value in values], DTYPES[kind]), valid
 
 
-def rows_section(kind: str, rows: Sequence[tuple[int | None, float, float | None, Row]], encode: Encode) -> Section:
-    """Rows of one kind, each with its step, t0 and h."""
-    columns = {
-        "row": _filled("row", [kind] * len(rows), encode),
-        "step": _filled("step", [row[0] for row in rows], encode),
-        "t0": _filled("t0", [row[1] for row in rows], encode),
-        "h": _filled("h", [row[2] for row in rows], encode),
-    }
-    for column in FIELDS[kind]:
-        attribute = _ATTRIBUTE.get(column, column)
-        columns[column] = _filled(column, [getattr(row[3], attribute) for row in rows], encode)
-    return Section(len(rows), {name: entry for name, entry in columns.items() if entry[1].any()})
+def event_section(events: Sequence[EventRow], encode: Encode) -> Section:
+    """Rows of events."""
+    values: dict[str, Sequence[Any]] = {"row": ["event"] * len(events), "t0": [event.t for event in events]}
+    values |= {column: [getattr(event, column) for event in events] for column in FIELDS["event"]}
+    columns = {column: _filled(column, entries, encode) for column, entries in values.items()}
+    return Section(len(events), {name: entry for name, entry in columns.items() if entry[1].any()})
 
 
 def block_sections(block: Block, encode: Encode) -> list[Section]:
     """Component, port, junction and network rows of a judged block, without a loop over its steps."""
-    layout = block.layout
-    quality = [layout.quality(name) for name in layout.components]
-    sections = [
-        _repeat(
-            block,
-            "component",
-            {"component": list(layout.components), "quality": quality},
-            {
-                "H0": block.H0,
-                "H1": block.H1,
-                "dH": block.dH,
-                "dissipated": block.dissipated,
-                "supplied": block.supplied,
-                "numerical": block.numerical,
-                "residual": block.residual,
-                "residual_rel": block.relative,
-                "moved": block.moved,
-                "newton": block.newton,
-                "substeps": block.substeps,
-            },
-            encode,
-        )
-    ]
+    layout, s = block.layout, block.steps
+    names = {"component": list(layout.components), "quality": [layout.quality(name) for name in layout.components]}
+    values = {
+        "H0": block.H0,
+        "H1": s.H,
+        "dH": s.stored,
+        "dissipated": s.dissipated,
+        "supplied": s.supplied,
+        "numerical": s.numerical,
+        "residual": block.residual,
+        "residual_rel": block.relative,
+        "moved": s.moved,
+    }
+    sections = [_repeat(block, "component", names, values, encode)]
     if layout.ports:
-        names = {
-            name: [getattr(port, name) for port in layout.ports]
-            for name in ("component", "port", "index", "junction", "kind", "quality")
-        }
-        values = {"supplied": block.port_energy, "u": block.port_u, "y": block.port_y}
-        sections.append(_repeat(block, "port", names, values, encode))
+        keys = ("component", "port", "index", "junction", "quality")
+        names = {name: [getattr(port, name) for port in layout.ports] for name in keys}
+        sections.append(_repeat(block, "port", names, {"supplied": s.pairs}, encode))
     if layout.junctions:
         values = {"residual": block.junction_residual, "exchanged": block.junction_exchanged}
         sections.append(_repeat(block, "junction", {"junction": list(layout.junctions)}, values, encode))
     network = {name: column[:, None] for name, column in block.network.items()}
     sections.append(_repeat(block, "network", {}, network, encode))
+    if s.iterations is not None:
+        sections[-1].columns["iterations"] = s.iterations.astype(np.int32), None
+    if s.accepted_by is not None:
+        sections[-1].columns["accepted_by"] = encode("accepted_by", s.accepted_by.tolist()), None
     return sections
 
 

@@ -22,7 +22,7 @@ class Contradictions:
     def hold(self, block: Block, tables: Mapping[str, tuple[Rows, int]]) -> None:
         """Compare what the rows say with what follows from the others."""
         size = np.nan_to_num(block.in_play, posinf=0.0).sum(axis=1)
-        size += np.nan_to_num(np.abs(block.port_energy), posinf=0.0).sum(axis=1)
+        size += np.nan_to_num(np.abs(block.steps.pairs), posinf=0.0).sum(axis=1)
         if "component" in tables:
             rows, c = tables["component"]
             for i, name in enumerate(block.layout.components):
@@ -37,7 +37,9 @@ class Contradictions:
         self._played = float(played[-1])
         for column, values in block.network.items():
             scale = (
-                played if column.startswith("cum_") else size + (np.abs(block.H1).sum(axis=1) if column == "H" else 0.0)
+                played
+                if column.startswith("cum_")
+                else size + (np.abs(block.steps.H).sum(axis=1) if column == "H" else 0.0)
             )
             self._same(block, "network", network, column, values, scale)
 

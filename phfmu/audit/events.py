@@ -1,4 +1,17 @@
-"""How many events there were of each kind."""
+"""What happens outside the steps, and how often."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """Something outside the steps: input, parameter, reprojection, nonconverged, interrupted; energies in joule."""
+
+    t: float
+    kind: str
+    component: str | None = None
+    energy_jump: float | None = None
+    message: str | None = None
 
 
 class EventCount:

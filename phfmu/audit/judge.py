@@ -16,8 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block, per_owner
-from .rows import ESTIMATED, EXACT, SILENT
+from .block import ESTIMATED, EXACT, SILENT, Block, per_owner
 from .sums import CompensatedSum, Floats, extend, ratio
 
 DEFAULT_RTOL = 1e-11
@@ -115,16 +114,14 @@ class Judge:
         in_play = np.where(np.isfinite(block.in_play), block.in_play, np.nan)
         reach = _running([a.reach for a in accounts], np.maximum(_finite(in_play), _finite(np.abs(stored))))
         with np.errstate(invalid="ignore", over="ignore"):
-            H = np.maximum(_finite(np.abs(block.H0)), _finite(np.abs(block.H1)))
+            H = np.maximum(_finite(np.abs(block.H0)), _finite(np.abs(block.steps.H)))
             rounding = FLOOR * EPS * reach
             in_step = self.rtol * in_play + rounding
             allowed, usual = (x + ULPS * EPS * H for x in (in_step, DEFAULT_RTOL * in_play + rounding))
             self._mark("balance", names, block.residual, allowed, block, judged)
-            if block.dissipated is not None:
-                self._mark("dissipation", names, np.minimum(block.dissipated, 0.0), allowed, block, judged)
-            supplied = 0.0 if block.supplied is None else block.supplied
+            self._mark("dissipation", names, np.minimum(block.steps.dissipated, 0.0), allowed, block, judged)
             if names:
-                booked = supplied - per_owner(layout, block.port_energy)
+                booked = block.steps.supplied - per_owner(layout, block.steps.pairs)
                 self._mark("ports", names, booked, allowed, block, judged)
             self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
             self._joined(block, np.where(judged, allowed, np.abs(block.residual)))
@@ -146,19 +143,19 @@ class Judge:
 
     def _changes(self, accounts: list[Account], block: Block, allowed: Floats, H: Floats) -> None:
         """H from step to step and within each, against what is booked; `H` [n,c]: max(|H0|, |H1|)."""
-        names = block.layout.components
+        names, H1 = block.layout.components, block.steps.H
         before = np.empty_like(block.H0)
         before[0] = [a.H_end + a.jumps for a in accounts]
-        before[1:] = block.H1[:-1]
+        before[1:] = H1[:-1]
         largest = _running([a.largest for a in accounts], H)
         permitted = allowed + ULPS * EPS * largest
-        between, within = block.H0 - before, block.H1 - block.H0 - block.dH
+        between, within = block.H0 - before, H1 - block.H0 - block.steps.stored
         self._mark("gap", names, between, permitted, block)
         self._mark("change", names, within, permitted, block)
         extend([account.gap for account in accounts], between + within)
         for i, account in enumerate(accounts):
             account.allowed += float(allowed[:, i].sum())
-            account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(block.H1[-1, i]), 0.0
+            account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
 
     def _joined(self, block: Block, allowed: Floats) -> None:
         """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for."""
@@ -168,7 +165,7 @@ class Judge:
             reach = _running([self._junctions.get(name, 0.0) for name in names], _finite(passed))
             self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
             self._mark("junction", names, block.junction_residual, self.rtol * passed + FLOOR * EPS * reach, block)
-        rounding = ULPS * EPS * np.abs(block.port_energy).sum(axis=1)
+        rounding = ULPS * EPS * np.abs(block.steps.pairs).sum(axis=1)
         permitted = (allowed.sum(axis=1) + rounding)[:, None]
         self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)
 

@@ -12,17 +12,16 @@ reports no energy) lies outside the balance: what it takes from a junction leave
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .block import Block, Layout, make_block
-from .events import EventCount
+from phfmu.engine.steps import Steps
+
+from .block import ESTIMATED, EXACT, Block, Layout, make_block
+from .events import EventCount, EventRow
 from .judge import COMPONENT, DEFAULT_RTOL, Judge, Violation, word
-from .one_step import block_of, junction_rows
-from .rows import ESTIMATED, EXACT, ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
 from .sink import Sink
 from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
 from .sums import Floats, Sums, larger, largest
@@ -34,8 +33,8 @@ CUMULATIVE = ("dissipated", "external", "junction_residual", "unexplained")
 class Ledger:
     """Adds up the steps of a run, judges them, and hands them to an optional sink.
 
-    `add_step` for masters that step in Python, `add_block` for engines that make many steps between reports;
-    both give the same sums, bit for bit. `rtol`: allowed residual relative to the energies in play, see `Judge`.
+    The sums are the same, bit for bit, however the steps are cut into blocks. `rtol`: allowed residual relative to the
+    energies in play, see `Judge`.
     """
 
     def __init__(self, sink: Sink | None = None, rtol: float = DEFAULT_RTOL) -> None:
@@ -50,73 +49,17 @@ class Ledger:
         self._t_start = self._t_end = math.nan
         self._events = EventCount()
 
-    def add_step(
-        self,
-        step: int,
-        t0: float,
-        h: float,
-        components: Sequence[ComponentRow],
-        ports: Sequence[PortRow] = (),
-        junctions: Sequence[JunctionRow] = (),
-        *,
-        status: str | None = None,
-    ) -> NetworkRow:
-        """Book one accepted step from t0 to t0 + h and return its network row.
-
-        Residual and exchange of a junction are those of its ports; `junctions` adds what its solver knows.
-        Errors: ValueError for a junction without ports.
-        """
-        block = block_of(step, t0, h, components, ports)
-        joined = junction_rows(block, junctions)
-        block = self.take(block)
-        network = NetworkRow(**{name: float(column[0]) for name, column in block.network.items()}, status=status)
-        if self._sink is not None:
-            qualities = [block.layout.quality(row.component) for row in components]
-            relative = np.zeros(len(qualities)) if block.relative is None else block.relative[0]
-            judged = zip(components, qualities, relative, strict=True)
-            booked = [replace(row, quality=quality, relative=float(found)) for row, quality, found in judged]
-            self._sink.write_step(step, t0, h, booked, ports, joined, network)
-        return network
-
-    def add_block(
+    def add(
         self,
         layout: Layout,
         step: ArrayLike,
         t0: ArrayLike,
         h: ArrayLike,
-        H: ArrayLike,
-        dH: ArrayLike,
-        dissipated: ArrayLike | None = None,
-        supplied: ArrayLike | None = None,
-        port_energy: ArrayLike | None = None,
-        port_u: ArrayLike | None = None,
-        port_y: ArrayLike | None = None,
-        *,
+        steps: Steps,
         H0: ArrayLike | None = None,
-        moved: ArrayLike | None = None,
-        newton: ArrayLike | None = None,
-        substeps: ArrayLike | None = None,
-        numerical: ArrayLike | None = None,
     ) -> None:
-        """Book n accepted steps at once; shapes and errors as for `make_block`, which copies the arrays."""
-        block = make_block(
-            layout,
-            step,
-            t0,
-            h,
-            H,
-            dH,
-            dissipated,
-            supplied,
-            port_energy,
-            port_u,
-            port_y,
-            H0=H0,
-            moved=moved,
-            newton=newton,
-            substeps=substeps,
-            numerical=numerical,
-        )
+        """Book n accepted steps; shapes and errors as for `make_block`, which copies the arrays."""
+        block = make_block(layout, step, t0, h, steps, H0)
         if len(block.step) == 0:
             return
         block = self.take(block)
@@ -136,15 +79,12 @@ class Ledger:
         return replace(block, relative=relative)
 
     def _add_components(self, block: Block) -> Floats:
-        """Sum the columns of the components; the sums of dH up to each step [n,c]."""
-        names = block.layout.components
-        stored = self._sums.extend([("stored", name) for name in names], block.dH)
-        tables = {"dissipated": block.dissipated, "supplied": block.supplied, "numerical": block.numerical}
-        for key, table in tables.items():
-            there = [i for i, name in enumerate(names) if block.layout.has(name, key)]
+        """Sum the columns of the components; the sums of the changes of H up to each step [n,c]."""
+        names, s = block.layout.components, block.steps
+        for key, table in {"dissipated": s.dissipated, "supplied": s.supplied, "numerical": s.numerical}.items():
             if table is not None:
-                self._sums.extend([(key, names[i]) for i in there], table[:, there])
-        return stored
+                self._sums.extend([(key, name) for name in names], table)
+        return self._sums.extend([("stored", name) for name in names], s.stored)
 
     def _add_ports(self, block: Block) -> None:
         layout = block.layout
@@ -156,7 +96,7 @@ class Ledger:
                 self._estimated.add(port.junction)
         for width in {len(js) for js in widths.values()}:
             some = {key: js for key, js in widths.items() if len(js) == width}
-            pairs = block.port_energy[:, list(some.values())]  # steps, ports, pairs
+            pairs = block.steps.pairs[:, list(some.values())]  # steps, ports, pairs
             self._sums.extend([("port", *key) for key in some], pairs.transpose(0, 2, 1).reshape(-1, len(some)))
         names = list(layout.junctions)
         self._sums.extend([("junction", name) for name in names], block.junction_residual)
@@ -219,8 +159,8 @@ class Ledger:
             account.H_start,
             account.H_end,
             stored=get("stored", name) or 0.0,
-            dissipated=get("dissipated", name),
-            supplied=get("supplied", name),
+            dissipated=get("dissipated", name) or 0.0,
+            supplied=get("supplied", name) or 0.0,
             jumps=get("jumps", name),
             worst_residual=account.worst_residual,
             worst_ratio=account.worst_ratio,
@@ -241,7 +181,7 @@ class Ledger:
         get = self._sums.get
         return NetworkSummary(
             stored=get("dH") or 0.0,
-            dissipated=get("dissipated"),
+            dissipated=get("dissipated") or 0.0,
             external=get("external"),
             junction_residual=get("junction_residual"),
             unexplained=get("unexplained") or 0.0,

@@ -97,7 +97,7 @@ _NEEDED = {
     ),
     "port": ("supplied", "index", "component", "port", "junction", "quality"),
     "junction": ("junction", "residual", "exchanged"),
-    "network": tuple(name for name in FIELDS["network"] if name != "status"),
+    "network": tuple(name for name in FIELDS["network"] if name not in ("iterations", "accepted_by")),
     "event": ("energy_jump", "kind", "component", "message"),
 }
 _COMMON = ("row", "step", "t0", "h")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import counted, shown
 
 from .analysis import summarise
+from .block import ESTIMATED
 from .judge import DEFAULT_RTOL, VIOLATED
-from .rows import ESTIMATED
 from .summary import LedgerSummary, NetworkSummary
 
 if TYPE_CHECKING:

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Self
 import numpy as np
 
 from .archive import SCHEMA_KEY, WRITER_KEY, compact, occupied, stream_path
-from .columns import COLUMNS, DTYPES, SCHEMA_VERSION, Row, Section, block_sections, rows_section
+from .columns import COLUMNS, DTYPES, SCHEMA_VERSION, Section, block_sections, event_section
 from .lock import try_lock
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from .block import Block
-    from .rows import ComponentRow, EventRow, JunctionRow, NetworkRow, PortRow
+    from .events import EventRow
 
 FLUSH_ROWS = 1024
 FLUSH_SECONDS = 0.1
@@ -55,7 +55,7 @@ class AuditWriter:
         self.path = self.stream.with_suffix(".parquet")
         self._codes: dict[str, dict[str, int]] = {name: {} for name, kind in COLUMNS.items() if kind == "name"}
         self._names: dict[str, pa.Array] = {}
-        self._rows: dict[str, list[tuple[int | None, float, float | None, Row]]] = {}
+        self._events: list[EventRow] = []
         self._sections: list[Section] = []
         self._pending = 0
         #: rows taken so far
@@ -75,26 +75,8 @@ class AuditWriter:
     ) -> None:
         self.close()
 
-    def write_step(
-        self,
-        step: int,
-        t0: float,
-        h: float,
-        components: Sequence["ComponentRow"],
-        ports: Sequence["PortRow"],
-        junctions: Sequence["JunctionRow"],
-        network: "NetworkRow",
-    ) -> None:
-        """Take the rows of one step."""
-        self._check_open()
-        groups = (("component", components), ("port", ports), ("junction", junctions), ("network", [network]))
-        for kind, rows in groups:
-            self._rows.setdefault(kind, []).extend((step, t0, h, row) for row in rows)
-            self._took(len(rows))
-        self._flush_if_due()
-
     def write_block(self, block: "Block") -> None:
-        """Take n steps at once, column by column."""
+        """Take n steps, column by column."""
         self._check_open()
         sections = block_sections(block, self._encode)
         self._sections += sections
@@ -104,7 +86,7 @@ class AuditWriter:
     def write_event(self, event: "EventRow") -> None:
         """Take one event."""
         self._check_open()
-        self._rows.setdefault("event", []).append((None, event.t, None, event))
+        self._events.append(event)
         self._took(1)
         self._flush_if_due()
 
@@ -114,10 +96,9 @@ class AuditWriter:
         self._flushed_at = time.monotonic()
         if not self._pending:
             return
-        for kind, rows in self._rows.items():
-            if rows:
-                self._sections.append(rows_section(kind, rows, self._encode))
-        sections, self._sections, self._rows, self._pending = self._sections, [], {}, 0
+        if self._events:
+            self._sections.append(event_section(self._events, self._encode))
+        sections, self._sections, self._events, self._pending = self._sections, [], [], 0
         self._put(sections)
 
     def close(self) -> Path:

@@ -18,8 +18,8 @@ class ComponentSummary:
     H_start: float
     H_end: float
     stored: float
-    dissipated: float | None
-    supplied: float | None
+    dissipated: float
+    supplied: float
     jumps: float | None
     worst_residual: float
     worst_ratio: float
@@ -58,7 +58,7 @@ class NetworkSummary:
     """The balance over the run; worst_unexplained is the largest magnitude of a single step."""
 
     stored: float
-    dissipated: float | None
+    dissipated: float
     external: float | None
     junction_residual: float | None
     unexplained: float

@@ -18,6 +18,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.python import PythonInstance
 from phfmu.engine.status import StepFailure
+from phfmu.engine.steps import balance
 from phfmu.gradients.gradient_names import GRADIENTS
 from phfmu.schemes.named import named_scheme
 from phfmu.schemes.scheme_names import ORDERS, SCHEMES
@@ -128,7 +129,7 @@ def trajectory(model: Model, stop: float, n: int) -> tuple[Array, float]:
     instance.set_input(_inputs(model))
     instance.initialise()
     rows = instance.run(0.0, stop / n, n, ("x", "stored", "dissipated", "numerical", "supplied", "energy"))
-    left = np.abs(rows["stored"] + rows["dissipated"] + rows["numerical"] - rows["supplied"])
+    left = np.abs(balance(rows["stored"], rows["dissipated"], rows["supplied"], rows["numerical"]))
     size = np.sum(np.abs(rows["energy"]) + np.abs(rows["supplied"]) + np.abs(rows["dissipated"]), axis=1, keepdims=True)
     return rows["x"], float(np.max(left / np.maximum(size, 1e-300), initial=0.0))
 

@@ -12,6 +12,7 @@ from phfmu.bench.candidate import Candidate, Run
 from phfmu.bench.compositions import COMPOSITIONS, Composed, Composition
 from phfmu.bench.problem import Problem
 from phfmu.discretise.model import Model, build_model
+from phfmu.engine.steps import balance
 from phfmu.network.members.inputs import Inputs
 from phfmu.schemes.named import named_scheme
 
@@ -127,5 +128,4 @@ def solver_iterations(instance: Any) -> int:
 
 def _ledger(rows: dict[str, Array]) -> float:
     """Largest |stored + dissipated + numerical - supplied| of a step [J]; H itself may pass through zero and is no scale."""
-    residual = rows["stored"] + rows["dissipated"] + rows["numerical"] - rows["supplied"]
-    return float(np.abs(residual).max(initial=0.0))
+    return float(np.abs(balance(**rows)).max(initial=0.0))

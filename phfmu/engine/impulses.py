@@ -124,7 +124,7 @@ class Kicks:
             return
         kernels, forms = self.ports.kernels, self.ports.kernels.forms
         shift, mean = (np.array(v).ravel() for v in kernels.shift(s.x[:-1], s.p, impulse))
-        work, where, count = impulse * mean, list(forms.states), len(s.stored)
+        work, where, count = impulse * mean, list(forms.states), len(s.supplied)
         if not (np.isfinite(shift).all() and np.isfinite(work).all()):
             raise StepFailure(Status.NOT_FINITE, self.ports.name, s.x[-1], 0.0)
         change = shift + s.carry[where]

@@ -19,6 +19,7 @@ from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.solves import Solves
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.steps import balance
 from phfmu.terms.port_impulses import PortImpulse
 
 Array = NDArray[Any]
@@ -173,10 +174,11 @@ class PythonInstance:
         if not plan.carries:
             s.a = a
         s.x[-1] = t + h
-        s.energy += s.last["pairs"]
-        s.stored += s.last["stored"]
-        s.dissipated += s.last["dissipated"]
-        s.supplied += s.last["supplied"]
+        last = s.last
+        s.energy += last["pairs"]
+        s.dissipated += last["dissipated"]
+        s.supplied += last["supplied"]
+        s.residual += balance(last["stored"], last["dissipated"], last["supplied"], last["numerical"])
         s.counts["steps"] += 1
         s.end = None
 
@@ -301,7 +303,7 @@ class PythonInstance:
         return {
             "x": s.x[:-1].copy(), "time": s.x[-1:].copy(), "a": s.a.copy(), "y_step": s.y_step.copy(), "energy": s.energy.copy(),
             "supplied": s.supplied.copy(), "dissipated": s.dissipated.copy(),
-            "residual": s.stored + s.dissipated - s.supplied, "a_end": end["a"].copy(), "y_end": end["y"].copy(),
+            "residual": s.residual.copy(), "a_end": end["a"].copy(), "y_end": end["y"].copy(),
             "observables": end["o"].copy(), "H": end["H"].copy(),
         }  # fmt: skip
 

@@ -115,7 +115,7 @@ class Solves:
             np.add.at(pairs, plan.work_pair, self._step.R[plan.work_row])
             part = {"stored": stored, "dissipated": h * lost, "numerical": numerical, "moved": moved, "pairs": pairs}
             part |= {"supplied": np.bincount(plan.pair_owner, pairs, plan.ncomp), "y": y_nodes.copy(), "w": w}
-            sums = (s.x[:-1], s.energy, s.stored, s.dissipated, s.supplied, *part.values())
+            sums = (s.x[:-1], s.energy, s.supplied, s.dissipated, s.residual, *part.values())
             if not all((np.abs(v) <= LIMITS["LARGEST"]).all() for v in sums):
                 outcome.status, outcome.row = Status.NOT_FINITE, -1
         return part

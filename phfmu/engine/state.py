@@ -26,7 +26,7 @@ class State:
     inputs at the start of the last step, w_old, h_old: what w and h_last were;  y_step, energy: pair
     outputs and energies;
     y_node: pair outputs at the nodes of the last step (k x nq);
-    stored, dissipated, supplied: cumulative per component;  last: the last step's ledger;  end: cached end values;
+    dissipated, supplied, residual: cumulative per component;  last: the last step's ledger;  end: cached end values;
     rests: constraints that are left out;  placed: which ones has to be chosen, as state or parameters are new;
     path: (start, part, time, length) of each of its solves, [start, start + part] of the step, none before the first one;
     halved: how many of its internal steps were halved;
@@ -50,9 +50,9 @@ class State:
     y_step: Array
     y_node: Array
     energy: Array
-    stored: Array
     dissipated: Array
     supplied: Array
+    residual: Array
     last: dict[str, Array] = field(default_factory=dict)
     end: dict[str, Array] | None = None
     counts: dict[str, int] = field(default_factory=dict)
@@ -93,9 +93,9 @@ class State:
             y_step=np.zeros(plan.nq),
             y_node=np.zeros((plan.k, plan.nq)),
             energy=np.zeros(plan.nq),
-            stored=np.zeros(plan.ncomp),
             dissipated=np.zeros(plan.ncomp),
             supplied=np.zeros(plan.ncomp),
+            residual=np.zeros(plan.ncomp),
             counts=dict.fromkeys(COUNTERS, 0),
             rests=plan.hold.rests.copy(),
         )

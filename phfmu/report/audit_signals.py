@@ -30,7 +30,7 @@ class AuditSignals:
     """A recording made of an audit; what it has nothing for is not among its names.
 
     NAME.PORT.power, NAME.dissipated_power [W]; NAME.H [J] less its first value; NAME.residual of components and
-    junctions, NAME.allowed [J]; NAME.iterations; step_size [s].
+    junctions, NAME.allowed [J]; iterations; step_size [s].
     """
 
     def __init__(self, history: History):
@@ -78,19 +78,13 @@ class AuditSignals:
         return made
 
     def _solver(self) -> dict[str, tuple[str, Callable[[], Signal]]]:
-        """Iterations, once where all components share them, and step sizes where they differ."""
-        h, made = self.history, dict[str, tuple[str, Callable[[], Signal]]]()
-        counts = {n: (c, "newton") for (n,), c in h.components.items() if _any(c["newton"])}
-        first = next(iter(counts.values()), None)
-        if first and all(np.array_equal(c[k], first[0][first[1]]) for c, k in counts.values()):
-            counts = {"": first}
-        counts |= {n: (c, "iterations") for (n,), c in h.junctions.items() if _any(c["iterations"])}
-        for owner, (c, key) in counts.items():
-            name = f"{owner}.iterations".lstrip(".")
-            made[name] = owner, lambda name=name, c=c, key=key: Signal(name, "1", _middle(c), c[key], topic=ITERATIONS)
-        sizes = h.steps["h"]
+        """Iterations where the log has them, and step sizes where they differ."""
+        steps, made = self.history.steps, dict[str, tuple[str, Callable[[], Signal]]]()
+        spent, sizes = steps["iterations"], steps["h"]
+        if _any(spent):
+            made["iterations"] = "", lambda: Signal("iterations", "1", _middle(steps), spent, topic=ITERATIONS)
         if len(sizes) and np.ptp(sizes) > 1e-9 * sizes.max():
-            made["step_size"] = "", lambda: Signal("step_size", "s", _middle(h.steps), sizes, topic=STEP)
+            made["step_size"] = "", lambda: Signal("step_size", "s", _middle(steps), sizes, topic=STEP)
         return made
 
 

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 #: number columns that are read of each kind of row; a log without one gives NaN
 NUMBERS: dict[str, tuple[str, ...]] = {
-    "component": ("H0", "H1", "dH", "dissipated", "numerical", "residual", "residual_rel", "newton"),
+    "component": ("H0", "H1", "dH", "dissipated", "numerical", "residual", "residual_rel"),
     "port": ("supplied",),
-    "junction": ("residual", "iterations"),
-    "network": (),
+    "junction": ("residual",),
+    "network": ("iterations",),
     "event": ("energy_jump",),
 }
 #: columns that tell rows of a kind apart
@@ -51,7 +51,7 @@ class History:
     ports: dict[Key, Columns] = field(default_factory=dict)
     junctions: dict[Key, Columns] = field(default_factory=dict)
     events: dict[Key, Columns] = field(default_factory=dict)
-    steps: Columns = field(default_factory=lambda: {name: np.zeros(0) for name in _WHEN})
+    steps: Columns = field(default_factory=lambda: {name: np.zeros(0) for name in (*_WHEN, *NUMBERS["network"])})
 
     def within(self, start: float, stop: float) -> "History":
         """Steps whose middle lies within [start, stop], and the events there."""

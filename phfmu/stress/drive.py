@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.steps import balance
 from phfmu.words import counted
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
     checks = np.abs(checks[:, checks.shape[1] - len(model.checks) :])
     levels = np.array([c.level for c in model.checks])
     play = np.abs(r["energy"]).sum(axis=1) + np.abs(r["dissipated"]).sum(axis=1) + np.abs(r["pairs"]).sum(axis=1)
-    gap = np.abs(r["stored"] + r["dissipated"] - r["supplied"]).max(axis=1, initial=0.0)
+    gap = np.abs(balance(r["stored"], r["dissipated"], r["supplied"])).max(axis=1, initial=0.0)
     after = unit.counts
     extra = [counted(after[k] - before[k], word) for k, word in BEYOND.items() if after[k] != before[k]]
     sweeps = after.get("sweeps", 0) - before.get("sweeps", 0)  # none in the Python engine

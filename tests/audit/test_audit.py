@@ -23,20 +23,19 @@ from hypothesis import strategies as st
 from phfmu import audit
 from phfmu.audit import (
     AuditWriter,
-    ComponentRow,
-    JunctionRow,
     Layout,
     Ledger,
     LedgerSummary,
     PortKey,
-    PortRow,
     audit_table,
+    make_block,
     read,
     recover,
     summarise,
     verdict,
 )
 from phfmu.audit.sums import CompensatedSum
+from phfmu.engine.steps import Steps, balance
 
 # two members on a bus that leaks a little; b's port there has two pairs, and b has a port to the outside
 LAYOUT = Layout(
@@ -70,43 +69,22 @@ def run_arrays(n: int, seed: int = 0, leak: float = 1e-3) -> dict[str, np.ndarra
         "dissipated": dissipated,
         "supplied": supplied,
         "port_energy": energy,
-        "port_u": u,
-        "port_y": y,
     }
 
 
-def add_rows(ledger: Ledger, a: dict[str, np.ndarray]) -> None:
-    """The same run, row by row."""
-    for k in range(len(a["step"])):
-        components = [
-            ComponentRow(
-                name,
-                H0=float(a["H"][k, i] - a["dH"][k, i]),
-                H1=float(a["H"][k, i]),
-                dH=float(a["dH"][k, i]),
-                dissipated=float(a["dissipated"][k, i]),
-                supplied=float(a["supplied"][k, i]),
-            )
-            for i, name in enumerate(LAYOUT.components)
-        ]
-        ports = [
-            PortRow(
-                key.component,
-                key.port,
-                float(a["port_energy"][k, j]),
-                float(a["port_u"][k, j]),
-                float(a["port_y"][k, j]),
-                key.index,
-                key.junction,
-            )
-            for j, key in enumerate(LAYOUT.ports)
-        ]
-        ledger.add_step(int(a["step"][k]), float(a["t0"][k]), float(a["h"][k]), components, ports)
+def book(ledger: Ledger, layout: Layout, *, step, t0, h, H, dH, H0=None, **columns) -> None:
+    """Steps of a ledger; what a run does not have is zero."""
+    H = np.array(H, float)
+    none = np.zeros_like(H)
+    pairs = columns.pop("port_energy", np.zeros((len(H), len(layout.ports))))
+    columns = {"dissipated": none, "supplied": none} | columns
+    steps = Steps(H, np.asarray(dH), pairs=np.asarray(pairs), **{k: np.asarray(v) for k, v in columns.items()})
+    ledger.add(layout, step, t0, h, steps, H0)
 
 
 def add_blocks(ledger: Ledger, a: dict[str, np.ndarray], size: int) -> None:
     for start in range(0, len(a["step"]), size):
-        ledger.add_block(LAYOUT, **{name: x[start : start + size] for name, x in a.items()})
+        book(ledger, LAYOUT, **{name: x[start : start + size] for name, x in a.items()})
 
 
 def write_run(path: Path, n: int = 50, size: int = 7, leak: float = 1e-3) -> Path:
@@ -118,38 +96,43 @@ def write_run(path: Path, n: int = 50, size: int = 7, leak: float = 1e-3) -> Pat
 # closure
 
 
-def test_rows_close_by_the_sign_rule():
+def test_books_close_by_the_sign_rule():
     """Exact in binary: residuals, junction, external supply and unexplained follow the definitions."""
     ledger = Ledger()
-    a = ComponentRow("a", H0=1.0, H1=1.5, dH=0.5, dissipated=0.25, supplied=0.75)
-    b = ComponentRow("b", H0=2.0, H1=1.0, dH=-1.0, supplied=-0.875)
-    ports = [
-        PortRow("a", "p", 0.75, u=3.0, y=0.25, junction="bus"),
-        PortRow("b", "p", -0.5, junction="bus"),
-        PortRow("b", "field", -0.375),
-    ]
-    assert (a.residual, b.residual) == (0.0, -0.125)
-    network = ledger.add_step(0, 0.0, 1.0, [a, b], ports)
-    assert (network.H, network.dH, network.dissipated) == (2.5, -0.5, 0.25)
-    assert (network.external, network.junction_residual) == (-0.375, 0.25)
-    assert network.unexplained == a.residual + b.residual
+    layout = Layout(
+        ("a", "b"), (PortKey("a", "p", junction="bus"), PortKey("b", "p", junction="bus"), PortKey("b", "field"))
+    )
+    pairs = np.array([[0.75, -0.5, -0.375]])
+    steps = Steps(
+        H=np.array([[1.5, 1.0]]), stored=np.array([[0.5, -1.0]]), dissipated=np.array([[0.25, 0.0]]),
+        supplied=np.array([[0.75, -0.875]]), pairs=pairs,
+    )  # fmt: skip
+    block = make_block(layout, [0], [0.0], 1.0, steps)
+    assert block.residual.tolist() == [[0.0, -0.125]]
+    assert block.H0.tolist() == [[1.0, 2.0]]
+    network = {name: column[0] for name, column in block.network.items()}
+    assert (network["H"], network["dH"], network["dissipated"]) == (2.5, -0.5, 0.25)
+    assert (network["external"], network["junction_residual"]) == (-0.375, 0.25)
+    assert network["unexplained"] == block.residual.sum()
+    ledger.add(layout, [0], [0.0], 1.0, steps)
     summary = ledger.summary()
     # in play in b: |H0| = 2, for want of its energies' changes, what it was supplied with, and its ports
     assert summary.components[1].worst_relative == pytest.approx(0.125 / (2.0 + 0.875 + 0.875), rel=0.05)
     (bus,) = summary.junctions
     assert (bus.residual, bus.exchanged) == (0.25, 0.625)
-    assert summary.components[1].dissipated is None
     assert summary.components[1].worst_residual == -0.125
 
 
 def test_closes_for_a_coupling_that_creates_energy_without_bound():
     """A diverging coupling: the junction shows every joule, nothing is unexplained until numbers overflow."""
     ledger, energy = Ledger(), 1.0
+    layout = Layout(("a",), (PortKey("a", "p", junction="bus"),))
     for k in range(300):
-        gain = 3.0 * energy
-        a = ComponentRow("a", energy, energy + gain, gain, supplied=gain)
-        ledger.add_step(k, 0.1 * k, 0.1, [a], [PortRow("a", "p", gain, junction="bus")])
-        energy += gain
+        gain = [[3.0 * energy]]
+        book(
+            ledger, layout, step=[k], t0=[0.1 * k], h=0.1, H=[[4.0 * energy]], dH=gain, supplied=gain, port_energy=gain
+        )
+        energy *= 4.0
     summary = ledger.summary()
     assert summary.network is not None
     assert summary.network.unexplained == 0.0
@@ -158,38 +141,30 @@ def test_closes_for_a_coupling_that_creates_energy_without_bound():
 
 def test_member_without_energies_lies_outside_the_balance():
     """A foreign unit reports ports only; what it takes from the junction leaves through `external`."""
-    ledger = Ledger()
-    own = ComponentRow("own", 5.0, 4.0, -1.0, supplied=-1.0)
-    ports = [
-        PortRow("own", "p", -1.0, junction="link"),
-        PortRow("foreign", "p", 0.75, junction="link", kind="mean", quality="estimated"),
-        PortRow("foreign", "shaft", 9.0),
-    ]
-    network = ledger.add_step(0, 0.0, 0.1, [own], ports)
-    assert network.junction_residual == -0.25
-    assert network.external == -0.75
-    assert network.unexplained == 0.0
-    layout = Layout(("own",), tuple(PortKey(p.component, p.port, junction=p.junction) for p in ports))
-    block = audit.make_block(layout, [0], [0.0], 0.1, [[4.0]], [[-1.0]], None, [[-1.0]], [[-1.0, 0.75, 9.0]])
+    layout = Layout(
+        ("own",),
+        (
+            PortKey("own", "p", junction="link"),
+            PortKey("foreign", "p", junction="link", quality="estimated"),
+            PortKey("foreign", "shaft"),
+        ),
+    )
+    own, none = np.array([[-1.0]]), np.zeros((1, 1))
+    block = make_block(layout, [0], [0.0], 0.1, Steps(np.array([[4.0]]), own, none, own, np.array([[-1.0, 0.75, 9.0]])))
+    assert block.network["junction_residual"][0] == -0.25
     assert block.network["external"][0] == -0.75
     assert block.network["unexplained"][0] == 0.0
 
 
-def test_a_junction_is_what_its_ports_say(tmp_path: Path):
-    """What the solver knows is kept; it cannot claim that the junction created nothing."""
-    a = ComponentRow("a", 0.0, 0.5, 0.5, supplied=0.5)
-    port = PortRow("a", "p", 0.5, junction="bus")
-    with AuditWriter(tmp_path / "x.parquet") as sink:
-        ledger = Ledger(sink)
-        assert (
-            ledger.add_step(0, 0.0, 1.0, [a], [port], [JunctionRow("bus", 0.0, iterations=3)]).junction_residual == 0.5
-        )
-        with pytest.raises(ValueError, match="'nowhere'.*give one"):
-            ledger.add_step(1, 1.0, 1.0, [a], [port], [JunctionRow("nowhere")])
-    row = next(r for r in read(tmp_path / "x.parquet").to_pylist() if r["row"] == "junction")
-    assert (row["residual"], row["iterations"]) == (0.5, 3)
-    assert ledger.summary().steps == 1
-    assert ledger.summary().junctions[0].verdict == "VIOLATED"
+def test_what_a_damping_scheme_loses_is_in_the_balance():
+    """One formula for floats and columns, for a step and for the network."""
+    assert balance(-3.0, 1.0, -1.5, 0.5) == 0.0
+    lost = Steps(
+        *(np.array([[x]]) for x in (5.0, -3.0, 1.0, -1.5)), pairs=np.array([[-1.5]]), numerical=np.array([[0.5]])
+    )
+    block = make_block(Layout(("a",), (PortKey("a", "p"),)), [0], [0.0], 0.1, lost)
+    assert block.residual[0, 0] == block.network["unexplained"][0] == 0.0
+    assert make_block(block.layout, [0], [0.0], 0.1, replace(lost, numerical=None)).residual[0, 0] == -0.5
 
 
 @given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=200), st.integers(1, 50))
@@ -205,20 +180,16 @@ def test_sums_are_compensated_and_do_not_depend_on_the_cut(values: list[float], 
     assert abs(last - exact) <= 2**-52 * abs(exact) + (len(values) * 2**-52) ** 2 * sum(map(abs, values))
 
 
-def test_blocks_equal_rows_bit_for_bit(tmp_path: Path):
+def test_blocks_of_any_size_are_equal_bit_for_bit(tmp_path: Path):
     arrays = run_arrays(200)
     summaries, tables = [], []
-    for name, add in {
-        "rows": lambda ledger: add_rows(ledger, arrays),
-        "block": lambda ledger: add_blocks(ledger, arrays, 200),
-        "blocks": lambda ledger: add_blocks(ledger, arrays, 33),
-    }.items():
-        with AuditWriter(tmp_path / f"{name}.audit.parquet") as sink:
+    for size in (1, 33, 200):
+        with AuditWriter(tmp_path / f"{size}.audit.parquet") as sink:
             ledger = Ledger(sink)
-            add(ledger)
+            add_blocks(ledger, arrays, size)
         summaries.append(ledger.summary())
         order = [(key, "ascending") for key in ("row", "step", "component", "port", "index")]
-        table = read(tmp_path / f"{name}.audit.parquet")
+        table = read(tmp_path / f"{size}.audit.parquet")
         for i, column in enumerate(table.column_names):
             if pa.types.is_dictionary(table.schema.field(column).type):
                 table = table.set_column(i, column, table[column].cast("string"))
@@ -245,7 +216,7 @@ def test_block_arrays_may_be_reused_by_the_caller(tmp_path: Path):
     arrays = run_arrays(10, leak=0.0)
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        ledger.add_block(LAYOUT, **arrays)
+        book(ledger, LAYOUT, **arrays)
         for array in arrays.values():
             array[...] = 0
     assert verdict(read(tmp_path / "x.parquet")) == []
@@ -256,9 +227,10 @@ def test_block_of_a_wrong_shape_is_refused_with_both_shapes():
     arrays = run_arrays(5)
     arrays["supplied"] = arrays["supplied"][:, :1]
     with pytest.raises(ValueError, match=r"supplied has shape \(5, 1\), expected \(5, 2\)"):
-        Ledger().add_block(LAYOUT, **arrays)
-    with pytest.raises(ValueError, match="4 ports but port_energy is None"):
-        Ledger().add_block(LAYOUT, [0], [0.0], 1.0, np.zeros((1, 2)), np.zeros((1, 2)))
+        book(Ledger(), LAYOUT, **arrays)
+    two = np.zeros((1, 2))
+    with pytest.raises(ValueError, match=r"pairs has shape \(1, 2\), expected \(1, 4\)"):
+        Ledger().add(LAYOUT, [0], [0.0], 1.0, Steps(two, two, two, two, two))
 
 
 def test_blocks_are_cheap(tmp_path: Path):
@@ -278,7 +250,7 @@ def test_log_holds_metadata_and_only_used_columns(tmp_path: Path):
     with AuditWriter(path, {"units": {"a.p": ["V", "A"]}, "model": "sha256:00"}) as sink:
         assert sink.stream == tmp_path / "run.audit.arrows"
         assert sink.stream.exists()
-        Ledger(sink).add_block(Layout(("a",)), [0, 1], [0.0, 0.1], 0.1, [[1.0], [1.0]], [[0.0], [0.0]])
+        book(Ledger(sink), Layout(("a",)), step=[0, 1], t0=[0.0, 0.1], h=0.1, H=[[1.0], [1.0]], dH=[[0.0], [0.0]])
     assert os.listdir(tmp_path) == ["run.audit.parquet"]
     table = read(path)
     assert set(table.column_names) == {
@@ -296,7 +268,7 @@ def test_log_holds_metadata_and_only_used_columns(tmp_path: Path):
             "residual_rel",
             "quality",
         ),
-        *("unexplained", "cum_unexplained"),
+        *("dissipated", "supplied", "cum_dissipated", "unexplained", "cum_unexplained"),
     }
     meta = audit.metadata(table)
     assert meta["units"] == {"a.p": ["V", "A"]}
@@ -306,22 +278,23 @@ def test_log_holds_metadata_and_only_used_columns(tmp_path: Path):
 
 
 def test_values_survive_to_the_last_bit(tmp_path: Path):
-    row = ComponentRow("a", math.pi, -math.e, 1e-300, 5e-324, -0.1, moved=7.0, newton=40000, substeps=1)
-    port = PortRow("a", "p", 0.1, 1 / 3, -2 / 3, 2, "bus", "mean", "estimated")
-    junction = JunctionRow("bus", None, None, 1e-17, 1e9, 4, 5, "newton", "energy")
+    layout = Layout(("a",), (PortKey("a", "p", 2, "bus", "estimated"),))
+    columns = {"dissipated": 5e-324, "supplied": -0.1, "numerical": 1 / 3, "moved": 7.0}
     with AuditWriter(tmp_path / "x.parquet") as sink:
-        Ledger(sink).add_step(7, 0.7, 0.1, [row], [port], [junction], status="converged")
+        book(
+            Ledger(sink), layout, step=[7], t0=[0.7], h=0.1, H0=[[math.pi]], H=[[-math.e]], dH=[[1e-300]],
+            port_energy=[[0.1]], **{k: [[v]] for k, v in columns.items()}, iterations=[40000], accepted_by=["energy"],
+        )  # fmt: skip
     rows = {r["row"]: r for r in read(tmp_path / "x.parquet").to_pylist()}
-    for name in ("H0", "H1", "dH", "dissipated", "supplied", "moved", "newton", "substeps"):
-        assert rows["component"][name] == getattr(row, name)
-    assert rows["component"]["quality"] == "estimated"  # by its port
-    for name in ("u", "y", "supplied", "index", "junction", "kind", "quality"):
-        assert rows["port"][name] == getattr(port, name)
-    for name in ("r_max", "cond", "iterations", "evals", "method", "accepted_by"):
-        assert rows["junction"][name] == getattr(junction, name)
-    assert rows["junction"]["residual"] == 0.1
-    assert rows["network"]["status"] == "converged"
-    assert rows["network"]["component"] is None
+    component = columns | {"H0": math.pi, "H1": -math.e, "dH": 1e-300, "quality": "estimated"}  # by its port
+    port = {"component": "a", "port": "p", "supplied": 0.1, "index": 2, "junction": "bus", "quality": "estimated"}
+    for kind, expected in {
+        "component": component,
+        "port": port,
+        "junction": {"junction": "bus", "residual": 0.1},
+        "network": {"iterations": 40000, "accepted_by": "energy", "component": None, "numerical": 1 / 3},
+    }.items():
+        assert {name: rows[kind][name] for name in expected} == expected
 
 
 def test_stream_is_readable_while_it_is_written_and_flushed_in_time(tmp_path: Path):
@@ -331,7 +304,7 @@ def test_stream_is_readable_while_it_is_written_and_flushed_in_time(tmp_path: Pa
         ledger.flush()
         assert read(sink.stream).num_rows == 20 * 8
         arrays = run_arrays(320)
-        add_rows(ledger, {name: x[20:] for name, x in arrays.items()})
+        add_blocks(ledger, {name: x[20:] for name, x in arrays.items()}, 1)
         assert read(sink.stream).num_rows >= 20 * 8 + 1024
         assert summarise(read(sink.stream)).steps > 20
         with pytest.raises(FileNotFoundError, match="still writing it; what is complete so far: `phfmu audit "):
@@ -344,7 +317,7 @@ def test_stream_is_readable_while_it_is_written_and_flushed_in_time(tmp_path: Pa
 def test_log_survives_an_exception(tmp_path: Path):
     with pytest.raises(RuntimeError), AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        add_rows(ledger, run_arrays(3))
+        add_blocks(ledger, run_arrays(3), 1)
         ledger.event(1.03, "nonconverged", message="step 3: 12 iterations")
         raise RuntimeError
     events = [r for r in read(tmp_path / "x.parquet").to_pylist() if r["row"] == "event"]
@@ -355,7 +328,7 @@ def test_log_survives_an_exception(tmp_path: Path):
 def test_empty_run(tmp_path: Path):
     with AuditWriter(tmp_path / "x.parquet", {"model": "none"}) as sink:
         ledger = Ledger(sink)
-        ledger.add_block(LAYOUT, **run_arrays(0))
+        book(ledger, LAYOUT, **run_arrays(0))
     table = read(tmp_path / "x.parquet")
     assert (table.num_rows, table.column_names) == (0, ["row"])
     assert audit.metadata(table)["model"] == "none"
@@ -374,7 +347,7 @@ def test_torn_stream_gives_back_every_complete_batch(tmp_path: Path):
         for k in range(0, 40, 10):
             # new names appear in later batches, so dictionaries grow within the stream
             layout = replace(LAYOUT, components=("a", f"b{k}"))
-            ledger.add_block(layout, **{name: x[k : k + 10] for name, x in arrays.items()})
+            book(ledger, layout, **{name: x[k : k + 10] for name, x in arrays.items()})
             ledger.event(1.0 + k, "input", message=f"after step {k}")
             ledger.flush()
             sizes.append(stream.stat().st_size)
@@ -422,10 +395,12 @@ def test_recover_says_what_is_wrong(tmp_path: Path):
 
 WRITER = """
 import sys
-from phfmu.audit import AuditWriter, ComponentRow, Ledger
-ledger, k = Ledger(AuditWriter(sys.argv[1])), 0
+import numpy as np
+from phfmu.audit import AuditWriter, Layout, Ledger
+from phfmu.engine.steps import Steps
+ledger, k, none = Ledger(AuditWriter(sys.argv[1])), 0, np.zeros((1, 1))
 while True:
-    ledger.add_step(k, 0.1 * k, 0.1, [ComponentRow("a", 1.0, 1.0, 0.0)])
+    ledger.add(Layout(("a",)), [k], [0.1 * k], 0.1, Steps(none + 1.0, none, none, none, np.zeros((1, 0))))
     k += 1
     if k == 3000:
         print("ready", flush=True)
@@ -550,12 +525,12 @@ def test_coming_to_rest_is_not_a_violation(tmp_path: Path):
     arrays |= {"dH": np.diff(energy)[:, None], "dissipated": lost[:, None], "moved": -np.diff(energy)[:, None]}
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        ledger.add_block(Layout(("pendulum",)), **arrays)
+        book(ledger, Layout(("pendulum",)), **arrays)
     assert ledger.summary().closed
     assert ledger.summary() == summarise(tmp_path / "x.parquet")
     arrays["dissipated"][1500] += 1e-11
     broken = Ledger()
-    broken.add_block(Layout(("pendulum",)), **arrays)
+    book(broken, Layout(("pendulum",)), **arrays)
     assert [v.step for v in broken.summary().violations if v.kind == "balance"] == [1500]
 
 
@@ -589,26 +564,24 @@ def test_what_is_not_a_number_is_a_violation(tmp_path: Path, column: str, bad: f
     summary = judged(arrays, tmp_path / "x.parquet")
     assert summary.components[0].verdict == "VIOLATED"
     assert summary.components[1].verdict == "closed"
-    rows = Ledger()
-    add_rows(rows, arrays)
-    assert kinds(rows.summary()) == kinds(summary)
-    assert "VIOLATED" in audit_table(rows.summary())
+    assert "VIOLATED" in audit_table(summary)
 
 
 def test_energies_that_pass_within_a_component_count(tmp_path: Path):
     """Terms of +-1 J cancel in dH, H is 0: a residual of 1e-12 J is rounding, and only `moved` can say so."""
-    row = ComponentRow("a", 0.0, 1e-12, 1e-12)
+    small = {"h": 1.0, "H0": [[0.0, 0.0]], "H": [[1e-12, 1e-12]], "dH": [[1e-12, 1e-12]]}
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        ledger.add_step(0, 0.0, 1.0, [row, replace(row, component="b", moved=2.0)])
-        ledger.add_step(1, 1.0, 1.0, [ComponentRow("rest", 0.0, 0.0, 0.0)])
+        book(ledger, Layout(("a", "b")), step=[0], t0=[0.0], **small, moved=[[0.0, 2.0]])
+        book(ledger, Layout(("rest",)), step=[1], t0=[1.0], h=1.0, H=[[0.0]], dH=[[0.0]])
     assert {v.name for v in verdict(read(tmp_path / "x.parquet"))} == {"a"}
 
 
 def test_estimated_ports_are_not_judged(tmp_path: Path):
-    a = ComponentRow("a", 1.0, 1.0, 0.0, supplied=0.5)
+    layout = Layout(("a",), (PortKey("a", "p", quality="estimated"),))
+    half = {"supplied": [[0.5]], "port_energy": [[0.5]]}
     with AuditWriter(tmp_path / "x.parquet") as sink:
-        Ledger(sink).add_step(0, 0.0, 1.0, [a], [PortRow("a", "p", 0.5, quality="estimated")])
+        book(Ledger(sink), layout, step=[0], t0=[0.0], h=1.0, H=[[1.0]], dH=[[0.0]], **half)
     table = read(tmp_path / "x.parquet")
     assert verdict(table) == []
     assert "estimated" in audit_table(table) and "closed" not in audit_table(table)
@@ -618,7 +591,7 @@ def test_a_unit_without_ports_and_books_has_no_verdict(tmp_path: Path):
     arrays = {"step": [0], "t0": [0.0], "h": 0.1, "H": [[0.0]], "dH": [[0.0]]}
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        ledger.add_block(Layout(("foreign",), silent=frozenset({"foreign"})), **arrays)
+        book(ledger, Layout(("foreign",), silent=frozenset({"foreign"})), **arrays)
     summary = ledger.summary()
     assert summary.network is not None
     assert (summary.components[0].verdict, summary.network.verdict) == ("none", "none")
@@ -630,7 +603,7 @@ def test_names_in_a_log_are_text_on_a_terminal():
     """Control characters would move the cursor, and make up rows of the table."""
     ledger = Ledger()
     component = "a\x1b[31m\nb  closed"
-    ledger.add_block(Layout((component,)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[1.0]])
+    book(ledger, Layout((component,)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[1.0]])
     lines = audit_table(ledger.summary()).splitlines()
     assert all(line.isprintable() for line in lines)
     assert any(line.startswith(r"a\x1b[31m\nb  closed ") and line.endswith("VIOLATED") for line in lines)
@@ -639,7 +612,7 @@ def test_names_in_a_log_are_text_on_a_terminal():
 def test_a_log_without_a_column_of_steps_is_no_log(tmp_path: Path):
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        ledger.add_block(Layout(("a",)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[0.0]])
+        book(ledger, Layout(("a",)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[0.0]])
     table = read(tmp_path / "x.parquet").drop_columns(["step"])
     with pytest.raises(ValueError, match="not an audit log: it has no column step"):
         summarise(table)
@@ -649,10 +622,10 @@ def test_energy_that_changes_between_steps_is_reported():
     """An event books what it added before the step that follows it."""
     for booked in (False, True):
         ledger = Ledger()
-        ledger.add_step(0, 0.0, 1.0, [ComponentRow("a", 1.0, 1.0, 0.0)])
+        book(ledger, Layout(("a",)), step=[0], t0=[0.0], h=1.0, H=[[1.0]], dH=[[0.0]])
         if booked:
             ledger.event(1.0, "impulse", "a", energy_jump=-0.5)
-        ledger.add_step(1, 1.0, 1.0, [ComponentRow("a", 0.5, 0.5, 0.0)])
+        book(ledger, Layout(("a",)), step=[1], t0=[1.0], h=1.0, H=[[0.5]], dH=[[0.0]])
         assert ("no event books it" in audit_table(ledger.summary())) is not booked
         assert ledger.summary().closed is booked
 

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 
 import phfmu as ph
-from phfmu import PHDAE, Collocated, NativeInstance, Options, PythonInstance, block, build_model, energy, run
-from phfmu.audit import LedgerSummary, summarise
+from phfmu import PHDAE, Collocated, NativeInstance, Network, Options, PythonInstance, block, build_model, energy, run
+from phfmu.audit import AuditWriter, LedgerSummary, read, summarise
+from phfmu.components.mechanical.translational import mass, spring
+from phfmu.engine.steps import Steps
+from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.couplings.stepper import Steps
 from phfmu.network.members.booking import Booking
+from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.scene import Event
 
 ENGINES = [NativeInstance, PythonInstance]
@@ -74,8 +77,6 @@ def test_coming_to_rest_closes(engine: type) -> None:
 
 def test_energy_that_the_engine_changes_unbooked_is_found(tmp_path) -> None:
     """A state that jumps between two calls of the engine; a changed parameter is booked and closes."""
-    from phfmu.audit import AuditWriter
-
     built = build_model(oscillator(), Collocated(1))
     assert (
         run(Monolithic(built, NativeInstance(built)), Options(stop=1.0, step=0.01, events=[Event(0.5, "k", 5.0)]))
@@ -127,7 +128,7 @@ class Unit:
         H = self._H + np.cumsum(gained, axis=0)
         self._H = float(H[-1, 0])
         pairs = np.tile(h * self._pairs, (n, 1))
-        return Steps(np.zeros((n, 0)), H, gained, np.zeros((n, 1)), gained, pairs, np.zeros(n))
+        return Steps(H, gained, np.zeros((n, 1)), gained, pairs, signals=np.zeros((n, 0)))
 
 
 def test_books_and_ports_of_a_unit_must_agree() -> None:
@@ -152,3 +153,25 @@ def test_a_changed_parameter_without_energy_is_a_parameter() -> None:
     built = build_model(oscillator(constant=1.0), Collocated(1))
     result = run(Monolithic(built, NativeInstance(built)), Options(stop=1.0, step=0.01, events=[Event(0.5, "k", 4.0)]))
     assert result.ledger.summary().events == {"parameter": 1}
+
+
+def test_a_log_tells_how_each_step_was_solved(tmp_path) -> None:
+    """Iterations in the row of the network, of a coupling also by which test it took the step; a unit does not tell."""
+    net = Network("pair")
+    net.add("m", mass(1.0, q=0.1))
+    net.add("s", spring(40.0, elongation=0.1))
+    net.connect("m.flange", "s.a", name="joint")
+    models = {name: build_model(part) for name, part in net.members.items()}
+    coupled = Coupled(net, [EngineMember(name, m, PythonInstance(m)) for name, m in models.items()])
+    whole = build_model(oscillator(), Collocated(1))
+    rows = {}
+    for name, stepper in {
+        "coupled": coupled, "whole": Monolithic(whole, PythonInstance(whole)), "unit": Unit([5.8], 5.8)
+    }.items():  # fmt: skip
+        with AuditWriter(tmp_path / f"{name}.parquet") as sink:
+            result = run(stepper, Options(stop=0.1, step=0.01, sink=sink))
+        rows[name] = [row for row in read(tmp_path / f"{name}.parquet").to_pylist() if row["row"] == "network"]
+        assert sum(row.get("iterations", 0) for row in rows[name]) == result.iterations
+    assert {row["accepted_by"] for row in rows["coupled"]} == {"energy"}
+    assert all(1 <= row["iterations"] <= 4 for row in rows["coupled"] + rows["whole"])
+    assert "accepted_by" not in rows["whole"][0] and "iterations" not in rows["unit"][0]

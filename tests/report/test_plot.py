@@ -13,6 +13,7 @@ import pytest
 
 from phfmu.audit import AuditWriter, Layout, Ledger, PortKey, read
 from phfmu.cli import main
+from phfmu.engine.steps import Steps
 from phfmu.report.history import read_history
 from phfmu.report.opening import opened
 from phfmu.report.pick import pick
@@ -206,12 +207,12 @@ def test_power_of_a_vector_port_is_that_of_all_its_pairs(tmp_path: Path) -> None
         ledger = Ledger(sink)
         energy = np.array([[1.0, 2.0, 4.0], [8.0, 16.0, 32.0]])
         total = energy.sum(axis=1, keepdims=True)
-        ledger.add_block(
-            Layout(("box",), keys), [0, 1], [0.0, 0.5], 0.5, np.cumsum(total, axis=0), total, None, total, energy
-        )
+        steps = Steps(np.cumsum(total, axis=0), total, 0.0 * total, total, energy, iterations=np.array([2, 3]))
+        ledger.add(Layout(("box",), keys), [0, 1], [0.0, 0.5], 0.5, steps)
     found = opened(tmp_path / "a.parquet").read(["box.p.power"])[0]
     assert found.values.tolist() == [14.0, 112.0] and found.time.tolist() == [0.25, 0.75]
     assert "step_size" not in opened(tmp_path / "a.parquet").names
+    assert opened(tmp_path / "a.parquet").read(["iterations"])[0].values.tolist() == [2.0, 3.0]
 
 
 def test_events_of_a_log_are_marked_also_in_a_table(folder: Path) -> None:

@@ -44,7 +44,7 @@ typedef enum ph_block {
     PH_ENERGY,      /* nq cumulative energy through each pair */
     PH_SUPPLIED,    /* ncomp cumulative energy supplied through ports */
     PH_DISSIPATED,  /* ncomp cumulative dissipated energy */
-    PH_RESIDUAL,    /* ncomp cumulative stored + dissipated - supplied */
+    PH_RESIDUAL,    /* ncomp cumulative stored + dissipated + numerical - supplied */
     PH_A_END,       /* na algebraic variables now */
     PH_Y_END,       /* nq pair outputs now */
     PH_OBSERVABLES, /* nobs */

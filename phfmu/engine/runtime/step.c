@@ -224,7 +224,7 @@ static void finish(ph_instance *in, double t) {
         double given = in->row[PH_ROW_SUPPLIED][c];
         ph_add(&supplied[c], rest++, given);
         ph_add(&dissipated[c], rest++, lost);
-        ph_add(&residual[c], rest++, stored + lost - given);
+        ph_add(&residual[c], rest++, stored + lost + in->row[PH_ROW_NUMERICAL][c] - given);
     }
     if (in->step.lu.ready)
         memcpy(in->step.pivot, in->step.lu.pivot, sizeof(int) * (size_t)p->nw);

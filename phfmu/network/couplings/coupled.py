@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
+from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupling import Coupling, Solution, Step
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.stepper import Steps
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.member import Member
 
@@ -96,8 +96,9 @@ class Coupled:
         states, last = self.joined.states(), self.last
         try:
             self.last = self.coupling.solve(self.joined, last, Step(t, h, states))
-            known = {"signals": self.read(), "H": self.energies(), "iterations": float(self.last.iterations)}
-            return known | self.joined.ledger()
+            known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
+            test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
+            return known | test | self.joined.ledger()
         except BaseException:
             self.joined.restore(states)
             self.last = last

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
-from phfmu.network.couplings.stepper import Steps
+from phfmu.engine.steps import LEDGER, Steps
 from phfmu.network.members.booking import booking
 from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import require_consistent
@@ -94,9 +94,7 @@ class Monolithic:
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
-        wanted = ("signals", "energy", "stored", "dissipated", "supplied", "moved", "pairs", "counts")
-        if instance.model.loses_energy:
-            wanted += ("numerical",)
+        wanted = (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER
         if self.between is None:
             return self._steps(instance.run(t0, h, n, record=wanted, first=first))
         before = np.concatenate(list(instance.signals().values()))
@@ -106,7 +104,4 @@ class Monolithic:
         return replace(self._steps(r), between=picked)
 
     def _steps(self, r: dict[str, Array]) -> Steps:
-        return Steps(
-            self._columns.pick(r["signals"]), r["energy"], r["stored"], r["dissipated"], r["supplied"], r["pairs"],
-            r["counts"][:, 0], r.get("numerical"), r["moved"],
-        )  # fmt: skip
+        return Steps.recorded(r, self._columns.pick(r["signals"]))

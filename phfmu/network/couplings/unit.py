@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
+from phfmu.engine.steps import Steps
 from phfmu.fmu.reader import FMUInstance
-from phfmu.network.couplings.stepper import Steps
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.words import meant
 
@@ -73,7 +73,7 @@ class FMUStepper:
         for k in range(n):
             try:
                 self.member.do_step(t0 + (first + k) * h, h)
-                known = {"signals": self.read(), "H": self.energies(), "iterations": 0.0}
+                known = {"signals": self.read(), "H": self.energies()}
                 rows.append(known | self.member.ledger())
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from phfmu.declare.error import DeclarationError
 from phfmu.discretise.model import Model
 from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.steps import Steps
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.couplings.stepper import Steps
 from phfmu.network.run.options import Options
 from phfmu.network.run.restart import gains
 from phfmu.schemes.collocated import Collocated
@@ -95,7 +95,7 @@ class Adaptive:
                 own.set_state(state)
                 self._shrink(t, h, SHRINK, failure)
                 continue
-            spent += float(steps.iterations[0])
+            spent += steps.spent
             error, worst = self._error(before, own.x)
             if error <= 1.0:
                 break
@@ -114,7 +114,7 @@ class Adaptive:
         self.other.continue_from(self.stepper.instance)
         if wanted and self.other.model.loses_energy:
             steps = self.stepper.taken(self.other, t, h, 1)
-            return steps, float(steps.iterations[0])
+            return steps, steps.spent
         count = self.other.counts["iterations"]
         self.other.do_step(t, h)
         return None, float(self.other.counts["iterations"] - count)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
-from phfmu.network.couplings.stepper import Stepper, Steps
+from phfmu.engine.steps import Steps
+from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.members.booking import Booking
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.scene import Event
@@ -107,14 +109,10 @@ class Book:
         k = self.steps + np.arange(n)
         before = np.vstack([self._H[None], s.H[:-1]])
         self._H = s.H[-1]
-        newton = np.repeat(s.iterations.astype(int)[:, None], len(self.layout.components), axis=1)
-        lost = s.numerical if s.numerical is not None and s.numerical.any() else None
-        self.ledger.add_block(
-            self.layout, k, t, h, s.H, s.stored, s.dissipated, s.supplied, s.pairs, H0=before, newton=newton,
-            numerical=lost, moved=s.moved,
-        )  # fmt: skip
+        numerical = s.numerical if s.numerical is not None and s.numerical.any() else None
+        self.ledger.add(self.layout, k, t, h, replace(s, numerical=numerical), before)
         self.steps += n
-        self.iterations += float(s.iterations.sum())
+        self.iterations += s.spent
         self._keep_least(t, h, s)
         for name, i in self._watch:
             self._worst[name] = max(self._worst[name], float(np.max(np.abs(s.signals[:, i]))))

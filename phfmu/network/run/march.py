@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
+from phfmu.engine.steps import Steps
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.couplings.stepper import Stepper, Steps
+from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.run.book import Book
 from phfmu.network.run.options import Options
 from phfmu.network.run.rows import Row

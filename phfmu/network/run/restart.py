@@ -8,8 +8,8 @@ a component would gain instead (other H) is taken by the exact scheme.
 from __future__ import annotations
 
 from phfmu.declare.error import DeclarationError
+from phfmu.engine.steps import Steps
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.couplings.stepper import Steps
 from phfmu.schemes.radau import Radau
 
 #: a gain below this part of the step's energies is rounding

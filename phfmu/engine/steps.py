@@ -1,0 +1,79 @@
+"""What is known of accepted steps, from the engines to the result table and the audit, and the balance of their energies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Energy = TypeVar("Energy", float, NDArray[np.float64])
+
+
+def balance(stored: Energy, dissipated: Energy, supplied: Energy, numerical: Energy | float = 0.0) -> Energy:
+    """What a ledger misses: stored + dissipated + numerical - supplied [J], zero to rounding.
+
+    `numerical`: lost by a damping scheme.  Power is positive into the component; floats, or arrays of one shape.
+    """
+    return stored + dissipated + numerical - supplied
+
+
+@dataclass(frozen=True)
+class Steps:
+    """n accepted steps of c components with q scalar port pairs; energies in joule, positive into the component."""
+
+    #: stored energy at the end of each step (n x c)
+    H: Array
+    #: change of it, dissipated and supplied energy (n x c)
+    stored: Array
+    dissipated: Array
+    supplied: Array
+    #: energy through each pair (n x q)
+    pairs: Array
+    #: lost by a damping scheme (n x c), None where there is none
+    numerical: Array | None = None
+    #: sum over the energies of a component of |change| (n x c), None where only their sum is known
+    moved: Array | None = None
+    #: of Newton's method, or of that of the coupling (n), None where a unit does not tell
+    iterations: Array | None = None
+    #: by which test a coupling took the step (n names), None without one
+    accepted_by: Array | None = None
+    #: columns of the result table at the ends (n x names), empty where there is no table
+    signals: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    #: rows of it within each step (n x rows x names), None unless asked for
+    between: Array | None = None
+
+    @property
+    def spent(self) -> float:
+        """Iterations of all steps, 0 where a unit does not tell."""
+        return 0.0 if self.iterations is None else float(self.iterations.sum())
+
+    @classmethod
+    def recorded(cls, record: Mapping[str, Array], signals: Array) -> Steps:
+        """What `run` of an instance recorded of `LEDGER`; `signals`: the columns that are wanted."""
+        return cls(
+            record["energy"], record["stored"], record["dissipated"], record["supplied"], record["pairs"],
+            record.get("numerical"), record["moved"], record["counts"][:, 0], signals=signals,
+        )  # fmt: skip
+
+    @classmethod
+    def stacked(cls, rows: Sequence[Mapping[str, Any]]) -> Steps:
+        """From the values of each step by field; a field that a step lacks is None."""
+        names = [f.name for f in fields(cls) if all(f.name in row for row in rows)]
+        return cls(**{name: np.array([row[name] for row in rows]) for name in names})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Steps]) -> Steps:
+        """One after the other; a part without numerical loss has 0 where others have one, other fields are of all parts."""
+        columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(cls)}
+        if any(lost is not None for lost in columns["numerical"]):
+            columns["numerical"] = [np.zeros_like(p.H) if p.numerical is None else p.numerical for p in parts]
+        whole = {name: found for name, found in columns.items() if all(part is not None for part in found)}
+        return cls(**{name: np.concatenate(found) for name, found in whole.items()})
+
+
+#: what `Steps.recorded` needs of a run; `numerical` too where the scheme loses energy
+LEDGER = ("signals", "energy", "stored", "dissipated", "supplied", "moved", "pairs", "counts")
