@@ -57,3 +57,51 @@ def test_a_command_prints_what_the_page_holds(name: str) -> None:
                 assert float(a) == pytest.approx(float(b), rel=0.02)
             elif not re.fullmatch(r"\d\.\d\de[+-]\d\d", b):
                 assert a == b or abs(float(a) - float(b)) <= 0.01  # slopes
+
+
+LONG = "def long():\n" + "".join(f"    x{i} = {i}\n" for i in range(60)) + "\n"
+AGAIN = "".join(f"    again{i}()\n" for i in range(9))
+
+
+def test_the_house_is_measured_on_any_tree(tmp_path: Path) -> None:
+    """A tree with one of each: its numbers are known, its rows are those of the page."""
+    files = {
+        "phfmu/plan/a.py": "from phfmu.schemes.b import B\n" + LONG,
+        "phfmu/schemes/b.py": "from phfmu.plan.a import long\n\n\nclass GradientPair:\n    pass\n\n\ndef f():\n"
+        + AGAIN,
+        "phfmu/schemes/c.py": "name = 'gradient-pair'\n\n\ndef g():\n" + AGAIN.replace("again3", "other"),
+        "phfmu/engine/d.py": "import casadi\n\n\ndef h():\n    # a comment\n" + AGAIN + "\n# lines\n" * 290,
+        "phfmu/engine/e.c": "int f(int a) {\n" + "    a++;\n" * 60 + "}\n\nstatic int g(void) {\n    return 1;\n}\n",
+        "phfmu/engine/f.py": "x = 'a scheme is called gradient-pair'\n",
+        "tests/test_a.py": "x = 1\n" * 301,
+    }
+    for name, content in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    made = tables("house", "--tree", str(tmp_path))
+    assert made.returncode == 0, made.stderr
+    found = {row[0]: row[1] for row in rows(made.stdout)[2:]}
+    assert list(found) == [row[0] for row in below("house")[2:]]
+    expected = {
+        "files of the package": 6,
+        "files over 300 lines, package": 1,
+        "files over 300 lines, tests": 1,
+        "functions over 60 lines, Python": 1,
+        "functions over 60 lines, C": 1,
+        "circles of imports": 1,
+        "files in a circle": 2,
+        "imports upward": 1,
+        "runs of 8 or more lines that stand elsewhere too, package": 2,  # the body in d.py, and a++ in its own
+        "files that name GradientPair (scheme)": 2,
+    }
+    assert {name: int(found[name]) for name in expected} == expected
+    assert (
+        "plan.a -> schemes.b" in made.stdout
+        and "plan.a - schemes.b" in made.stdout
+        and "phfmu/plan/a.py:long (61)" in made.stdout
+    )
+
+
+def test_trees_are_for_the_house_only() -> None:
+    refused = tables("one_step", "--tree", ".")
+    assert refused.returncode == 2 and "--tree is of house" in refused.stderr

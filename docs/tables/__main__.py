@@ -11,6 +11,7 @@ import argparse
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 
 from phfmu.bench import machine
 
@@ -34,12 +35,13 @@ MAKERS = {
     "stepping": ("restart", "tolerance", "between"),
     "library": ("orders",),
     "singular_mass": ("mass_spring_orders",),
+    "house": ("house",),
     "timings": ("four_particle", "chain_10", "chain_50", "scaling_chain", "scaling_net", "scaling_ladder"),
 }
 MODULE = {name: module for module, names in MAKERS.items() for name in names}
 
 
-def maker(name: str) -> Callable[[], Made]:
+def maker(name: str) -> Callable[..., Made]:
     return getattr(import_module(MODULE[name]), name)
 
 
@@ -47,12 +49,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python docs/tables", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to make; none: list them")
     parser.add_argument("--write", action="store_true", help="into the pages, below the line with the command")
+    parser.add_argument(
+        "--tree", action="append", type=Path, metavar="PATH", help="of house: a tree to measure; may be repeated"
+    )
     args = parser.parse_args()
+    if args.tree and args.names != ["house"]:
+        parser.error("--tree is of house")
     unknown = [n for n in args.names if n not in MODULE]
     if unknown:
         parser.error(f"there is no '{unknown[0]}'; there are: {', '.join(MODULE)}")
     for name in args.names:
-        made = maker(name)()
+        made = maker(name)(args.tree) if args.tree else maker(name)()
         print(f"### {name}\n\n{maker(name).__doc__}\n\n{made}\n", flush=True)
         if args.write:
             for path in (*write(name, made), *made.draw()):
