@@ -14,7 +14,7 @@ from pages import DOCS, Made, table
 
 from phfmu.bench import machine
 from phfmu.bench.families import FAMILIES, member
-from phfmu.cli.target import scene
+from phfmu.target import scene
 
 RESULTS = DOCS / "results"
 

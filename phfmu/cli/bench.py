@@ -108,7 +108,7 @@ def _compare(args: argparse.Namespace) -> int:
     from phfmu.bench.run import TOLERANCES, Choice, compare, known_peers, write
     from phfmu.cli.codes import FINE
     from phfmu.cli.options import settings
-    from phfmu.cli.target import scene
+    from phfmu.target import scene
 
     if args.repeat < 1:
         raise ValueError(f"--repeat {args.repeat}: at least one timed run is needed")
@@ -165,7 +165,7 @@ def _paper(args: argparse.Namespace) -> int:
 
     from phfmu.bench.paper_figures import write
     from phfmu.cli.codes import FINE, PROBLEMS
-    from phfmu.cli.target import load
+    from phfmu.target import load
 
     if args.target != "four_particle":
         raise ValueError("--paper reproduces the paper of four_particle only: phfmu bench four_particle --paper -o DIR")

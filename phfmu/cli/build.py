@@ -10,7 +10,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from phfmu.cli.options import require_sound, scheme_of, settings
-from phfmu.cli.target import is_fmu, scene
+from phfmu.target import is_fmu, scene
 from phfmu.words import meant
 
 if TYPE_CHECKING:

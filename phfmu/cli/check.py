@@ -20,7 +20,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, PROBLEMS
-    from phfmu.cli.target import is_fmu
+    from phfmu.target import is_fmu
 
     lines, errors, warnings = _of_unit(args.target) if is_fmu(args.target) else _of_model(args.target)
     for line in lines:
@@ -38,8 +38,8 @@ def _of_unit(path: str) -> tuple[list[str], int, int]:
 
 
 def _of_model(target: str) -> tuple[list[str], int, int]:
-    from phfmu.cli.target import scene
     from phfmu.network.check_scene import check_scene
+    from phfmu.target import scene
 
     chosen = scene(target)
     declaration = chosen.declaration()

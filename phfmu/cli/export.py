@@ -43,10 +43,10 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.build import _with_settings
     from phfmu.cli.options import require_sound, scheme_of, settings
-    from phfmu.cli.target import scene
     from phfmu.discretise.model import build_model
     from phfmu.fmu.export import PLATFORMS, export
     from phfmu.fmu.version import VERSIONS
+    from phfmu.target import scene
 
     s = scene(args.target)
     system = _with_settings(s.system, settings(args.set))

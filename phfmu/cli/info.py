@@ -20,8 +20,8 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from phfmu.cli.target import is_fmu, scene
     from phfmu.declare.parameter_limits import limits
+    from phfmu.target import is_fmu, scene
 
     if is_fmu(args.target):
         from phfmu.fmu.inspect import fmu_info

@@ -61,9 +61,9 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.interrupt import Signals
     from phfmu.cli.outputs import Outputs
-    from phfmu.cli.target import is_fmu
     from phfmu.cli.timeline import timeline
     from phfmu.network.run.loop import run
+    from phfmu.target import is_fmu
 
     outputs, job = Outputs(args), job_of(args)
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label

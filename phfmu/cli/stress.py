@@ -19,10 +19,10 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, PROBLEMS
-    from phfmu.cli.target import TargetError, is_fmu
     from phfmu.stress.case import Verdict, answer
     from phfmu.stress.matrix import cases
     from phfmu.stress.report import short, tally, write
+    from phfmu.target import TargetError, is_fmu
 
     if args.target and is_fmu(args.target):
         raise TargetError(f"{args.target} is an FMU; its step cannot go back or be zero. Give the declaration")

@@ -17,6 +17,7 @@ from phfmu.discretise.model import Model, require_model
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
+from phfmu.signals import MEAN
 
 #: category of messages -> its description
 LOG_CATEGORIES = {
@@ -82,7 +83,7 @@ class Unit:
             return {}
         place = {v.name: i for i, v in enumerate(self.variables)}
         ports = [p for p in self.declaration.ports if p.size is not None]
-        groups = [g for p in ports for g in (p.input_names(), p.output_names(), p.output_names("_step"))]
+        groups = [g for p in ports for g in (p.input_names(), p.output_names(), p.output_names(MEAN))]
         return {place[g[0]]: Span(g[0].rpartition("[")[0], len(g)) for g in groups if g[0] in place}
 
     def outputs(self) -> list[int]:

@@ -11,9 +11,9 @@ from typing import Any
 from phfmu.declare.port import Domain, Given
 from phfmu.fmu import limits
 from phfmu.fmu.description import Unit
-from phfmu.fmu.variables import LEDGER, STEP_LEDGER
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
+from phfmu.signals import LEDGER, MEAN, STEP_LEDGER, port_energy, total
 
 LAYER = "org.phfmu.ports"
 PATH = f"extra/{LAYER}/fmi-ls-manifest.xml"
@@ -94,16 +94,16 @@ def manifest(unit: Unit) -> bytes:
         etree.SubElement(root, "LeftOut", what=plain(text))
     energy = etree.SubElement(root, "Energy")
     for what, _, _ in (*LEDGER, *STEP_LEDGER):
-        energy.set(ENERGY.get(what, what), f"energy.{what}")
+        energy.set(ENERGY.get(what, what), total(what))
     for port in unit.declaration.ports:
         if not port.external:
             continue
         element = etree.SubElement(root, "Port", name=port.name, given=port.given)
         for name, attribute in DOMAIN.items():
             element.set(name, getattr(port.domain, attribute))
-        element.set("energy", f"{port.name}.energy")
+        element.set("energy", port_energy(port.name))
         element.set("vector", "false" if port.size is None else "true")
-        names = zip(port.input_names(), port.output_names(), port.output_names("_step"), strict=True)
+        names = zip(port.input_names(), port.output_names(), port.output_names(MEAN), strict=True)
         for j, pair in enumerate(names):
             about: dict[str, str] = dict(zip(("input", "output", "stepOutput"), pair, strict=True))
             if unit.node_inputs:

@@ -17,10 +17,10 @@ from phfmu.engine.model import kernels
 from phfmu.engine.tables import c_text
 from phfmu.engine.tangent_text import tangent_text
 from phfmu.fmu.description import Unit
-from phfmu.fmu.variables import check_names
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.fmu.words import c_comment, c_string
 from phfmu.fmu.xml import number
+from phfmu.signals import check_names
 
 RUNTIME = Path(__file__).parent / "runtime"
 

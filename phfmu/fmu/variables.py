@@ -5,18 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
-
-import numpy as np
 
 from phfmu.declare.parameter_limits import Limit, limits
-from phfmu.declare.phdae import PHDAE
-from phfmu.declare.port import Port
-from phfmu.declare.variable import Number, Variable
 from phfmu.discretise.model import Model
 from phfmu.fmu.words import plain
-
-Causality = Literal["independent", "parameter", "input", "output", "local"]
+from phfmu.signals import Causality, Quantity, entries, ordered_ports, quantities
 
 #: one part of a structured name of the standard: letters, digits and _, then indices
 _PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
@@ -64,6 +57,11 @@ class FMUVariable:
         return self.block not in _OF_STATE
 
 
+#: places of fmu.h; the others are blocks of phfmu.h
+_OF_UNITS = (
+    *("parameter", "input", "node_input", "node_output", "gap"),
+    *("row_stored", "row_supplied", "row_dissipated", "row_moved"),
+)
 #: energies, which no input changes before the next step
 _OF_STATE = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL", "FMU_GAP")
 #: where outputs of the ledger and residuals of constraints come from: to be looked at, not to be connected
@@ -76,18 +74,11 @@ def variables(model: Model, node_inputs: bool = False, ledger_outputs: bool = Tr
     `node_inputs`: port inputs and outputs at the k nodes of a step too; they come last.  `ledger_outputs`: energies and
     residuals of constraints are outputs, else local variables.
     """
-    table = (
-        FMUVariable("time", "independent", "PH_X", model.step.nx, unit="s", description="time"),
-        *_parameters(model),
-        *_ports(model),
-        *_totals(model),
-        *_starts(model.declaration.states, "local", "PH_X", list(model.x0)),
-        *_algebraics(model),
-        *_observables(model),
-        *_checks(model),
-        *(_nodes(model) if node_inputs else ()),
+    limit = limits(model.declaration)
+    table = tuple(
+        _written(q, limit.get(q.name) if q.causality == "parameter" else None)
+        for q in (*quantities(model), *(_nodes(model) if node_inputs else ()))
     )
-    table = tuple(replace(v, description=plain(v.description)) for v in table)
     if not ledger_outputs:
         table = tuple(
             replace(v, causality="local") if v.causality == "output" and v.block in _BOOKS else v for v in table
@@ -96,6 +87,14 @@ def variables(model: Model, node_inputs: bool = False, ledger_outputs: bool = Tr
     if problems:
         raise FMUError(f"{model.name}: " + "; ".join(problems))
     return table
+
+
+def _written(q: Quantity, limit: Limit | None) -> FMUVariable:
+    """A quantity as a unit tells it."""
+    block = f"FMU_{q.block.upper()}" if q.block in _OF_UNITS else f"PH_{q.block.upper()}"
+    return FMUVariable(
+        q.name, q.causality, block, q.first, q.count, q.start, q.unit, q.nominal, plain(q.description), limit
+    )
 
 
 def _problems(table: tuple[FMUVariable, ...]) -> list[str]:
@@ -108,95 +107,7 @@ def _problems(table: tuple[FMUVariable, ...]) -> list[str]:
     return found
 
 
-def _scalars(declared: tuple[Variable, ...]) -> Iterator[tuple[int, str, str, Variable, int]]:
-    """(place, name, description, variable, entry) of every scalar."""
-    place = 0
-    for v in declared:
-        for i, name in enumerate(v.names()):
-            text = v.description or f"{v.role} {v.name}"
-            yield place, name, text if v.size is None else f"{text}, entry {i + 1}", v, i
-            place += 1
-
-
-def _starts(declared: tuple[Variable, ...], causality: Causality, block: str, start: list[float]) -> list[FMUVariable]:
-    return [
-        FMUVariable(name, causality, block, i, 1, float(start[i]), v.unit, _nominal(v, j), text)
-        for i, name, text, v, j in _scalars(declared)
-    ]
-
-
-def _parameters(model: Model) -> list[FMUVariable]:
-    limit = limits(model.declaration)
-    made = _starts(model.declaration.parameters, "parameter", "FMU_PARAMETER", list(model.p0))
-    return [replace(v, limit=limit.get(v.name)) for v in made]
-
-
-def _nominal(v: Variable, entry: int) -> float | None:
-    """Parameters have no nominal value of their own."""
-    return None if v.role == "parameter" or not v.nominal[entry] else abs(v.nominal[entry])
-
-
-def _algebraics(model: Model) -> Iterator[FMUVariable]:
-    what = "carried on by the scheme" if model.step.carries else "mean of the last step"
-    for i, name, text, v, j in _scalars(model.declaration.algebraics):
-        yield FMUVariable(name, "local", "PH_A", i, 1, None, v.unit, _nominal(v, j), f"{text}, {what}")
-    for i, name, text, v, j in _scalars(model.declaration.algebraics):
-        yield FMUVariable(
-            end_name(name),
-            "local",
-            "PH_A_END",
-            i,
-            1,
-            None,
-            v.unit,
-            _nominal(v, j),
-            f"{text}, at the present time",
-        )
-
-
-def end_name(name: str) -> str:
-    """lambda[1] -> lambda_end[1]."""
-    base, bracket, index = name.partition("[") if "[" in name.rsplit(".", 1)[-1] else (name, "", "")
-    return f"{base}_end{bracket}{index}"
-
-
-def ordered_ports(declaration: PHDAE) -> list[tuple[Port, int]]:
-    """Ports with the place of their first scalar pair: external ones first, then those fed from inside."""
-    result, place = [], 0
-    for external in (True, False):
-        for port in declaration.ports:
-            if port.external == external:
-                result.append((port, place))
-                place += port.n
-    return result
-
-
-#: suffix, block and time of the outputs of a port
-OUTPUTS = (("", "PH_Y_END", "at the present time"), ("_step", "PH_Y_STEP", "mean of the last step"))
-
-
-def _ports(model: Model) -> Iterator[FMUVariable]:
-    for port, first in ordered_ports(model.declaration):
-        flow, effort = port.domain.flow, port.domain.effort
-        given, found = (effort, flow) if port.given == "effort" else (flow, effort)
-        text = f"of port {port.name}" + (f" ({port.description})" if port.description else "")
-        causality: Causality = "output" if port.external else "local"
-        if port.external:
-            nominal = _entries(port.nominal, port.n)
-            for i, name in enumerate(port.input_names()):
-                yield FMUVariable(
-                    name, "input", "FMU_INPUT", first + i, 1, float(model.u0[first + i]), port.input_unit,
-                    abs(nominal[i]) or None, f"{given} {text}, held over a step",
-                )  # fmt: skip
-        for suffix, block, when in OUTPUTS:
-            for i, name in enumerate(port.output_names(suffix)):
-                about = f"{found} {text}, {when}"
-                yield FMUVariable(name, causality, block, first + i, 1, None, port.output_unit, description=about)
-        about = f"energy {text}, supplied since the start"
-        yield FMUVariable(f"{port.name}.energy", causality, "PH_ENERGY", first, port.n, None, "J", description=about)
-
-
-def _nodes(model: Model) -> Iterator[FMUVariable]:
+def _nodes(model: Model) -> Iterator[Quantity]:
     """Inputs of external ports at the nodes of a step, then the outputs conjugate to them."""
     plan = model.step
     if plan.k == 1:
@@ -206,80 +117,17 @@ def _nodes(model: Model) -> Iterator[FMUVariable]:
         )
     free = [(p, first) for p, first in ordered_ports(model.declaration) if p.external]
     for port, first in free:
-        nominal = _entries(port.nominal, port.n)
+        nominal = entries(port.nominal, port.n)
         for j, names in enumerate(port.node_input_names(plan.k)):
             for i, name in enumerate(names):
-                yield FMUVariable(
-                    name, "input", "FMU_NODE_INPUT", i * plan.nu + first + j, 1, float(model.u0[first + j]), port.input_unit,
+                yield Quantity(
+                    name, "input", "node_input", i * plan.nu + first + j, 1, float(model.u0[first + j]), port.input_unit,
                     abs(nominal[j]) or None, f"{port.input_names()[j]} at t + {model.nodes[i]:.9g} h of the next step",
                 )  # fmt: skip
     for port, first in free:
         for j, names in enumerate(port.node_output_names(plan.k)):
             for i, name in enumerate(names):
-                yield FMUVariable(
-                    name, "output", "FMU_NODE_OUTPUT", i * plan.nq + first + j, 1, None, port.output_unit,
+                yield Quantity(
+                    name, "output", "node_output", i * plan.nq + first + j, 1, None, port.output_unit,
                     description=f"{port.output_names()[j]} at t + {model.nodes[i]:.9g} h of the last step",
                 )  # fmt: skip
-
-
-def _entries(value: Number, n: int) -> list[float]:
-    return np.broadcast_to(np.asarray(value, float), (n,)).tolist()
-
-
-#: name, block and meaning of the entries of the energy ledger
-LEDGER = (
-    ("stored", "PH_H", "stored energy"),
-    ("supplied", "PH_SUPPLIED", "energy supplied through ports since the start"),
-    ("dissipated", "PH_DISSIPATED", "energy dissipated since the start"),
-    (
-        "residual",
-        "PH_RESIDUAL",
-        "change of stored + dissipated - supplied energy since the start",
-    ),
-    ("gap", "FMU_GAP", "change of stored energy since the start that the ledgers of the steps do not explain"),
-)
-#: the same of one communication step, free of the cancellation of differences
-STEP_LEDGER = (
-    ("stored_step", "FMU_ROW_STORED", "change of stored energy in the last step"),
-    ("supplied_step", "FMU_ROW_SUPPLIED", "energy supplied through ports in the last step"),
-    ("dissipated_step", "FMU_ROW_DISSIPATED", "energy dissipated in the last step"),
-    ("moved_step", "FMU_ROW_MOVED", "sum over the energies of |change| in the last step"),
-)
-
-
-def _totals(model: Model) -> Iterator[FMUVariable]:
-    n = model.step.ncomp
-    for name, block, text in LEDGER:
-        yield FMUVariable(f"energy.{name}", "output", block, 0, n, None, "J", description=text)
-    for name, block, text in STEP_LEDGER:
-        yield FMUVariable(f"energy.{name}", "local", block, 0, n, None, "J", description=text)
-    if n == 1:
-        return
-    for i, member in enumerate(model.members):
-        for name, block, text in LEDGER if member else ():
-            yield FMUVariable(
-                f"{member}.energy.{name}", "local", block, i, 1, None, "J", description=f"{member}: {text}"
-            )
-
-
-def _observables(model: Model) -> Iterator[FMUVariable]:
-    place = 0
-    for o in model.declaration.observables:
-        for i in range(o.expr.numel()):
-            name = model.observable_names[place]
-            text = o.description or f"observable {o.name}"
-            text = text if o.expr.numel() == 1 else f"{text}, entry {i + 1}"
-            yield FMUVariable(name, "local", "PH_OBSERVABLES", place, 1, None, o.unit, description=text)
-            place += 1
-
-
-def _checks(model: Model) -> Iterator[FMUVariable]:
-    first = len(model.observable_names)
-    for i, (name, check) in enumerate(zip(check_names(model), model.checks, strict=True)):
-        text = f"residual of the hidden constraint of {check.name}, {check.level} level"
-        yield FMUVariable(name, "output", "PH_OBSERVABLES", first + i, description=text)
-
-
-def check_names(model: Model) -> list[str]:
-    """constraint.velocity.lambda[1], constraint.position.lambda[1], ... in the order of the checks."""
-    return [f"constraint.{check.level}.{check.name}" for check in model.checks]

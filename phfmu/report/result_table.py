@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phfmu.report.recording import Mark, Signal
+from phfmu.signals import CONSTRAINT, END, ENERGY, LEDGER, MEAN, total
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -17,16 +18,14 @@ if TYPE_CHECKING:
 #: key of a Parquet column's unit
 UNIT_KEY = b"unit"
 #: endings of what is not drawn unasked: mean and end values of a step, books and constraints
-_BESIDE = ("_step", "_end", ".energy", "energy.stored", "energy.supplied", "energy.dissipated", "energy.residual")
+_BESIDE = (MEAN, END, ENERGY, *(total(name) for name, _, _ in LEDGER))
 
 
 def usual(names: Sequence[str]) -> list[str]:
     """Signals that a picture shows unasked: all but means and ends of steps, energies and the marks of rows."""
     bases = {n: n.partition("[")[0] for n in names}
     chosen = [
-        n
-        for n, b in bases.items()
-        if not b.endswith(_BESIDE) and not b.startswith("constraint.") and b != "interpolated"
+        n for n, b in bases.items() if not b.endswith(_BESIDE) and not b.startswith(CONSTRAINT) and b != "interpolated"
     ]
     return chosen or list(names)
 

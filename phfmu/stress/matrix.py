@@ -11,7 +11,7 @@ STEPPED = ("smib", "four_particle", "dc_motor")
 
 def cases(target: str | None) -> list[Case]:
     """All cases, or those about one target: its steps, and the cases with its name."""
-    from phfmu.cli.target import scene
+    from phfmu.target import scene
 
     own = [c for module in (particles, linkage, redundant, coupled, machine) for c in module.CASES]
     if target is None:

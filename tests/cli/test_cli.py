@@ -224,8 +224,8 @@ def test_targets_in_a_file(cli: Cli) -> None:
 
 
 def test_customary_runs_belong_to_names_of_the_library(tmp_path: Path) -> None:
-    from phfmu.cli.target import scene
     from phfmu.components.library import RUNS
+    from phfmu.target import scene
 
     assert set(RUNS) <= set(LIBRARY) and all(LIBRARY[name][0] == "component" for name in RUNS)
     for name, (stop, step) in RUNS.items():

@@ -11,6 +11,7 @@ from phfmu.network.junctions.hidden import hidden_part
 from phfmu.network.junctions.junction import Junction
 from phfmu.network.members.consistent import MONOLITHIC, InconsistentState
 from phfmu.network.members.differences import instant_sensitivity
+from phfmu.signals import SUM
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ class EndSums:
     def __init__(self, joined: Joined):
         self.joined = joined
         face = joined.face
-        self.names = [f"constraint.sum.{n}" for n in face.sum_names()]
+        self.names = [SUM + n for n in face.sum_names()]
         self._rows = face.rows_of_sums()
         self._projector: Array | None = None
 

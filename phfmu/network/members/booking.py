@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from phfmu.discretise.model import Model
-from phfmu.fmu.variables import ordered_ports
+from phfmu.signals import ordered_ports
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Result columns of a model: the variables of its FMU, read from an instance's signals."""
+"""Result columns of a model: what it tells, read from an instance's signals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.fmu.variables import variables
+from phfmu.signals import quantities
 
 Array = NDArray[np.float64]
 
@@ -17,13 +17,13 @@ class Columns:
     """Names and gather tables of every calculated variable (no parameters, inputs or time)."""
 
     def __init__(self, model: Model, layout: dict[str, slice]):
-        place = {f"PH_{block}".upper(): where.start for block, where in layout.items()}
-        chosen = [v for v in variables(model) if v.block in place and v.causality != "independent"]
-        self.names = [v.name for v in chosen]
+        place = {block: where.start for block, where in layout.items()}
+        chosen = [q for q in quantities(model) if q.block in place and q.causality != "independent"]
+        self.names = [q.name for q in chosen]
         self._blocks = list(layout)
-        entries = [place[v.block] + v.first + np.arange(v.count) for v in chosen]
+        entries = [place[q.block] + q.first + np.arange(q.count) for q in chosen]
         self._gather = np.concatenate(entries) if entries else np.zeros(0, int)
-        self._starts = np.cumsum([0, *(v.count for v in chosen)])[:-1]
+        self._starts = np.cumsum([0, *(q.count for q in chosen)])[:-1]
 
     def pick(self, signals: Array) -> Array:
         """Rows of signals -> rows of columns."""

@@ -14,6 +14,7 @@ from phfmu.fmu.refusal import UnitFailure
 from phfmu.network.members.booking import Booking
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.inputs import places
+from phfmu.signals import ENERGY, port_energy
 
 Array = NDArray[np.float64]
 
@@ -35,9 +36,9 @@ def _booking(unit: FMUInstance, name: str) -> Booking:
 
 def _fed_from_inside(unit: FMUInstance) -> bool:
     """True if the unit has power ports of its own that no input feeds, such as the source of a grid."""
-    own = {f"{p.name}.energy" for p in unit.ports}
+    own = {port_energy(p.name) for p in unit.ports}
     local = (n for n, v in unit.interface.variables.items() if v.causality == "local" and n not in own)
-    return any(n.endswith(".energy") for n in local)
+    return any(n.endswith(ENERGY) for n in local)
 
 
 class FMUMember:

@@ -15,6 +15,7 @@ from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.members.booking import Booking
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.scene import Event
+from phfmu.signals import CONSTRAINT
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger, PortKey
@@ -36,7 +37,7 @@ class Book:
             b.components, tuple(self._key(*pair, b) for pair in b.pairs), silent=b.estimated - with_ports
         )
         self.steps, self.iterations = 0, 0.0
-        self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith("constraint.")]
+        self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith(CONSTRAINT)]
         self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
         self._H = np.zeros(0)
         #: component -> time and signals at the end of its step that dissipated least, where that was negative

@@ -1,4 +1,4 @@
-"""What a TARGET on the command line means."""
+"""What a TARGET means: the name of a component or scene of the library, or a function of a file."""
 
 from __future__ import annotations
 

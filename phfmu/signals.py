@@ -1,0 +1,200 @@
+"""Names and units of everything that a model tells: of its ports, its variables and its energy ledger.
+
+The one place for them: result tables, units and the audit take them from here.  Names have the form `port.member`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.declare.port import Port
+    from phfmu.declare.variable import Number, Variable
+    from phfmu.discretise.model import Model
+
+#: words of the FMI standard
+Causality = Literal["independent", "parameter", "input", "output", "local"]
+
+#: endings of names: mean of the last step, value at the present time, energy through a port
+MEAN, END, ENERGY = "_step", "_end", ".energy"
+#: residuals of hidden constraints, and of the sums at junctions of members that are stepped apart
+CONSTRAINT = "constraint."
+SUM = CONSTRAINT + "sum."
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One scalar: the sum of `count` entries of `block` from `first` on.
+
+    `block`: one of an instance's signals (x, a, y_step, energy, ..), or a place that only units have (parameter, input,
+    node_input, node_output, gap, row_*).  `start` is None if calculated; `unit` "1" is none; `nominal` None: not known.
+    """
+
+    name: str
+    causality: Causality
+    block: str
+    first: int
+    count: int = 1
+    start: float | None = None
+    unit: str = "1"
+    nominal: float | None = None
+    description: str = ""
+
+
+#: name after `energy.`, block and meaning of the entries of the energy ledger, J
+LEDGER = (
+    ("stored", "H", "stored energy"),
+    ("supplied", "supplied", "energy supplied through ports since the start"),
+    ("dissipated", "dissipated", "energy dissipated since the start"),
+    ("residual", "residual", "change of stored + dissipated - supplied energy since the start"),
+    ("gap", "gap", "change of stored energy since the start that the ledgers of the steps do not explain"),
+)
+#: the same of one communication step, free of the cancellation of differences
+STEP_LEDGER = (
+    (f"stored{MEAN}", "row_stored", "change of stored energy in the last step"),
+    (f"supplied{MEAN}", "row_supplied", "energy supplied through ports in the last step"),
+    (f"dissipated{MEAN}", "row_dissipated", "energy dissipated in the last step"),
+    (f"moved{MEAN}", "row_moved", "sum over the energies of |change| in the last step"),
+)
+#: ending, block and time of the outputs of a port
+OUTPUTS = (("", "y_end", "at the present time"), (MEAN, "y_step", "mean of the last step"))
+
+
+def quantities(model: Model) -> tuple[Quantity, ...]:
+    """All of a model in the order in which tables and units list them."""
+    d = model.declaration
+    return (
+        Quantity("time", "independent", "x", model.step.nx, unit="s", description="time"),
+        *_starts(d.parameters, "parameter", "parameter", list(model.p0)),
+        *_ports(model),
+        *_totals(model),
+        *_starts(d.states, "local", "x", list(model.x0)),
+        *_algebraics(model),
+        *_observables(model),
+        *_checks(model),
+    )
+
+
+def ordered_ports(declaration: PHDAE) -> list[tuple[Port, int]]:
+    """Ports with the place of their first scalar pair: external ones first, then those fed from inside."""
+    result, place = [], 0
+    for external in (True, False):
+        for port in declaration.ports:
+            if port.external == external:
+                result.append((port, place))
+                place += port.n
+    return result
+
+
+def port_energy(port: str) -> str:
+    """terminal -> terminal.energy."""
+    return port + ENERGY
+
+
+def end_name(name: str) -> str:
+    """lambda[1] -> lambda_end[1]."""
+    base, bracket, index = name.partition("[") if "[" in name.rsplit(".", 1)[-1] else (name, "", "")
+    return f"{base}{END}{bracket}{index}"
+
+
+def total(quantity: str, member: str = "") -> str:
+    """stored -> energy.stored, of a member gen.energy.stored."""
+    return f"{member}.energy.{quantity}" if member else f"energy.{quantity}"
+
+
+def check_names(model: Model) -> list[str]:
+    """constraint.velocity.lambda[1], constraint.position.lambda[1], ... in the order of the checks."""
+    return [f"{CONSTRAINT}{check.level}.{check.name}" for check in model.checks]
+
+
+def entries(value: Number, n: int) -> list[float]:
+    """One number, or one per entry, as n of them."""
+    return np.broadcast_to(np.asarray(value, float), (n,)).tolist()
+
+
+def _scalars(declared: Sequence[Variable]) -> Iterator[tuple[int, str, str, Variable, int]]:
+    """(place, name, description, variable, entry) of every scalar."""
+    place = 0
+    for v in declared:
+        for i, name in enumerate(v.names()):
+            text = v.description or f"{v.role} {v.name}"
+            yield place, name, text if v.size is None else f"{text}, entry {i + 1}", v, i
+            place += 1
+
+
+def _starts(declared: Sequence[Variable], causality: Causality, block: str, start: list[float]) -> list[Quantity]:
+    return [
+        Quantity(name, causality, block, i, 1, float(start[i]), v.unit, _nominal(v, j), text)
+        for i, name, text, v, j in _scalars(declared)
+    ]
+
+
+def _nominal(v: Variable, entry: int) -> float | None:
+    """Parameters have no nominal value of their own."""
+    return None if v.role == "parameter" or not v.nominal[entry] else abs(v.nominal[entry])
+
+
+def _algebraics(model: Model) -> Iterator[Quantity]:
+    what = "carried on by the scheme" if model.step.carries else "mean of the last step"
+    for i, name, text, v, j in _scalars(model.declaration.algebraics):
+        yield Quantity(name, "local", "a", i, 1, None, v.unit, _nominal(v, j), f"{text}, {what}")
+    for i, name, text, v, j in _scalars(model.declaration.algebraics):
+        about = f"{text}, at the present time"
+        yield Quantity(end_name(name), "local", "a_end", i, 1, None, v.unit, _nominal(v, j), about)
+
+
+def _ports(model: Model) -> Iterator[Quantity]:
+    for port, first in ordered_ports(model.declaration):
+        flow, effort = port.domain.flow, port.domain.effort
+        given, found = (effort, flow) if port.given == "effort" else (flow, effort)
+        text = f"of port {port.name}" + (f" ({port.description})" if port.description else "")
+        causality: Causality = "output" if port.external else "local"
+        if port.external:
+            nominal = entries(port.nominal, port.n)
+            for i, name in enumerate(port.input_names()):
+                yield Quantity(
+                    name, "input", "input", first + i, 1, float(model.u0[first + i]), port.input_unit, abs(nominal[i]) or None,
+                    f"{given} {text}, held over a step",
+                )  # fmt: skip
+        for ending, block, when in OUTPUTS:
+            for i, name in enumerate(port.output_names(ending)):
+                about = f"{found} {text}, {when}"
+                yield Quantity(name, causality, block, first + i, 1, None, port.output_unit, description=about)
+        about = f"energy {text}, supplied since the start"
+        yield Quantity(port_energy(port.name), causality, "energy", first, port.n, None, "J", description=about)
+
+
+def _totals(model: Model) -> Iterator[Quantity]:
+    n = model.step.ncomp
+    for name, block, text in LEDGER:
+        yield Quantity(total(name), "output", block, 0, n, None, "J", description=text)
+    for name, block, text in STEP_LEDGER:
+        yield Quantity(total(name), "local", block, 0, n, None, "J", description=text)
+    if n == 1:
+        return
+    for i, member in enumerate(model.members):
+        for name, block, text in LEDGER if member else ():
+            yield Quantity(total(name, member), "local", block, i, 1, None, "J", description=f"{member}: {text}")
+
+
+def _observables(model: Model) -> Iterator[Quantity]:
+    place = 0
+    for o in model.declaration.observables:
+        for i in range(o.expr.numel()):
+            name = model.observable_names[place]
+            text = o.description or f"observable {o.name}"
+            text = text if o.expr.numel() == 1 else f"{text}, entry {i + 1}"
+            yield Quantity(name, "local", "observables", place, 1, None, o.unit, description=text)
+            place += 1
+
+
+def _checks(model: Model) -> Iterator[Quantity]:
+    first = len(model.observable_names)
+    for i, (name, check) in enumerate(zip(check_names(model), model.checks, strict=True)):
+        text = f"residual of the hidden constraint of {check.name}, {check.level} level"
+        yield Quantity(name, "output", "observables", first + i, description=text)
