@@ -145,9 +145,9 @@ def located(t: float, force: Callable[[float], float]) -> np.ndarray:
         ("contact", lambda q: 100 * (q - 1), "order 6", 2.3),
     ],
 )
-def test_the_motion_converges_to_that_with_located_impacts(name, force, scheme, order):
+def test_the_motion_converges_to_that_with_located_impacts(compiler, name, force, scheme, order):
     """Order 2 over a kink of H, 3 over one of its gradient; means over four phases."""
-    exact, unit = located(5.0, force), instance(name, scheme)
+    exact, unit = located(5.0, force), instance(name, scheme, native=True)
     errors = [
         np.mean([np.max(np.abs(run(unit, (2.0, 0.0), 5.0 / m, m)[0][-1] - exact)) for m in range(n, n + 4)])
         for n in (100, 400)

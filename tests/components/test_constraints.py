@@ -248,9 +248,15 @@ def test_constraints_of_any_degree_are_exact_and_keep_the_order(kind, scheme, or
     assert abs(slopes(errors)[0] - order) <= 0.2, errors
 
 
-@pytest.mark.parametrize("gradient", ["per-term", "mean-value", "joint-gonzalez", "itoh-abe", "itoh-abe-symmetric"])
-@pytest.mark.parametrize("form", [TwoLevel, Collocated])
-def test_every_gradient_takes_large_steps_of_four_particles(gradient, form):
+GRADIENTS = ("per-term", "mean-value", "joint-gonzalez", "itoh-abe", "itoh-abe-symmetric")
+
+
+@pytest.mark.parametrize(
+    ("form", "gradient"),
+    [(TwoLevel, g) for g in GRADIENTS]
+    + [pytest.param(Collocated, g, marks=[] if g == "joint-gonzalez" else pytest.mark.slow) for g in GRADIENTS],
+)
+def test_every_gradient_takes_large_steps_of_four_particles(form, gradient):
     from phfmu.components.mechanical.four_particle import four_particle
 
     model = build_model(four_particle(), form(1, gradient=gradient))

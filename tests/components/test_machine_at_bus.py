@@ -62,7 +62,7 @@ def test_ten_millisecond_steps_of_balanced_quantities_are_accurate():
     assert errors("dq-flux", 3, 1e-2, 1.0)["stator"] <= 5e-7
 
 
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", [1, pytest.param(2, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize("name", machine_names())
 def test_phase_fluxes_stay_to_the_last_bit_without_resistance_and_voltage(name, k):
     """psi' = 0 in abc flux coordinates, while the rotor turns through the field and torque flows; 1e4 steps."""

@@ -125,19 +125,20 @@ def compare(name, k, n):
     assert name == "fault_resistor" or (used > 0.0).all()  # power through every port; the fault is open
 
 
+@pytest.mark.parametrize("steps", [50, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", NAMES)
-def test_engines_agree_and_ledgers_close(name):
-    compare(name, 1, 200)
+def test_engines_agree_and_ledgers_close(name, steps):
+    compare(name, 1, steps)
 
 
 @pytest.mark.parametrize("name", HIGHER)
 def test_engines_agree_at_order_four(name):
-    compare(name, 2, 100)
+    compare(name, 2, 50)
 
 
 @pytest.mark.parametrize("name", ["dc_motor", "four_particle"])
 def test_engines_agree_at_order_six(name):
-    compare(name, 3, 100)
+    compare(name, 3, 50)
 
 
 @pytest.mark.slow
@@ -163,24 +164,24 @@ def later(instance, model, h, n):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(("name", "k"), SAVED)
 def test_restored_states_repeat_bitwise(engine, name, k):
-    model, h = plan(name, k), step_size(name)
+    model, h, n = plan(name, k), step_size(name), 25 if engine is PythonInstance else 100
     instance = start(engine(model))
     instance.run(model.t0, h, 20, inputs=tones(model, h, 20))
     saved = instance.get_state()
-    first = later(instance, model, h, 100)
+    first = later(instance, model, h, n)
     instance.set_state(saved)
-    assert later(instance, model, h, 100) == first
+    assert later(instance, model, h, n) == first
     other = engine(model)
     other.run(model.t0, 3 * h, 3)
     other.set_state(saved)
-    assert later(other, model, h, 100) == first
+    assert later(other, model, h, n) == first
     untouched = engine(model)
     instance.reset()
     for block, values in untouched.signals().items():
         assert values.tobytes() == instance.signals()[block].tobytes(), block
     assert all((instance.ledger()[r] == untouched.ledger()[r]).all() for r in instance.ledger())
     start(instance).run(model.t0, h, 20, inputs=tones(model, h, 20))
-    assert later(instance, model, h, 100) == first
+    assert later(instance, model, h, n) == first
 
 
 def test_native_state_of_another_model_is_refused():

@@ -217,10 +217,11 @@ SCENES = {
     "oscillator": (oscillator, 1.0, 0.01),
     "drive": (drive, 0.02, 1e-4),
     "smib": (smib, 0.005, 1e-4),
-    "two_machine": (lambda: two_machine(t_fault=0.01, t_clear=0.02015), 0.05, 2e-4),
+    "two_machine": (lambda: two_machine(t_fault=0.01, t_clear=0.02015), 0.025, 2e-4),
 }
 MIXED = "native python fmu"
-WAYS = [(n, k) for n in SCENES for k in ("python", "native", MIXED) if k != "python" or n in ("oscillator", "drive")]
+WAYS = [(n, k) for n in SCENES for k in ("native", MIXED)]
+WAYS += [("oscillator", "python"), pytest.param("drive", "python", marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("name, kinds", WAYS)

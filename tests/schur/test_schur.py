@@ -73,7 +73,7 @@ def model(body: Multibody, order: int) -> Model:
     return build_model(declaration, default_scheme(declaration, order))
 
 
-@pytest.mark.parametrize("order", [2, 6])
+@pytest.mark.parametrize("order", [pytest.param(2, marks=pytest.mark.slow), 6])
 def test_a_potential_of_distances_takes_the_fast_stepper(order: int, compiler: None) -> None:
     """It is the springs it is made of."""
     one, many = (model(charges(springs), order) for springs in (False, True))
@@ -90,8 +90,11 @@ def test_a_potential_of_distances_takes_the_fast_stepper(order: int, compiler: N
 BODIES = {"chain": lambda: chain(4), "stiff chain": lambda: chain(4, 1e5), "pushed": pushed}
 
 
-@pytest.mark.parametrize("order", [2, 6])
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize(
+    ("name", "order"),
+    [("chain", 2), ("stiff chain", 6), ("pushed", 6)]
+    + [pytest.param(*case, marks=pytest.mark.slow) for case in (("chain", 6), ("stiff chain", 2), ("pushed", 2))],
+)
 def test_the_schur_stepper_finds_the_solution_of_newton(name: str, order: int) -> None:
     m = model(BODIES[name](), order)
     fast, slow = NativeInstance(m), PythonInstance(m)
