@@ -107,6 +107,11 @@ class Ports:
             )
         return np.array([start, end])
 
+    def require_none(self, s: Array) -> None:
+        """ValueError if there are impulses, for many steps at once."""
+        if s.any():
+            raise ValueError(f"{self.name}: impulses belong to single steps (do_step); set them to 0 before run")
+
     @cached_property
     def _names(self) -> list[str]:
         return [name for p in self._model.ports if p.external for name in p.input_names()]
@@ -124,7 +129,9 @@ class Kicks:
             return
         kernels, forms = self.ports.kernels, self.ports.kernels.forms
         shift, mean = (np.array(v).ravel() for v in kernels.shift(s.x[:-1], s.p, impulse))
-        work, where, count = impulse * mean, list(forms.states), len(s.supplied)
+        where, count = list(forms.states), len(s.supplied)
+        with np.errstate(over="ignore", invalid="ignore"):
+            work = impulse * mean
         if not (np.isfinite(shift).all() and np.isfinite(work).all()):
             raise StepFailure(Status.NOT_FINITE, self.ports.name, s.x[-1], 0.0)
         change = shift + s.carry[where]

@@ -161,6 +161,8 @@ class NativeInstance:
         that step; unknowns: w of its last solve; energy: H per component at its end; counts: iterations and
         solves; signals: see `layout`.
         """
+        if self._kicked is not None:
+            self._ports.require_none(self._kicked.values[:2])
         plan = self.model.step
         width = dict.fromkeys(RECORD, plan.ncomp) | dict.fromkeys(("y_step", "pairs"), plan.nq)
         width |= {"unknowns": plan.nw, "signals": len(self._table), "x": plan.nx, "a": plan.na, "counts": 2}

@@ -108,6 +108,7 @@ class PythonInstance:
             raise StepFailure(Status.ARGUMENT, self.model.name, other.time, 0.0)
         old, s = self._s, other.get_state()
         s.y_node = np.zeros((mine.k, mine.nq))
+        s.impulses = old.impulses
         s.u, s.w, s.h_last, s.counts, s.path = np.tile(held[0], mine.k), old.w.copy(), old.h_last, old.counts, []
         if old.t != s.t:  # its own last step is no longer the one before the next
             level = mine.increments[mine.mean_w] == 0
@@ -218,6 +219,7 @@ class PythonInstance:
         first: int = 0,
     ) -> dict[str, Array]:
         """Steps k = first..first+n-1 from t0 + k h; arguments and results as in `NativeInstance.run`."""
+        self._ports.require_none(self._s.impulses)
         rows: dict[str, list[Array]] = {name: [] for name in record}
         held = None if inputs is None else np.asarray(inputs, float)
         if held is not None and held.shape != (n, self.model.step.nu):

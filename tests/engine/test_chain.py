@@ -18,8 +18,11 @@ from phfmu import (
     Scene,
     Status,
     StepFailure,
+    block,
     build_model,
+    energy,
     export,
+    state,
 )
 from phfmu.components.library import build
 from phfmu.components.mechanical.four_particle import four_particle
@@ -231,3 +234,18 @@ def test_before_the_first_step_there_is_none(models, engine: type) -> None:
     with pytest.raises(StepFailure) as failure:
         one.sensitivity()
     assert failure.value.status is Status.NO_SENSITIVITY
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_units_have_derivatives_of_steps_that_were_halved(tmp_path: Path, version: str) -> None:
+    """x' = x^2 + u from 1: of two internal steps of 0.4 s the second is halved."""
+    x = state("x", start=1.0)
+    push = Port("push", PULL, "effort", {x: 1.0})
+    d = PHDAE("grows", (x,), energies=(energy(0.5 * x.sx**2),), dissipation=(block((x,), -x.sx),), ports=(push,))
+    native = NativeInstance(build_model(d))
+    (path,) = export(native.model, tmp_path, (version,), step=0.4)
+    native.do_step(0.0, 0.8, 2)
+    assert native.counts["substeps"] > 0
+    with FMUInstance(path) as unit:
+        unit.do_step(0.0, 0.8)
+        np.testing.assert_allclose(unit.sensitivity(), native.sensitivity(), rtol=1e-12)

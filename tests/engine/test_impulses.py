@@ -358,6 +358,40 @@ def test_a_step_that_fails_takes_its_impulse_back(engine, parts):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("ends", [(1e200, 0.0), (0.0, 1e200)])
+def test_an_impulse_whose_work_overflows_is_refused(engine, ends):
+    one = engine(build_model(growing()))
+    x = one.x
+    one.set_impulses(*([v] for v in ends))
+    with pytest.raises(StepFailure, match="a value is not finite"):
+        one.do_step(0.0, 0.1)
+    assert one.x.tobytes() == x.tobytes() and one.time == 0.0 and one.counts["steps"] == 0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_runs_of_many_steps_take_no_impulses(engine):
+    one = engine(build_model(growing()))
+    one.set_impulses([0.1], [0.0])
+    with pytest.raises(
+        ValueError, match=r"grows: impulses belong to single steps \(do_step\); set them to 0 before run"
+    ):
+        one.run(0.0, 0.1, 2)
+    one.set_impulses([0.0], [0.0])
+    one.run(0.0, 0.1, 2)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_sliver_after_a_step_leaves_its_derivatives(members, engine):
+    one, h = engine(members("machine", 1)[1]), 1e-3
+    _, s = drawn("machine", one.model)
+    one.set_impulses(*s)
+    one.do_step(0.0, h)
+    x = one.node_sensitivity(impulses=True).x
+    one.do_step(h, 1e-18)
+    np.testing.assert_array_equal(one.node_sensitivity(impulses=True).x, x)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 def test_a_step_that_is_halved_takes_each_impulse_once(engine):
     one, h = engine(build_model(growing())), 0.4
     one.do_step(0.0, 0.4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -21,6 +22,7 @@ from phfmu import (
     skew,
     state,
 )
+from phfmu.declare.variable import time
 
 ENGINES = (PythonInstance, NativeInstance)
 #: order of the scheme -> length of a step of two internal ones, of which one has to be halved, see `growing`
@@ -160,6 +162,32 @@ def test_a_saved_state_keeps_which_parts_there_were(plan, engine):
     instance.do_step(0.0, 0.1)
     instance.set_state(saved)
     np.testing.assert_array_equal(instance.node_sensitivity().nodes, S.nodes)
+
+
+def pulsed() -> PHDAE:
+    """x' = p(t) (1 + x^2) - 3.5 x + u, p = 3 in the middle of each second: the midpoint rule has no solution over
+    a second, as 3 m^2 - 5.5 m + 3 + 2 x = 0 has none for x >= 0, and one over half a second."""
+    x = state("x")
+    swing = Port("swing", PUSH, "effort", {x: 1.0 + x.sx**2}, source=3.0 * ca.sin(np.pi * time) ** 2)
+    push = Port("push", PUSH, "effort", {x: 1.0})
+    return PHDAE(
+        "pulsed", (x,), energies=(energy(0.5 * x.sx**2),), dissipation=(block((x,), 3.5),), ports=(swing, push)
+    )
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_as_many_halved_steps_as_are_remembered(plan, engine):
+    instance = engine(plan(pulsed, 1))
+    compared(instance, 0.0, 16.0, 16, np.array([[0.01]]), 1e-2)
+    assert len(instance.node_sensitivity().x) == 1
+    instance.reset()
+    before = instance.counts["substeps"]
+    instance.do_step(0.0, 17.0, 17)
+    assert instance.counts["substeps"] - before == 17
+    for asked in (instance.sensitivity, instance.node_sensitivity):
+        with pytest.raises(StepFailure) as failure:
+            asked()
+        assert failure.value.status is Status.NO_SENSITIVITY
 
 
 @pytest.mark.parametrize("engine", ENGINES)

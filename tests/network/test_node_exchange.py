@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from phfmu import (
     PHDAE,
@@ -262,3 +263,23 @@ def test_of_an_iteration_stopped_early_the_junctions_take_what_the_theorem_says(
         supplied, moved = master.supplied()
         assert abs(supplied) > 1e-3 * moved
         assert master.taken_by_junctions(h) == pytest.approx(supplied, rel=1e-11)
+
+
+@pytest.mark.parametrize("k", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_members_with_internal_steps_of_their_own_keep_order_2k(k):
+    """Against an independent solution of the joined equations; a wrong adjoint of the outputs leaves order 2 or less."""
+
+    def rate(_, s):
+        q, v, x = s
+        return [v, (-(4 * q + 4 * q**3) - 0.2 * v - 1.5 * np.sinh(1.5 * x)) / 1.3, v]
+
+    end, steps = 1.0, [0.2, 0.1, 0.05]
+    exact = solve_ivp(rate, (0.0, end), [0.4, -0.3, 0.2], method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    errors = []
+    for h in steps:
+        master = Master(quartic_on_cosh(), k, parts={"spring": 4, "body": 3})
+        for s in range(round(end / h)):
+            master.step(s * h, h)
+        errors.append(np.max(np.abs(master.x() - exact)))
+    slopes = np.diff(np.log(errors)) / np.diff(np.log(steps))
+    assert slopes == pytest.approx([2 * k] * 2, abs=0.3)

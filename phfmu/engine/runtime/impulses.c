@@ -128,7 +128,9 @@ int ph_step_impulses(ph_impulses *m, double t, double h, int n) {
     const int size = m->ports->n;
     double *now = m->value, *old = m->value + 2 * size;
     int status;
-    if (!any(now, 2 * size) || h == 0.0 || ph_is_sliver(m->in, t, h)) {
+    if (h == 0.0 || ph_is_sliver(m->in, t, h))
+        return ph_step_parts(m->in, t, h, n);
+    if (!any(now, 2 * size)) {
         status = ph_step_parts(m->in, t, h, n);
         if (status == PH_OK)
             ph_clear(old, 2 * size);
