@@ -6,14 +6,19 @@ from collections.abc import Sequence
 
 from phfmu.declare.problem import Problem
 
+#: of a scheme; of a model; those of `phfmu check` that are found without it
+RULES = frozenset({
+    "order", "stages", "gradient", "closure", "pair", "drift", "constraint", "mass", "velocity", "descriptor", "singular",
+    "type", "port", "shape", "symbol", "source", "start", "energy", "costate",
+})  # fmt: skip
+
 
 class DeclarationError(ValueError):
     """The declaration does not fit what is asked of it, as data: what of it, why, and what to do.
 
     entry:     the model, and within it the variable, port, block or setting (`motor: port 'shaft'`)
     reason:    what does not fit, with its numbers;  remedy: what to do about it
-    rule:      a word for programs, told apart where one asks: "order", "stages", "gradient" (of a scheme), "constraint",
-               "drift", "mass", "velocity", "descriptor", "singular" (of a model), those of `Problem`, else ""
+    rule:      a word for programs, one of RULES, or "" where none asks for it
     problems:  all that were found; the data above are those of the first
     """
 

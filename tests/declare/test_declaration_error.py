@@ -8,6 +8,7 @@ import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import pytest
@@ -27,6 +28,7 @@ from phfmu import (
     skew,
     state,
 )
+from phfmu.declare.error import RULES
 from phfmu.schemes.named import named_scheme
 
 #: it asks what a user reads
@@ -70,7 +72,7 @@ def test_marks_within_a_reason_stay_there():
 
 
 @pytest.mark.parametrize(
-    "error", [DeclarationError("a", "b", "c", "d"), DeclarationError.of([Problem("r", *"abc")] * 2)]
+    "error", [DeclarationError("a", "b", "c", "d"), DeclarationError.of([Problem("r", "a", "b", "c")] * 2)]
 )
 def test_errors_go_between_processes(error):
     other = pickle.loads(pickle.dumps(error))
@@ -82,6 +84,11 @@ def nan_twice() -> object:
     return build_model(PHDAE("m", states=(x, y), energies=(energy(x**2 + y**2),)))
 
 
+def wrong_parts() -> object:
+    parts: dict[str, Any] = {"states": ("x", 2), "ports": Port("p", ELECTRICAL, "effort", {})}
+    return PHDAE("m", **parts)
+
+
 def wrong_maps() -> object:
     q, w = state("q", 2), state("w", 2)
     return SystemTransformation({q: w[0] * phfmu.time}, (w,), [[1.0]])
@@ -91,7 +98,7 @@ def wrong_maps() -> object:
     ("call", "entries"),
     [
         (nan_twice, ["variable 'x'", "variable 'y'"]),
-        (lambda: PHDAE("m", states=("x", 2), ports=Port("p", ELECTRICAL, "effort", {})), ["m"] * 3),
+        (wrong_parts, ["m"] * 3),
         (lambda: named_scheme(short_circuit(), order=7, gradient="steep", closure="shut"),
          ["order 7", "gradient steep", "closure shut"]),
         (wrong_maps, ["phi of 'q'", "U", "phi or U"]),
@@ -102,6 +109,19 @@ def test_all_that_is_wrong_is_told_at_once(call, entries):
     e = error_of(call)
     assert [p.entry for p in e.problems] == entries and e.entry == entries[0]
     assert all(p.reason and p.remedy for p in e.problems) and len(str(e).splitlines()) == len(entries)
+
+
+def test_every_rule_that_is_given_is_listed():
+    """By calls with constant words in the files below the check, whose own rules have a table and tests."""
+    root, given = Path(phfmu.__file__).parent, set()
+    files = [p for p in root.rglob("*.py") if p.relative_to(root).parts[0] not in ("checks", "components")]
+    for call in (
+        n for p in files for n in ast.walk(ast.parse(p.read_text(encoding="utf-8"))) if isinstance(n, ast.Call)
+    ):
+        if isinstance(call.func, ast.Name) and call.func.id == "DeclarationError" and len(call.args) > 3:
+            assert isinstance(call.args[3], ast.Constant)
+            given.add(call.args[3].value)
+    assert len(given) > 10 and given <= RULES | {""}
 
 
 # -- nothing matches the words of an error ------------------------------------------------------------------------------
