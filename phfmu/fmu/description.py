@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.units import BASE, parse_unit
 from phfmu.discretise.model import Model, require_model
+from phfmu.fmu.node_values import node_values
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
@@ -74,7 +75,7 @@ class Unit:
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
-        return variables(self.model, self.node_inputs, self.ledger_outputs)
+        return variables(self.model, (node_values,) if self.node_inputs else (), self.ledger_outputs)
 
     @cached_property
     def spans(self) -> dict[int, Span]:

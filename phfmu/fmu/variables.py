@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from phfmu.declare.parameter_limits import Limit, limits
 from phfmu.discretise.model import Model
 from phfmu.fmu.words import plain
-from phfmu.signals import Causality, Quantity, entries, ordered_ports, quantities
+from phfmu.signals import Causality, Quantity, quantities
 
 #: one part of a structured name of the standard: letters, digits and _, then indices
 _PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
@@ -68,16 +68,20 @@ _OF_STATE = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL",
 _BOOKS = (*_OF_STATE, "PH_OBSERVABLES")
 
 
-def variables(model: Model, node_inputs: bool = False, ledger_outputs: bool = True) -> tuple[FMUVariable, ...]:
+#: what a unit has beside the quantities of its model, e.g. `node_values`
+Group = Callable[[Model], Iterable[Quantity]]
+
+
+def variables(model: Model, groups: Sequence[Group] = (), ledger_outputs: bool = True) -> tuple[FMUVariable, ...]:
     """All variables; the place is the value reference.  FMUError lists illegal and repeated names.
 
-    `node_inputs`: port inputs and outputs at the k nodes of a step too; they come last.  `ledger_outputs`: energies and
-    residuals of constraints are outputs, else local variables.
+    `groups` come last, so that the references of the others stay.  `ledger_outputs`: energies and residuals of
+    constraints are outputs, else local variables.
     """
     limit = limits(model.declaration)
     table = tuple(
         _written(q, limit.get(q.name) if q.causality == "parameter" else None)
-        for q in (*quantities(model), *(_nodes(model) if node_inputs else ()))
+        for q in (*quantities(model), *(q for group in groups for q in group(model)))
     )
     if not ledger_outputs:
         table = tuple(
@@ -105,29 +109,3 @@ def _problems(table: tuple[FMUVariable, ...]) -> list[str]:
             found.append(f"two variables are called '{v.name}'")
         seen.add(v.name)
     return found
-
-
-def _nodes(model: Model) -> Iterator[Quantity]:
-    """Inputs of external ports at the nodes of a step, then the outputs conjugate to them."""
-    plan = model.step
-    if plan.k == 1:
-        raise FMUError(
-            f"{model.name}: a step of order {model.scheme.order} has one node, its inputs are the held ones; inputs at "
-            "the nodes need order 4 or 6"
-        )
-    free = [(p, first) for p, first in ordered_ports(model.declaration) if p.external]
-    for port, first in free:
-        nominal = entries(port.nominal, port.n)
-        for j, names in enumerate(port.node_input_names(plan.k)):
-            for i, name in enumerate(names):
-                yield Quantity(
-                    name, "input", "node_input", i * plan.nu + first + j, 1, float(model.u0[first + j]), port.input_unit,
-                    abs(nominal[j]) or None, f"{port.input_names()[j]} at t + {model.nodes[i]:.9g} h of the next step",
-                )  # fmt: skip
-    for port, first in free:
-        for j, names in enumerate(port.node_output_names(plan.k)):
-            for i, name in enumerate(names):
-                yield Quantity(
-                    name, "output", "node_output", i * plan.nq + first + j, 1, None, port.output_unit,
-                    description=f"{port.output_names()[j]} at t + {model.nodes[i]:.9g} h of the last step",
-                )  # fmt: skip

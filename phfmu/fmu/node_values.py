@@ -1,0 +1,35 @@
+"""A group of variables: inputs of external ports at the nodes of a step, and the outputs conjugate to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from phfmu.discretise.model import Model
+from phfmu.fmu.variables import FMUError
+from phfmu.signals import Quantity, entries, ordered_ports
+
+
+def node_values(model: Model) -> Iterator[Quantity]:
+    """Inputs (nu per node), then outputs; FMUError if a step has one node only."""
+    plan = model.step
+    if plan.k == 1:
+        raise FMUError(
+            f"{model.name}: a step of order {model.scheme.order} has one node, its inputs are the held ones; inputs at "
+            "the nodes need order 4 or 6"
+        )
+    free = [(p, first) for p, first in ordered_ports(model.declaration) if p.external]
+    for port, first in free:
+        nominal = entries(port.nominal, port.n)
+        for j, names in enumerate(port.node_input_names(plan.k)):
+            for i, name in enumerate(names):
+                yield Quantity(
+                    name, "input", "node_input", i * plan.nu + first + j, 1, float(model.u0[first + j]), port.input_unit,
+                    abs(nominal[j]) or None, f"{port.input_names()[j]} at t + {model.nodes[i]:.9g} h of the next step",
+                )  # fmt: skip
+    for port, first in free:
+        for j, names in enumerate(port.node_output_names(plan.k)):
+            for i, name in enumerate(names):
+                yield Quantity(
+                    name, "output", "node_output", i * plan.nq + first + j, 1, None, port.output_unit,
+                    description=f"{port.output_names()[j]} at t + {model.nodes[i]:.9g} h of the last step",
+                )  # fmt: skip
