@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from phfmu.engine.limits import LIMITS
 from phfmu.engine.newton import Array, Fixed, Newton, Outcome
 from phfmu.engine.status import Status
-
-SHORTEST = 0.125  # part of a step whose solution may lead to that of the whole
 
 
 @dataclass
@@ -55,7 +54,7 @@ class Attempts:
         moves fast on the curve that stiff springs and bars leave it.
         """
         part, outcome = 1.0, Outcome(Status.NO_CONVERGENCE, self.last)
-        while outcome.status is not Status.OK and part > SHORTEST:
+        while outcome.status is not Status.OK and part > LIMITS["SHORTEST"]:
             part /= 2
             outcome = self._attempt(part * h, self.h_last == 0)
         while outcome.status is Status.OK and part < 1.0:

@@ -1,4 +1,4 @@
-"""Limits of a step, the same in both engines: read from runtime/step_limits.h."""
+"""Limits of a step and tests of its solvers, the same in both engines: read from runtime/step_limits.h."""
 
 from __future__ import annotations
 

@@ -326,7 +326,9 @@ class NativeInstance:
         names = self.model.instant_names if r.instant else self.model.row_names
         index = r.row if r.row >= 0 else r.column
         equation = names[index] if 0 <= index < len(names) else (f"row {index}" if index >= 0 else "")
-        tried = "two starts, " + ("line search" if r.instant else "shorter steps, line search and 64 substeps")
+        tried = "two starts, " + (
+            "line search" if r.instant else f"shorter steps, line search and {2 ** int(LIMITS['DEPTH'])} substeps"
+        )
         raise StepFailure(
             status, name, r.time, r.h, equation=equation, residual=r.residual, floor=r.floor,
             update=r.update, iterations=r.iterations, spent=r.spent, tried=tried,

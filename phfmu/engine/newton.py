@@ -8,25 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.evaluate import Evaluator
+from phfmu.engine.limits import LIMITS
 from phfmu.engine.status import Status
 
 Array = NDArray[np.float64]
 Fixed = tuple[Array, Array, Array, float]  # what is fixed in a solve: x, [u | h], p, h
 
-TOLERANCE = 1e-9  # scaled update after which one polish reaches round-off
-ROUNDING = 1e-15  # what the polish may leave, judged by the last two updates
-STAGNATION = 1e-4  # an update below this that stays is rounding, if the residual is; multipliers feel it over h
-CRAWLING = 1e-2  # up to here it crawls where constraints lose rank, if it shrinks slower than CRAWL
-CRAWL = 0.9
-FLOOR = 64.0  # units of rounding in a row that cannot be told from zero
-SUMS = 16.0  # more of it in constraint rows: sums of values that are themselves computed with cancellation
-STALLS = 2  # updates in a row that hardly shrink
-GROWN = 4.0  # an update that has grown by more does not stall
-ITERATIONS = 30
-DELTA = 1e-10  # on multiplier diagonals of the factor only, see `bare_too`
-COLUMN = 1e-8  # no more than this of its column
-DEPENDENT = 4.0 * float(np.finfo(float).eps)  # a column that cancels down to this has no pivot
-SMALLEST = 1.0 / 64.0  # line search
+EPS = float(np.finfo(float).eps)
+TOLERANCE, ROUNDING, STAGNATION = LIMITS["TOLERANCE"], LIMITS["ROUNDING"], LIMITS["STAGNATION"]
+CRAWLING, CRAWL, SHRINKING = LIMITS["CRAWLING"], LIMITS["CRAWL"], LIMITS["SHRINKING"]
+STALLS, GROWN, FLOOR, SUMS = LIMITS["STALLS"], LIMITS["GROWN"], LIMITS["FLOOR"], LIMITS["SUMS"]
+DELTA, DELTA_PART, DEPENDENT = LIMITS["DELTA"], LIMITS["DELTA_PART"], LIMITS["DEPENDENT"]
+LEAST_DAMPING, ITERATIONS = LIMITS["LEAST_DAMPING"], int(LIMITS["NEWTON_ITERATIONS"])
 
 
 @dataclass
@@ -82,7 +75,7 @@ class Newton:
         plan = self.plan
         columns = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])[plan.matrix.row[plan.regularised]]
         delta = np.zeros(len(a))
-        delta[plan.regularised] = np.where(columns > 0, np.minimum(DELTA, COLUMN * columns), DELTA)
+        delta[plan.regularised] = np.where(columns > 0, np.minimum(DELTA, DELTA_PART * columns), DELTA)
         return delta
 
     def _split(self, a: Array) -> bool:
@@ -96,7 +89,7 @@ class Newton:
         except RuntimeError:
             return False
         original = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])
-        return bool((np.abs(self._lu.U.diagonal()[self._lu.perm_c]) > DEPENDENT * original).all())
+        return bool((np.abs(self._lu.U.diagonal()[self._lu.perm_c]) > DEPENDENT * EPS * original).all())
 
     def solve(self, r: Array) -> Array:
         """The Newton correction -A^-1 r with the last factor."""
@@ -131,7 +124,7 @@ class Newton:
             r = self.residual(w, fixed)
             out.w, out.update = w, float(np.max(np.abs(dw) / (plan.nominal + np.abs(w)), initial=0.0))
             grew |= last < out.update > TOLERANCE
-            stalls = stalls + 1 if 0.5 * last < out.update <= GROWN * last else 0
+            stalls = stalls + 1 if SHRINKING * last < out.update <= GROWN * last else 0
             if damping == 1.0 and self._solved(out, last, grew, stalls, before, fixed):
                 if not np.isfinite(r).all():
                     return self._failed(out, Status.NOT_FINITE, r, fixed)
@@ -154,7 +147,7 @@ class Newton:
         if out.update <= TOLERANCE and (not grew or last <= TOLERANCE) and ratio**2 * out.update <= ROUNDING:
             return True
         crawls = CRAWL < ratio < 1.0
-        if out.update > (CRAWLING if crawls else STAGNATION) or ratio <= 0.5:
+        if out.update > (CRAWLING if crawls else STAGNATION) or ratio <= SHRINKING:
             return False
         noise = ratio >= 1.0 and out.update <= TOLERANCE
         return stalls >= STALLS and (noise or self._at_floor(out.w, r, fixed, float(crawls)))
@@ -186,7 +179,7 @@ class Newton:
             return 1.0
         base = np.linalg.norm(self._scale * r)
         step = 1.0
-        while step >= SMALLEST:
+        while step >= LEAST_DAMPING:
             if np.linalg.norm(self._scale * self.residual(w + step * dw, fixed)) < base:
                 return step
             step /= 2

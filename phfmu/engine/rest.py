@@ -9,19 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.evaluate import Evaluator
+from phfmu.engine.limits import LIMITS
 from phfmu.engine.newton import Fixed, Newton
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-SHARE = 3.0  # a constraint with less than the largest share / SHARE in a dependence does not rest
-GAP = 1e-9  # of its natural size: a constraint that misses more is not redundant
 SPARE = 1e-12  # of the largest singular value: what is left of a null vector whose rows exert no force
 
 
 def called(evaluator: Evaluator) -> Flags:
     """Constraints at rest that are not redundant at the last residual."""
-    return evaluator.rests & ~(evaluator.gap <= GAP * evaluator.plan.hold.size)
+    return evaluator.rests & ~(evaluator.gap <= LIMITS["REST_GAP"] * evaluator.plan.hold.size)
 
 
 def forces(newton: Newton, h: float) -> Array:
@@ -62,7 +61,7 @@ def exchange(newton: Newton, w: Array, h: float) -> Flags | None:
     """
     hold, rests = newton.plan.hold, newton.evaluator.rests
     first, d = _multipliers(newton)[:, 0], forces(newton, h)[:, 0]
-    most, pair = SHARE, None
+    most, pair = LIMITS["REST_SHARE"], None
     for r in np.flatnonzero(rests & (d > 0)):
         null = _dependence(newton, first[r])[first]
         share = np.where(rests, 0.0, np.abs(null) * d / d[r])

@@ -9,14 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.limits import LIMITS
 from phfmu.engine.newton import Fixed, Newton
-from phfmu.engine.rest import SHARE, Flags, forces
+from phfmu.engine.rest import Flags, forces
 
 Array = NDArray[np.float64]
-
-DEPENDENT = 1e-6  # forces of a combination that leave this part of the largest together cancel
-EQUAL = 1e-6  # forces that differ by less are equal: of these the last constraint rests
-ROUNDS = 3  # of inverse iteration, which delta bounds by 1e10 each
 
 
 def chosen(newton: Newton, w: Array, fixed: Fixed) -> Flags:
@@ -64,7 +61,7 @@ def _dependent(newton: Newton) -> int | None:
     awake = ~newton.evaluator.rests & (size > 0)
     push = size * (1.0 + (0.6180339887498949 * np.arange(len(first))) % 1.0)
     x = np.zeros(len(first))
-    for _ in range(ROUNDS):
+    for _ in range(int(LIMITS["REST_ROUNDS"])):
         b = np.zeros(newton.plan.nw)
         b[first] = np.where(awake, push, 0.0)
         x = newton.solve(-b)[first]
@@ -72,13 +69,13 @@ def _dependent(newton: Newton) -> int | None:
         if not most > 0.0:
             return None
         push = size * (size * x / most)
-    return _whose(x, size) if np.linalg.norm(columns @ x) <= DEPENDENT * most else None
+    return _whose(x, size) if np.linalg.norm(columns @ x) <= LIMITS["REST_CANCELLED"] * most else None
 
 
 def _whose(x: Array, size: Array) -> int:
     """The last constraint with the largest force."""
     force = np.abs(x) * size
-    return int(np.flatnonzero(force > (1.0 - EQUAL) * force.max())[-1])
+    return int(np.flatnonzero(force > (1.0 - LIMITS["REST_EQUAL"]) * force.max())[-1])
 
 
 def _revised(newton: Newton, w: Array, fixed: Fixed) -> bool:
@@ -99,8 +96,8 @@ def _revision(newton: Newton) -> bool:
     for c in np.flatnonzero(rests & (size > 0)):
         x = newton.solve(-np.eye(1, newton.plan.nw, first[c])[0])[first] / size[c]
         most = np.max(np.abs(x) * size)
-        needed = np.linalg.norm(columns @ x) > DEPENDENT * most
-        if not needed and most <= SHARE:
+        needed = np.linalg.norm(columns @ x) > LIMITS["REST_CANCELLED"] * most
+        if not needed and most <= LIMITS["REST_SHARE"]:
             continue
         rests[c] = False
         if not needed:

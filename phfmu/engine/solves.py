@@ -18,7 +18,7 @@ from phfmu.engine.sensitivity import derivative
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
 
-DEPTH = 6  # halvings of a step before it is given up
+DEPTH = int(LIMITS["DEPTH"])
 
 
 class Solves:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import phfmu.engine
 from phfmu import NativeInstance, PythonInstance, Status, StepFailure, build_model
 from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.engine.limits import LIMITS
 from phfmu.schemes.named import named_scheme
 
+ENGINE = Path(phfmu.engine.__path__[0])
 ENGINES = (PythonInstance, NativeInstance)
 
 
@@ -52,3 +58,17 @@ def test_both_engines_name_the_same_floor():
     assert one.floor == pytest.approx(two.floor, rel=1e-6) and 0 < one.floor < 1e-12
     assert one.update == pytest.approx(two.update, rel=1e-2)
     assert np.isfinite(one.residual) and one.residual > 1e3 * one.floor
+
+
+def test_no_constant_of_the_solvers_stands_twice() -> None:
+    """A number that both engines go by is defined in step_limits.h; neither a Python file nor its C twin has it too."""
+    number = r"(\w+) (?:= )?[(]?\d"
+    twins = [p for p in ENGINE.glob("*.py") if (ENGINE / "runtime" / f"{p.stem}.c").exists()]
+    assert {p.stem for p in twins} >= {"newton", "attempts", "rest", "rest_start"}
+    python = {
+        (p.name, n) for p in [*twins, ENGINE / "solves.py"] for n in re.findall(f"^{number}", p.read_text(), re.M)
+    }
+    sources = [*(ENGINE / "runtime").glob("*.[ch]")]
+    c = {n.removeprefix("PH_") for p in sources for n in re.findall(f"^#define {number}", p.read_text(), re.M)}
+    assert {"TOLERANCE", "STAGNATION", "DEPTH", "CHORD"} <= c
+    assert {(name, n) for name, n in python if n in c or n in LIMITS} == set()

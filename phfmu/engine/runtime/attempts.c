@@ -4,8 +4,6 @@
 
 #include "system.h"
 
-#define SHORTEST 0.125 /* part of a step whose solution may lead to that of the whole */
-
 static double power(double base, int n) {
     double result = 1.0;
     for (; n > 0; n--)
@@ -60,7 +58,7 @@ static int grow(ph_system *s, double h) {
         part *= 0.5;
         ph_eval_h(s, part * h);
         status = attempt(s, part * h, *s->last_h == 0.0, PH_FRESH);
-    } while (status && part > SHORTEST);
+    } while (status && part > PH_SHORTEST);
     while (status == PH_OK && part < 1.0) {
         part *= 2.0;
         ph_eval_h(s, part * h);

@@ -8,7 +8,6 @@
 
 #define PREFER 0.01 /* the planned pivot is taken from this fraction of the column maximum on */
 #define GROWTH 1e-3 /* an old pivot is kept down to this fraction */
-#define ROUNDING (4.0 * DBL_EPSILON) /* a column that cancels down to this is dependent on the others */
 
 /* Rows reached from column j of A through the columns of L found so far, in elimination order in
  * stack[top..n). During factorisation L is indexed by rows, not by pivot steps. */
@@ -73,7 +72,7 @@ static int choose(const ph_lu *lu, int j, int end, const double *a) {
             best = lu->index[q];
         }
     }
-    if (best < 0 || !isfinite(most) || most <= ROUNDING * original)
+    if (best < 0 || !isfinite(most) || most <= PH_DEPENDENT * DBL_EPSILON * original)
         return -1;
     if (prefer >= 0 && lu->where[prefer] < 0 && lu->mark[prefer] == j && fabs(x[prefer]) >= PREFER * most)
         best = prefer;

@@ -10,26 +10,10 @@
 
 #include "system.h"
 
-#define MAX_ITERATIONS 30
-#define TOLERANCE 1e-9 /* on max |dw_i| / (nominal_i + |w_i|) */
-#define ROUNDING 1e-15
-/* Below the first an update that stays is rounding, if the residual is; multipliers feel it as rounding over
- * h. Up to the second it crawls where constraints lose rank, if it shrinks slower than CRAWL. */
-#define STAGNATION 1e-4
-#define CRAWLING 1e-2
-#define CRAWL 0.9
-#define FLOOR 64.0 /* units of rounding in a row that cannot be told from zero */
-#define SUMS                                                                                                 \
-    16.0 /* more of it in constraint rows: sums of values that are themselves computed with cancellation */
-#define STALLS 2  /* updates in a row that hardly shrink */
-#define GROWN 4.0 /* an update that has grown by more does not stall */
 /* An update this small, and smaller than the last one by this factor, lets the next iteration keep the
  * matrix: it contracts about as fast as a new one would, and the polish settles the rest. */
 #define CHORD 1e-1
 #define CONTRACTION 0.1
-#define DELTA 1e-10
-#define COLUMN 1e-8 /* no more than this of its column */
-#define MIN_DAMPING (1.0 / 64.0)
 
 /* delta on the diagonals of multipliers, small in units of their columns too: lambda enters as h, and beside
  * the Schur complement delta must not grow as steps become shorter. A column without entries (Dg = 0) gets
@@ -40,7 +24,7 @@ static void regularise(const ph_plan *p, double *scaled) {
         double most = 0.0;
         for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
             most = fabs(scaled[e]) > most ? fabs(scaled[e]) : most;
-        scaled[p->regularised[l]] += most > 0.0 ? fmin(DELTA, COLUMN * most) : DELTA;
+        scaled[p->regularised[l]] += most > 0.0 ? fmin(PH_DELTA, PH_DELTA_PART * most) : PH_DELTA;
     }
 }
 
@@ -147,9 +131,9 @@ static int at_floor(const ph_system *s, double nominal, double *size) {
     const ph_plan *p = s->plan;
     rounding(s, nominal, size);
     for (int l = 0; l < p->nreg; l++)
-        size[p->matrix_row[p->regularised[l]]] *= SUMS;
+        size[p->matrix_row[p->regularised[l]]] *= PH_SUMS;
     for (int i = 0; i < p->nw; i++)
-        if (fabs(s->r[i]) > FLOOR * size[i])
+        if (fabs(s->r[i]) > PH_FLOOR * size[i])
             return 0;
     return 1;
 }
@@ -158,7 +142,7 @@ static int at_floor(const ph_system *s, double nominal, double *size) {
 static int damp(ph_system *s, double norm, double *damping) {
     const int floor = at_floor(s, 0.0, s->base);
     memcpy(s->base, s->y, sizeof(double) * (size_t)s->plan->nw);
-    for (*damping = 1.0; *damping >= MIN_DAMPING; *damping *= 0.5) {
+    for (*damping = 1.0; *damping >= PH_LEAST_DAMPING; *damping *= 0.5) {
         s->update = move(s, s->base, *damping);
         if (!isfinite(s->update))
             return PH_NOT_FINITE;
@@ -202,16 +186,17 @@ static int polish(ph_system *s) {
  * if the residual before the last is rounding, or if they are tiny and only noise is left. */
 static int solved(const ph_system *s, int kept, int grew, int stalls, double previous) {
     double ratio = s->update / previous;
-    int crawls = ratio > CRAWL && ratio < 1.0;
+    int crawls = ratio > PH_CRAWL && ratio < 1.0;
     if (s->update == 0.0)
         return 1;
-    if (s->update <= TOLERANCE && (!grew || previous <= TOLERANCE) && ratio * ratio * s->update <= ROUNDING)
+    if (s->update <= PH_TOLERANCE && (!grew || previous <= PH_TOLERANCE) &&
+        ratio * ratio * s->update <= PH_ROUNDING)
         return 1;
-    if (kept || s->update > (crawls ? CRAWLING : STAGNATION) || ratio <= 0.5)
+    if (kept || s->update > (crawls ? PH_CRAWLING : PH_STAGNATION) || ratio <= PH_SHRINKING)
         return 0;
-    if (stalls < STALLS)
+    if (stalls < PH_STALLS)
         return 0;
-    return (ratio >= 1.0 && s->update <= TOLERANCE) || at_floor(s, crawls, s->base);
+    return (ratio >= 1.0 && s->update <= PH_TOLERANCE) || at_floor(s, crawls, s->base);
 }
 
 /* From the w in Y to the solution; afterwards Y and all rows R belong to the final w. */
@@ -220,7 +205,7 @@ int ph_newton(ph_system *s, ph_newton_kind kind) {
     double previous = INFINITY;
     int chord = 0, grew = 0, stalls = 0;
     s->update = INFINITY;
-    for (s->iterations = 1; s->iterations <= MAX_ITERATIONS; s->iterations++) {
+    for (s->iterations = 1; s->iterations <= PH_NEWTON_ITERATIONS; s->iterations++) {
         double norm, damping = 1.0;
         int kept = chord;
         int status = linearise(s, chord, &norm);
@@ -237,8 +222,8 @@ int ph_newton(ph_system *s, ph_newton_kind kind) {
             if (!isfinite(s->update))
                 return PH_NOT_FINITE;
         }
-        grew |= s->update > previous && s->update > TOLERANCE;
-        stalls = s->update > 0.5 * previous && s->update <= GROWN * previous ? stalls + 1 : 0;
+        grew |= s->update > previous && s->update > PH_TOLERANCE;
+        stalls = s->update > PH_SHRINKING * previous && s->update <= PH_GROWN * previous ? stalls + 1 : 0;
         if (damping == 1.0 && solved(s, kept, grew, stalls, previous))
             return polish(s);
         chord = 0;
@@ -249,7 +234,7 @@ int ph_newton(ph_system *s, ph_newton_kind kind) {
         chord = kind == PH_CHORD && !grew && s->update <= CHORD && s->update <= CONTRACTION * previous;
         previous = s->update;
     }
-    s->iterations = MAX_ITERATIONS;
+    s->iterations = PH_NEWTON_ITERATIONS;
     return PH_NO_CONVERGENCE;
 }
 

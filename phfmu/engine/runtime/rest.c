@@ -8,7 +8,6 @@
 
 #include "system.h"
 
-#define GAP 1e-9    /* of its natural size: a constraint that misses more is not redundant */
 #define ROUNDS 50   /* of conjugate gradients */
 #define SMALL 1e-14 /* slope along the null vectors, of the forces */
 
@@ -274,7 +273,7 @@ int ph_rest_wake(ph_instance *in) {
     ph_system *s = &in->step;
     int found = 0;
     for (int c = 0; c < s->plan->nhold; c++)
-        if (s->rests[c] == PH_RESTS && !(s->gap[c] <= GAP * s->plan->hold_size[c])) {
+        if (s->rests[c] == PH_RESTS && !(s->gap[c] <= PH_REST_GAP * s->plan->hold_size[c])) {
             s->rests[c] = PH_CALLED;
             found = 1;
         }

@@ -6,10 +6,6 @@
 
 #include "system.h"
 
-#define DEPENDENT 1e-6 /* forces of a combination that leave this part of the largest together cancel */
-#define EQUAL 1e-6     /* forces that differ by less are equal: of these the last constraint rests */
-#define ROUNDS 3       /* of inverse iteration, which delta bounds by 1e10 each */
-
 void ph_rest_placed(ph_instance *in) {
     in->head->placed = in->step.plan->nhold > 0;
 }
@@ -23,7 +19,7 @@ static double largest(const ph_system *s, int *whose) {
             double size = fabs(s->dw[ph_rest_first(s->plan, c)]) * ph_rest_force(s, c);
             if (!last && size > most)
                 most = size;
-            if (last && size > (1.0 - EQUAL) * most)
+            if (last && size > (1.0 - PH_REST_EQUAL) * most)
                 *whose = c;
         }
     return most;
@@ -73,7 +69,7 @@ static int dependent(ph_system *s) {
     const ph_plan *p = s->plan;
     double most = 1.0;
     int whose = -1;
-    for (int round = 0; round < ROUNDS && most > 0.0; round++) {
+    for (int round = 0; round < PH_REST_ROUNDS && most > 0.0; round++) {
         memset(s->rhs, 0, sizeof(double) * (size_t)p->nw);
         for (int c = 0; c < p->nhold; c++) {
             const double size = ph_rest_force(s, c);
@@ -86,7 +82,7 @@ static int dependent(ph_system *s) {
         ph_lu_solve(&s->lu, s->rhs, s->dw);
         most = largest(s, &whose);
     }
-    return most > 0.0 && together(s) <= DEPENDENT * most ? whose : -1;
+    return most > 0.0 && together(s) <= PH_REST_CANCELLED * most ? whose : -1;
 }
 
 /* Lets those that rest and are needed come back, and those with larger forces in a dependence rest instead.
@@ -102,7 +98,7 @@ static int revise(ph_instance *in) {
             continue;
         ph_rest_dependence(s, c);
         most = largest(s, &whose);
-        if (together(s) > DEPENDENT * most)
+        if (together(s) > PH_REST_CANCELLED * most)
             whose = -1;
         else if (most <= PH_REST_SHARE)
             continue;

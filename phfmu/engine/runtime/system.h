@@ -88,11 +88,7 @@ void ph_newton_bare(ph_system *s, int bare);
 int ph_newton_factor(ph_system *s);
 void ph_explain(ph_system *s, int status, ph_report *report);
 
-#define PH_DEPTH 6                  /* halvings of an internal step before it is given up */
 #define PH_SMALLEST (1 << PH_DEPTH) /* smallest substeps of an internal step */
-
-/* A constraint with less than the largest share in a dependence over this does not rest. */
-#define PH_REST_SHARE 3.0
 
 enum { PH_AWAKE, PH_RESTS, PH_CALLED }; /* CALLED: needed again in the step being solved */
 
