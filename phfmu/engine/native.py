@@ -163,6 +163,7 @@ class NativeInstance:
         """
         if self._kicked is not None:
             self._ports.require_none(self._kicked.values[:2])
+            self._kicked.values[2:] = 0.0
         plan = self.model.step
         width = dict.fromkeys(RECORD, plan.ncomp) | dict.fromkeys(("y_step", "pairs"), plan.nq)
         width |= {"unknowns": plan.nw, "signals": len(self._table), "x": plan.nx, "a": plan.na, "counts": 2}
