@@ -24,6 +24,9 @@ from phfmu.schur import lane_groups, text
 from phfmu.schur.elimination import eliminate
 from phfmu.schur.lanes import spectrum
 
+#: the stepper of order 2 is a case of that of order 6, with one node
+ORDERS = (pytest.param(2, marks=pytest.mark.slow), 6)
+
 
 def chain(n: int, springs: float = 50.0) -> Multibody:
     """n links of 1 m on a support, horizontal at the start, quartic springs between every other joint, gravity."""
@@ -73,7 +76,7 @@ def model(body: Multibody, order: int) -> Model:
     return build_model(declaration, default_scheme(declaration, order))
 
 
-@pytest.mark.parametrize("order", [pytest.param(2, marks=pytest.mark.slow), 6])
+@pytest.mark.parametrize("order", ORDERS)
 def test_a_potential_of_distances_takes_the_fast_stepper(order: int, compiler: None) -> None:
     """It is the springs it is made of."""
     one, many = (model(charges(springs), order) for springs in (False, True))
@@ -122,7 +125,7 @@ def test_stiff_springs_cost_no_more_sweeps(k24: float, sweeps: int) -> None:
     assert np.abs(instance.signals()["observables"]).max() <= 1e-14
 
 
-@pytest.mark.parametrize("order", [2, 6])
+@pytest.mark.parametrize("order", ORDERS)
 def test_restored_states_continue_bit_by_bit(order: int) -> None:
     m = model(chain(3), order)
     one, two = NativeInstance(m), NativeInstance(m)
@@ -228,7 +231,7 @@ def test_written_out_loops_give_the_same_bits(name: str, order: int, monkeypatch
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("order", [2, 6])
+@pytest.mark.parametrize("order", ORDERS)
 def test_wider_vectors_give_the_same_bits(order: int) -> None:
     """The library for this machine's vectors against the portable one of an FMU."""
     if not host_flags():
@@ -269,7 +272,7 @@ def tangle(n: int) -> Multibody:
     return body
 
 
-@pytest.mark.parametrize("order", [2, 6])
+@pytest.mark.parametrize("order", ORDERS)
 def test_tiles_change_nothing_but_the_order_of_sums(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sweeps over small tiles find the solution of one over all, in as many sweeps; every instance is in one tile."""
     found = []
