@@ -55,9 +55,7 @@ def export(
         raise FMUError("; ".join(str(p) for p in bad))
     if not (math.isfinite(step) and step > 0):
         raise FMUError(f"{model.name}: step = {step} s must be positive")
-    rows = [v if isinstance(v, Version) else VERSIONS.get(v) for v in versions]
-    if not rows or None in rows:
-        raise FMUError(f"FMI versions {list(versions)}; known: {', '.join(VERSIONS)}")
+    rows = _rows(versions)
     if model.loses_energy:
         raise FMUError(
             f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
@@ -69,11 +67,19 @@ def export(
     code = sources.complete(unit, equations, token)
     libraries = _libraries(code, [host_platform()] if platforms is None else platforms)
     paths = []
-    for version in filter(None, rows):
+    for version in rows:
         path = Path(directory) / f"{unit.identifier}_{version.prefix}.fmu"
         package.write(path, _files(unit, version, token, code, libraries))
         paths.append(path)
     return paths
+
+
+def _rows(versions: Sequence[str | Version]) -> list[Version]:
+    known = [v if isinstance(v, Version) else VERSIONS.get(v) for v in versions]
+    rows = [v for v in known if v is not None]
+    if not rows or len(rows) < len(known):
+        raise FMUError(f"FMI versions {list(versions)}; known: {', '.join(VERSIONS)}")
+    return rows
 
 
 def host_platform() -> str:

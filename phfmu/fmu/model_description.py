@@ -115,13 +115,9 @@ class ModelDescription:
 
     def _array(self, type_: str, own: dict[str, str], dimensions: list[dict[str, str]]) -> None:
         """Its entries, called name[1], name[1,2], in the order of their values."""
-        name, shape = own["name"] if "name" in own else "", []
+        name, shape = own.get("name", ""), []
         for d in dimensions:
-            size = (
-                self._int(d["start"], name)
-                if "start" in d
-                else self._sizes.get(self._int(d.get("valueReference", "-1"), name))
-            )
+            size = self._size(d, name)
             if size is None:
                 return self._leave_out(f"{type_} array of unknown size", name)
             shape.append(size)

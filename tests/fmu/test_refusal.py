@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
 
+from phfmu.cli import main
 from phfmu.engine.status import Status
+from phfmu.engine.tables import RUNTIME
 from phfmu.fmu import reader
 from phfmu.fmu.refusal import UnitCallError
 
@@ -34,6 +37,22 @@ def test_a_unit_of_this_package_tells_its_status(status: Status) -> None:
 def test_other_words_are_no_status(words: str) -> None:
     assert UnitCallError("u", "fmi3DoStep", "discard", [words]).status is None
     assert UnitCallError("u", "fmi3DoStep", "discard").status is None
+
+
+def test_advice_names_couplings_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    offered = re.search(r"--coupling \{(.*?)\}", capsys.readouterr().out)
+    assert offered is not None
+    room = Path(reader.__file__).parent
+    named = {n for p in room.glob("*.py") for n in re.findall(r"--coupling (\w+)", p.read_text(encoding="utf-8"))}
+    assert named and named <= set(offered[1].split(","))
+
+
+def test_files_of_units_and_instances_hold_one_concept() -> None:
+    room = Path(reader.__file__).parent
+    files = [*room.rglob("*.py"), *room.rglob("*.c"), RUNTIME / "instance.c", RUNTIME / "memory.c"]
+    assert {p.name: n for p in files if (n := len(p.read_text(encoding="utf-8").splitlines())) >= 300} == {}
 
 
 def test_the_reader_compares_no_texts_of_errors() -> None:
