@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.error import DeclarationError
 from phfmu.plan.address import (
     READ,
     Address,
@@ -44,7 +45,6 @@ from phfmu.terms.term import (
     MASS_BLOCK,
     OBSERVABLE,
     SOURCE,
-    DeclarationError,
     Hidden,
     Term,
     Terms,
