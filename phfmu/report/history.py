@@ -134,12 +134,17 @@ def _sort_in(
             continue
         names |= {n: codes(n) for n in KEYS[kind] if n not in names}
         values |= {n: numbers(n) for n in (*_WHEN, *NUMBERS[kind]) if n not in values}
-        keys = np.stack([np.zeros(len(at), np.int64), *(names[n][at] for n in KEYS[kind])], axis=1)
-        different, which = np.unique(keys, axis=0, return_inverse=True)
+        size, keys = len(interned.names) + 1, np.zeros(len(at), np.int64)
+        for name in KEYS[kind]:  # one number a row; the names of at most three columns fit
+            keys = keys * size + names[name][at] + 1
+        different, first, which = np.unique(keys, return_index=True, return_inverse=True)
         order = np.argsort(which.ravel(), kind="stable")
         cuts = np.cumsum(np.bincount(which.ravel()))[:-1]
-        for key, places in zip(different[:, 1:].tolist(), np.split(at[order], cuts), strict=True):
-            found.setdefault(tuple(key), []).append({n: values[n][places] for n in (*_WHEN, *NUMBERS[kind])})
+        read = {n: values[n][at[order]] for n in (*_WHEN, *NUMBERS[kind])}
+        cut = {n: np.split(column, cuts) for n, column in read.items()}
+        for k, row in enumerate(at[first].tolist()):
+            key = tuple(int(names[n][row]) for n in KEYS[kind])
+            found.setdefault(key, []).append({n: column[k] for n, column in cut.items()})
 
 
 def _about(schema: "pa.Schema") -> dict[str, Any]:

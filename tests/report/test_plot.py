@@ -305,10 +305,9 @@ def test_curves_are_told_apart_without_colour() -> None:
 def test_a_component_has_its_colour_on_all_axes_and_so_has_its_limit(tmp_path: Path) -> None:
     keys = (PortKey("a", "p", None, "n"), PortKey("a", "q", None, "n"), PortKey("b", "p", None, "n"))
     with AuditWriter(tmp_path / "a.parquet") as sink:
-        Ledger(sink).add_block(
-            Layout(("a", "b"), keys), [0, 1], [0.0, 1.0], 1.0, [[1.0, 2.0]] * 2, [[1e-9, 1.0]] * 2, None, [[0.0, 1.0 + 1e-9]] * 2,
-            [[1.0, -1.0, 1.0]] * 2,
-        )  # fmt: skip
+        change, gained = np.array([[1e-9, 1.0]] * 2), np.array([[0.0, 1.0 + 1e-9]] * 2)
+        steps = Steps(np.array([[1.0, 2.0]] * 2), change, 0.0 * change, gained, np.array([[1.0, -1.0, 1.0]] * 2))
+        Ledger(sink).add(Layout(("a", "b"), keys), [0, 1], [0.0, 1.0], 1.0, steps)
     found = opened(tmp_path / "a.parquet")
     by_owner: dict[str, set[int]] = {}
     for p in picture(found, pick(["b.*", "a.*", "n.*"], found.names, "a")).panels:

@@ -12,6 +12,7 @@ import pytest
 
 from phfmu.audit import AuditWriter, Layout, Ledger, PortKey, read, summarise
 from phfmu.cli import main
+from phfmu.engine.steps import Steps
 from phfmu.report.diagram import one_line
 from phfmu.report.flows import (
     CREATED,
@@ -82,11 +83,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 ledger.event(1.0, "parameter", "sink", 0.5, "sink.C = 2")
             start = np.array([[4.0, 1.0]]) if k == 0 else np.array([[3.0, 3.5]])
             change = np.array([[-1.0, 2.0]])
-            ledger.add_block(
-                Layout(("source", "sink"), keys), [k], [float(k)], 1.0, start + change, change,
-                np.array([[0.25, 1.0]]), np.array([[-1.0, 3.25]]), np.array([[-4.0, 3.0, 0.25, 3.0]]), H0=start,
-                numerical=np.array([[0.0, 0.125]]),
-            )  # fmt: skip
+            lost, gained = np.array([[0.25, 1.0]]), np.array([[-1.0, 3.25]])
+            pairs, damped = np.array([[-4.0, 3.0, 0.25, 3.0]]), np.array([[0.0, 0.125]])
+            steps = Steps(start + change, change, lost, gained, pairs, numerical=damped)
+            ledger.add(Layout(("source", "sink"), keys), [k], [float(k)], 1.0, steps, H0=start)
     return path
 
 
@@ -217,7 +217,8 @@ def test_names_of_a_file_are_text(tmp_path: Path) -> None:
         ledger = Ledger(sink)
         ledger.event(0.0, "input", None, None, name)
         key = PortKey(name, "p")
-        ledger.add_block(Layout((name,), (key,)), [0], [0.0], 1.0, [[1.0]], [[1.0]], None, [[1.0]], [[1.0]])
+        one = np.ones((1, 1))
+        ledger.add(Layout((name,), (key,)), [0], [0.0], 1.0, Steps(one, one, 0.0 * one, one, one))
     page = written([str(tmp_path / "x.parquet")], tmp_path)
     assert "<script>alert" not in page and "&lt;script&gt;alert" in page
     assert main(["plot", str(tmp_path / "x.parquet"), "-o", str(tmp_path / "plot.html")]) == 0
