@@ -4,6 +4,8 @@
 
 #include "system.h"
 
+_Static_assert(PH_SMALLEST <= 64, "a bit of halved_ends for each smallest substep");
+
 void ph_parts_begin(ph_instance *in, int n) {
     ph_head *head = in->head;
     head->asked = n;
