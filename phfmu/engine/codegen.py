@@ -129,7 +129,7 @@ def _entry(kernel: Kernel, function: Body, ledger: Body | None) -> tuple[str, st
     key = repr((function.name, ledger.name if ledger else None, sizes, work))
     name = "g_" + hashlib.sha256(key.encode()).hexdigest()[:16]
     macros = {"NAME": name, "KERNEL": function.name} | ({"LEDGER": ledger.name} if ledger else {})
-    macros |= {"NUMERICAL": ""} if ledger and ledger.function.n_out() == 3 else {}
+    macros |= {"NUMERICAL": ""} if kernel.loses_energy else {}
     macros |= sizes | {f"SZ_{k}": v for k, v in work.items()}
     include = "".join(f"#define PH_{k} {v}\n" for k, v in macros.items()) + '#include "group.inc"\n'
     last = f"{name}_ledger" if ledger else "0"

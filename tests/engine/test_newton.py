@@ -71,4 +71,7 @@ def test_no_constant_of_the_solvers_stands_twice() -> None:
     sources = [*(ENGINE / "runtime").glob("*.[ch]")]
     c = {n.removeprefix("PH_") for p in sources for n in re.findall(f"^#define {number}", p.read_text(), re.M)}
     assert {"TOLERANCE", "STAGNATION", "DEPTH", "CHORD"} <= c
+    whole = {p: re.findall(r"^#define (\w+)", p.read_text(), re.M) for p in (ENGINE / "runtime").rglob("*.*")}
+    shared = set(whole.pop(ENGINE / "runtime" / "step_limits.h"))
+    assert {n for names in whole.values() for n in names} & shared == set()
     assert {(name, n) for name, n in python if n in c or n in LIMITS} == set()

@@ -131,7 +131,7 @@ static int at_floor(const ph_system *s, double nominal, double *size) {
     const ph_plan *p = s->plan;
     rounding(s, nominal, size);
     for (int l = 0; l < p->nreg; l++)
-        size[p->matrix_row[p->regularised[l]]] *= PH_SUMS;
+        size[p->matrix_row[p->regularised[l]]] *= PH_CONSTRAINT_SUMS;
     for (int i = 0; i < p->nw; i++)
         if (fabs(s->r[i]) > PH_FLOOR * size[i])
             return 0;

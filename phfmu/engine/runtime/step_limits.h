@@ -47,7 +47,7 @@
 /* Units of rounding in a row that cannot be told from zero, and as many times more in constraint rows: sums
  * of values that are themselves computed with cancellation. */
 #define PH_FLOOR 64
-#define PH_SUMS 16
+#define PH_CONSTRAINT_SUMS 16
 
 /* Shortest step of the line search. */
 #define PH_LEAST_DAMPING 0.015625
