@@ -39,7 +39,8 @@ def add_parser(verbs: Any) -> None:
     options.add_steps(parser)
     options.add_settings(parser)
     options.add_no_check(parser)
-    parser.add_argument("--input", metavar="CSV", help="input and parameter values over time (first column time), held")
+    parser.add_argument("--input", metavar="FILE",
+                        help="input and parameter values over time (.csv or .parquet, first column time), held")  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--audit", metavar="FILE", help="energy ledger per step, FILE.parquet")
     parser.add_argument("--plot", metavar="FILE", help="picture of the run, X.png or X.html (see: phfmu plot)")

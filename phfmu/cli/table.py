@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -152,22 +152,69 @@ class _Parquet:
 
 
 def read_inputs(path: str, known: list[str]) -> HeldInputs:
-    """A CSV like the output: `time`, then settable names; ValueError names line, column and value."""
+    """A table like the output, CSV or Parquet: `time`, then settable names; ValueError names line, column and value."""
     from phfmu.network.run.held import HeldInputs
 
-    rows = _rows(path)
-    if not rows or rows[0][1][0].strip() != "time":
+    header, places, numbers = (_parquet if Path(path).suffix == ".parquet" else _csv)(path)
+    if not header or header[0] != "time":
         raise ValueError(f"{path}: the first column must be 'time', then one per input, separated by commas")
-    names = _names(path, [n.strip() for n in rows[0][1][1:]], known)
-    if len(rows) == 1:
+    names = _names(path, header[1:], known)
+    if not places:
         raise ValueError(f"{path} has no rows below its header; give the values at one time at least")
-    values = np.array([_numbers(f"{path}, line {line}", ["time", *names], row) for line, row in rows[1:]])
+    values = numbers()
     late = np.flatnonzero(np.diff(values[:, 0]) <= 0)
     if late.size:
         i = late[0] + 1
         before, now = values[i - 1 : i + 1, 0]
-        raise ValueError(f"{path}, line {rows[i + 1][0]}: time {now:.9g} after {before:.9g}; times must increase")
+        raise ValueError(f"{path}, {places[i]}: time {now:.9g} after {before:.9g}; times must increase")
     return HeldInputs(names, values[:, 0], values[:, 1:])
+
+
+#: names of the columns, where each row stands, and what reads the numbers
+Source = tuple[list[str], list[str], Callable[[], Array]]
+
+
+def _csv(path: str) -> Source:
+    rows = _rows(path)
+    header = [n.strip() for n in rows[0][1]] if rows else []
+    texts = [row for _, row in rows[1:]]
+    places = [f"line {line}" for line, _ in rows[1:]]
+
+    def numbers() -> Array:
+        with suppress(ValueError):
+            values = np.array(texts, float)
+            if values.shape == (len(texts), len(header)) and np.isfinite(values).all():
+                return values
+        return np.array([_numbers(f"{path}, {p}", header, r) for p, r in zip(places, texts, strict=True)])
+
+    return header, places, numbers
+
+
+def _parquet(path: str) -> Source:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"--input {path}: no such file")
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        raise ValueError(f"{path} is not a Parquet file: {error}") from error
+    header = list(table.column_names)
+
+    def numbers() -> Array:
+        columns = []
+        for name, column in zip(header, table.columns, strict=True):
+            if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+                raise ValueError(f"{path}, column {name}: {column.type} is not a number")
+            values = column.cast(pa.float64()).to_numpy()
+            bad = np.flatnonzero(~np.isfinite(values))
+            if bad.size:
+                raise ValueError(f"{path}, row {bad[0] + 1}, column {name}: {values[bad[0]]} is not finite")
+            columns.append(values)
+        return np.column_stack(columns)
+
+    return header, [f"row {i + 1}" for i in range(table.num_rows)], numbers
 
 
 def _rows(path: str) -> list[tuple[int, list[str]]]:

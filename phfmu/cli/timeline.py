@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from phfmu.network.run.held import HeldInputs
     from phfmu.network.scene import Event, Scene
 
+#: fewer rows are steps of an input, not data sampled over the run
+SAMPLED = 10
+
 
 def timeline(args: argparse.Namespace, scene: Scene, known: list[str], stop: float) -> tuple[list[Event], list[str]]:
     """The events of a run and a line for each that was left out.
@@ -61,7 +64,9 @@ def _without(events: list[Event], given: set[str], chosen, by: str, known: list[
 
 
 def _outside(path: str, rows: HeldInputs, stop: float) -> list[str]:
-    """Lines about rows before the start and after the end."""
+    """Lines about rows before the start and after the end, and data that begin late or end early."""
+    import numpy as np
+
     early, late = int((rows.time < 0.0).sum()), int((rows.time > stop).sum())
     notes = []
     if early:
@@ -69,6 +74,11 @@ def _outside(path: str, rows: HeldInputs, stop: float) -> list[str]:
             f"{path}: {counted(early, 'row')} before the start, from t = {rows.time[0]:g} s; "
             f"{'the last of them' if early > 1 else 'it'} holds at 0 s"
         )
+    if rows.time[0] > 0.0:
+        notes.append(f"{path}: begins at t = {rows.time[0]:g} s, the start values hold before")
+    gap = 2 * float(np.median(np.diff(rows.time))) if len(rows.time) > SAMPLED else stop
+    if rows.time[-1] < stop - gap:
+        notes.append(f"{path}: ends at t = {rows.time[-1]:g} s, its last row holds until the end at {stop:g} s")
     if late:
         first = float(rows.time[len(rows.time) - late])
         notes.append(f"{path}: {counted(late, 'row')} after the end at {stop:g} s, from t = {first:g} s, not used")

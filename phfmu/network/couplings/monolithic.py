@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from phfmu.schemes.scheme import Scheme
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
+    from phfmu.network.scene import Event
 
 Array = NDArray[np.float64]
 Between = Callable[[Any, Array, dict[str, Array], float, float, int], Array]
@@ -88,13 +89,32 @@ class Monolithic:
                 failure.recorded = {"steps": self._steps(failure.recorded)}
             raise
 
+    @property
+    def free_inputs(self) -> Mapping[str, Any]:
+        """Names of the free inputs, also bare ones of vectors."""
+        return self._inputs.free
+
+    def advance_with(self, inputs: Sequence[tuple[int, Event]], t0: float, h: float, n: int, first: int = 0) -> Steps:
+        """`advance`, with free inputs that change: (step from `first` at whose start it changes, event), in order."""
+        u = self._inputs.rows(n, inputs)
+        try:
+            steps = self._steps(self.instance.run(t0, h, n, record=self._wanted(self.instance), inputs=u, first=first))
+        except StepFailure as failure:
+            done = len(failure.recorded.get("counts", ()))
+            if done:
+                failure.recorded = {"steps": self._steps(failure.recorded)}
+            self._inputs.u[:] = u[done]
+            raise
+        self._inputs.u[:] = u[-1]
+        return steps
+
     def companion(self, scheme: Scheme) -> Any:
         """An instance of the same declaration and engine under another scheme."""
         return type(self.instance)(build_model(self.model.declaration, scheme))
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
-        wanted = (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER
+        wanted = self._wanted(instance)
         if self.between is None:
             return self._steps(instance.run(t0, h, n, record=wanted, first=first))
         before = np.concatenate(list(instance.signals().values()))
@@ -102,6 +122,9 @@ class Monolithic:
         rows = self.between(instance, before, r, t0, h, first)
         picked = self._columns.pick(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], -1)
         return replace(self._steps(r), between=picked)
+
+    def _wanted(self, instance: Any) -> tuple[str, ...]:
+        return (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER
 
     def _steps(self, r: dict[str, Array]) -> Steps:
         return Steps.recorded(r, self._columns.pick(r["signals"]))

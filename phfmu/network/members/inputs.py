@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
+
+if TYPE_CHECKING:
+    from phfmu.network.scene import Event
 
 
 @dataclass
@@ -17,6 +23,7 @@ class Inputs:
     model: Model
     parameters: dict[str, int] = field(init=False)
     inputs: dict[str, int] = field(init=False)
+    free: dict[str, list[int]] = field(init=False)
 
     def __post_init__(self) -> None:
         d = self.model.declaration
@@ -25,6 +32,18 @@ class Inputs:
         free = [n for p in d.ports if p.external for n in p.input_names()]
         self.inputs = {n: i for i, n in enumerate(free)}
         self.u = self.model.u0.copy()
+        named = {*free, *(n.partition("[")[0] for n in free)}
+        #: name of a free input, or bare name of a vector -> its places in u
+        self.free = {n: places(self.inputs, n) for n in named if not places(self.parameters, n)}
+
+    def rows(self, n: int, changes: Sequence[tuple[int, Event]]) -> NDArray[np.float64]:
+        """Inputs of n steps (n x nu) from the present ones on; changes: (number of the step, event), in order."""
+        u = np.full((n, len(self.u)), np.nan)
+        u[0] = self.u
+        for k, e in changes:
+            u[k, self.free[e.name]] = e.value
+        last = np.maximum.accumulate(np.where(np.isnan(u), 0, np.arange(n)[:, None]), axis=0)
+        return np.take_along_axis(u, last, axis=0)
 
     def set(self, name: str, value: float) -> str:
         """What was set, "parameter" or "input"; "" if `name` is not known. The bare name of a vector sets all entries."""

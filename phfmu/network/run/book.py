@@ -59,7 +59,7 @@ class Book:
     def set_value(self, e: Event) -> None:
         """Set an event's value and book the energy that a changed parameter makes or takes."""
         kind = self.stepper.set_value(e.name, e.value)
-        message, now = f"{e.name} = {e.value:.9g}", self.stepper.energies()
+        message, now = _message(e), self.stepper.energies()
         changed = self._changed(self._H, now)
         for component, jump in changed:
             self.ledger.event(e.t, kind, component, jump, message)
@@ -68,6 +68,11 @@ class Book:
         self._H = now
         if changed:
             self._keep_consistent(e)
+
+    def inputs(self, changes: Sequence[tuple[int, Event]]) -> None:
+        """Book free inputs that changed between steps; they change no energy."""
+        for _, e in changes:
+            self.ledger.event(e.t, "input", message=_message(e))
 
     def _keep_consistent(self, e: Event) -> None:
         """A parameter that enters a hidden constraint (an inductance at a node) makes the state jump as by an impulse."""
@@ -127,3 +132,7 @@ class Book:
 
     def worst(self) -> dict[str, float]:
         return self._worst
+
+
+def _message(e: Event) -> str:
+    return f"{e.name} = {e.value:.9g}"

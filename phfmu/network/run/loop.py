@@ -14,6 +14,7 @@ from phfmu.network.run.march import AdaptiveSteps, FixedSteps, monolithic
 from phfmu.network.run.options import Options
 from phfmu.network.run.result import Result
 from phfmu.network.run.rows import Rows
+from phfmu.network.run.stretches import stretches
 from phfmu.network.scene import Event
 from phfmu.words import counted
 
@@ -39,14 +40,14 @@ def run(stepper: Stepper, options: Options) -> Result:
     t0, stop, close = options.t0, options.stop, 1e-9 * options.step
     try:
         with dense_rows(stepper, options.dense):
-            for start, end, here in segments(t0, stop, options.events, close):
-                if start == t0:
-                    projection = _begin(stepper, book, options, here, end)
+            for stretch in stretches(segments(t0, stop, options.events, close), options.step, march.takes_inputs):
+                if stretch.start == t0:
+                    projection = _begin(stepper, book, options, stretch.events, stretch.end)
                     rows.take(np.array([t0]), stepper.read()[None], np.zeros(1, bool))
                 else:
-                    for e in here:
+                    for e in stretch.events:
                         book.set_value(e)
-                for row in march.over(start, end, start > t0):
+                for row in march.over(stretch, stretch.start > t0):
                     rows.take(*row)
     except KeyboardInterrupt:
         ledger.event(rows.last, "interrupted")

@@ -5,6 +5,7 @@ Rows are handed over in blocks: what is on its way to the audit and the result f
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from time import perf_counter
 from typing import Any
@@ -19,6 +20,8 @@ from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.run.book import Book
 from phfmu.network.run.options import Options
 from phfmu.network.run.rows import Row
+from phfmu.network.run.stretches import Stretch
+from phfmu.network.scene import Event
 
 Array = NDArray[Any]
 Rows = Iterator[Row]
@@ -73,17 +76,25 @@ class FixedSteps:
         self._pace = Pace()
         self._longest = 0.0
 
-    def over(self, start: float, end: float, event: bool) -> Rows:
+    def takes_inputs(self, name: str) -> bool:
+        """Whether the steps of one stretch may have different values of `name`, a free input."""
+        s = self.stepper
+        return not self.restart and isinstance(s, Monolithic) and s.between is None and name in s.free_inputs
+
+    def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
         left = self.restart if event else 0
-        for t, h, n in pieces(start, end, self.step):
+        for t, h, n in pieces(stretch.start, stretch.end, self.step):
             if h < self.step * (1 - 1e-9):
                 self._cut.append(h)
             first = 0
             while first < n:
                 damped = left > 0 and self._damped is not None
                 count = 1 if damped else min(self._pace.steps, n - first)
-                yield from self._booked(t, h, first, count, damped)
+                inputs = [
+                    (k - first, e) for k, e in stretch.inputs[_from(stretch, first) : _from(stretch, first + count)]
+                ]
+                yield from self._booked(t, h, first, count, damped, inputs)
                 first, left = first + count, max(left - 1, 0)
                 self._pace.handed_over(count)
 
@@ -96,22 +107,29 @@ class FixedSteps:
         cut = [_shorter(self._cut, self.book.steps, self.step)] if self._cut else []
         return cut + (_not_damped(self._damped.refused, self._restarted) if self._damped else [])
 
-    def _booked(self, t: float, h: float, first: int, n: int, damped: bool) -> Rows:
-        """The rows of steps first..first+n-1 of the grid t + k h; those before one that fails, too."""
+    def _booked(self, t: float, h: float, first: int, n: int, damped: bool, inputs: list[tuple[int, Event]]) -> Rows:
+        """The rows of steps first..first+n-1 of the grid t + k h; those before one that fails, too.
+
+        inputs: (step from `first`, event)
+        """
         try:
             if damped and self._damped is not None:
                 steps = self._damped.advance(t + first * h, h)
                 self._restarted += 1
+            elif inputs:
+                steps = monolithic(self.stepper, "--input").advance_with(inputs, t, h, n, first)
             else:
                 steps = self.stepper.advance(t, h, n, first)
         except StepFailure as failure:
             failure.asked, failure.longest = h, self._longest
             kept = failure.recorded.get("steps")
+            self.book.inputs(inputs[: bisect_right(inputs, 0 if kept is None else len(kept.H), key=_number)])
             if kept is not None:
                 yield self._added(t, h, first, kept)
             self.book.failed(failure)
             raise
         self._longest = max(self._longest, h)
+        self.book.inputs(inputs)
         yield self._added(t, h, first, steps)
 
     def _added(self, t: float, h: float, first: int, steps: Steps) -> Row:
@@ -136,8 +154,13 @@ class AdaptiveSteps:
         self._restarted, self._wanted = 0, 0
         self._pace = Pace()
 
-    def over(self, start: float, end: float, event: bool) -> Rows:
+    def takes_inputs(self, name: str) -> bool:
+        """Steps of any length stop where an input changes."""
+        return False
+
+    def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
+        start, end = stretch.start, stretch.end
         self.adaptive.after_event()
         times, rows, left, t = [start], [], self.restart if event else 0, start
         try:
@@ -183,6 +206,15 @@ class AdaptiveSteps:
         steps, t = Steps.joined(rows), np.array(times)
         self.book.add(t[:-1], np.diff(t), steps)
         return _rows(t[:-1], t[1:], steps)
+
+
+def _number(numbered: tuple[int, Event]) -> int:
+    return numbered[0]
+
+
+def _from(stretch: Stretch, step: int) -> int:
+    """The first of the stretch's inputs at or after the step."""
+    return bisect_left(stretch.inputs, step, key=_number)
 
 
 def _shorter(cut: list[float], steps: int, step: float) -> str:
