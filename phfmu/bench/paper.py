@@ -19,6 +19,8 @@ from phfmu.schemes.midpoint import Midpoint
 
 Array = NDArray[Any]
 
+#: of the library, whose paper it is
+MODEL = "four_particle"
 DG = Collocated(1, gradient="joint-gonzalez", name="DG")
 MP = Midpoint(name="MP")
 STEPS = (0.01, 0.005, 0.002, 0.001)

@@ -163,12 +163,13 @@ class _Progress:
 def _paper(args: argparse.Namespace) -> int:
     from importlib.util import find_spec
 
+    from phfmu.bench.paper import MODEL
     from phfmu.bench.paper_figures import write
     from phfmu.cli.codes import FINE, PROBLEMS
     from phfmu.target import load
 
-    if args.target != "four_particle":
-        raise ValueError("--paper reproduces the paper of four_particle only: phfmu bench four_particle --paper -o DIR")
+    if args.target != MODEL:
+        raise ValueError(f"--paper reproduces the paper of {MODEL} only: phfmu bench {MODEL} --paper -o DIR")
     if find_spec("matplotlib") is None:
         raise ValueError('figures need matplotlib: pip install "phfmu[report]"')
     found = write(load(args.target), args.output)

@@ -238,7 +238,7 @@ def test_customary_runs_belong_to_names_of_the_library(tmp_path: Path) -> None:
 
 def test_no_verb_knows_a_model_by_name() -> None:
     for source in (files("phfmu") / "cli").iterdir():
-        if source.name.endswith(".py") and source.name != "bench.py":  # `bench --paper` is about one model
+        if source.name.endswith(".py"):
             text = source.read_text(encoding="utf-8")
             assert not [name for name in LIBRARY if f'"{name}"' in text], source.name
 

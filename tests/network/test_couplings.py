@@ -52,12 +52,12 @@ class Repeated:
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         C, P = joined.face.C, joined.face.P
-        xi = last.xi
+        xi: Any = last.xi
         for i in range(self.trials):
             if i > 0:
                 joined.restore(step.states)
             y = joined.trial(xi, step.t, step.h)
-            new = np.linalg.solve(C, -P.T @ y)
+            new: Any = np.linalg.solve(C, -P.T @ y)
             if (abs(new - xi) <= 1e-14 * (1e-3 + abs(xi))).all():
                 return Solution(xi, y, i + 1, "stayed")
             xi = new
@@ -78,24 +78,26 @@ def test_a_coupling_of_ones_own_gives_the_composed_motion() -> None:
 
 def test_where_a_coupling_gives_up_all_members_are_back() -> None:
     net = pair()
-    stepper = Coupled(net, members(net), Repeated(trials=1))
-    before, last = [m.instance.x for m in stepper.joined.members], stepper.last
+    own = members(net)
+    stepper = Coupled(net, own, Repeated(trials=1))
+    before, last = [m.instance.x for m in own], stepper.last
     with pytest.raises(StepFailure):
         stepper.advance(0.0, H, 1)
-    assert all(np.array_equal(m.instance.x, x) for m, x in zip(stepper.joined.members, before, strict=True))
+    assert all(np.array_equal(m.instance.x, x) for m, x in zip(own, before, strict=True))
     assert stepper.last is last
 
 
 def test_newton_solves_the_rows_without_a_run() -> None:
     """From the members and a step alone: rows at rounding, members at its end, under the unknowns that are returned."""
     net = pair()
-    joined = Joined(net, members(net))
+    own = members(net)
+    joined = Joined(net, own)
     start = Solution(joined.face.start, np.zeros(len(joined.face.P)))
     found = Newton().solve(joined, start, Step(0.0, H, joined.states()))
     assert found.accepted_by in ("energy", "rounding floor")
     assert abs(joined.rows(found.xi, found.y)).max() <= 1e-13 * abs(found.y).max()
-    assert np.array_equal(np.concatenate([m.output() for m in joined.members]), found.y)
-    assert [m.instance.time for m in joined.members] == [H, H]
+    assert np.array_equal(np.concatenate([m.output() for m in own]), found.y)
+    assert [m.instance.time for m in own] == [H, H]
 
 
 class Silent:
@@ -115,7 +117,8 @@ def test_the_books_of_members_stand_side_by_side() -> None:
     """What a member does not tell: nothing is lost, and all of its energy may have moved."""
     net = pair()
     m, s = members(net)
-    joined = Joined(net, [m, Silent(s)])
+    parts: list[Any] = [m, Silent(s)]
+    joined = Joined(net, parts)
     Newton().solve(joined, Solution(joined.face.start, np.zeros(len(joined.face.P))), Step(0.0, H, joined.states()))
     book, own = joined.ledger(), m.ledger()
     assert set(book) == {"stored", "dissipated", "supplied", "pairs", "numerical", "moved"}
