@@ -27,6 +27,8 @@ Array = NDArray[Any]
 ENERGY = 1e-14  # accepted interface energy relative to the energy in play
 ROUNDING = 1e-13  # scaled residual that counts as solved
 STAGNATION = 1e-9  # a scaled residual below this that stays is rounding, if the energy is
+SHRINKING = 0.5  # a scaled residual that shrinks to more than this part of the last hardly shrinks: it stalls
+STALLED = 10.0  # times the accepted energy is accepted where it stalls
 FLOOR = 16.0  # units of rounding in a row that cannot be told from zero
 ITERATIONS = 30
 
@@ -96,10 +98,10 @@ def _accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain
     energy = h * float(xi @ r)
     through = h * float(np.abs(joined.inputs(trial.xi)) @ np.abs(trial.y))
     in_play = max(float(np.abs(joined.energies()).sum()), through)
-    stalled = len(history) > 2 and history[-1] > 0.5 * history[-2]
+    stalled = len(history) > 2 and history[-1] > SHRINKING * history[-2]
     if stalled and (r <= FLOOR * np.finfo(float).eps * (gain @ xi)).all():
         return "rounding floor"
-    if energy > ENERGY * in_play and not (stalled and energy <= 10 * ENERGY * in_play):
+    if energy > ENERGY * in_play and not (stalled and energy <= STALLED * ENERGY * in_play):
         return ""
     if history[-1] <= ROUNDING:
         return "energy"
