@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-
-import numpy as np
+from sys import float_info
 
 from phfmu.network.scene import Event
 
 #: of a step: times that differ by less are one
 CLOSE = 1e-9
+#: of a time: what its digits and the products of the grid lose
+ROUNDING = 4 * float_info.epsilon
 
 
 @dataclass(frozen=True)
@@ -61,4 +62,4 @@ def _whole(length: float, step: float) -> int:
 
 
 def _continues(grid: float, start: float, step: float) -> bool:
-    return abs(grid - start) <= CLOSE * step + 4 * np.finfo(float).eps * abs(start)
+    return abs(grid - start) <= CLOSE * step + ROUNDING * abs(start)
