@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from phfmu.declare.parameter_limits import Limit, limits
 from phfmu.discretise.model import Model
 from phfmu.fmu.words import plain
-from phfmu.signals import Causality, Quantity, quantities
+from phfmu.signals import Quantity, quantities
 
 #: one part of a structured name of the standard: letters, digits and _, then indices
 _PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
@@ -21,23 +21,13 @@ class FMUError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class FMUVariable:
+class FMUVariable(Quantity):
     """One scalar of type Real (2.0) or Float64 (3.0).
 
-    Its value is the sum of `count` entries of the runtime's `block` from `first` on: a `ph_block` of phfmu.h
-    or a place of fmu.h.  `start` is None if calculated; `unit` "1", `nominal` None and limits that are not there are not
-    written.
+    `block` is a `ph_block` of phfmu.h or a place of fmu.h by its name there.  Unit "1", nominal None and limits that are not
+    there are not written.
     """
 
-    name: str
-    causality: Causality
-    block: str
-    first: int
-    count: int = 1
-    start: float | None = None
-    unit: str = "1"
-    nominal: float | None = None
-    description: str = ""
     limit: Limit | None = None
 
     @property
