@@ -143,9 +143,10 @@ def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> Job:
     def build() -> Stepper:
         from phfmu.discretise.model import build_model
         from phfmu.network.couplings.monolithic import Monolithic
-        from phfmu.network.couplings.unit import FMUStepper
 
         if engine == "fmu":
+            from phfmu.network.couplings.unit import FMUStepper
+
             return FMUStepper(_as_fmu(declaration, scheme, args, s.step))
         model = build_model(declaration, scheme)
         return Monolithic(model, instance_of(model, engine))
@@ -162,10 +163,11 @@ def _coupled(args: argparse.Namespace, s: Scene, network: Network) -> Job:
     def member(name: str, declaration: PHDAE) -> Member:
         from phfmu.discretise.model import build_model
         from phfmu.network.members.engine_member import EngineMember
-        from phfmu.network.members.fmu_member import FMUMember
 
         own = replace(declaration, name=name)
         if engine == "fmu":
+            from phfmu.network.members.fmu_member import FMUMember
+
             return FMUMember(name, _as_fmu(own, schemes[name], args, s.step))
         model = build_model(own, schemes[name])
         return EngineMember(name, model, instance_of(model, engine))
