@@ -227,8 +227,11 @@ class _Reader:
 
 
 def _index(rows: Rows) -> Iterator[NDArray[Any]]:
+    """Numbers of the pairs of vector ports, 0 for the others, and which have one."""
     if "index" in rows.numbers:
-        yield from rows.numbers["index"]
+        value, there = rows.numbers["index"]
+        yield np.where(there, value, 0.0)
+        yield there
 
 
 def _grouped(rows: Rows, steps: Ints) -> _Grouped:

@@ -301,7 +301,7 @@ class NativeInstance:
     def set_state(self, state: bytes) -> None:
         """Restores what `get_state` gave."""
         more = len(state) - self._state_size
-        if more and more != 32 * self._ports.kernels.n:
+        if more and (more < 0 or more % 32 or more != 32 * self._ports.kernels.n):
             raise ValueError(f"{self.model.name}: state of {len(state)} bytes, expected {self._state_size}")
         self._check(self._lib.ph_load(self._in, state))
         if more:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -27,6 +28,7 @@ from phfmu.audit import (
     Ledger,
     LedgerSummary,
     PortKey,
+    analysis,
     audit_table,
     make_block,
     read,
@@ -807,3 +809,19 @@ def test_a_log_that_unpacks_to_too_much_is_refused_before_it_is_read(tmp_path: P
         ValueError, match=r"row group 0 unpacks its column 'row' from \d+ to \d+ bytes; at most 1048576"
     ):
         summarise(tmp_path / "bomb.parquet")
+
+
+def test_steps_of_ports_without_an_index_are_booked_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The column of indices is empty where no port is a vector: steps of one layout stay one run."""
+    layout = Layout(LAYOUT.components, tuple(replace(p, port=f"p{p.index or 0}", index=None) for p in LAYOUT.ports))
+    with AuditWriter(tmp_path / "x.parquet") as sink:
+        book(Ledger(sink), layout, **run_arrays(50))
+    runs, booked = [], analysis._Reader._book_run
+
+    def counted(self: analysis._Reader, grouped: Any, a: int, b: int) -> None:
+        runs.append(b - a)
+        booked(self, grouped, a, b)
+
+    monkeypatch.setattr(analysis._Reader, "_book_run", counted)
+    assert summarise(tmp_path / "x.parquet").steps == 50
+    assert runs == [50]
