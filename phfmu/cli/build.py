@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from phfmu.network.junctions.network import Network
     from phfmu.network.members.member import Member
     from phfmu.network.scene import Scene
+    from phfmu.schemes.scheme import Scheme
 
 
 @dataclass(frozen=True)
@@ -129,12 +130,20 @@ def order_lost(args: argparse.Namespace) -> list[str]:
     """A line if the coupling does not keep the order that was asked for."""
     from phfmu.network.couplings.newton import Newton
 
-    if args.coupling != Newton.name or (args.order or 2) <= Newton.order:
+    if args.coupling != Newton.name or (args.order or 2) <= Newton.order or engine_of(args) != "fmu":
         return []
     return [
-        f"--order {args.order} is that of the members: newton joins them by one value per step, held, so the run is of order "
-        f"{Newton.order}; --coupling monolithic keeps order {args.order}"
+        f"--order {args.order} is that of the members: newton joins units by one value per step, held, so the run is of order "
+        f"{Newton.order}; --engine native or python keeps order {args.order}"
     ]
+
+
+def _most(schemes: Iterable[Scheme], engine: str) -> float:
+    """The order that members stepped apart keep together at most."""
+    from phfmu.network.couplings.newton import Newton
+    from phfmu.network.members.node_values import takes_node_values
+
+    return inf if engine != "fmu" and all(takes_node_values(s) for s in schemes) else Newton.order
 
 
 def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> Job:
@@ -157,7 +166,7 @@ def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> Job:
 def _coupled(args: argparse.Namespace, s: Scene, network: Network) -> Job:
     from phfmu.network.couplings.newton import Newton
 
-    engine, coupling = engine_of(args), Newton()
+    engine = engine_of(args)
     schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.members.items()}
 
     def member(name: str, declaration: PHDAE) -> Member:
@@ -175,9 +184,9 @@ def _coupled(args: argparse.Namespace, s: Scene, network: Network) -> Job:
     def build() -> Stepper:
         from phfmu.network.couplings.coupled import Coupled
 
-        return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling)
+        return Coupled(network, [member(name, d) for name, d in network.members.items()])
 
-    label = _label(list(schemes.values()), engine, f"{coupling.name} coupling", coupling.order)
+    label = _label(list(schemes.values()), engine, f"{Newton.name} coupling", _most(schemes.values(), engine))
     return Job(s, label, False, build)
 
 

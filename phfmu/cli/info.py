@@ -21,6 +21,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.declare.parameter_limits import limits
+    from phfmu.network.junctions.network import Network
     from phfmu.target import is_fmu, scene
 
     if is_fmu(args.target):
@@ -36,17 +37,19 @@ def call(args: argparse.Namespace) -> int:
         print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
     if d.members != ("",):
         print(f"members: {', '.join(d.members)}")
-        from phfmu.network.couplings.newton import Newton
+    words = {}
+    if isinstance(s.system, Network):
+        from phfmu.network.couplings.told import exchanged, order_told
 
-        print(
-            f"order: --order composed; {Newton.order} with --coupling newton, which joins members by one held value per step"
-        )
+        print(f"order: {order_told(s.system)}")
+        words = exchanged(s.system)
     if d.junctions:
         from phfmu.network.junctions.nodes import node_kinds
 
         kinds = node_kinds(d)
     for name, ends in d.junctions:
-        print(f"junction {name}: {', '.join(ends)}; {kinds[name]}")
+        apart = f"; newton: {words[name]}" if name in words else ""
+        print(f"junction {name}: {', '.join(ends)}; {kinds[name]}{apart}")
     limit = limits(d)
     for title, variables in (("states", d.states), ("algebraic variables", d.algebraics), ("parameters", d.parameters)):
         if variables:

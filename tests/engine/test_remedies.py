@@ -131,15 +131,18 @@ def test_no_message_names_an_option_or_coupling_that_does_not_exist() -> None:
             assert "jacobi)" not in text and "--engine native for" not in text, path
 
 
-def test_newton_says_order_2_and_why(capsys) -> None:
-    common = ("run", "oscillator", "--engine", "python", "--stop", "0.02", "--coupling", "newton")
-    code, text = said(capsys, *common, "--order", "4")
-    first = text.splitlines()[0]
-    assert code == 0 and "order 2 (members of order 4, inputs held)" in first
-    assert "--order 4 is that of the members" in text and "--coupling monolithic keeps order 4" in text
-    plain = said(capsys, *common)[1]
-    assert "order 2, python engine, newton" in plain and "is that of the members" not in plain
-    assert "2 with --coupling newton" in said(capsys, "info", "oscillator")[1]
+def test_newton_says_its_order_and_why(capsys, compiler) -> None:
+    """Members of an engine keep theirs, units exchange held values; `info` says what a junction exchanges."""
+    common = ("run", "oscillator", "--stop", "0.02", "--coupling", "newton")
+    code, text = said(capsys, *common, "--engine", "fmu", "--order", "4")
+    assert code == 0 and "order 2 (members of order 4, inputs held)" in text.splitlines()[0]
+    assert "--order 4 is that of the members" in text and "--engine native or python keeps order 4" in text
+    code, text = said(capsys, *common, "--engine", "python", "--order", "4")
+    assert code == 0 and "order 4, python engine, newton" in text and "is that of the members" not in text
+    info = said(capsys, "info", "smib")[1]
+    assert "--order, composed and with --coupling newton" in info
+    assert "junction bus1: gen.terminal, line.a" in info and "newton: k values and a pair of impulses" in info
+    assert "newton: k values\n" in info
     assert "--coupling newton" not in said(capsys, "info", "mass")[1]
 
 

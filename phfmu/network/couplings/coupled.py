@@ -15,7 +15,7 @@ from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupling import Coupling, Solution, Step
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.newton import Newton
+from phfmu.network.couplings.node_newton import newton
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.member import Member
 
@@ -29,7 +29,7 @@ class Coupled:
 
     def __init__(self, network: Network, members: list[Member], coupling: Coupling | None = None):
         self.joined = Joined(network, members)
-        self.coupling = Newton() if coupling is None else coupling
+        self.coupling = newton(self.joined) if coupling is None else coupling
         face = self.joined.face
         self.last = Solution(face.start.copy(), np.zeros(len(face.P)))
         self.booking = self.joined.booking
@@ -42,6 +42,7 @@ class Coupled:
     def set_value(self, name: str, value: float) -> str:
         """Set a member's parameter or free input `member.name` and say which it is; KeyError names close ones."""
         self._sums.forget()
+        self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
         return self.joined.set_value(name, value, self.last.xi)
 
     def read(self) -> Array:
@@ -76,6 +77,7 @@ class Coupled:
             self.last = self.coupling.solve(self.joined, self.last, Step(t0, h, states))
         finally:
             self.joined.restore(states)
+        self.last = Solution(self.last.xi, self.last.y)
         self.joined.apply(self.last.xi)
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:

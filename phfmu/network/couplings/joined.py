@@ -35,14 +35,15 @@ class Joined:
         ends = np.cumsum([0, *(m.nu for m in members)]).tolist()
         #: where the inputs of each member are among all
         self.places = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-        self._free = np.concatenate([m.start_inputs() for m in members])
-        self._free[self.face.P.any(axis=1)] = 0.0
+        #: U_free
+        self.free = np.concatenate([m.start_inputs() for m in members])
+        self.free[self.face.P.any(axis=1)] = 0.0
 
     # -- a step -----------------------------------------------------------------------------------------------------
 
     def inputs(self, xi: Array) -> Array:
         """U = P xi + U_free (nu)."""
-        return self.face.P @ xi + self._free
+        return self.face.P @ xi + self.free
 
     def apply(self, xi: Array) -> None:
         """Give every member its inputs."""
@@ -90,7 +91,7 @@ class Joined:
                 if indices:
                     if self.face.P[indices].any():
                         raise KeyError(f"{name} is fed by a junction; it cannot be set")
-                    self._free[indices] = value
+                    self.free[indices] = value
                     m.set_input(self.inputs(xi)[place])
                     return "input"
                 if m.set_parameter(rest, value):

@@ -48,6 +48,15 @@ class Trial:
         return np.abs(self.r) / size
 
 
+@dataclass(frozen=True)
+class Worst:
+    """The junction row that misses most: its name, the value of its unknown, what is left of it."""
+
+    name: str
+    value: float
+    residual: float
+
+
 class Newton:
     """One value per junction unknown and step, held: the whole is of order 2, whatever the order of the members is."""
 
@@ -70,7 +79,7 @@ class Newton:
             matrix = joined.matrix(G)
             gain = np.abs(matrix)
             try:
-                xi = xi + _update(matrix, trial.r)
+                xi = xi + update(matrix, trial.r)
             except np.linalg.LinAlgError:
                 raise _failure(Status.SINGULAR, joined, step, trial, history) from None
             if not np.isfinite(xi).all():
@@ -83,7 +92,7 @@ def _trial(joined: Joined, xi: Array, step: Step) -> Trial:
     return Trial(xi, y, joined.rows(xi, y))
 
 
-def _update(matrix: Array, r: Array) -> Array:
+def update(matrix: Array, r: Array) -> Array:
     """dxi of matrix dxi = -r with rows scaled by their largest entries; LinAlgError if it is singular."""
     scale = 1.0 / np.maximum(np.abs(matrix).max(axis=1), 1e-300)
     return np.linalg.solve(matrix * scale[:, None], -r * scale)
@@ -111,11 +120,17 @@ def _accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain
 def _failure(status: Status, joined: Joined, step: Step, trial: Trial, history: list[float]) -> StepFailure:
     scaled = np.nan_to_num(trial.scaled(joined.face), nan=np.inf)
     worst = int(np.argmax(scaled))
+    found = Worst(joined.face.names[worst], float(trial.xi[worst]), float(abs(trial.r[worst])))
+    return failure(status, joined, step, found, history)
+
+
+def failure(status: Status, joined: Joined, step: Step, worst: Worst, history: list[float]) -> StepFailure:
+    """The error of an interface Newton iteration; history: largest scaled residual of each trial."""
     last = ", ".join(f"{v:.3g}" for v in history[-3:])
     return StepFailure(
         status, joined.network.name, step.t, step.h,
-        equation=f"junction row of {joined.face.names[worst]} = {trial.xi[worst]:.6g}",
-        residual=float(abs(trial.r[worst])), iterations=len(history),
+        equation=f"junction row of {worst.name} = {worst.value:.6g}",
+        residual=worst.residual, iterations=len(history),
         tried=f"interface Newton (last scaled residuals {last}); all members are back at t", joined=True, history=history,
         composable=joined.network.composable,
     )  # fmt: skip

@@ -43,9 +43,12 @@ class Interface:
 class Joinable(Protocol):
     """Whose ports are joined; `places`: port name -> slice of its `nu` external inputs."""
 
-    name: str
-    nu: int
-    places: dict[str, slice]
+    @property
+    def name(self) -> str: ...
+    @property
+    def nu(self) -> int: ...
+    @property
+    def places(self) -> dict[str, slice]: ...
 
 
 def interface(network: Network, members: Sequence[Joinable]) -> Interface:

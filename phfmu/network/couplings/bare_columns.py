@@ -1,0 +1,76 @@
+"""Which common variables of coupled members carry impulses: bare nodes, all of whose ports take pairs of them.
+
+With S = sum_j P_j^T S_j P_j over the members (A/(V s)), variables that S couples are a cluster: they share branches. Of a cluster
+all carry impulses or none does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from phfmu.network.junctions.interface import Interface
+from phfmu.network.junctions.network import Network
+from phfmu.network.members.node_values import Offer
+
+Array = NDArray[np.float64]
+
+SINGULAR = 1e-12  # smallest over largest eigenvalue of S, as for composed models
+
+
+@dataclass(frozen=True)
+class Bare:
+    """columns: those with impulses;  why: bare junction without -> the reason ("": its sum is linear and stays at its start)."""
+
+    columns: tuple[int, ...]
+    why: dict[str, str]
+
+
+def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Sequence[Offer | None]) -> Bare:
+    """`inputs`: where those of each member are among all."""
+    by_name = {o.name: o for o in offers if o is not None}
+    refused: dict[str, str] = {}
+    columns: list[int] = []
+    linear: dict[str, bool] = {}
+    for j in network.junctions:
+        own = face.sums[j.name]
+        if face.C[own].any():
+            continue
+        ends = [by_name[e.member].ports[e.port] if e.member in by_name else None for e in j.ends]
+        if any(e is None or e.kind == "none" for e in ends):
+            continue
+        columns += range(own.start, own.stop)
+        linear[j.name] = all(e.linear for e in ends if e is not None)
+        odd = [f"{end}: {e.reason}" for end, e in zip(j.ends, ends, strict=True) if e is not None and e.kind != "pair"]
+        refused[j.name] = "; ".join(odd)
+    if all(linear.values()):
+        return Bare((), dict.fromkeys(linear, ""))
+    S = np.zeros((len(columns),) * 2)
+    for o, place in zip(offers, inputs, strict=True):
+        if o is not None and (Q := face.P[place][o.kicked][:, columns]).any():
+            S += Q.T @ o.jump() @ Q
+    at = {c: name for name in linear for c in range(face.sums[name].start, face.sums[name].stop)}
+    taken, why = list[int](), {}
+    for part in _clusters(S):
+        names = list(dict.fromkeys(at[columns[i]] for i in part))
+        if all(linear[n] for n in names):
+            why |= dict.fromkeys(names, "")
+            continue
+        reason = "; ".join(filter(None, (refused[n] for n in names)))
+        values = np.linalg.eigvalsh(S[np.ix_(part, part)])
+        if not reason and not values[0] > SINGULAR * values[-1]:
+            reason = "its inductance matrix is singular (isolated neutral)"
+        if reason:
+            why |= dict.fromkeys(names, reason)
+        else:
+            taken += [columns[i] for i in part]
+    return Bare(tuple(sorted(taken)), why)
+
+
+def _clusters(S: Array) -> list[NDArray[np.intp]]:
+    count, label = connected_components(S != 0, directed=False)
+    return [np.flatnonzero(label == i) for i in range(count)]

@@ -1,0 +1,223 @@
+"""Newton coupling of order 2k: k_J node values per junction variable, and a pair of impulses at bare nodes.
+
+    r_i = P^T (R* Y)_i + C xi_i,      r_e = P_b^T y1,      r_T = m' - (-1)^k_J T m,
+
+with T m = 1/n sum_l (cos^2 t_l S1 + sin^2 t_l S0)^-1 S0 m, the rule of composed models (`schemes/impulses.py`), S0 before the
+step and S1 after it.  dT/dS1 is left out of the matrix, which is that of the first trial of a step, taken anew where rows stall.
+
+By the members' own books the junctions take W = h sum b_i xi_i.r_i + m.r_0 + m'.r_e + (m S0 m - m' S1 m')/2, r_0 being r_e before
+the step; also where the iteration stops early.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.status import Status
+from phfmu.network.couplings.coupling import Coupling, Solution, Step
+from phfmu.network.couplings.exchange import Exchange
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.newton import ENERGY, ITERATIONS, ROUNDING, SHRINKING, Newton, Worst, failure, update
+from phfmu.schemes.impulses import POINTS
+
+Array = NDArray[Any]
+
+STALLS = 3  # times that rows stalled, with a matrix taken after the first, when what is left is rounding
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """xi at the nodes (N), impulses m at the start and at the end of the step (2 x bare)."""
+
+    xi: Array
+    m: Array
+
+    def moved(self, d: Array) -> Unknowns:
+        n = len(self.xi)
+        return Unknowns(self.xi + d[:n], self.m + d[n:].reshape(2, -1))
+
+
+@dataclass(frozen=True)
+class NodeSolution(Solution):
+    """A solution with what the next step starts from: its unknowns and its size."""
+
+    found: Unknowns | None = None
+    h: float = 0.0
+
+
+@dataclass(frozen=True)
+class Before:
+    """At the start of a step: S and the sums of outputs of the bare columns."""
+
+    S: Array
+    sums: Array
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Rows at nodes, at ends and of the impulses; sizes of the terms of the first two; S; T; energies left and in play [J]."""
+
+    rows: Array
+    ends: Array
+    law: Array
+    size: Array
+    S: Array
+    T: Array
+    left: float
+    in_play: float
+
+    @property
+    def scaled(self) -> Array:
+        return np.abs(np.concatenate([self.rows, self.ends])) / self.size
+
+
+class NodeNewton:
+    """As many values per junction variable and step as the members take: the whole has their order."""
+
+    name = "newton"
+
+    def __init__(self, exchange: Exchange):
+        self.exchange = exchange
+        self.order = 2 * int(exchange.k.min(initial=exchange.k.max(initial=1)))
+
+    def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
+        """StepFailure (no convergence, singular, not finite) names the worst junction row."""
+        z, before = self._start(last, step.h), self.before()
+        history: list[float] = []
+        matrix, stalls, taken = None, 0, 0
+        for i in range(ITERATIONS):
+            if i > 0:
+                joined.restore(step.states)
+            trial = self.trial(z, before, step)
+            if not np.isfinite([*trial.rows, *trial.ends, *trial.law]).all():
+                raise self._failure(Status.NOT_FINITE, step, z, trial, history)
+            history.append(float(np.max(trial.scaled, initial=0.0)))
+            stalled = i > 1 and history[-1] > SHRINKING * history[-2]
+            stalls += stalled
+            if accepted_by := _accepted(trial, history, stalls if taken > 1 else 0):
+                return self._solution(z, step.h, i + 1, accepted_by)
+            if matrix is None or (stalled and (taken < 2 or trial.left > ENERGY * trial.in_play)):
+                matrix, taken = self._matrix(trial, step), taken + 1
+            try:
+                z = z.moved(update(matrix, np.concatenate([trial.rows, trial.ends, trial.law])))
+            except np.linalg.LinAlgError:
+                raise self._failure(Status.SINGULAR, step, z, trial, history) from None
+            if not np.isfinite(np.append(z.xi, z.m)).all():
+                raise self._failure(Status.NOT_FINITE, step, z, trial, history)
+        raise self._failure(Status.NO_CONVERGENCE, step, z, trial, history)
+
+    def _start(self, last: Solution, h: float) -> Unknowns:
+        """The polynomials of the step before, and its impulses if it was as long; after an event its means."""
+        e = self.exchange
+        nothing = np.zeros((2, len(e.bare)))
+        if not isinstance(last, NodeSolution) or last.found is None or last.h == 0:
+            return Unknowns(e.spread(last.xi), nothing)
+        m = last.found.m if abs(h - last.h) <= 1e-9 * abs(h) else nothing
+        return Unknowns(e.ahead(last.found.xi, h / last.h), m)
+
+    def _solution(self, z: Unknowns, h: float, trials: int, accepted_by: str) -> NodeSolution:
+        e = self.exchange
+        xi = e.mean(z.xi)
+        xi[e.bare] += z.m.sum(axis=0) / h
+        y = np.concatenate([s.values.member.output() for s in e.shares])
+        return NodeSolution(xi, y, trials, accepted_by, z, h)
+
+    def before(self) -> Before:
+        """What a step starts from, of the members where they are."""
+        e = self.exchange
+        S, sums = np.zeros((len(e.bare),) * 2), np.zeros(len(e.bare))
+        for s in e.shares:
+            if s.kicked:
+                S += s.Q.T @ s.values.jump() @ s.Q
+                sums += s.ends.T @ s.values.member.end_output()
+        return Before(S, sums)
+
+    def work(self, z: Unknowns, before: Before, trial: Trial, h: float) -> float:
+        """W [J] of a trial, what the junctions take: from rows and impulses alone."""
+        m, m1 = z.m
+        pair = (m @ before.S @ m - m1 @ trial.S @ m1) / 2
+        return float(h * self.exchange.weights @ (z.xi * trial.rows) + m @ before.sums + m1 @ trial.ends + pair)
+
+    def trial(self, z: Unknowns, before: Before, step: Step) -> Trial:
+        """One step of all members, and what their rows leave."""
+        e, h = self.exchange, step.h
+        rows, size = e.C @ z.xi, np.abs(e.C) @ np.abs(z.xi)
+        ends, end_size, S1, through = *(np.zeros(len(e.bare)) for _ in range(2)), np.zeros_like(before.S), 0.0
+        for s in e.shares:
+            U = (s.to @ z.xi).reshape(s.values.rule.k, -1) + e.joined.free[s.place]
+            Y = s.values.step(U, (s.Q @ z.m[0], s.Q @ z.m[1]) if s.kicked else None, step.t, h)
+            rows, size = rows + s.back @ Y.ravel(), size + np.abs(s.back) @ np.abs(Y.ravel())
+            through += abs(h) * float(s.values.rule.b @ (np.abs(U) * np.abs(Y)).sum(axis=1))
+            if s.kicked:
+                y = s.values.member.end_output()
+                ends, end_size = ends + s.ends.T @ y, end_size + s.ends.T @ np.abs(y)
+                S1 = S1 + s.Q.T @ s.values.jump() @ s.Q
+        T = _root(before.S, S1)
+        m, m1 = z.m
+        pair = abs(m @ before.S @ m - m1 @ S1 @ m1) / 2
+        left = abs(h) * e.weights @ np.abs(z.xi * rows) + np.abs(m * before.sums).sum() + np.abs(m1 * ends).sum() + pair
+        nominal = np.maximum(np.abs(e.joined.face.C) @ e.joined.face.nominal, 1e-3)[[*e.columns, *e.bare]]
+        in_play = max(float(np.abs(e.joined.energies()).sum()), through)
+        sizes = np.concatenate([size, end_size]) + 1e-12 * nominal
+        return Trial(rows, ends, m1 - e.signs * (T @ m), sizes, S1, T, float(left), in_play)
+
+    def _matrix(self, trial: Trial, step: Step) -> Array:
+        """Derivatives of all rows with respect to (xi, m, m'), of the last trial."""
+        e = self.exchange
+        n, nb = len(e.columns), len(e.bare)
+        J = np.zeros((n + 2 * nb,) * 2)
+        J[:n, :n] = e.C
+        for s, state in zip(e.shares, step.states, strict=True):
+            if not s.fed:
+                continue
+            G, end = s.values.sensitivity(s.fed, s.kicked, step.t, step.h, state)
+            to = np.zeros((G.shape[1], len(J)))
+            inputs, impulses = len(s.fed_rows), len(s.Q)
+            to[:inputs, :n] = s.to[s.fed_rows]
+            if end is not None:
+                to[inputs : inputs + impulses, n : n + nb] = s.Q
+                to[inputs + impulses :, n + nb :] = s.Q
+                J[n : n + nb] += s.ends.T @ end @ to
+            J[:n] += s.back @ G @ to
+        J[n + nb :, n : n + nb] = -e.signs[:, None] * trial.T
+        J[n + nb :, n + nb :] = np.eye(nb)
+        return J
+
+    def _failure(self, status: Status, step: Step, z: Unknowns, trial: Trial, history: list[float]) -> Exception:
+        e = self.exchange
+        scaled = np.nan_to_num(trial.scaled, nan=np.inf)
+        worst = int(np.argmax(scaled)) if scaled.size else 0
+        n, column = len(e.columns), [*e.columns, *e.bare][worst]
+        where = f" at node {e.at_node[worst] + 1}" if worst < n else " at the end of the step"
+        value = z.xi[worst] if worst < n else e.mean(z.xi)[column]
+        residual = abs(np.concatenate([trial.rows, trial.ends])[worst])
+        found = Worst(e.joined.face.names[column] + where, float(value), float(residual))
+        return failure(status, e.joined, step, found, history)
+
+
+def _accepted(trial: Trial, history: list[float], stalls: int) -> str:
+    """energy: energy left below budget, every row at rounding; rounding floor: rows stopped shrinking within that budget."""
+    if trial.left > ENERGY * trial.in_play:
+        return ""
+    if history[-1] <= ROUNDING:
+        return "energy"
+    return "rounding floor" if stalls >= STALLS else ""
+
+
+def _root(S0: Array, S1: Array) -> Array:
+    """T of r_T."""
+    T = np.zeros_like(S0)
+    for i in range(POINTS if len(S0) else 0):
+        angle = (2 * i + 1) * np.pi / (4 * POINTS)
+        T += np.linalg.solve(np.cos(angle) ** 2 * S1 + np.sin(angle) ** 2 * S0, S0) / POINTS
+    return T
+
+
+def newton(joined: Joined) -> Coupling:
+    """The coupling with the most that the members offer; where that is one held value each, `Newton`."""
+    exchange = Exchange(joined)
+    return Newton() if exchange.held else NodeNewton(exchange)

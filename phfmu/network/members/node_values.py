@@ -1,0 +1,200 @@
+"""What a coupling of order 2k asks of a member: inputs and outputs at the k nodes of a step, impulses at its ends.
+
+A member that takes none of that takes the mean of its inputs, held over the step, as the one value of a step with one node.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.engine.impulses import PortKernels, port_kernels
+from phfmu.engine.status import Status, StepFailure
+from phfmu.gradients.quadrature import Nodes, nodes
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.member import Member
+from phfmu.schemes.collocated import Collocated
+from phfmu.schemes.scheme import Scheme
+from phfmu.terms.port_impulses import PortImpulse
+
+Array = NDArray[np.float64]
+
+MOVE = 1e-6  # relative change of an input in differences
+
+
+def takes_node_values(scheme: Scheme) -> bool:
+    """Whether the steps of a member keep order 2k when its inputs are given at the k nodes."""
+    return isinstance(scheme, Collocated)
+
+
+class Offer(Protocol):
+    """What a member's ports do with impulses: by port name, and the inputs that take some, in the order of `jump`."""
+
+    name: str
+
+    @property
+    def ports(self) -> dict[str, PortImpulse]: ...
+    @property
+    def kicked(self) -> list[int]: ...
+
+    def jump(self) -> Array:
+        """S = L^T H'' L now (A/(V s) at electrical ports)."""
+        ...
+
+
+class DeclaredOffer:
+    """The offer of a declaration at its start, found out when asked for."""
+
+    def __init__(self, name: str, declaration: PHDAE):
+        self.name, self._declaration = name, declaration
+
+    @cached_property
+    def _kernels(self) -> PortKernels:
+        return port_kernels(self._declaration)
+
+    @property
+    def ports(self) -> dict[str, PortImpulse]:
+        return {p.port: p for p in self._kernels.forms.ports}
+
+    @property
+    def kicked(self) -> list[int]:
+        return list(self._kernels.forms.pairs)
+
+    @property
+    def places(self) -> dict[str, slice]:
+        """Port name -> slice of the `nu` external inputs."""
+        return {p.port: slice(p.inputs[0], p.inputs[-1] + 1) for p in self.ports.values()}
+
+    @property
+    def nu(self) -> int:
+        return sum(len(p.inputs) for p in self.ports.values())
+
+    def jump(self) -> Array:
+        d = self._declaration
+        x, p = (np.array([a for v in variables for a in v.start], float) for variables in (d.states, d.parameters))
+        return np.array(self._kernels.jump(x, p))
+
+
+class NodeValues(Protocol):
+    """A member as a master of order 2k sees it; impulses are those of its offer."""
+
+    @property
+    def member(self) -> Member: ...
+    @property
+    def rule(self) -> Nodes:
+        """The nodes of its steps."""
+        ...
+
+    @property
+    def offer(self) -> Offer | None:
+        """None: no impulses."""
+        ...
+
+    def step(self, U: Array, impulses: tuple[Array, Array] | None, t: float, h: float) -> Array:
+        """Outputs at the nodes (k x nu) of a step with inputs U at them (k x nu), which it takes."""
+        ...
+
+    def sensitivity(
+        self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
+    ) -> tuple[Array, Array | None]:
+        """dY (k nu x columns) of the last step with respect to the inputs at node 1, 2, ..., then to impulses; dy_end."""
+        ...
+
+    def jump(self) -> Array: ...
+
+
+class EngineNodes:
+    """Of a member that an engine steps by collocation."""
+
+    def __init__(self, member: EngineMember):
+        self.member, self.rule = member, member.model.scheme.nodes
+        scheme = member.model.scheme
+        own = isinstance(scheme, Collocated) and scheme.impulses
+        self.offer: Offer | None = DeclaredOffer(member.name, member.model.declaration) if own else None
+        self._given: tuple[Array, tuple[Array, Array] | None] = np.zeros((self.rule.k, member.nu)), None
+
+    def step(self, U: Array, impulses: tuple[Array, Array] | None, t: float, h: float) -> Array:
+        instance = self.member.instance
+        self._given = U, impulses
+        instance.set_node_inputs(U)
+        if impulses is not None:
+            instance.set_impulses(*impulses)
+        instance.do_step(t, h)
+        return instance.node_output()
+
+    def sensitivity(
+        self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
+    ) -> tuple[Array, Array | None]:
+        try:
+            found = self.member.instance.node_sensitivity(inputs, impulses=kicked, end=kicked)
+        except StepFailure as failure:
+            if failure.status is not Status.NO_SENSITIVITY:
+                raise
+            return self._differences(inputs, kicked, t, h, state)
+        return found.nodes.reshape(self.rule.k * self.member.nu, -1), found.end
+
+    def jump(self) -> Array:
+        return self.member.instance.jump()
+
+    def _differences(
+        self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
+    ) -> tuple[Array, Array | None]:
+        """One-sided differences with rollback; the member ends at t + h as it was."""
+        U, impulses = self._given
+        ends: list[Array] = []
+
+        def outputs(moved: Array, pair: tuple[Array, Array] | None) -> Array:
+            self.member.set_state(state)
+            Y = self.step(moved, pair, t, h)
+            ends.append(self.member.end_output() if kicked else np.zeros(0))
+            return np.concatenate([Y.ravel(), ends[-1]])
+
+        base, columns = outputs(U, impulses), []
+        for node in range(self.rule.k):
+            for j in inputs:
+                moved = U.copy()
+                moved[node, j] += MOVE * (self.member.nominal[j] + abs(U[node, j]))
+                columns.append((outputs(moved, impulses) - base) / (moved[node, j] - U[node, j]))
+        if kicked and impulses is not None:
+            size = MOVE * h * self.member.nominal[self.offer.kicked if self.offer else []]
+            for place in range(2 * len(size)):
+                pair = np.array(impulses)
+                pair.ravel()[place] += size[place % len(size)]
+                columns.append((outputs(U, (pair[0], pair[1])) - base) / size[place % len(size)])
+        outputs(U, impulses)
+        found = np.array(columns).T
+        split = self.rule.k * self.member.nu
+        return found[:split], found[split:] if kicked else None
+
+
+class HeldNodes:
+    """Of any other member: one node, no impulses."""
+
+    offer: Offer | None = None
+
+    def __init__(self, member: Member):
+        self.member, self.rule = member, nodes(1)
+
+    def step(self, U: Array, impulses: tuple[Array, Array] | None, t: float, h: float) -> Array:
+        self.member.set_input(U[0])
+        self.member.do_step(t, h)
+        return self.member.output()[None]
+
+    def sensitivity(
+        self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
+    ) -> tuple[Array, Array | None]:
+        return self.member.sensitivity(t, h, state)[:, inputs], None
+
+    def jump(self) -> Array:
+        return np.zeros((0, 0))
+
+
+def node_values(member: Member) -> NodeValues:
+    """The most that a member offers."""
+    if isinstance(member, EngineMember) and takes_node_values(member.model.scheme):
+        return EngineNodes(member)
+    return HeldNodes(member)

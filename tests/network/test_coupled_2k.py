@@ -1,0 +1,201 @@
+"""Members stepped apart by a run: node values and impulse pairs make them the composed model, at every order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from phfmu import (
+    PHDAE,
+    TRANSLATIONAL,
+    Collocated,
+    Coupled,
+    EngineMember,
+    Monolithic,
+    NativeInstance,
+    Network,
+    Options,
+    Port,
+    PythonInstance,
+    Scene,
+    StepFailure,
+    build_model,
+    damping,
+    energy,
+    run,
+    skew,
+    state,
+)
+from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.two_machine import two_machine
+from phfmu.network.couplings.coupling import Step
+from phfmu.network.couplings.exchange import Exchange
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.node_newton import NodeNewton, Unknowns
+from phfmu.signals import SUM
+
+
+def members(net: Network, k: int, engine: Any = PythonInstance, **others: Any) -> list[Any]:
+    """Member name -> its own k or engine in `others`."""
+    out = []
+    for name, part in net.members.items():
+        own = others.get(name)
+        model = build_model(replace(part, name=name), Collocated(own if isinstance(own, int) else k))
+        out.append(EngineMember(name, model, (engine if own is None or isinstance(own, int) else own)(model)))
+    return out
+
+
+def smib_scene() -> tuple[Scene, float, float]:
+    """A torque step within the run."""
+    scene = smib()
+    step = replace(scene.events[0], t=3e-3)
+    return replace(scene, events=(step,)), 1e-3, 8e-3
+
+
+def fault_scene() -> tuple[Scene, float, float]:
+    """Through a fault and its clearing."""
+    return two_machine(t_fault=4e-4, t_clear=12e-4), 2e-4, 2e-3
+
+
+def both(scene: Scene, h: float, stop: float, k: int, engine: Any, **others: Any) -> tuple[Any, Any]:
+    net: Any = scene.system
+    model = build_model(scene.declaration(), Collocated(k))
+    options = Options(stop=stop, step=h, events=scene.events)
+    one = run(Monolithic(model, engine(model)), options)
+    return one, run(Coupled(net, members(net, k, engine, **others)), options)
+
+
+def states_differ(scene: Scene, one: Any, two: Any) -> float:
+    """Largest difference of a state over the run relative to its size or nominal value."""
+    worst = 0.0
+    for v in scene.declaration().states:
+        for name, nominal in zip(v.names(), v.nominal, strict=True):
+            a, b = one.column(name), two.column(name)
+            worst = max(worst, float(np.max(np.abs(a - b)) / max(np.max(np.abs(a)), nominal)))
+    return worst
+
+
+WIDE = pytest.mark.slow
+CASES = [
+    pytest.param(
+        scene, k, engine, marks=() if (k, engine) in quick else WIDE, id=f"{scene.__name__}-{k}-{engine.__name__}"
+    )
+    for scene, quick in (
+        (smib_scene, ((1, PythonInstance), (2, NativeInstance))),
+        (fault_scene, ((2, NativeInstance), (3, NativeInstance))),
+    )
+    for k in (1, 2, 3)
+    for engine in (PythonInstance, NativeInstance)
+]
+
+
+@pytest.mark.parametrize(("make", "k", "engine"), CASES)
+def test_members_are_the_composed_model(make: Any, k: int, engine: Any) -> None:
+    """Through events, with Kirchhoff's law at step ends and books that close."""
+    scene, h, stop = make()
+    one, two = both(scene, h, stop, k, engine)
+    assert states_differ(scene, one, two) <= 1e-12
+    assert max(v for n, v in two.worst.items() if n.startswith(SUM + "bus1")) <= 1e-9
+    assert two.ledger.summary().closed
+    assert two.iterations <= 6 * two.steps
+
+
+def nonlinear() -> Network:
+    """A mass with a hardening spring of its own on another spring."""
+    q, v, x = state("q", unit="m", start=0.4), state("v", unit="m/s", start=-0.3), state("x", unit="m", start=0.2)
+    body = PHDAE(
+        "body", (q, v), energies=(energy(2.0 * q.sx**2 + q.sx**4), energy(0.65 * v.sx**2)), E={v: 1.3},
+        structure=(skew(q, v, 1.0),), dissipation=(damping(v, 0.2),), ports=(Port("flange", TRANSLATIONAL, "effort", {v: 1.0}),),
+    )  # fmt: skip
+    net = Network("nonlinear")
+    net.add("body", body)
+    end = Port("end", TRANSLATIONAL, "flow", {x: 1.0})
+    net.add("spring", PHDAE("spring", (x,), energies=(energy(ca.cosh(1.5 * x.sx)),), ports=(end,)))
+    net.connect("body.flange", "spring.end", name="joint")
+    return net
+
+
+def exact(end: float) -> np.ndarray:
+    """q, v, x of `nonlinear` by another method."""
+
+    def rate(_: float, s: Any) -> list[float]:
+        q, v, x = s
+        return [v, (-(4 * q + 4 * q**3) - 0.2 * v - 1.5 * np.sinh(1.5 * x)) / 1.3, v]
+
+    return solve_ivp(rate, (0.0, end), [0.4, -0.3, 0.2], method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+
+
+@pytest.mark.parametrize(
+    ("k", "others", "order"),
+    [
+        (1, {}, 2),
+        (2, {}, 4),
+        (2, {"spring": NativeInstance}, 4),
+        (3, {"spring": 2}, 4),
+        pytest.param(3, {}, 6, marks=WIDE),
+        pytest.param(3, {"body": 1}, 2, marks=WIDE),
+    ],
+)
+def test_the_order_is_that_of_the_least_member(k: int, others: dict[str, Any], order: int) -> None:
+    """Also where members have other orders, or other engines; the books close whatever is exchanged."""
+    errors, steps = [], [0.2, 0.1, 0.05]
+    for h in steps:
+        net = nonlinear()
+        result = run(Coupled(net, members(net, k, **others)), Options(stop=1.0, step=h))
+        x = [result.column(n)[-1] for n in ("body.q", "body.v", "spring.x")]
+        errors.append(np.max(np.abs(x - exact(1.0))))
+        assert result.ledger.summary().closed
+        assert result.iterations <= 6 * result.steps
+    slopes = np.diff(np.log(errors)) / np.diff(np.log(steps))
+    assert slopes == pytest.approx([order] * 2, abs=0.35)
+
+
+@pytest.mark.parametrize("others", [{}, {"gen": 3}, {"line": 3}])
+def test_of_an_iteration_stopped_early_the_junctions_take_what_rows_and_impulses_say(others: dict[str, int]) -> None:
+    """W by the theorem against the books of the members, also where these have other nodes than their junctions."""
+    net: Any = smib().system
+    joined, h = Joined(net, members(net, 2, **others)), 1e-3
+    exchange = Exchange(joined)
+    coupling = NodeNewton(exchange)
+    assert exchange.k.tolist() == [2] * len(exchange.k) and len(exchange.bare) == 3
+    assert [joined.face.names[c].partition(".")[0] for c in exchange.bare] == ["bus1"] * 3
+    before, states = coupling.before(), joined.states()
+    nominal = joined.face.nominal
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        z = Unknowns(
+            nominal[exchange.columns] * rng.normal(size=len(exchange.columns)),
+            1e-2 * h * nominal[exchange.bare] * rng.normal(size=(2, 3)),
+        )
+        joined.restore(states)
+        trial = coupling.trial(z, before, Step(0.0, h, states))
+        works = joined.ledger()["pairs"][: len(joined.face.P)][_joined_pairs(joined)]
+        assert abs(works.sum()) > 1e-3 * np.abs(works).sum()
+        assert coupling.work(z, before, trial, h) == pytest.approx(works.sum(), rel=1e-11)
+
+
+def _joined_pairs(joined: Joined) -> list[int]:
+    return [i for i, (*_, junction) in enumerate(joined.booking.pairs) if junction]
+
+
+def test_a_step_that_fails_brings_impulses_and_unknowns_back() -> None:
+    net: Any = smib().system
+    own = members(net, 2)
+    stepper = Coupled(net, own)
+    stepper.advance(0.0, 1e-3, 2)
+    before, last = [m.instance.get_state() for m in own], stepper.last
+    H = stepper.energies()
+    with pytest.raises(StepFailure):
+        stepper.advance(2e-3, 1e6, 1)
+    assert stepper.last is last and np.array_equal(stepper.energies(), H)
+    for m, s in zip(own, before, strict=True):
+        assert np.array_equal(m.instance.get_state().x, s.x) and np.array_equal(
+            m.instance.get_state().impulses, s.impulses
+        )
+    found = stepper.advance(2e-3, 1e-3, 1)
+    assert len(found.H) == 1
