@@ -31,6 +31,7 @@ from phfmu import (
     skew,
     state,
 )
+from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.network.couplings.coupling import Step
@@ -181,6 +182,23 @@ def test_of_an_iteration_stopped_early_the_junctions_take_what_rows_and_impulses
 
 def _joined_pairs(joined: Joined) -> list[int]:
     return [i for i, (*_, junction) in enumerate(joined.booking.pairs) if junction]
+
+
+@pytest.mark.parametrize("stiffness", [1e2, 1e6, 1e10])
+def test_a_stiff_spring_without_force_is_solved_to_rounding(stiffness: float) -> None:
+    """Two equal masses that move together: the force between them is only rounding, its rows never get small against it."""
+    w = 2 * np.pi
+    net = Network("twins")
+    for name in "ab":
+        net.add(name, mass(1.0, k=w**2, q=1.0))
+    net.add("s", spring(stiffness))
+    net.connect("a.flange", "s.a", name="left")
+    net.connect("b.flange", "s.b", name="right")
+    result = run(Coupled(net, members(net, 2)), Options(stop=1.0, step=0.01))
+    assert np.allclose(result.column("a.q"), np.cos(w * result.time), rtol=0, atol=1e-6)
+    H = np.sum([result.column(f"{m}.energy.stored") for m in "abs"], axis=0)
+    assert np.abs(H / H[0] - 1).max() <= 1e-13
+    assert abs(sum(j.residual for j in result.ledger.summary().junctions)) <= 1e-13 * H[0]
 
 
 def test_a_step_that_fails_brings_impulses_and_unknowns_back() -> None:

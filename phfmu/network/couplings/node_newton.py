@@ -21,7 +21,17 @@ from phfmu.engine.status import Status
 from phfmu.network.couplings.coupling import Coupling, Solution, Step
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.newton import ENERGY, ITERATIONS, ROUNDING, SHRINKING, Newton, Worst, failure, update
+from phfmu.network.couplings.newton import (
+    ENERGY,
+    FLOOR,
+    ITERATIONS,
+    ROUNDING,
+    SHRINKING,
+    Newton,
+    Worst,
+    failure,
+    update,
+)
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[Any]
@@ -98,7 +108,8 @@ class NodeNewton:
             history.append(float(np.max(trial.scaled, initial=0.0)))
             stalled = i > 1 and history[-1] > SHRINKING * history[-2]
             stalls += stalled
-            if accepted_by := _accepted(trial, history, stalls if taken > 1 else 0):
+            floor = stalled and matrix is not None and self._at_floor(z, trial, matrix)
+            if accepted_by := _accepted(trial, history, floor, stalls if taken > 1 else 0):
                 return self._solution(z, step.h, i + 1, accepted_by)
             if matrix is None or (stalled and (taken < 2 or trial.left > ENERGY * trial.in_play)):
                 matrix, taken = self._matrix(trial, step), taken + 1
@@ -165,6 +176,12 @@ class NodeNewton:
         sizes = np.concatenate([size, end_size]) + 1e-12 * nominal
         return Trial(rows, ends, m1 - e.signs * (T @ m), sizes, S1, T, float(left), in_play)
 
+    def _at_floor(self, z: Unknowns, trial: Trial, matrix: Array) -> bool:
+        """Whether rows are what a relative change of the unknowns by eps makes of them."""
+        left = np.abs(np.concatenate([trial.rows, trial.ends]))
+        size = np.abs(matrix[: len(left)]) @ np.abs(np.concatenate([z.xi, *z.m]))
+        return bool((left <= FLOOR * np.finfo(float).eps * size).all())
+
     def _matrix(self, trial: Trial, step: Step) -> Array:
         """Derivatives of all rows with respect to (xi, m, m'), of the last trial."""
         e = self.exchange
@@ -199,8 +216,10 @@ class NodeNewton:
         return failure(status, e.joined, step, found, history)
 
 
-def _accepted(trial: Trial, history: list[float], stalls: int) -> str:
-    """energy: energy left below budget, every row at rounding; rounding floor: rows stopped shrinking within that budget."""
+def _accepted(trial: Trial, history: list[float], floor: bool, stalls: int) -> str:
+    """energy: energy left below budget, every row at rounding; rounding floor: rows stopped shrinking within it, or there."""
+    if floor:
+        return "rounding floor"
     if trial.left > ENERGY * trial.in_play:
         return ""
     if history[-1] <= ROUNDING:
