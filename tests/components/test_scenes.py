@@ -21,8 +21,8 @@ from phfmu.network.run.result import Result
 RATED = 18881.48  # A, peak, of kundur555_1q
 
 
-def monolithic(scene: Scene, h: float, stop: float, k: int = 1, impulses: bool = True) -> Result:
-    model = build_model(scene.declaration(), Collocated(k, impulses=impulses))
+def monolithic(scene: Scene, h: float, stop: float, k: int = 1) -> Result:
+    model = build_model(scene.declaration(), Collocated(k))
     return run(Monolithic(model, NativeInstance(model)), Options(stop=stop, step=h, events=scene.events))
 
 
@@ -148,9 +148,9 @@ def test_two_machine_through_fault_and_clearing(how) -> None:
 
 
 def test_two_machine_coupled_equals_composed() -> None:
-    """Members exchange step means; the composed model without impulses at its bare nodes does the same."""
+    """Members exchange step means and the impulses of their bare node, as the composed model does."""
     scene = two_machine(t_fault=0.005, t_clear=0.01, stop=0.02)
-    a, b = monolithic(scene, 1e-4, 0.02, impulses=False), coupled(scene, 1e-4, 0.02)
+    a, b = monolithic(scene, 1e-4, 0.02), coupled(scene, 1e-4, 0.02)
     for name in ("m1.I[1]", "m2.I[4]", "m1.theta", "line.i[2]", "load.v[1]"):
         assert np.max(np.abs(a.column(name) - b.column(name))) <= 1e-9 * np.max(np.abs(a.column(name)))
 
