@@ -284,7 +284,7 @@ def test_a_refused_start_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
 LIMITED = """
 import resource, sys
 from phfmu.cli import main
-resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))  # as a disk that is full from here on
+resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))  # as a disk that is full from here on
 raise SystemExit(main(sys.argv[1:]))
 """
 
