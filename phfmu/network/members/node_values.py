@@ -27,8 +27,11 @@ MOVE = 1e-6  # relative change of an input in differences
 
 
 def takes_node_values(scheme: Scheme) -> bool:
-    """Whether the steps of a member keep order 2k when its inputs are given at the k nodes."""
-    return isinstance(scheme, Collocated)
+    """Whether the steps of a member keep order 2k when its inputs are given at the k nodes.
+
+    Not those of the kinds of it, two-level steps and the midpoint baseline: their members are held.
+    """
+    return type(scheme) is Collocated
 
 
 class Offer(Protocol):
@@ -113,8 +116,7 @@ class EngineNodes:
     def __init__(self, member: EngineMember):
         self.member, self.rule = member, member.model.scheme.nodes
         scheme = member.model.scheme
-        own = isinstance(scheme, Collocated) and scheme.impulses
-        self.offer: Offer | None = DeclaredOffer(member.name, member.model.declaration) if own else None
+        self.offer: Offer | None = DeclaredOffer(member.name, member.model.declaration) if scheme.impulses else None
         self._given: tuple[Array, tuple[Array, Array] | None] = np.zeros((self.rule.k, member.nu)), None
 
     def step(self, U: Array, impulses: tuple[Array, Array] | None, t: float, h: float) -> Array:
