@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.attempts import Attempts
-from phfmu.engine.evaluate import Buffered, Evaluator
+from phfmu.engine.evaluate import TABLES, Evaluator, Stage
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.newton import Fixed, Newton
 from phfmu.engine.state import State
@@ -37,30 +37,18 @@ class Tangents:
     def __init__(self, evaluator: Evaluator):
         self.evaluator = evaluator
         plan, chosen = evaluator.plan, {id(k) for k in differentiated(evaluator.plan)}
-        self._work = []
-        for g in plan.groups:
-            k = g.kernel
-            if id(k) in chosen:
-                self._work.append((g, Buffered(tangent(k), g.n, [k.nx, k.ny, k.np, k.nx, k.ny], [k.no])))
+        staged = [[g for g in plan.groups if g.stage == stage and id(g.kernel) in chosen] for stage in (0, 1)]
+        self._stages = [Stage(gs, [tangent(g.kernel) for g in gs], (*TABLES, "xi", "yi")) for gs in staged]
 
     def along(self, x: Array, p: Array, h: float, dx: Array, dv: Array) -> Array:
         """dR along dx and dv = [dw | du | dh]; rows at rest are 0."""
         evaluator, plan = self.evaluator, self.evaluator.plan
         dy = np.concatenate([dv, np.zeros(plan.nz)])
-        r = np.zeros(plan.nrow)
-        for stage in (0, 1):
-            for g, work in self._work:
-                if g.stage != stage:
-                    continue
-                sources = ((x, g.xi), (evaluator.Y, g.yi), (p, g.pi), (dx, g.xi), (dy, g.yi))
-                for array, (source, index) in zip(work.arg, sources, strict=True):
-                    if index.size:
-                        np.take(source, index, out=array)
-                work.call()
-                target = r if stage else dy[plan.nv :]
-                np.add.at(target, g.oi.ravel(), (work.res[0] * h**g.power).ravel())
-            if stage == 0:
-                np.add.at(r, plan.const_row, plan.const_val * h**plan.const_pow * dy[plan.const_src])
+        dy[plan.nv :] += self._stages[0].sums(h, plan.nz, x, evaluator.Y, p, dx, dy)
+        constant = plan.const_val * h**plan.const_pow * dy[plan.const_src]
+        r = np.bincount(plan.const_row, constant, plan.nrow) + self._stages[1].sums(
+            h, plan.nrow, x, evaluator.Y, p, dx, dy
+        )
         r[plan.hold.of(evaluator.rests)] = 0.0
         return r
 

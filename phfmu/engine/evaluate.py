@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,36 +11,70 @@ from numpy.typing import NDArray
 from phfmu.plan.plan import Group, Plan, Products
 
 Array = NDArray[Any]
+TABLES = ("xi", "yi", "pi")  # of a group: where a kernel's arguments x, Y, p are
 
 
 class Buffered:
-    """A kernel function mapped over the instances of a group, with its arguments and results as numpy arrays."""
+    """A kernel function mapped over the instances of a group, on arrays of its arguments and results (n x width each)."""
 
-    def __init__(self, function: Any, n: int, widths_in: list[int], widths_out: list[int]):
+    def __init__(self, function: Any, arg: list[Array], res: list[Array]):
+        n = len(arg[0])
         mapped = function.map(n) if n > 1 else function
-        self.arg: list[Any] = [np.zeros((n, w)) for w in widths_in]
-        self.res: list[Any] = [np.zeros((n, w)) for w in widths_out]
+        self.arg, self.res = arg, res
         self._keep = mapped.buffer()
         buffer, self.call = self._keep
-        for i, a in enumerate(self.arg):
+        for i, a in enumerate(arg):
             if a.size:
                 buffer.set_arg(i, memoryview(a))
-        for i, r in enumerate(self.res):
+        for i, r in enumerate(res):
             if r.size:
                 buffer.set_res(i, memoryview(r))
 
 
-@dataclass
-class _GroupWork:
-    group: Group
-    values: Buffered
-    ledger: Buffered | None
+class Stage:
+    """Kernels of several groups: arguments are taken and results summed for all at once, each kernel sees its part.
 
-    def gather(self, target: Buffered, x: Array, y: Array, p: Array) -> None:
-        g = self.group
-        for array, source, index in zip(target.arg, (x, y, p), (g.xi, g.yi, g.pi), strict=True):
-            if index.size:
-                np.take(source, index, out=array)
+    `functions`: one per group, with arguments at its places `tables`;  `slots`: V, which takes the second results.
+    """
+
+    def __init__(
+        self, groups: Sequence[Group], functions: Sequence[Any], tables: Sequence[str], slots: Array | None = None
+    ):
+        self._index = [_joined([getattr(g, name) for g in groups], int) for name in tables]
+        self._taken = [np.zeros(len(index)) for index in self._index]
+        self._rows = _joined([g.oi for g in groups], int)
+        self._results = np.zeros(len(self._rows))
+        self._power = _joined([np.broadcast_to(g.power, g.oi.shape) for g in groups], float)
+        self.kernels: list[Buffered] = []
+        arrays = [*self._taken, self._results]
+        begin = [0] * len(arrays)
+        for g, function in zip(groups, functions, strict=True):
+            parts = []
+            for k, name in enumerate((*tables, "oi")):
+                shape = getattr(g, name).shape
+                end = begin[k] + shape[0] * shape[1]
+                parts.append(arrays[k][begin[k] : end].reshape(shape))
+                begin[k] = end
+            more = [] if slots is None else [slots[g.slot : g.slot + g.n * g.kernel.nj]]
+            self.kernels.append(Buffered(function, parts[:-1], [parts[-1], *more]))
+
+    def take(self, *sources: Array) -> None:
+        for taken, index, source in zip(self._taken, self._index, sources, strict=True):
+            if len(index):
+                np.take(source, index, out=taken, mode="clip")  # no index is out of bounds: no check, no copy
+
+    def sums(self, h: float, size: int, *sources: Array) -> Array:
+        """Per row the sum of the results at `sources`, each times its power of h."""
+        if not self.kernels:
+            return np.zeros(size)
+        self.take(*sources)
+        for kernel in self.kernels:
+            kernel.call()
+        return np.bincount(self._rows, self._results * h**self._power, size)
+
+
+def _joined(tables: Sequence[Array], kind: type) -> Array:
+    return np.concatenate([np.zeros(0, kind), *(t.ravel() for t in tables)])
 
 
 class Evaluator:
@@ -52,16 +86,18 @@ class Evaluator:
 
     def __init__(self, plan: Plan):
         self.plan = plan
-        self._work = []
-        for g in plan.groups:
-            k = g.kernel
-            values = Buffered(k.function, g.n, [k.nx, k.ny, k.np], [k.no, k.nj])
-            ledger = None if k.ledger is None else Buffered(k.ledger, g.n, [k.nx, k.ny, k.np], [1] * k.ledger.n_out())
-            self._work.append(_GroupWork(g, values, ledger))
         self.V = np.zeros(plan.nslot)
         self.V[0] = 1.0
         self.Y = np.zeros(plan.nv + plan.nz)
         self.R = np.zeros(plan.nrow)
+        staged = [[g for g in plan.groups if g.stage == stage] for stage in (0, 1)]
+        self._stages = [Stage(gs, [g.kernel.function for g in gs], TABLES, self.V) for gs in staged]
+        self._ledgers = []
+        for groups, stage in zip(staged, self._stages, strict=True):
+            for g, values in zip(groups, stage.kernels, strict=True):
+                if g.kernel.ledger is not None:
+                    results = [np.zeros((g.n, 1)) for _ in range(g.kernel.ledger.n_out())]
+                    self._ledgers.append((g.owner, Buffered(g.kernel.ledger, values.arg, results)))
         self.rests, self.gap = plan.hold.rests.copy(), np.zeros(len(plan.hold))
         self._entry = {id(p): np.repeat(np.arange(p.nnz), np.diff(p.ptr)) for p in (plan.matrix, plan.derivative)}
 
@@ -71,23 +107,12 @@ class Evaluator:
         y[: plan.nv] = v
         y[plan.nv :] = 0.0
         y[plan.hold.of(self.rests)] = 0.0  # exactly, whatever rounding the factor leaves
-        for w in self._work:
-            if w.group.stage == 0:
-                y[plan.nv :] += self._group(w, x, p, h, plan.nz)
+        y[plan.nv :] += self._stages[0].sums(h, plan.nz, x, y, p)
         r = np.bincount(plan.const_row, plan.const_val * h**plan.const_pow * y[plan.const_src], plan.nrow).astype(float)
-        for w in self._work:
-            if w.group.stage == 1:
-                r += self._group(w, x, p, h, plan.nrow)
+        r += self._stages[1].sums(h, plan.nrow, x, y, p)
         self._rest(r)
         self.R = r
         return r
-
-    def _group(self, w: _GroupWork, x: Array, p: Array, h: float, size: int) -> Array:
-        g = w.group
-        w.gather(w.values, x, self.Y, p)
-        w.values.call()
-        self.V[g.slot : g.slot + g.n * g.kernel.nj] = w.values.res[1].ravel()
-        return np.bincount(g.oi.ravel(), (w.values.res[0] * h**g.power).ravel(), size)
 
     def _rest(self, r: Array) -> None:
         """Rows at rest are 0, after a look at what they miss: the mean of the node rows is (g' - g) / h."""
@@ -113,11 +138,11 @@ class Evaluator:
         """Per component: sums of `stored`, |stored|, `lost` and `numerical` at the last residual's Y."""
         n = self.plan.ncomp
         sums, moved = np.zeros((3, n)), np.zeros(n)
-        for w in self._work:
-            if w.ledger is not None:
-                w.gather(w.ledger, x, self.Y, p)
-                w.ledger.call()
-                for total, values in zip(sums, w.ledger.res, strict=False):
-                    total += np.bincount(w.group.owner, values[:, 0], n)
-                moved += np.bincount(w.group.owner, np.abs(w.ledger.res[0][:, 0]), n)
+        for stage in self._stages:
+            stage.take(x, self.Y, p)
+        for owner, ledger in self._ledgers:
+            ledger.call()
+            for total, values in zip(sums, ledger.res, strict=False):
+                total += np.bincount(owner, values[:, 0], n)
+            moved += np.bincount(owner, np.abs(ledger.res[0][:, 0]), n)
         return sums[0], moved, sums[1], sums[2]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,9 @@ from numpy.typing import NDArray
 from phfmu.engine.evaluate import Evaluator
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.status import Status
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix
 
 Array = NDArray[np.float64]
 Fixed = tuple[Array, Array, Array, float]  # what is fixed in a solve: x, [u | h], p, h
@@ -78,14 +83,22 @@ class Newton:
         delta[plan.regularised] = np.where(columns > 0, np.minimum(DELTA, DELTA_PART * columns), DELTA)
         return delta
 
+    @cached_property
+    def _sparse(self) -> csc_matrix:
+        """A matrix of the plan's pattern, whose entries are set anew: its checks cost more than small factors."""
+        from scipy.sparse import csc_matrix
+
+        plan = self.plan
+        return csc_matrix((np.zeros(plan.matrix.nnz), plan.matrix.row, plan.colptr), shape=(plan.nw, plan.nw))
+
     def _split(self, a: Array) -> bool:
         """LU of the matrix with entries a; False if a column cancels to rounding: it depends on the others."""
-        from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
 
         plan = self.plan
+        self._sparse.data[:] = a
         try:
-            self._lu = splu(csc_matrix((a, plan.matrix.row, plan.colptr), shape=(plan.nw, plan.nw)))
+            self._lu = splu(self._sparse)
         except RuntimeError:
             return False
         original = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])

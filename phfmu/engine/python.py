@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -66,10 +65,10 @@ class PythonInstance:
 
     def get_state(self) -> State:
         """A complete copy; stepping after `set_state` gives the same bits."""
-        return copy.deepcopy(self._s)
+        return self._s.copy()
 
     def set_state(self, state: State) -> None:
-        self._s = copy.deepcopy(state)
+        self._s = state.copy()
 
     def set_input(self, u: ArrayLike) -> None:
         """Inputs (nu), held over the next steps."""

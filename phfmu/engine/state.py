@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from typing import Any
 
@@ -64,6 +64,10 @@ class State:
     impulses_old: Array = field(default_factory=lambda: np.zeros((2, 0)))
     changes: list[tuple[int, float, int, int]] = field(default_factory=list)
 
+    def copy(self) -> State:
+        """All arrays anew: nothing that is done to one is seen in the other."""
+        return replace(self, **{name: _copied(value) for name, value in vars(self).items()})
+
     def change_rest(self, rests: Array, time: float) -> None:
         """Other constraints are left out from `time` on: each new one instead of one that is needed, as far as they go."""
         more, less = np.flatnonzero(rests & ~self.rests).tolist(), np.flatnonzero(self.rests & ~rests).tolist()
@@ -99,3 +103,12 @@ class State:
             counts=dict.fromkeys(COUNTERS, 0),
             rests=plan.hold.rests.copy(),
         )
+
+
+def _copied(value: Any) -> Any:
+    """The value with the arrays in it anew; numbers and tuples of numbers do not change."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, dict):
+        return {name: _copied(v) for name, v in value.items()}
+    return list(value) if isinstance(value, list) else value
