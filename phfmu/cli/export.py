@@ -33,6 +33,8 @@ def add_parser(verbs: Any) -> None:
                         help="vector ports as array variables in FMI 3.0 (in FMI 2.0 they are scalars)")  # fmt: skip
     parser.add_argument("--no-terminals", action="store_true",
                         help="leave terminalsAndIcons.xml out, which some importers of FMI 2.0 refuse")  # fmt: skip
+    parser.add_argument("--outward", action="append", default=[], metavar="PORT",
+                        help="count the flow of this port (current, force) out of the unit; may be repeated")  # fmt: skip
     parser.add_argument("--platform", action="append", metavar="NAME", help="e.g. x86_64-linux; may be repeated")
     parser.add_argument("--all-platforms", action="store_true", help="linux, windows and darwin, x86_64 and aarch64")
     options.add_settings(parser)
@@ -64,7 +66,7 @@ def call(args: argparse.Namespace) -> int:
     left_out = _left_out(s, declaration)
     paths = export(model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
                    node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
-                   terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays)  # fmt: skip
+                   terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward)  # fmt: skip
     for line in left_out:
         print(f"phfmu: not in the unit: {line}", file=sys.stderr)
     for path in paths:

@@ -15,6 +15,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.units import BASE, parse_unit
 from phfmu.discretise.model import Model, require_model
 from phfmu.fmu.node_values import node_values
+from phfmu.fmu.outward import require_ports, turned
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
@@ -41,8 +42,9 @@ class Unit:
 
     `node_inputs`: ports also have inputs and outputs at the nodes of a step.  `ledger_outputs`: energies and residuals of
     constraints are outputs, else local variables.  `terminals`: ports are listed as terminals.  `arrays`: vector ports are arrays
-    in FMI 3.0.  `left_out`: what the declaration's scene has and the unit has not, a line each.
-    Errors: TypeError if `model` is none.
+    in FMI 3.0.  `left_out`: what the declaration's scene has and the unit has not, a line each.  `outward`: names of ports whose
+    flow counts out of the unit (`outward.py`).
+    Errors: TypeError if `model` is none; FMUError for an outward port there is not.
     """
 
     model: Model
@@ -53,9 +55,11 @@ class Unit:
     terminals: bool = True
     left_out: tuple[str, ...] = ()
     arrays: bool = False
+    outward: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_model(self.model, "Unit")
+        require_ports(self.declaration, self.outward)
 
     @property
     def declaration(self) -> PHDAE:
@@ -75,7 +79,8 @@ class Unit:
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
-        return variables(self.model, (node_values,) if self.node_inputs else (), self.ledger_outputs)
+        table = variables(self.model, (node_values,) if self.node_inputs else (), self.ledger_outputs)
+        return turned(table, [p for p in self.declaration.ports if p.name in self.outward])
 
     @cached_property
     def spans(self) -> dict[int, Span]:

@@ -40,6 +40,7 @@ def export(
     terminals: bool = True,
     left_out: Sequence[str] = (),
     arrays: bool = False,
+    outward: Sequence[str] = (),
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions` (numbers, or rows as
     in `phfmu.fmu.version`).
@@ -49,6 +50,8 @@ def export(
     and the outputs there (order 4, 6).  `ledger_outputs`: energies and residuals of constraints as outputs, else as
     local variables.  `terminals`: a file that lists the ports as terminals.  `left_out`: lines about what the unit
     has not, for its documentation and manifest.  `arrays`: vector ports as array variables in FMI 3.0.
+    `outward`: ports whose flow (the current, the force: what sums to zero at a connection) counts out of the unit, for tools
+    that connect variables plainly.
     The same model gives the same bytes.  Errors: TypeError for anything but a model; FMUError, CompilerMissing, CompileError.
     """
     if bad := unwritable(model.declaration):
@@ -61,7 +64,7 @@ def export(
             f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
-    unit = Unit(model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays)
+    unit = Unit(model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays, tuple(outward))
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
     code = sources.complete(unit, equations, token)

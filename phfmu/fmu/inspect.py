@@ -7,6 +7,7 @@ from pathlib import Path
 import fmpy
 
 from phfmu.fmu.archive import Archive, open_archive
+from phfmu.fmu.outward import summed
 from phfmu.fmu.variables import FMUError
 
 
@@ -27,7 +28,9 @@ def fmu_info(path: str | Path) -> str:
     if face.ports:
         lines.append("ports (power positive into the component):")
     for p in face.ports:
-        lines.append(f"  {p.name:<24} {p.domain.name:<14} input {', '.join(p.inputs)}; output {', '.join(p.outputs)}")
+        sense = f"; {getattr(p.domain, summed(p.domain))} positive out of the component" if p.sign < 0 else ""
+        pairs = f"input {', '.join(p.inputs)}; output {', '.join(p.outputs)}"
+        lines.append(f"  {p.name:<24} {p.domain.name:<14} {pairs}{sense}")
     for causality in ("parameter", "input", "output", "local"):
         chosen = [v for v in face.variables.values() if v.causality == causality]
         if chosen:

@@ -11,6 +11,7 @@ from typing import Any
 from phfmu.declare.port import Domain, Given
 from phfmu.fmu import limits
 from phfmu.fmu.description import Unit
+from phfmu.fmu.outward import summed
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
 from phfmu.signals import LEDGER, MEAN, STEP_LEDGER, port_energy, total
@@ -41,6 +42,7 @@ TEXT = (
     "power ports with conjugate pairs: (length of the step) * input * step output is the energy supplied "
     "to the component in a step, exactly"
 )
+OUTWARD = '; of a port with sign="-1.0" the one of a pair that sums to zero at a connection counts out of it: take the negative'
 DERIVATIVE = (
     "the directional derivative of a step output with respect to a port input is the sensitivity of the "
     "step map of the last communication step, of which at most 16 internal steps may have been halved"
@@ -60,7 +62,8 @@ FAILURE = (
 class PortMap:
     """Names of one port's scalars: inputs, outputs at the present time, step means.
 
-    power = sign * input * output is positive into the component; `step_outputs`: empty where there are none;
+    power = sign * input * output is positive into the component: with sign -1 the one of the pair that sums to zero where
+    ports of the domain meet counts out of it.  `step_outputs`: empty where there are none;
     `vector`: the scalars are entries of a vector, also if there is only one.  `node_inputs`, `node_outputs`: per pair
     the names at the nodes of a step; empty where there are none.
     """
@@ -76,11 +79,21 @@ class PortMap:
     node_inputs: tuple[tuple[str, ...], ...] = ()
     node_outputs: tuple[tuple[str, ...], ...] = ()
 
+    @property
+    def input_sign(self) -> float:
+        """Of the inputs into the component."""
+        return self.sign if self.given == summed(self.domain) else 1.0
+
+    @property
+    def output_sign(self) -> float:
+        """Of the outputs into the component."""
+        return self.sign if self.given != summed(self.domain) else 1.0
+
 
 def manifest(unit: Unit) -> bytes:
     """The document."""
     root = etree.Element("PowerPorts", nsmap={"fmi-ls": _LS})
-    for name, value in (("name", LAYER), ("version", VERSION), ("description", TEXT)):
+    for name, value in (("name", LAYER), ("version", VERSION), ("description", TEXT + OUTWARD * bool(unit.outward))):
         root.set(f"{{{_LS}}}fmi-ls-{name}", value)
     step = etree.SubElement(root, "Step", internalStepSize=number(unit.step))
     step.set("directionalDerivative", DERIVATIVE)
@@ -103,6 +116,8 @@ def manifest(unit: Unit) -> bytes:
             element.set(name, getattr(port.domain, attribute))
         element.set("energy", port_energy(port.name))
         element.set("vector", "false" if port.size is None else "true")
+        if port.name in unit.outward:
+            element.set("sign", number(-1.0))
         names = zip(port.input_names(), port.output_names(), port.output_names(MEAN), strict=True)
         for j, pair in enumerate(names):
             about: dict[str, str] = dict(zip(("input", "output", "stepOutput"), pair, strict=True))
@@ -133,7 +148,7 @@ def read_ports(root: Element) -> list[PortMap]:
                 inputs,
                 outputs,
                 means,
-                1.0,
+                -1.0 if port.get("sign", "").startswith("-") else 1.0,
                 vector,
                 *at_nodes,
             )

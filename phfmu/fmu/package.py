@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 
 from phfmu.fmu.description import Unit, generation_tool
+from phfmu.fmu.outward import summed, summed_word
 from phfmu.fmu.words import plain
 
 #: a date every zip tool can read; SOURCE_DATE_EPOCH replaces it
@@ -92,7 +93,7 @@ def _page(unit: Unit) -> str:
 {model.scheme.order} in internal steps of at most {unit.step!r} s. Inputs are held over a communication step{_at_nodes(unit)}.
 The product of step length, port input and the output named <code>_step</code> is the energy supplied through
 the port, exactly; <code>energy.residual</code> is the change of stored energy plus dissipated minus supplied
-energy, which is rounding only.</p>{_left_out(unit)}
+energy, which is rounding only.</p>{_signs(unit)}{_left_out(unit)}
 <table border="1">
 <tr>{head}</tr>
 {rows}
@@ -108,6 +109,30 @@ def _at_nodes(unit: Unit) -> str:
         return ""
     places = ", ".join(f"{c:.6g}" for c in unit.model.nodes)
     return f", or given at its nodes {places} (fractions of the step; what is set last counts)"
+
+
+def _signs(unit: Unit) -> str:
+    """What changes its sign between units, told for each port: a plain connection gets it wrong, with closed ledgers."""
+    ports = [p for p in unit.declaration.ports if p.external]
+    if not ports:
+        return ""
+    lines = []
+    for p in ports:
+        shared = p.domain.flow if summed(p.domain) == "effort" else p.domain.effort
+        what = f"{p.name}: {p.name}.{shared} is equal on both sides of a connection, {p.name}.{summed_word(p)} "
+        lines.append(
+            what + "is positive out of this unit: connect it plainly to a unit that counts it inward"
+            if p.name in unit.outward
+            else what + "sums to zero: positive into both units, so a plain connection needs the factor -1 on it"
+        )
+    items = "\n".join(f"<li>{escape(plain(line))}</li>" for line in lines)
+    return f"""
+<p>Signs: power is positive into the unit at its ports. Two units that both count inward and are connected plainly, without
+the factor -1, drive each other without bound while the ledger of each closes. An importer that cannot put a factor on a
+connection needs a unit exported with <code>--outward PORT</code>.</p>
+<ul>
+{items}
+</ul>"""
 
 
 def _left_out(unit: Unit) -> str:

@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 class PortValues:
     """nu scalar pairs of all ports: inputs `u`, outputs now `y_end`, as means of a step `y_mean` (None: not told).
 
-    `u_nodes`, `y_nodes`: inputs and outputs at the nodes of a step, node by node; `held`: u was set after u_nodes.  `sign`
-    (nu): output * sign * input is power into the component.  FMUError names what the unit has not, and what is no pair.
+    `u_nodes`, `y_nodes`: inputs and outputs at the nodes of a step, node by node; `held`: u was set after u_nodes.
+    References hold what the unit says; times `input_sign`, `output_sign` (nu) it counts into the component, as all arguments
+    and results of methods do.  FMUError names what the unit has not, and what is no pair.
     """
 
     def __init__(self, interface: Interface, ports: Sequence[PortMap], name: str):
@@ -29,7 +30,8 @@ class PortValues:
         self.inputs = [n for p in ports for n in p.inputs]
         self.outputs = [n for p in ports for n in p.outputs]
         means = [n for p in ports for n in p.step_outputs]
-        self.sign: Array = np.array([p.sign for p in ports for _ in p.inputs])
+        self.input_sign: Array = np.array([p.input_sign for p in ports for _ in p.inputs])
+        self.output_sign: Array = np.array([p.output_sign for p in ports for _ in p.inputs])
         self.u = self.group(self.inputs, "input")
         self.y_end = self.group(self.outputs, "output")
         self.y_mean = self.group(means, "output") if len(means) == len(self.inputs) else None
@@ -57,18 +59,28 @@ class PortValues:
     def starts(self, given: Mapping[str, float]) -> Array:
         """Inputs (nu) before anyone sets them."""
         declared = [self.interface.variables[n].start or 0.0 for n in self.inputs]
-        return np.array([given.get(n, s) for n, s in zip(self.inputs, declared, strict=True)])
+        told = np.array([given.get(n, s) for n, s in zip(self.inputs, declared, strict=True)])
+        return self.input_sign * told + 0.0  # no -0
 
     def begin(self, given: Mapping[str, float]) -> None:
         """Held inputs are those of the start."""
-        self.u.values[:], self.held = self.starts(given), True
+        self.u.values[:], self.held = self.input_sign * self.starts(given), True
+
+    def inputs_now(self) -> Array:
+        """Held inputs (nu)."""
+        return self.input_sign * self.u.values
+
+    def energies_at_nodes(self, h: float, y: Array) -> Array:
+        """Energy through each pair (nu) in a step of length h with outputs `y` (k nu) as the unit tells them."""
+        power = (self.u_nodes.values * y).reshape(-1, self.nu) * self.input_sign * self.output_sign
+        return h * np.array(self.interface.weights) @ power
 
     def take(self, u: ArrayLike) -> None:
         """Inputs (nu) into their buffer."""
         values = np.asarray(u, float)
         if values.shape != (self.nu,) or not np.isfinite(values).all():
             raise ValueError(f"{self.name}: expected {self.nu} finite inputs, got {u}")
-        self.u.values[:], self.held = values, True
+        self.u.values[:], self.held = self.input_sign * values, True
 
     def take_at_nodes(self, u: ArrayLike) -> None:
         """Inputs at the k nodes (k x nu) into theirs; FMUError if the unit was exported without them."""
@@ -79,7 +91,7 @@ class PortValues:
             )
         if values.shape != (k, self.nu) or not np.isfinite(values).all():
             raise ValueError(f"{self.name}: expected {k} x {self.nu} finite inputs, got {u}")
-        self.u_nodes.values[:], self.held = values.ravel(), False
+        self.u_nodes.values[:], self.held = (self.input_sign * values).ravel(), False
 
     def memory(self) -> dict[str, Any]:
         """A copy of what was set."""

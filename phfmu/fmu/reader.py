@@ -113,6 +113,11 @@ class FMUInstance:
         return self._slave.dead
 
     @property
+    def input_sign(self) -> Array:
+        """-1 where the variable of an input counts out of the unit, else 1 (nu): times it, a value counts inward."""
+        return self._values.input_sign
+
+    @property
     def other_inputs(self) -> list[str]:
         """Inputs that belong to no port."""
         return self._values.others()
@@ -143,7 +148,7 @@ class FMUInstance:
 
     def node_output(self) -> Array:
         """Outputs at the k nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
-        return self._slave.get(self._values.y_nodes).reshape(-1, self.nu).copy()
+        return self._slave.get(self._values.y_nodes).reshape(-1, self.nu) * self._values.output_sign
 
     def do_step(self, t: float, h: float) -> float:
         """One communication step over [t, t + h]; the time reached.  StepFailure holds the words of the unit.
@@ -175,7 +180,7 @@ class FMUInstance:
 
     def end_output(self) -> Array:
         """Port outputs at the present time (nu)."""
-        return self._slave.get(self._values.y_end) * self._values.sign
+        return self._slave.get(self._values.y_end) * self._values.output_sign
 
     @cached_property
     def _derivatives(self) -> list[Derivative]:
@@ -196,7 +201,7 @@ class FMUInstance:
                 s[:, j] = self._slave.derivative(d)
         except FMUError as error:
             raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)) from error
-        return s
+        return self._values.output_sign[:, None] * s * self._values.input_sign
 
     # -- saved states ---------------------------------------------------------------------------------------
 

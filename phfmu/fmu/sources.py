@@ -111,7 +111,7 @@ def interface_text(unit: Unit, token: str) -> str:
     """interface.c: variables, checks and names of the equations."""
     model = unit.model
     place = {v.name: i for i, v in enumerate(unit.variables)}
-    rows = [f"{{{v.block}, {v.first}, {v.count}, {c_string(v.name)}}}" for v in unit.variables]
+    rows = [f"{{{v.block}, {v.first}, {v.count}, {c_string(v.name)}, {v.sign}}}" for v in unit.variables]
     limits = [
         f"{{{place[n]}, {number(CONSISTENCY * s)}}}" for n, s in zip(check_names(model), model.check_scale, strict=True)
     ]

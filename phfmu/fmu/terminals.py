@@ -1,13 +1,15 @@
 """terminalsAndIcons.xml: every external power port as a terminal.
 
 Of a pair, the variable that is equal on both sides of a connection is a signal, the one that sums to zero
-there an inflow: voltage and current, but velocity and force.  The inflow is positive into the component.
+there an inflow: voltage and current, but velocity and force.  The inflow is positive into the component; at a port that
+was exported outward it is an outflow, positive out of it.
 """
 
 from __future__ import annotations
 
 from phfmu.declare.port import Port
 from phfmu.fmu.description import Unit
+from phfmu.fmu.outward import summed
 from phfmu.fmu.version import Version
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, text_of
@@ -21,24 +23,28 @@ def terminals(unit: Unit, version: Version) -> bytes | None:
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     listed = etree.SubElement(root, "Terminals")
     for port in ports:
-        _terminal(listed, port, unit.arrays and version.arrays and port.size is not None)
+        kind = "outflow" if port.name in unit.outward else "inflow"
+        _terminal(listed, port, unit.arrays and version.arrays and port.size is not None, kind)
     return text_of(root)
 
 
-def _terminal(parent: Element, port: Port, array: bool) -> None:
+def _terminal(parent: Element, port: Port, array: bool, kind: str) -> None:
     """Members are named by effort and flow, so that two terminals of a domain have the same members."""
     terminal = etree.SubElement(
         parent, "Terminal", name=port.name, matchingRule="plug", terminalKind=f"org.phfmu.{port.domain.name}"
     )
-    terminal.set("description", f"{plain(port.description or port.name)}; power is positive into the component")
+    sense = (
+        "power is positive into the component" if kind == "inflow" else "the outflow is positive out of the component"
+    )
+    terminal.set("description", f"{plain(port.description or port.name)}; {sense}")
     efforts, flows = port.input_names(), port.output_names()
     if array:
         efforts, flows = ([names[0].rpartition("[")[0]] for names in (efforts, flows))
     if port.given == "flow":
         efforts, flows = flows, efforts
-    balance = flows if port.domain.common == "effort" else efforts
+    balance = flows if summed(port.domain) == "flow" else efforts
     for names in zip(efforts, flows, strict=True):
         for name in names:
             member = etree.SubElement(terminal, "TerminalMemberVariable", variableName=name)
             member.set("memberName", name.removeprefix(f"{port.name}."))
-            member.set("variableKind", "inflow" if name in balance else "signal")
+            member.set("variableKind", kind if name in balance else "signal")

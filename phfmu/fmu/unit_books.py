@@ -79,7 +79,7 @@ class Told:
     def book(self, h: float, looked: Array) -> None: ...
 
     def means(self) -> Array:
-        return self._slave.get(self._means) * self._ports.sign
+        return self._slave.get(self._means) * self._ports.output_sign
 
     def energies(self) -> Array:
         return self._slave.get(self._stored).copy()
@@ -90,10 +90,9 @@ class Told:
     def ledger(self, h: float) -> dict[str, Array]:
         rows, ports = self._slave.get(self._step).copy(), self._ports
         if ports.held:
-            pairs = h * ports.u.values * self.means()
+            pairs = h * ports.inputs_now() * self.means()
         else:
-            u, y = ports.u_nodes.values, self._slave.get(ports.y_nodes)
-            pairs = h * np.array(ports.interface.weights) @ (u * y).reshape(-1, ports.nu)
+            pairs = ports.energies_at_nodes(h, self._slave.get(ports.y_nodes))
         moved = {"moved": rows[3:]} if len(rows) > len(_STEP) else {}
         return {"stored": rows[:1], "dissipated": rows[1:2], "supplied": rows[2:3], "pairs": pairs, **moved}
 
@@ -121,11 +120,11 @@ class Estimated:
 
     def book(self, h: float, looked: Array) -> None:
         self._before, self._after = self._after, looked
-        self._pairs = h * self._ports.u.values * self.means()
+        self._pairs = h * self._ports.inputs_now() * self.means()
         self._supplied = self._supplied + self._pairs
 
     def means(self) -> Array:
-        return self._ports.sign * (self._before + self._after) / 2
+        return self._ports.output_sign * (self._before + self._after) / 2
 
     def energies(self) -> Array:
         return np.array([self._supplied.sum()])

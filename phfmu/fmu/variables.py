@@ -25,10 +25,11 @@ class FMUVariable(Quantity):
     """One scalar of type Real (2.0) or Float64 (3.0).
 
     `block` is a `ph_block` of phfmu.h or a place of fmu.h by its name there.  Unit "1", nominal None and limits that are not
-    there are not written.
+    there are not written.  `sign`: -1 where the unit tells the negative of what is in the block.
     """
 
     limit: Limit | None = None
+    sign: int = 1
 
     @property
     def variability(self) -> str:

@@ -32,13 +32,14 @@ enum {
     FMU_NODE_OUTPUT
 };
 
-/* The value is the sum of `count` entries of a block from `first` on; the value reference is the
+/* The value is `sign` times the sum of `count` entries of a block from `first` on; the value reference is the
  * place of the variable in its table. */
 typedef struct fmu_variable {
     int block; /* ph_block or one of the places above */
     int first;
     int count;
     const char *name;
+    int sign; /* -1: a flow that counts out of the unit; else 1 */
 } fmu_variable;
 
 /* A hidden constraint: at the start its residual must not exceed the limit. */

@@ -75,9 +75,9 @@ int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *un
         return FMU_ERROR;
     for (size_t i = 0; i < nu; i++)
         for (size_t j = 0; j < nk; j++) {
-            double s =
-                map[f->about->variables[unknown[i]].first * width + f->about->variables[known[j]].first];
-            result[adjoint ? j : i] += s * seed[adjoint ? i : j];
+            const fmu_variable *y = &f->about->variables[unknown[i]], *u = &f->about->variables[known[j]];
+            double s = map[y->first * width + u->first];
+            result[adjoint ? j : i] += (y->sign == u->sign ? s : -s) * seed[adjoint ? i : j];
         }
     for (size_t i = 0; i < (adjoint ? nk : nu); i++)
         if (!isfinite(result[i]))

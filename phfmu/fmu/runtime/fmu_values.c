@@ -62,7 +62,7 @@ static double value_of(const fmu *f, const fmu_variable *v) {
         sum += p->weights[i] * (from[i * p->nu + v->first] - from[v->first]);
     for (int i = 1; i < v->count; i++)
         sum += from[v->first + i];
-    return sum;
+    return v->sign < 0 ? -sum : sum;
 }
 
 int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double *values) {
@@ -156,7 +156,7 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
         const fmu_variable *v = &f->about->variables[ref[i]];
         double *to = place_of(f, v, changed);
         for (int node = 0; node < (v->block == FMU_INPUT ? plan->k : 1); node++)
-            to[node * plan->nu] = values[i];
+            to[node * plan->nu] = v->sign < 0 ? -values[i] : values[i];
     }
     f->end_known = 0;
     if ((changed[0] && ph_set_parameters(f->in, f->p)) ||

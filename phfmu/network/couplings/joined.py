@@ -87,11 +87,12 @@ class Joined:
         member, _, rest = name.partition(".")
         for m, place in zip(self.members, self.places, strict=True):
             if m.name == member:
-                indices = [place.start + i for i in m.input_places(rest)]
+                own = m.input_places(rest)
+                indices = [place.start + i for i in own]
                 if indices:
                     if self.face.P[indices].any():
                         raise KeyError(f"{name} is fed by a junction; it cannot be set")
-                    self.free[indices] = value
+                    self.free[indices] = value * m.input_sign[own]
                     m.set_input(self.inputs(xi)[place])
                     return "input"
                 if m.set_parameter(rest, value):

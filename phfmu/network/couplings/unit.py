@@ -43,7 +43,7 @@ class FMUStepper:
             if self.member.set_parameter(name, value):
                 return "parameter"
             raise KeyError(f"{self.unit.name} has no input '{name}'; {meant(name, self.settable())}")
-        self._u[found] = value
+        self._u[found] = value * self.member.input_sign[found]
         self.unit.set_input(self._u)
         return "input"
 

@@ -35,6 +35,7 @@ class EngineMember:
         self.nominal = np.concatenate(
             [np.broadcast_to(np.asarray(p.nominal, float), p.n) for p in free] or [np.zeros(0)]
         )
+        self.input_sign = np.ones(self.nu)
         own = booking(model)
         rename = {model.name: name}
         self.booking = Booking(

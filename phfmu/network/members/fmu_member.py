@@ -60,6 +60,7 @@ class FMUMember:
         self._inside = _fed_from_inside(unit)
         self.booking = _booking(unit, name)
         self._u = unit.start_inputs()
+        self.input_sign = unit.input_sign
         self.nominal = np.array([unit.variable(n).nominal for n in unit.inputs])
 
     def settable(self) -> list[str]:

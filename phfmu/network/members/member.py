@@ -14,13 +14,17 @@ Array = NDArray[np.float64]
 
 
 class Member(Protocol):
-    """What the coupling asks of a member; `places`: port name -> slice of the stacked external inputs."""
+    """What the coupling asks of a member; `places`: port name -> slice of the stacked external inputs.
+
+    `input_sign` (nu): -1 where an input called by its name counts out of the member (outward ports of units).
+    """
 
     name: str
     nu: int
     names: list[str]
     places: dict[str, slice]
     nominal: Array
+    input_sign: Array
     booking: Booking
 
     def settable(self) -> list[str]: ...
