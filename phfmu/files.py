@@ -4,10 +4,30 @@ from __future__ import annotations
 
 import os
 import secrets
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 ENDING = ".partial"
+
+_folder: ContextVar[Path | None] = ContextVar("_folder", default=None)
+
+
+@contextmanager
+def seen_from(folder: Path) -> Iterator[None]:
+    """Within the block, files that others name are also looked for in this folder."""
+    token = _folder.set(folder)
+    try:
+        yield
+    finally:
+        _folder.reset(token)
+
+
+def located(path: Path) -> Path:
+    """The path as it is where a file is there, else where it is seen from."""
+    folder = _folder.get()
+    return path if folder is None or path.exists() else folder / path
 
 
 def beside(target: Path) -> Path:

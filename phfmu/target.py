@@ -49,8 +49,8 @@ def scene(target: str) -> Scene:
     raise TargetError(f"{target} gives a {type(item).__name__}; expected a PHDAE, a Network or a Scene")
 
 
-def _choices(path: Path) -> str:
-    """The targets that a file may hold: its functions that can be called without arguments, found without running it."""
+def _functions(path: Path) -> list[str]:
+    """Functions of a file that can be called without arguments, found without running it."""
     import ast
 
     try:
@@ -60,17 +60,26 @@ def _choices(path: Path) -> str:
     functions = [n for n in body if isinstance(n, ast.FunctionDef) and not n.name.startswith("_")]
     names = [f.name for f in functions if len(f.args.posonlyargs + f.args.args) == len(f.args.defaults)
              and all(f.args.kw_defaults)]  # fmt: skip
-    return " or ".join(f"{path}:{name}" for name in names) or f"{path}:function"
+    return names
+
+
+def _choices(path: Path) -> str:
+    """The targets that a file may hold."""
+    return " or ".join(f"{path}:{name}" for name in _functions(path)) or f"{path}:function"
 
 
 def _from_file(target: str) -> Any:
     import importlib.util
     import sys
 
+    from phfmu.files import seen_from
+
     path_text, _, function = target.rpartition(":") if ":" in target else (target, "", "")
     path = Path(path_text)
     if not path.is_file():
         raise TargetError(f"no file '{path_text}'")
+    if not function and len(only := _functions(path)) == 1:
+        function = only[0]
     if not function:
         raise TargetError(f"say which function of {path.name} builds the model: {_choices(path)}")
     # a name of its own: a file called json.py or numpy.py must not take the place of that module
@@ -79,7 +88,8 @@ def _from_file(target: str) -> Any:
     module = importlib.util.module_from_spec(spec)
     sys.modules[module.__name__] = module
     try:
-        spec.loader.exec_module(module)
+        with seen_from(path.parent):
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise TargetError(f"{_place(path, error)}: {_said(error)}") from error
     found = getattr(module, function, None)
@@ -89,7 +99,8 @@ def _from_file(target: str) -> Any:
     if not callable(found):
         return found
     try:
-        return found()
+        with seen_from(path.parent):
+            return found()
     except (Exception, SystemExit) as error:
         raise TargetError(f"{_place(path, error)}, {function}: {_said(error)}") from error
 

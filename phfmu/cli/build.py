@@ -15,11 +15,12 @@ from phfmu.words import meant
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
+    from phfmu.fmu.unit_file import UnitFile
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.junctions.junction import End
     from phfmu.network.junctions.network import Network
     from phfmu.network.members.member import Member
-    from phfmu.network.scene import Scene
+    from phfmu.network.scene import Event, Scene
     from phfmu.schemes.scheme import Scheme
 
 
@@ -46,13 +47,28 @@ def job_of(args: argparse.Namespace) -> Job:
         return _fmu_run(args)
     s = scene(args.target)
     s = replace(s, system=_with_settings(s.system, settings(args.set)))
+    require_sound_scene(args, s)
+    if s.units and isinstance(s.system, Network):
+        return _coupled(args, s, s.system)
     declaration = s.declaration()
-    require_sound(args, declaration)
     if args.coupling == "newton":
         if not isinstance(s.system, Network):
             raise ValueError(f"{args.target} is a single component; --coupling newton needs a network of members")
         return _coupled(args, s, s.system)
     return _monolithic(args, s, declaration)
+
+
+def require_sound_scene(args: argparse.Namespace, s: Scene, events: Sequence[Event] | None = None) -> None:
+    """`require_sound` of the whole, or, where units are in it, of each declared member."""
+    from phfmu.network.junctions.network import Network
+
+    if not s.units:
+        return require_sound(args, s.declaration(), events)
+    members = s.system.declared if isinstance(s.system, Network) else {}
+    for name, declaration in members.items():
+        own = [replace(e, name=e.name.removeprefix(f"{name}.")) for e in events or () if e.name.startswith(f"{name}.")]
+        require_sound(args, declaration, None if events is None else own)
+    return None
 
 
 def engine_of(args: argparse.Namespace) -> str:
@@ -94,7 +110,7 @@ def _with_settings(system: Any, values: dict[str, float]) -> Any:
     if not isinstance(system, Network):
         return system.with_starts(values)
     net = Network(system.name, dict(system.members), list(system.junctions), system.description)
-    joined = {n: j.name for j in net.junctions for e in j.ends for n in _inputs_of(net, e)}
+    joined = {n: j.name for j in net.junctions for e in j.ends for n in inputs_of(net, e)}
     for name, value in values.items():
         member, _, rest = name.partition(".")
         if name in joined:
@@ -106,8 +122,12 @@ def _with_settings(system: Any, values: dict[str, float]) -> Any:
     return net
 
 
-def _inputs_of(net: Network, end: End) -> list[str]:
-    return [f"{end.member}.{n}" for n in net.port_of(end).input_names()]
+def inputs_of(net: Network, end: End) -> list[str]:
+    """Names of the inputs of a port, of a unit those of its variables."""
+    unit = net.units.get(end.member)
+    maps = () if unit is None else (m for m in unit.port_maps if m.name == end.port)
+    names = net.port_of(end).input_names() if unit is None else [n for m in maps for n in m.inputs]
+    return [f"{end.member}.{n}" for n in names]
 
 
 def _unknown(net: Network, name: str) -> str:
@@ -119,6 +139,8 @@ def _unknown(net: Network, name: str) -> str:
 
 def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf) -> str:
     """Schemes, the order of the whole (at most `most`, and why), engine and coupling."""
+    if not schemes:
+        return f"units, {coupling}"
     names = " and ".join(dict.fromkeys(s.name for s in schemes))
     gradient = "" if schemes[0].gradient in ("per-term", "nodal") else f", {schemes[0].gradient}"
     own = min(s.order for s in schemes)
@@ -167,12 +189,15 @@ def _coupled(args: argparse.Namespace, s: Scene, network: Network) -> Job:
     from phfmu.network.couplings.newton import Newton
 
     engine = engine_of(args)
-    schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.members.items()}
+    schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
 
-    def member(name: str, declaration: PHDAE) -> Member:
+    def member(name: str, declaration: PHDAE | UnitFile) -> Member:
+        from phfmu.declare.phdae import PHDAE
         from phfmu.discretise.model import build_model
         from phfmu.network.members.engine_member import EngineMember
 
+        if not isinstance(declaration, PHDAE):
+            return _unit_member(name, declaration)
         own = replace(declaration, name=name)
         if engine == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
@@ -186,8 +211,23 @@ def _coupled(args: argparse.Namespace, s: Scene, network: Network) -> Job:
 
         return Coupled(network, [member(name, d) for name, d in network.members.items()])
 
-    label = _label(list(schemes.values()), engine, f"{Newton.name} coupling", _most(schemes.values(), engine))
+    most = Newton.order if network.units else _most(schemes.values(), engine)
+    label = _label(list(schemes.values()), engine, f"{Newton.name} coupling", most)
     return Job(s, label, False, build)
+
+
+def _unit_member(name: str, file: UnitFile) -> Member:
+    """A member that is the unit of a file."""
+    from phfmu.fmu.reader import FMUInstance
+    from phfmu.network.members.fmu_member import FMUMember
+
+    _say_left_out(str(file.path), file.interface.left_out)
+    return FMUMember(name, FMUInstance(file.path, file.port_maps, starts=file.starts, start=0.0, name=name))
+
+
+def _say_left_out(path: str, left_out: str) -> None:
+    if left_out:
+        print(f"phfmu: {path}: left out, cannot be read or set here: {left_out}", file=sys.stderr)
 
 
 def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: float) -> Any:
@@ -210,13 +250,13 @@ def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: flo
 
 def _fmu_run(args: argparse.Namespace) -> Job:
     from phfmu.fmu.reader import FMUInstance
+    from phfmu.fmu.unit_file import unit_file
     from phfmu.network.couplings.unit import FMUStepper
     from phfmu.network.scene import fmu_scene
 
     _refuse_compiled_in(args)
-    unit = FMUInstance(args.target, starts=settings(args.set))
-    if unit.interface.left_out:
-        print(f"phfmu: {args.target}: left out, cannot be read or set here: {unit.interface.left_out}", file=sys.stderr)
+    unit = FMUInstance(args.target, unit_file(args.target).port_maps, starts=settings(args.set))
+    _say_left_out(args.target, unit.interface.left_out)
     return Job(fmu_scene(unit), f"FMI {unit.interface.version}", False, lambda: FMUStepper(unit))
 
 

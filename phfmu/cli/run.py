@@ -58,7 +58,7 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.cli import options
-    from phfmu.cli.build import job_of, order_lost
+    from phfmu.cli.build import job_of, order_lost, require_sound_scene
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.interrupt import Signals
     from phfmu.cli.outputs import Outputs
@@ -73,7 +73,7 @@ def call(args: argparse.Namespace) -> int:
     chosen = replace(chosen, events=events)
     changes = [e for e in events if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
-        options.require_sound(args, scene.declaration(), changes)
+        require_sound_scene(args, scene, changes)
     with Signals() as signals, outputs, _Progress(chosen.stop, args.quiet, signals.check) as report:
         outputs.begin(stepper.names, {"target": args.target, "run": label}, args.dense is not None, changes)
         result = run(stepper, replace(chosen, sink=outputs.sink, progress=report.update, keep=outputs.keep))
@@ -85,7 +85,7 @@ def call(args: argparse.Namespace) -> int:
     if not summary.closed:
         places = dict.fromkeys(v.name for v in summary.violations)
         print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
-        if not is_fmu(args.target):
+        if not is_fmu(args.target) and not scene.units:
             _print_signs_lost(scene, events, result, {v.name for v in summary.violations if v.kind == "dissipation"})
         return LEDGER
     return FINE

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from phfmu.declare.port import Port
+from phfmu.declare.units import Unit
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.variables import FMUError
 
@@ -53,6 +54,7 @@ class Interface:
     nodes: tuple[float, ...] = ()
     weights: tuple[float, ...] = ()
     left_out: str = ""
+    units: dict[str, Unit] = field(default_factory=dict)
 
     def scalars(self, names: list[str] | tuple[str, ...], what: str) -> list[Scalar]:
         """The variables; FMUError names those there are not."""

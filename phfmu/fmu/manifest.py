@@ -65,7 +65,8 @@ class PortMap:
     power = sign * input * output is positive into the component: with sign -1 the one of the pair that sums to zero where
     ports of the domain meet counts out of it.  `step_outputs`: empty where there are none;
     `vector`: the scalars are entries of a vector, also if there is only one.  `node_inputs`, `node_outputs`: per pair
-    the names at the nodes of a step; empty where there are none.
+    the names at the nodes of a step; empty where there are none.  `displacements`: of units of other tools, what the outputs
+    are the rates of; empty where that is not told.
     """
 
     name: str
@@ -78,6 +79,7 @@ class PortMap:
     vector: bool = False
     node_inputs: tuple[tuple[str, ...], ...] = ()
     node_outputs: tuple[tuple[str, ...], ...] = ()
+    displacements: tuple[str, ...] = ()
 
     @property
     def input_sign(self) -> float:
@@ -150,7 +152,8 @@ def read_ports(root: Element) -> list[PortMap]:
                 means,
                 -1.0 if port.get("sign", "").startswith("-") else 1.0,
                 vector,
-                *at_nodes,
+                node_inputs=at_nodes[0],
+                node_outputs=at_nodes[1],
             )
         )
     return ports

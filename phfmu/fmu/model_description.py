@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import IO, Any
 
+from phfmu.declare.units import BASE, Unit
 from phfmu.fmu import limits
 from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import read_manifest
@@ -47,6 +48,7 @@ class ModelDescription:
         self.cosimulation: dict[str, str] | None = None
         self.times: dict[str, float] = {}
         self.variables: dict[str, Scalar] = {}
+        self.units: dict[str, Unit] = {}
         self.left_out: dict[str, LeftOut] = {}
         self._counted = 0
         self._path: list[str] = []
@@ -57,6 +59,9 @@ class ModelDescription:
         self._sizes: dict[int, int] = {}  # value reference -> start of what may be the size of an array
         self._waiting: list[tuple[str, dict[str, str], list[dict[str, str]]]] = []
         self._shared: dict[str, str] = {}
+        self._name = ""  # of the type or unit that is being read
+        self._types: dict[str, dict[str, str]] = {}  # declared type -> what it says of its variables
+        self._aliases: list[dict[str, str]] = []
 
     # -- tags -----------------------------------------------------------------------------------------------
 
@@ -69,19 +74,49 @@ class ModelDescription:
             self.cosimulation = dict(attributes)
         elif depth == 2 and tag == "DefaultExperiment":
             self.times = {k: self._float(v, k) for k, v in attributes.items() if k in _TIMES}
-        elif depth == 3 and self._path[1] == "ModelVariables":
+        elif depth in (3, 4) and self._path[1] == "ModelVariables":
+            (self._begin_variable if depth == 3 else self._in_variable)(tag, attributes)
+        elif depth in (3, 4) and self._path[1] in ("TypeDefinitions", "UnitDefinitions"):
+            self._name = attributes.get("name", "") if depth == 3 else self._name
+            if self._path[1] == "TypeDefinitions":
+                self._take_type(attributes)
+            elif tag == "BaseUnit":
+                self._take_unit(attributes)
+
+    def _begin_variable(self, tag: str, attributes: Mapping[str, str]) -> None:
+        self._count(1)
+        self._own, self._numbers, self._dimensions, self._aliases = dict(attributes), dict(attributes), [], []
+        self._type = "" if self.version.inner else tag
+
+    def _in_variable(self, tag: str, attributes: Mapping[str, str]) -> None:
+        if self.version.inner and tag != "Annotations":
+            self._type, self._numbers = self.version.inner.get(tag, tag), dict(attributes)
+        elif tag == "Dimension":
+            self._dimensions.append(dict(attributes))
+        elif tag == "Alias":
             self._count(1)
-            self._own, self._numbers, self._dimensions = dict(attributes), dict(attributes), []
-            self._type = "" if self.version.inner else tag
-        elif depth == 4 and self._path[1] == "ModelVariables":
-            if self.version.inner and tag != "Annotations":
-                self._type, self._numbers = self.version.inner.get(tag, tag), dict(attributes)
-            elif tag == "Dimension":
-                self._dimensions.append(dict(attributes))
+            self._aliases.append(dict(attributes))
+
+    def _take_type(self, attributes: Mapping[str, str]) -> None:
+        """A declared type says of its variables what they do not say themselves."""
+        limits.within(self._about(), len(self._types), limits.VARIABLES, "declared types")
+        told = {k: v for k, v in attributes.items() if k in ("unit", "nominal")}
+        self._types.setdefault(self._name, {}).update(told)
+
+    def _take_unit(self, attributes: Mapping[str, str]) -> None:
+        """A unit of the variables; one with an offset is none that a factor converts."""
+        limits.within(self._about(), len(self.units), limits.VARIABLES, "units")
+        exponents = tuple(self._int(attributes.get(b, "0"), self._name) for b in BASE)
+        if not self._float(attributes.get("offset", "0"), self._name):
+            factor = self._float(attributes.get("factor", "1"), self._name)
+            self.units[plain(self._name)] = Unit(plain(self._name), factor, exponents)
 
     def end(self, tag: str) -> None:
         if len(self._path) == 3 and self._path[1] == "ModelVariables":
-            self._variable(self._type, self._own, self._numbers, self._dimensions)
+            declared = self._types.get(self._numbers.get("declaredType", ""), {})
+            for alias in ({}, *self._aliases):
+                own, numbers = (declared | told | alias for told in (self._own, self._numbers))
+                self._variable(self._type, own, numbers, self._dimensions)
         elif len(self._path) == 2 and tag == "ModelVariables":
             for type_, own, dimensions in self._waiting:
                 self._array(type_, own, dimensions)
@@ -216,6 +251,7 @@ def read_interface(stream: IO[bytes], manifest: bytes | None, name: str) -> Inte
         stop=about.times.get("stopTime"),
         step=about.times.get("stepSize"),
         description=plain(about.root.get("description", "")),
+        units=about.units,
         left_out="; ".join(f"{kind}: {o.count} ({o})" for kind, o in about.left_out.items()),
         **own,
     )

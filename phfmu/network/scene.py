@@ -10,6 +10,7 @@ from phfmu.network.junctions.network import Network
 
 if TYPE_CHECKING:
     from phfmu.fmu.reader import FMUInstance
+    from phfmu.fmu.unit_file import UnitFile
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,13 @@ class Scene:
     description: str = ""
     restart: int = 0
 
+    @property
+    def units(self) -> dict[str, UnitFile]:
+        """Members that are FMUs; with such the scene is no one PHDAE."""
+        return self.system.units if isinstance(self.system, Network) else {}
+
     def declaration(self) -> PHDAE:
-        """The scene as one PHDAE."""
+        """The scene as one PHDAE; ConnectionError names units in it."""
         return self.system.compose() if isinstance(self.system, Network) else self.system
 
 

@@ -14,14 +14,41 @@ from phfmu.fmu import sources
 CODE = Path(__file__).parent / "foreign_unit.c"
 
 
-def description(version: str, variables: str, name: str = "foreign") -> str:
-    """modelDescription.xml for Co-Simulation around `variables`."""
-    token, saves = (
+#: a mass on a spring, which may forget on restore and misbehave by `mode`; {unit}: of the force
+MASS = {
+    "2.0": """
+<ScalarVariable name="F" valueReference="20" causality="input"><Real start="0" unit="{unit}"/></ScalarVariable>
+<ScalarVariable name="v" valueReference="21" causality="output"><Real unit="m/s"/></ScalarVariable>
+<ScalarVariable name="q" valueReference="22" causality="output" initial="exact"><Real start="0" unit="m"/></ScalarVariable>
+<ScalarVariable name="m" valueReference="23" causality="parameter"><Real start="1" unit="kg"/></ScalarVariable>
+<ScalarVariable name="k" valueReference="24" causality="parameter"><Real start="0" unit="N/m"/></ScalarVariable>
+<ScalarVariable name="H" valueReference="25" causality="local"><Real unit="J"/></ScalarVariable>
+<ScalarVariable name="mode" valueReference="3" causality="parameter" variability="fixed"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="forgets" valueReference="27" causality="parameter" variability="fixed"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="label" valueReference="9" causality="local"><String start="a"/></ScalarVariable>
+""",
+    "3.0": """
+<Float64 name="F" valueReference="20" causality="input" start="0" unit="{unit}"/>
+<Float64 name="v" valueReference="21" causality="output" unit="m/s"/>
+<Float64 name="q" valueReference="22" causality="output" initial="exact" start="0" unit="m"/>
+<Float64 name="m" valueReference="23" causality="parameter" variability="fixed" start="1" unit="kg"/>
+<Float64 name="k" valueReference="24" causality="parameter" variability="fixed" start="0" unit="N/m"/>
+<Float64 name="H" valueReference="25" causality="local" unit="J"/>
+<Int32 name="mode" valueReference="3" causality="parameter" variability="fixed" start="0"/>
+<Int32 name="forgets" valueReference="27" causality="parameter" variability="fixed" start="0"/>
+<String name="label" valueReference="9" causality="local"/>
+""",
+}
+
+
+def description(version: str, variables: str, name: str = "foreign", saves: bool = False, before: str = "") -> str:
+    """modelDescription.xml for Co-Simulation around `variables`; `before`: units and types."""
+    token, states = (
         ("guid", "canGetAndSetFMUstate") if version == "2.0" else ("instantiationToken", "canGetAndSetFMUState")
     )
     return (
         f'<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription fmiVersion="{version}" modelName="{name}" '
-        f'{token}="1"><CoSimulation modelIdentifier="foreign" {saves}="false"/>'
+        f'{token}="1"><CoSimulation modelIdentifier="foreign" {states}="{str(saves).lower()}"/>{before}'
         f'<DefaultExperiment stopTime="1" stepSize="0.1"/>'
         f"<ModelVariables>{variables}</ModelVariables><ModelStructure/></fmiModelDescription>"
     )
@@ -39,8 +66,15 @@ def library() -> bytes:
     return compile({CODE.name: CODE, **sources.headers()}).path.read_bytes()
 
 
-def unit(path: Path, version: str, variables: str) -> Path:
+def mass(path: Path, version: str, saves: bool = True, unit_of_force: str = "N") -> Path:
+    """A mass on a spring as a unit of another tool."""
+    return unit(path, version, MASS[version].format(unit=unit_of_force), saves)
+
+
+def unit(path: Path, version: str, variables: str, saves: bool = False, before: str = "") -> Path:
     """A unit with that library for this machine."""
     folder = fmpy.platform if version == "2.0" else fmpy.platform_tuple
     name = f"binaries/{folder}/foreign{fmpy.sharedLibraryExtension}"
-    return archive(path, {"modelDescription.xml": description(version, variables), name: library()})
+    return archive(
+        path, {"modelDescription.xml": description(version, variables, saves=saves, before=before), name: library()}
+    )

@@ -2,8 +2,13 @@
  *
  * Variables: 1 `u` (input), 2 `y` = 2 u + t (output), 3 `mode` (integer: what doStep does, from time 0.25
  * on), 4 `flag` (boolean), 5 `single` (3.0: Float32), 6 `wide` (3.0: Float64[2]), 7 `choice` (enumeration), 8
- * `x` (input array [2] of 3.0). */
+ * `x` (input array [2] of 3.0).
+ *
+ * A mass on a spring, stepped exactly under a held force: 20 `F` (input), 21 `v`, 22 `q` (outputs), 23 `m`,
+ * 24 `k` (parameters), 25 `H` (its energy).  27 `forgets` (integer): a saved state has 1: not q, 2: nothing.
+ */
 #include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -13,11 +18,26 @@
 
 #pragma GCC visibility push(default)
 
-enum { FINE, DISCARD, ERROR, FATAL, LEAVE, NOT_A_NUMBER, TERMINATE, EARLY, CHATTER, OUTPUT_ERROR };
+enum {
+    FINE,
+    DISCARD,
+    ERROR,
+    FATAL,
+    LEAVE,
+    NOT_A_NUMBER,
+    TERMINATE,
+    EARLY,
+    CHATTER,
+    OUTPUT_ERROR,
+    CRASH,
+    HANG,
+    LAST_WORDS,
+    PRINT
+};
 
 typedef struct unit {
-    double u, t, wide[2], x[2];
-    int mode, flag, choice, said;
+    double u, t, wide[2], x[2], F, v, q, m, k;
+    int mode, flag, choice, said, forgets;
     float single;
     const fmi2CallbackFunctions *callbacks;
     fmi3LogMessageCallback log;
@@ -30,6 +50,17 @@ static void say(unit *m, int status, const char *text) {
         m->log(m->environment, (fmi3Status)status, "status", text);
     else
         m->callbacks->logger(m->environment, m->name, (fmi2Status)status, "status", text);
+}
+
+static void move(unit *s, double h) {
+    double w = sqrt(s->k / s->m), rest = s->k > 0.0 ? s->F / s->k : 0.0, q = s->q - rest, v = s->v;
+    if (s->k > 0.0) {
+        s->q = rest + q * cos(w * h) + v / w * sin(w * h);
+        s->v = v * cos(w * h) - q * w * sin(w * h);
+    } else {
+        s->q += h * v + h * h * s->F / (2.0 * s->m);
+        s->v += h * s->F / s->m;
+    }
 }
 
 static int step(unit *m, double t, double h) {
@@ -50,6 +81,17 @@ static int step(unit *m, double t, double h) {
             say(m, 3, long_text);
         return 3;
     }
+    if (mode == CRASH)
+        raise(SIGSEGV);
+    while (mode == HANG)
+        ;
+    if (mode == LAST_WORDS || mode == PRINT) {
+        printf("pump speaks at %g\n", t);
+        fflush(stdout);
+    }
+    if (mode == LAST_WORDS)
+        exit(7);
+    move(m, h);
     m->t = t + h;
     return 0;
 }
@@ -58,10 +100,68 @@ static double output(const unit *m) {
     return m->mode == NOT_A_NUMBER && m->t > 0.25 ? NAN : 2.0 * m->u + m->t;
 }
 
+static double number(const unit *m, unsigned r) {
+    double H = (m->m * m->v * m->v + m->k * m->q * m->q) / 2.0;
+    return r == 1    ? m->u
+           : r == 20 ? m->F
+           : r == 21 ? m->v
+           : r == 22 ? m->q
+           : r == 23 ? m->m
+           : r == 24 ? m->k
+           : r == 25 ? H
+                     : output(m);
+}
+
+static void set_number(unit *m, unsigned r, double value) {
+    *(r == 20   ? &m->F
+      : r == 21 ? &m->v
+      : r == 22 ? &m->q
+      : r == 23 ? &m->m
+      : r == 24 ? &m->k
+                : &m->u) = value;
+}
+
+static int *whole(unit *m, unsigned r) {
+    return r == 3 ? &m->mode : r == 27 ? &m->forgets : &m->choice;
+}
+
+static int save(const unit *m, void **state) {
+    if (!*state)
+        *state = malloc(sizeof(unit));
+    memcpy(*state, m, sizeof(unit));
+    return 0;
+}
+
+static int restore(unit *m, const unit *state) {
+    unit now = *m;
+    if (m->forgets < 2)
+        *m = *state;
+    if (m->forgets == 1)
+        m->q = now.q;
+    return 0;
+}
+
+static int forget(void **state) {
+    free(*state);
+    *state = NULL;
+    return 0;
+}
+
 /* a call that has nothing to do */
 #define IDLE(version, call)                                                                                  \
     version##Status version##call(void *c) {                                                                 \
         return version##OK;                                                                                  \
+    }
+
+#define STATES(version, State)                                                                               \
+    version##Status version##GetFMU##State(void *c, void **state) {                                          \
+        return (version##Status)save(c, state);                                                              \
+    }                                                                                                        \
+    version##Status version##SetFMU##State(void *c, void *state) {                                           \
+        return (version##Status)restore(c, state);                                                           \
+    }                                                                                                        \
+    version##Status version##FreeFMU##State(void *c, void **state) {                                         \
+        return (version##Status)forget(state);                                                               \
     }
 
 /* -- 2.0 -- */
@@ -80,6 +180,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     unit *m = calloc(1, sizeof(unit));
     m->callbacks = callbacks;
     m->environment = callbacks->componentEnvironment;
+    m->m = 1.0;
     snprintf(m->name, sizeof(m->name), "%s", name);
     return m;
 }
@@ -92,6 +193,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2R
                                fmi2Real e) {
     return fmi2OK;
 }
+STATES(fmi2, state)
 IDLE(fmi2, EnterInitializationMode)
 IDLE(fmi2, ExitInitializationMode)
 IDLE(fmi2, Terminate)
@@ -101,22 +203,22 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
     if (m->mode == OUTPUT_ERROR && m->t > 0.25)
         return fmi2Error;
     for (size_t i = 0; i < n; i++)
-        v[i] = r[i] == 1 ? m->u : output(m);
+        v[i] = number(m, r[i]);
     return fmi2OK;
 }
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real v[]) {
     for (size_t i = 0; i < n; i++)
-        ((unit *)c)->u = v[i];
+        set_number(c, r[i], v[i]);
     return fmi2OK;
 }
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer v[]) {
     for (size_t i = 0; i < n; i++)
-        v[i] = r[i] == 3 ? ((unit *)c)->mode : ((unit *)c)->choice;
+        v[i] = *whole(c, r[i]);
     return fmi2OK;
 }
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer v[]) {
     for (size_t i = 0; i < n; i++)
-        *(r[i] == 3 ? &((unit *)c)->mode : &((unit *)c)->choice) = v[i];
+        *whole(c, r[i]) = v[i];
     return fmi2OK;
 }
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean v[]) {
@@ -159,6 +261,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     m->environment = environment;
     m->wide[0] = 10.0;
     m->wide[1] = 20.0;
+    m->m = 1.0;
     return m;
 }
 void fmi3FreeInstance(fmi3Instance c) {
@@ -168,6 +271,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float6
                                        fmi3Boolean d, fmi3Float64 e) {
     return fmi3OK;
 }
+STATES(fmi3, State)
 IDLE(fmi3, ExitInitializationMode)
 IDLE(fmi3, Terminate)
 IDLE(fmi3, Reset)
@@ -182,7 +286,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
             v[k++] = r[i] == 6 ? m->wide[0] : m->x[0];
             v[k++] = r[i] == 6 ? m->wide[1] : m->x[1];
         } else
-            v[k++] = r[i] == 1 ? m->u : output(m);
+            v[k++] = number(m, r[i]);
     return k == nv ? fmi3OK : fmi3Error;
 }
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Float64 v[],
@@ -194,7 +298,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
             m->x[0] = v[k++];
             m->x[1] = v[k++];
         } else
-            m->u = v[k++];
+            set_number(m, r[i], v[k++]);
     return k == nv ? fmi3OK : fmi3Error;
 }
 #define NUMBERS(Name, Type, field)                                                                           \
@@ -209,7 +313,17 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
             ((unit *)c)->field = v[i];                                                                       \
         return fmi3OK;                                                                                       \
     }
-NUMBERS(Int32, fmi3Int32, mode)
+fmi3Status fmi3GetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Int32 v[], size_t nv) {
+    for (size_t i = 0; i < n; i++)
+        v[i] = *whole(c, r[i]);
+    return fmi3OK;
+}
+fmi3Status fmi3SetInt32(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Int32 v[],
+                        size_t nv) {
+    for (size_t i = 0; i < n; i++)
+        *whole(c, r[i]) = v[i];
+    return fmi3OK;
+}
 NUMBERS(Int64, fmi3Int64, choice)
 NUMBERS(Float32, fmi3Float32, single)
 NUMBERS(Boolean, fmi3Boolean, flag)
@@ -232,32 +346,30 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     }
 ABSENT(fmi2CancelStep)
 ABSENT(fmi2DeSerializeFMUstate)
-ABSENT(fmi2FreeFMUstate) ABSENT(fmi2GetDirectionalDerivative) ABSENT(fmi2GetFMUstate) ABSENT(
-    fmi2GetIntegerStatus) ABSENT(fmi2GetRealOutputDerivatives) ABSENT(fmi2GetStatus) ABSENT(fmi2GetString)
-    ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate) ABSENT(fmi2SerializedFMUstateSize) ABSENT(
-        fmi2SetFMUstate) ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString)
-        ABSENT(fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(
-            fmi3DeserializeFMUState) ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode)
-            ABSENT(fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates) ABSENT(
-                fmi3ExitConfigurationMode) ABSENT(fmi3FreeFMUState) ABSENT(fmi3GetAdjointDerivative)
-                ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(
-                    fmi3GetContinuousStates) ABSENT(fmi3GetDirectionalDerivative)
-                    ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetFMUState) ABSENT(fmi3GetInt16) ABSENT(
-                        fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction)
-                        ABSENT(fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
-                            ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies)
-                                ABSENT(fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(
-                                    fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16)
-                                    ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(
-                                        fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
-                                        ABSENT(fmi3InstantiateScheduledExecution) ABSENT(
-                                            fmi3SerializeFMUState) ABSENT(fmi3SerializedFMUStateSize)
-                                            ABSENT(fmi3SetBinary) ABSENT(fmi3SetClock) ABSENT(
-                                                fmi3SetContinuousStates) ABSENT(fmi3SetFMUState)
-                                                ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8) ABSENT(
-                                                    fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
-                                                    ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
-                                                        ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
-                                                            ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
-                                                                ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
+ABSENT(fmi2GetDirectionalDerivative)
+ABSENT(fmi2GetIntegerStatus) ABSENT(fmi2GetRealOutputDerivatives) ABSENT(fmi2GetStatus) ABSENT(
+    fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate)
+    ABSENT(fmi2SerializedFMUstateSize) ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(
+        fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState)
+        ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode) ABSENT(
+            fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates)
+            ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative) ABSENT(fmi3GetBinary) ABSENT(
+                fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(fmi3GetContinuousStates)
+                ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetInt16)
+                    ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction) ABSENT(
+                        fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
+                        ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies)
+                            ABSENT(fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(
+                                fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16)
+                                ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(
+                                    fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
+                                    ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
+                                        ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary) ABSENT(
+                                            fmi3SetClock) ABSENT(fmi3SetContinuousStates) ABSENT(fmi3SetInt16)
+                                            ABSENT(fmi3SetInt8) ABSENT(fmi3SetIntervalDecimal)
+                                                ABSENT(fmi3SetIntervalFraction) ABSENT(fmi3SetShiftDecimal)
+                                                    ABSENT(fmi3SetShiftFraction) ABSENT(fmi3SetString)
+                                                        ABSENT(fmi3SetTime) ABSENT(fmi3SetUInt16)
+                                                            ABSENT(fmi3SetUInt32) ABSENT(fmi3SetUInt64)
+                                                                ABSENT(fmi3SetUInt8)
                                                                     ABSENT(fmi3UpdateDiscreteStates)

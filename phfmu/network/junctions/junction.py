@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
-from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 
 Kind = Literal["0", "1"]
@@ -14,6 +13,12 @@ Kind = Literal["0", "1"]
 
 class ConnectionError(ValueError):
     """A connection that cannot be made; the message names both sides, the numbers and the remedy."""
+
+
+class WithPorts(Protocol):
+    """A member, as far as junctions look at it: a declaration or a unit."""
+
+    def port(self, name: str) -> Port: ...
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,6 @@ class Junction:
     kind: Kind
     ends: tuple[End, ...]
 
-    def ports(self, members: Mapping[str, PHDAE]) -> dict[End, Port]:
+    def ports(self, members: Mapping[str, WithPorts]) -> dict[End, Port]:
         """The ports that meet, in the order of the ends."""
         return {e: members[e.member].port(e.port) for e in self.ends}

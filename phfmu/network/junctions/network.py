@@ -7,7 +7,10 @@ With power positive into every component the powers of the joined ports add to z
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
@@ -16,26 +19,42 @@ from phfmu.network.junctions.compose import compose
 from phfmu.network.junctions.junction import ConnectionError, End, Junction, Kind
 from phfmu.words import meant
 
+if TYPE_CHECKING:
+    from phfmu.fmu.unit_file import UnitFile
+
 
 @dataclass
 class Network:
     """Members and junctions under construction; `compose()` turns them into one PHDAE.
 
-    A member is a PHDAE, or anything with the same `name` and `ports` (an FMU described by its ports).
+    A member is a PHDAE, or an FMU: a `UnitFile`, or a PHDAE that has its ports only.
     """
 
     name: str
-    members: dict[str, PHDAE] = field(default_factory=dict)
+    members: dict[str, PHDAE | UnitFile] = field(default_factory=dict)
     junctions: list[Junction] = field(default_factory=list)
     description: str = ""
 
-    def add(self, name: str, member: PHDAE) -> None:
-        """Add a member; its variables get the prefix `name.`.  ConnectionError if the name or object is taken."""
+    def add(
+        self, name: str, member: PHDAE | UnitFile | str | PathLike[str], ports: Mapping[str, Any] | None = None
+    ) -> None:
+        """Add a member; its variables get the prefix `name.`.
+
+        A member may be the path of an FMU; `ports` says which of its variables are conjugate pairs, see
+        `phfmu.fmu.port_tables`, where neither it nor a file beside it does.
+        Errors: ConnectionError if the name or object is taken; FMUError for a unit that cannot be read, or other ports than its.
+        """
         if name in self.members:
             raise ConnectionError(f"{self.name}: there is a member '{name}' already; give the new one another name")
         if any(member is m for m in self.members.values()):
             raise ConnectionError(f"{self.name}: '{name}' is the same object as another member; build a second one")
         self._check_name("member", name)
+        if isinstance(member, str | PathLike):
+            from phfmu.fmu.unit_file import unit_file
+
+            member = unit_file(member, ports)
+        elif ports is not None:
+            raise ConnectionError(f"{self.name}: '{name}' has ports of its own; `ports` is for the path of an FMU")
         self.members[name] = member
 
     def connect(self, a: str, b: str, *, name: str = "", signs: tuple[int, int] | None = None) -> Junction:
@@ -76,13 +95,30 @@ class Network:
         return self._join(Junction(name, kind or self._default_kind(self._port(ends[0])), ends))
 
     def compose(self) -> PHDAE:
-        """The network as one PHDAE: the class is closed under interconnection."""
-        return compose(self.name, self.members, self.junctions, self.description)
+        """The network as one PHDAE: the class is closed under interconnection.  ConnectionError names units in it."""
+        if self.units:
+            raise ConnectionError(
+                f"{self.name}: {', '.join(self.units)} {'is an FMU' if len(self.units) == 1 else 'are FMUs'}, which cannot be "
+                "composed into one model; step the members apart (--coupling newton)"
+            )
+        return compose(self.name, self.declared, self.junctions, self.description)
+
+    @property
+    def declared(self) -> dict[str, PHDAE]:
+        """Members that are declarations."""
+        return {n: m for n, m in self.members.items() if isinstance(m, PHDAE)}
+
+    @property
+    def units(self) -> dict[str, UnitFile]:
+        """Members that are FMUs."""
+        return {n: m for n, m in self.members.items() if not isinstance(m, PHDAE)}
 
     @property
     def composable(self) -> bool:
-        """Whether all members are declared; a unit stands in a network with its ports only."""
-        return all(m.states or m.algebraics or m.structure or m.dissipation for m in self.members.values())
+        """Whether all members are declared."""
+        return not self.units and all(
+            m.states or m.algebraics or m.structure or m.dissipation for m in self.declared.values()
+        )
 
     def port_of(self, end: End) -> Port:
         """The port an end of a junction refers to."""

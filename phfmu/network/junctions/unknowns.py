@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, algebraic
-from phfmu.network.junctions.junction import End, Junction
+from phfmu.network.junctions.junction import End, Junction, WithPorts
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Unknowns:
         return self.dual.get(end, self.common)
 
 
-def junction_unknowns(members: Mapping[str, PHDAE], junction: Junction) -> Unknowns:
+def junction_unknowns(members: Mapping[str, WithPorts], junction: Junction) -> Unknowns:
     """The algebraic variables of `junction`; named `<junction>.v[..]` and `<member>.<port>.i[..]` (domain names)."""
     ports = junction.ports(members)
     first = next(iter(ports.values()))

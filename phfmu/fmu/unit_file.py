@@ -1,0 +1,85 @@
+"""A unit as a member of a network: the file, its ports, and values before the start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from phfmu.declare.port import Port
+from phfmu.files import located
+from phfmu.fmu.archive import open_archive
+from phfmu.fmu.interface import Interface
+from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.port_tables import port_maps, read_sidecar, sidecar
+from phfmu.fmu.variables import FMUError
+from phfmu.words import meant
+
+
+@dataclass(frozen=True, eq=False)
+class UnitFile:
+    """A unit that has been read; `port_maps`: its ports in the names of its variables; `starts`: values before the start."""
+
+    path: Path
+    interface: Interface
+    port_maps: tuple[PortMap, ...]
+    starts: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return self.interface.name
+
+    @property
+    def description(self) -> str:
+        return self.interface.description
+
+    @cached_property
+    def ports(self) -> tuple[Port, ...]:
+        """As a declaration has them."""
+        return self.interface.declared_ports(self.port_maps)
+
+    def port(self, name: str) -> Port:
+        """The port called `name`; KeyError names those there are."""
+        for p in self.ports:
+            if p.name == name:
+                return p
+        raise KeyError(f"{self.path} has no port '{name}'; {meant(name, [p.name for p in self.ports])}")
+
+    def settable_names(self) -> list[str]:
+        """Variables that have a value before the start."""
+        return [
+            n
+            for n, v in self.interface.variables.items()
+            if v.causality in ("parameter", "input") or v.start is not None
+        ]
+
+    def with_starts(self, values: Mapping[str, float]) -> UnitFile:
+        """A copy with other values before the start; KeyError names close ones if one is unknown."""
+        known = self.settable_names()
+        for name in values:
+            if name not in known:
+                raise KeyError(f"{self.path} has no parameter, state or input '{name}'; {meant(name, known)}")
+        return replace(self, starts={**self.starts, **values})
+
+
+def unit_file(path: str | PathLike[str], ports: Mapping[str, Any] | None = None) -> UnitFile:
+    """The unit, also beside the scene's file, with its ports.
+
+    `ports`: tables or `PortMap`s by name.  Without them: those of `pump.ports.toml` beside `pump.fmu`, else of
+    the manifest of this package.  FMUError if the unit cannot be read, or its ports do not fit it.
+    """
+    path = located(Path(path))
+    if path.suffix.lower() != ".fmu":
+        raise FMUError(f"{path}: a unit is a file whose name ends with .fmu")
+    interface = open_archive(path).interface
+    beside = sidecar(path)
+    if ports is not None:
+        maps = port_maps(ports, interface, str(path))
+    elif beside.is_file():
+        maps = read_sidecar(beside, interface)
+    else:
+        maps = interface.ports
+    return UnitFile(path, interface, maps)
