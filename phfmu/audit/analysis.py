@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.steps import Steps
 
-from .block import ESTIMATED, EXACT, SILENT, Layout, PortKey, make_block
+from .block import ESTIMATED, EXACT, LOOSE, SILENT, Layout, PortKey, make_block
 from .contradictions import Contradictions
 from .judge import DEFAULT_RTOL, Violation
 from .ledger import Ledger
@@ -184,7 +184,7 @@ class _Reader:
 
     def _layout(self, tables: Mapping[str, tuple[Rows, int]]) -> Layout:
         """Names of the columns, from the first step."""
-        parts = {kind: rows.take(slice(0, m)) for kind, (rows, m) in tables.items() if kind in ("component", "port")}
+        parts = {kind: rows.take(slice(0, m)) for kind, (rows, m) in tables.items() if kind in _STEPPED}
         key = tuple(x.tobytes() for p in parts.values() for x in (*p.names.values(), *_index(p)))
         if key not in self._layouts:
             self._layouts[key] = self._new_layout(parts)
@@ -211,7 +211,8 @@ class _Reader:
                 claimed = name(p.names["quality"][i])
                 if claimed == SILENT and component not in owners and not p.values("dH")[i]:
                     silent.add(component)
-        layout = Layout(components, tuple(keys), frozenset(silent))
+        loose = "junction" in parts and LOOSE in map(name, parts["junction"].names["quality"])
+        layout = Layout(components, tuple(keys), frozenset(silent), loose)
         if "component" in parts:
             for component, code in zip(components, parts["component"].names["quality"], strict=True):
                 claimed, found = name(code) or EXACT, layout.quality(component)

@@ -14,6 +14,7 @@ from .sums import Floats, Ints, across
 EXACT = "exact"
 ESTIMATED = "estimated"  # a quadrature, not the step's own
 SILENT = "none"  # a unit that tells nothing
+LOOSE = "loose"  # of junctions: members are coupled once a step, or an iteration was given up; their energy is told, not judged
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +33,13 @@ class Layout:
     """Names of the columns of `Steps`: c components, q scalar ports; the junctions follow from the ports.
 
     `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
+    `loose`: the coupling does not claim that junctions create no energy.
     """
 
     components: tuple[str, ...]
     ports: tuple[PortKey, ...] = ()
     silent: frozenset[str] = frozenset()
+    loose: bool = False
 
     @cached_property
     def junctions(self) -> dict[str, list[int]]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block
+from .block import LOOSE, Block
 from .events import EventRow
 
 SCHEMA_VERSION = 1
@@ -27,7 +27,7 @@ COLUMNS = {
     "index": "i32",  # of the pair within a vector port, from 1
     "junction": "name",
     "kind": "name",  # of an event: what happened
-    "quality": "name",  # exact | estimated | none
+    "quality": "name",  # exact | estimated | none; of a junction that no coupling closes: loose
     "H": "f64",  # [J] network: sum over the components at the end of the step
     "H0": "f64",  # [J]
     "H1": "f64",  # [J]
@@ -61,7 +61,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
         "residual_rel",
     ),
     "port": ("component", "port", "index", "junction", "quality", "supplied"),
-    "junction": ("junction", "residual", "exchanged"),
+    "junction": ("junction", "quality", "residual", "exchanged"),
     "network": (
         *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained"),
         *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained", "iterations", "accepted_by"),
@@ -121,7 +121,10 @@ def block_sections(block: Block, encode: Encode) -> list[Section]:
         sections.append(_repeat(block, "port", names, {"supplied": s.pairs}, encode))
     if layout.junctions:
         values = {"residual": block.junction_residual, "exchanged": block.junction_exchanged}
-        sections.append(_repeat(block, "junction", {"junction": list(layout.junctions)}, values, encode))
+        names = {"junction": list(layout.junctions)}
+        if layout.loose:
+            names["quality"] = [LOOSE] * len(layout.junctions)
+        sections.append(_repeat(block, "junction", names, values, encode))
     network = {name: column[:, None] for name, column in block.network.items()}
     sections.append(_repeat(block, "network", {}, network, encode))
     if s.iterations is not None:

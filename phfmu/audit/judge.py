@@ -164,7 +164,10 @@ class Judge:
             passed = 2.0 * block.junction_exchanged
             reach = _running([self._junctions.get(name, 0.0) for name in names], _finite(passed))
             self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
-            self._mark("junction", names, block.junction_residual, self.rtol * passed + FLOOR * EPS * reach, block)
+            judged = np.full(len(names), not block.layout.loose)
+            self._mark(
+                "junction", names, block.junction_residual, self.rtol * passed + FLOOR * EPS * reach, block, judged
+            )
         rounding = ULPS * EPS * np.abs(block.steps.pairs).sum(axis=1)
         permitted = (allowed.sum(axis=1) + rounding)[:, None]
         self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)

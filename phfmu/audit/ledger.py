@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from phfmu.engine.steps import Steps
 
-from .block import ESTIMATED, EXACT, Block, Layout, make_block
+from .block import ESTIMATED, EXACT, LOOSE, Block, Layout, make_block
 from .events import EventCount, EventRow
 from .judge import COMPONENT, DEFAULT_RTOL, Judge, Violation, word
 from .sink import Sink
@@ -44,6 +44,7 @@ class Ledger:
         self._ports: dict[tuple[str, str], tuple[str | None, str]] = {}
         self._junctions: dict[str, float] = {}
         self._estimated: set[str] = set()
+        self._loose: set[str] = set()
         self._unexplained = 0.0
         self._steps = 0
         self._t_start = self._t_end = math.nan
@@ -99,6 +100,7 @@ class Ledger:
             pairs = block.steps.pairs[:, list(some.values())]  # steps, ports, pairs
             self._sums.extend([("port", *key) for key in some], pairs.transpose(0, 2, 1).reshape(-1, len(some)))
         names = list(layout.junctions)
+        self._loose.update(names if layout.loose else ())
         self._sums.extend([("junction", name) for name in names], block.junction_residual)
         self._sums.extend([("exchanged", name) for name in names], block.junction_exchanged)
         for j, name in enumerate(names):
@@ -173,7 +175,8 @@ class Ledger:
         )
 
     def _junction(self, name: str, worst: float, found: list[Violation]) -> JunctionSummary:
-        get, quality = self._sums.get, ESTIMATED if name in self._estimated else EXACT
+        get = self._sums.get
+        quality = LOOSE if name in self._loose else ESTIMATED if name in self._estimated else EXACT
         verdict = word(found, ("junction",), name, quality)
         return JunctionSummary(name, get("junction", name) or 0.0, get("exchanged", name), worst, verdict)
 

@@ -96,7 +96,7 @@ _NEEDED = {
         *("component", "quality"),
     ),
     "port": ("supplied", "index", "component", "port", "junction", "quality"),
-    "junction": ("junction", "residual", "exchanged"),
+    "junction": ("junction", "quality", "residual", "exchanged"),
     "network": tuple(name for name in FIELDS["network"] if name not in ("iterations", "accepted_by")),
     "event": ("energy_jump", "kind", "component", "message"),
 }

@@ -44,7 +44,10 @@ class PortSummary:
 
 @dataclass
 class JunctionSummary:
-    """Energy that a junction created (its members got more than they gave), and what passed through it."""
+    """Energy that a junction created (its members got more than they gave), and what passed through it.
+
+    verdict: closed | VIOLATED | estimated | loose.
+    """
 
     junction: str
     residual: float

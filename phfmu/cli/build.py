@@ -16,6 +16,7 @@ from phfmu.words import meant
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.unit_file import UnitFile
+    from phfmu.network.couplings.named import Named
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.junctions.junction import End
     from phfmu.network.junctions.network import Network
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """What a command line asks to run; `label`: for the run's head line; `whole`: one composed model, not units or members.
+    """What a command line asks to run; `label`: for the run's head line; `whole`: one composed model, not units or members;
+    `notes`: what is not as asked for, one line each.
 
     `build` makes the stepper, which may compile: what can be refused before should be.
     """
@@ -35,6 +37,7 @@ class Job:
     label: str
     whole: bool
     build: Callable[[], Stepper]
+    notes: Sequence[str] = ()
 
 
 def job_of(args: argparse.Namespace) -> Job:
@@ -48,14 +51,26 @@ def job_of(args: argparse.Namespace) -> Job:
     s = scene(args.target)
     s = replace(s, system=_with_settings(s.system, settings(args.set)))
     require_sound_scene(args, s)
-    if s.units and isinstance(s.system, Network):
-        return _coupled(args, s, s.system)
-    declaration = s.declaration()
-    if args.coupling == "newton":
-        if not isinstance(s.system, Network):
-            raise ValueError(f"{args.target} is a single component; --coupling newton needs a network of members")
-        return _coupled(args, s, s.system)
-    return _monolithic(args, s, declaration)
+    name, why = _coupling(args, s)
+    if name == "monolithic":
+        return _monolithic(args, s, s.declaration())
+    if not isinstance(s.system, Network):
+        raise ValueError(f"{args.target} is a single component; --coupling {name} needs a network of members")
+    return _coupled(args, s, s.system, name, why)
+
+
+def _coupling(args: argparse.Namespace, s: Scene) -> tuple[str, list[str]]:
+    """The coupling asked for, or the one that fits and the line that says why; one model without a word if nobody asked."""
+    from phfmu.network.couplings.auto import choose
+    from phfmu.network.junctions.network import Network
+
+    if args.coupling not in (None, "auto"):
+        return args.coupling, []
+    if not isinstance(s.system, Network):
+        return "monolithic", []
+    found = choose(s.system)
+    silent = args.coupling is None and found.name == "monolithic"
+    return found.name, [] if silent else [f"coupling {found.name}: {found.why}"]
 
 
 def require_sound_scene(args: argparse.Namespace, s: Scene, events: Sequence[Event] | None = None) -> None:
@@ -137,35 +152,34 @@ def _unknown(net: Network, name: str) -> str:
     return f"{net.name} has no parameter, state or input '{name}'; {meant(name, known, members)}"
 
 
-def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf) -> str:
-    """Schemes, the order of the whole (at most `most`, and why), engine and coupling."""
+def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf, held: str = "") -> str:
+    """Schemes, the order of the whole (at most `most`, and why: `held`), engine and coupling."""
     if not schemes:
         return f"units, {coupling}"
     names = " and ".join(dict.fromkeys(s.name for s in schemes))
     gradient = "" if schemes[0].gradient in ("per-term", "nodal") else f", {schemes[0].gradient}"
     own = min(s.order for s in schemes)
-    why = f" (members of order {own}, inputs held)" if own > most else ""
+    why = f" (members of order {own}, {held})" if own > most else ""
     return f"{names}, order {min(most, own)}{why}{gradient}, {engine} engine, {coupling}"
 
 
-def order_lost(args: argparse.Namespace) -> list[str]:
-    """A line if the coupling does not keep the order that was asked for."""
-    from phfmu.network.couplings.newton import Newton
-
-    if args.coupling != Newton.name or (args.order or 2) <= Newton.order or engine_of(args) != "fmu":
-        return []
-    return [
-        f"--order {args.order} is that of the members: newton joins units by one value per step, held, so the run is of order "
-        f"{Newton.order}; --engine native or python keeps order {args.order}"
-    ]
-
-
-def _most(schemes: Iterable[Scheme], engine: str) -> float:
+def _most(coupling: Named, schemes: Iterable[Scheme], engine: str) -> float:
     """The order that members stepped apart keep together at most."""
-    from phfmu.network.couplings.newton import Newton
     from phfmu.network.members.node_values import takes_node_values
 
-    return inf if engine != "fmu" and all(takes_node_values(s) for s in schemes) else Newton.order
+    at_nodes = coupling.nodes and engine != "fmu" and all(takes_node_values(s) for s in schemes)
+    return inf if at_nodes else coupling.order
+
+
+def _order_lost(asked: int | None, coupling: Named, most: float, engine: str) -> list[str]:
+    """A line if the coupling does not keep the order that was asked for."""
+    if asked is None or asked <= most:
+        return []
+    keeps = f"; --engine native or python keeps order {asked}" if coupling.nodes and engine == "fmu" else ""
+    return [
+        f"--order {asked} is that of the members: {coupling.words} joins them by one value per step, held, so the run is of "
+        f"order {most:g}{keeps}"
+    ]
 
 
 def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> Job:
@@ -185,10 +199,11 @@ def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> Job:
     return Job(s, _label([scheme], engine, "monolithic"), engine != "fmu", build)
 
 
-def _coupled(args: argparse.Namespace, s: Scene, network: Network) -> Job:
-    from phfmu.network.couplings.newton import Newton
+def _coupled(args: argparse.Namespace, s: Scene, network: Network, name: str, why: list[str]) -> Job:
+    from phfmu.network.couplings.named import named_coupling
 
-    engine = engine_of(args)
+    engine, sequence = engine_of(args), args.sequence and [name.strip() for name in args.sequence.split(",")]
+    coupling = named_coupling(name, network, sequence)
     schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
 
     def member(name: str, declaration: PHDAE | UnitFile) -> Member:
@@ -209,11 +224,11 @@ def _coupled(args: argparse.Namespace, s: Scene, network: Network) -> Job:
     def build() -> Stepper:
         from phfmu.network.couplings.coupled import Coupled
 
-        return Coupled(network, [member(name, d) for name, d in network.members.items()])
+        return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling.make)
 
-    most = Newton.order if network.units else _most(schemes.values(), engine)
-    label = _label(list(schemes.values()), engine, f"{Newton.name} coupling", most)
-    return Job(s, label, False, build)
+    most = coupling.order if network.units else _most(coupling, schemes.values(), engine)
+    label = _label(list(schemes.values()), engine, coupling.words, most, coupling.held)
+    return Job(s, label, False, build, [*why, *_order_lost(args.order, coupling, most, engine)])
 
 
 def _unit_member(name: str, file: UnitFile) -> Member:
@@ -263,7 +278,7 @@ def _fmu_run(args: argparse.Namespace) -> Job:
 def _refuse_compiled_in(args: argparse.Namespace) -> None:
     """ValueError for options that an FMU has compiled in."""
     usual = {"order": (None, 2), "scheme": ("auto",), "gradient": ("per-term",), "closure": (None,),
-             "engine": ("auto", "fmu"), "coupling": ("monolithic",)}  # fmt: skip
+             "engine": ("auto", "fmu"), "coupling": (None, "auto", "monolithic")}  # fmt: skip
     for option, values in usual.items():
         asked = getattr(args, option)
         if asked not in values:

@@ -25,6 +25,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli import options
     from phfmu.cli.codes import TARGET
     from phfmu.fmu.version import LATEST, VERSIONS
+    from phfmu.network.couplings.coupling_names import COUPLINGS
 
     parser = verbs.add_parser("run", help="simulate; result table, audit")
     parser.add_argument("target", help=TARGET)
@@ -34,8 +35,11 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--engine", default="auto", choices=("auto", "python", "native", "fmu"),
                         help="auto: native if a C compiler is there, else python")  # fmt: skip
     parser.add_argument("--fmi", choices=tuple(VERSIONS), help=f"FMI version of --engine fmu (default {LATEST})")
-    parser.add_argument("--coupling", default="monolithic", choices=("monolithic", "newton"),
-                        help="monolithic: one composed model; newton: members stepped apart")  # fmt: skip
+    parser.add_argument("--coupling", choices=tuple(COUPLINGS),
+                        help="; ".join(f"{name}: {line}" for name, line in COUPLINGS.items()) + " (default: auto)")  # fmt: skip
+    parser.add_argument(
+        "--sequence", metavar="A,B,..", help="the order in which --coupling gauss-seidel steps the members"
+    )
     options.add_steps(parser)
     options.add_settings(parser)
     options.add_no_check(parser)
@@ -58,7 +62,7 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.cli import options
-    from phfmu.cli.build import job_of, order_lost, require_sound_scene
+    from phfmu.cli.build import job_of, require_sound_scene
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.interrupt import Signals
     from phfmu.cli.outputs import Outputs
@@ -80,7 +84,7 @@ def call(args: argparse.Namespace) -> int:
     summary = result.ledger.summary()
     if not args.quiet:
         _print_run(args, label, result, chosen, report.seconds - outputs.seconds)
-        _print_notes([*order_lost(args), *dropped, *result.notes, *outputs.notes])
+        _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
         print(audit_table(summary), end="")
     if not summary.closed:
         places = dict.fromkeys(v.name for v in summary.violations)

@@ -27,6 +27,8 @@ class Status(Enum):
     NO_SENSITIVITY = "the sensitivity needs a last step of which at most 16 internal steps were halved"
     #: not one of `ph_status`: what only a unit of another tool can answer
     UNIT = "a unit of another tool refused a call"
+    #: nor this: what a coupling of members finds
+    GROWTH = "the energy of the members grows without bound"
 
 
 class StepFailure(RuntimeError):
@@ -175,6 +177,18 @@ REMEDIES = (
         _always,
         "substeps down to {h:.3g} s failed too, so a somewhat smaller step is no remedy: look at the inputs and the state near "
         "this time, which may run to a point without solution",
+    ),
+    Remedy(
+        Status.GROWTH,
+        lambda f: f.composable,
+        "members that step once with each other's old outputs make energy in long steps: take a much smaller step, --coupling "
+        "gauss-seidel instead of jacobi, or --coupling newton or monolithic, which make none at any step",
+    ),
+    Remedy(
+        Status.GROWTH,
+        _always,
+        "members that step once with each other's old outputs make energy in long steps: take a much smaller step, --coupling "
+        "gauss-seidel instead of jacobi, or --coupling newton if the units can save their state",
     ),
     Remedy(
         Status.SINGULAR,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +14,8 @@ from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupling import Coupling, Solution, Step
 from phfmu.network.couplings.end_sums import EndSums
+from phfmu.network.couplings.growth import Growth
+from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.junctions.network import Network
@@ -27,12 +29,18 @@ class Coupled:
 
     what, instead = "members stepped apart", "leave out --coupling newton, which composes them"
 
-    def __init__(self, network: Network, members: list[Member], coupling: Coupling | None = None):
+    def __init__(
+        self,
+        network: Network,
+        members: list[Member],
+        coupling: Coupling | Callable[[Joined], Coupling] = newton,
+    ):
         self.joined = Joined(network, members)
-        self.coupling = newton(self.joined) if coupling is None else coupling
+        self.coupling = coupling(self.joined) if callable(coupling) else coupling
+        self._growth = None if self.coupling.repeats else Growth(self.joined)
         face = self.joined.face
         self.last = Solution(face.start.copy(), np.zeros(len(face.P)))
-        self.booking = self.joined.booking
+        self.booking = replace(self.joined.booking, loose=not self.coupling.repeats)
         self._sums = EndSums(self.joined)
         self.names = [*self.joined.names, *face.names, *self._sums.names]
 
@@ -43,7 +51,12 @@ class Coupled:
         """Set a member's parameter or free input `member.name` and say which it is; KeyError names close ones."""
         self._sums.forget()
         self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
-        return self.joined.set_value(name, value, self.last.xi)
+        if self._growth is None:
+            return self.joined.set_value(name, value, self.last.xi)
+        before = self.energies()
+        kind = self.joined.set_value(name, value, self.last.xi)
+        self._growth.given(self.energies() - before)
+        return kind
 
     def read(self) -> Array:
         """Values of `names` now."""
@@ -71,7 +84,14 @@ class Coupled:
         raise ValueError(f"{network.name}: a coupled network cannot be projected at t = {t0:g} s; {instead}")
 
     def prepare(self, t0: float, h: float) -> None:
-        """Junction values before the first step: those of a trial step, then everything back."""
+        """Junction values before the first step: those of a trial step, then everything back.
+
+        Where steps are not repeated, those that the outputs at the start give.
+        """
+        if self._growth is not None:
+            self._growth.given(self.energies())
+            self.last = Solution(Instant().solve(self.joined, self.last.xi, t0), self.last.y)
+            return
         states = self.joined.states()
         try:
             self.last = self.coupling.solve(self.joined, self.last, Step(t0, h, states))
@@ -95,12 +115,15 @@ class Coupled:
 
         Every member is at t + h with the committed inputs, or, also when reading fails, all are back at t.
         """
-        states, last = self.joined.states(), self.last
+        states, last = self.joined.states(self.coupling.repeats), self.last
         try:
             self.last = self.coupling.solve(self.joined, last, Step(t, h, states))
             known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
             test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
-            return known | test | self.joined.ledger()
+            book = self.joined.ledger()
+            if self._growth is not None:
+                self._growth.watch(t, h, known["H"], book["pairs"])
+            return known | test | book
         except BaseException:
             self.joined.restore(states)
             self.last = last

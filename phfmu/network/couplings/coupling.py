@@ -18,7 +18,10 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Step:
-    """From t by h; `states`: of the members at t, to which they may be brought back as often as it takes."""
+    """From t by h; `states`: of the members at t, to which they may be brought back as often as it takes.
+
+    Where the coupling does not repeat steps, that of a member that cannot save it is None.
+    """
 
     t: float
     h: float
@@ -38,11 +41,13 @@ class Solution:
 class Coupling(Protocol):
     """Finds the junction unknowns of a step.
 
-    `name`: for the head line of a run;  `order`: the most that it keeps, whatever the order of the members.
+    `name`: for the head line of a run;  `order`: the most that it keeps, whatever the order of the members;
+    `repeats`: whether it takes a step more than once, for which members must save their states.
     """
 
     name: str
     order: int
+    repeats: bool
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """One step from step.t, where the members are; they end at step.t + step.h under the returned unknowns.

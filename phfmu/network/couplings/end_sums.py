@@ -10,7 +10,6 @@ from phfmu.network.couplings.joined import Joined
 from phfmu.network.junctions.hidden import hidden_part
 from phfmu.network.junctions.junction import Junction
 from phfmu.network.members.consistent import MONOLITHIC, InconsistentState
-from phfmu.network.members.differences import instant_sensitivity
 from phfmu.signals import SUM
 
 Array = NDArray[np.float64]
@@ -63,13 +62,7 @@ class EndSums:
     def _hidden(self, xi: Array) -> Array:
         """Projector to what no junction unknown can change."""
         if self._projector is None:
-            face, u = self.joined.face, self.joined.inputs(xi)
-            M = face.C.copy()
-            for m, place in zip(self.joined.members, self.joined.places, strict=True):
-                part = face.P[place]
-                if part.any():
-                    M += part.T @ instant_sensitivity(m, u[place]) @ part
-            self._projector = hidden_part(M, face.nominal)
+            self._projector = hidden_part(self.joined.instant_matrix(xi), self.joined.face.nominal)
         return self._projector
 
     def _differ(self, junction: Junction, value: float) -> str:

@@ -17,6 +17,7 @@ from phfmu.network.junctions.compose import require_members
 from phfmu.network.junctions.interface import interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.booking import Booking
+from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
 from phfmu.words import meant
 
@@ -70,12 +71,28 @@ class Joined:
             matrix += part.T @ g @ part
         return matrix
 
-    def states(self) -> list[Any]:
-        return [m.get_state() for m in self.members]
+    def row_sizes(self, xi: Array, y: Array) -> Array:
+        """The terms that each row is a sum of (n); a row without terms is measured by nominal values."""
+        face = self.face
+        nominal = np.maximum(np.abs(face.C) @ face.nominal, 1e-3)
+        return np.abs(face.P.T) @ np.abs(y) + np.abs(face.C) @ np.abs(xi) + 1e-12 * nominal
+
+    def instant_matrix(self, xi: Array) -> Array:
+        """dr/dxi at the present time, where the inputs are those of xi (n x n)."""
+        u, parts = self.inputs(xi), []
+        for m, place in zip(self.members, self.places, strict=True):
+            joined = self.face.P[place].any()
+            parts.append(instant_sensitivity(m, u[place]) if joined else np.zeros((m.nu, m.nu)))
+        return self.matrix(parts)
+
+    def states(self, needed: bool = True) -> list[Any]:
+        """Of all members; where they are not `needed`, None for those that cannot save theirs."""
+        return [m.get_state() if needed or m.saves else None for m in self.members]
 
     def restore(self, states: list[Any]) -> None:
         for m, s in zip(self.members, states, strict=True):
-            m.set_state(s)
+            if s is not None:
+                m.set_state(s)
 
     # -- what can be set, what there is to tell -----------------------------------------------------------------------
 

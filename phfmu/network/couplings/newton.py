@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.coupling import Solution, Step
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.junctions.interface import Interface
 
 Array = NDArray[Any]
 
@@ -41,11 +40,9 @@ class Trial:
     y: Array
     r: Array
 
-    def scaled(self, face: Interface) -> Array:
-        """|r| relative to the terms of its rows; a row without terms is measured by nominal values."""
-        nominal = np.maximum(np.abs(face.C) @ face.nominal, 1e-3)
-        size = np.abs(face.P.T) @ np.abs(self.y) + np.abs(face.C) @ np.abs(self.xi) + 1e-12 * nominal
-        return np.abs(self.r) / size
+    def scaled(self, joined: Joined) -> Array:
+        """|r| relative to the terms of its rows."""
+        return np.abs(self.r) / joined.row_sizes(self.xi, self.y)
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class Worst:
 class Newton:
     """One value per junction unknown and step, held: the whole is of order 2, whatever the order of the members is."""
 
-    name, order = "newton", 2
+    name, order, repeats = "newton", 2, True
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
@@ -71,7 +68,7 @@ class Newton:
             trial = _trial(joined, xi, step)
             if not np.isfinite(trial.r).all():
                 raise _failure(Status.NOT_FINITE, joined, step, trial, history)
-            history.append(float(np.max(trial.scaled(joined.face), initial=0.0)))
+            history.append(float(np.max(trial.scaled(joined), initial=0.0)))
             accepted_by = _accepted(joined, trial, step.h, history, gain)
             if accepted_by:
                 return Solution(xi, trial.y, i + 1, accepted_by)
@@ -118,7 +115,7 @@ def _accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain
 
 
 def _failure(status: Status, joined: Joined, step: Step, trial: Trial, history: list[float]) -> StepFailure:
-    scaled = np.nan_to_num(trial.scaled(joined.face), nan=np.inf)
+    scaled = np.nan_to_num(trial.scaled(joined), nan=np.inf)
     worst = int(np.argmax(scaled))
     found = Worst(joined.face.names[worst], float(trial.xi[worst]), float(abs(trial.r[worst])))
     return failure(status, joined, step, found, history)

@@ -88,7 +88,7 @@ class Trial:
 class NodeNewton:
     """As many values per junction variable and step as the members take: the whole has their order."""
 
-    name = "newton"
+    name, repeats = "newton", True
 
     def __init__(self, exchange: Exchange):
         self.exchange = exchange

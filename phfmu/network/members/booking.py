@@ -16,6 +16,8 @@ class Booking:
     pairs: tuple[tuple[str, str, int | None, str | None], ...]
     #: components whose ledger is a quadrature of port power (foreign FMUs): it closes by construction
     estimated: frozenset[str] = frozenset()
+    #: whether members are coupled without the claim that junctions create no energy
+    loose: bool = False
 
 
 def booking(model: Model) -> Booking:

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 class EngineMember:
     """A member stepped by a Python or native instance of its model."""
 
+    saves = True
+
     def __init__(self, name: str, model: Model, instance: Any):
         self.name, self.model, self.instance = name, model, instance
         self._inputs = Inputs(instance, model)

@@ -63,6 +63,10 @@ class FMUMember:
         self.input_sign = unit.input_sign
         self.nominal = np.array([unit.variable(n).nominal for n in unit.inputs])
 
+    @property
+    def saves(self) -> bool:
+        return self.unit.interface.saves
+
     def settable(self) -> list[str]:
         return list(self.unit.inputs)
 

@@ -17,6 +17,7 @@ class Member(Protocol):
     """What the coupling asks of a member; `places`: port name -> slice of the stacked external inputs.
 
     `input_sign` (nu): -1 where an input called by its name counts out of the member (outward ports of units).
+    `saves`: whether it can give its state and take it back.
     """
 
     name: str
@@ -27,6 +28,8 @@ class Member(Protocol):
     input_sign: Array
     booking: Booking
 
+    @property
+    def saves(self) -> bool: ...
     def settable(self) -> list[str]: ...
     def input_places(self, name: str) -> list[int]: ...
     def set_parameter(self, name: str, value: float) -> bool: ...

@@ -34,7 +34,7 @@ class Book:
         b = stepper.booking
         with_ports = {component for component, *_ in b.pairs}
         self.layout = Layout(
-            b.components, tuple(self._key(*pair, b) for pair in b.pairs), silent=b.estimated - with_ports
+            b.components, tuple(self._key(*pair, b) for pair in b.pairs), b.estimated - with_ports, b.loose
         )
         self.steps, self.iterations = 0, 0.0
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith(CONSTRAINT)]

@@ -1,0 +1,50 @@
+"""Gauss-Seidel coupling: members step one after the other, each with the newest outputs of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phfmu.network.couplings.coupling import Solution, Step
+from phfmu.network.couplings.explicit import ORDER, stepped
+from phfmu.network.couplings.instant import Instant
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.junctions.network import Network
+from phfmu.words import meant
+
+
+class GaussSeidel:
+    """Every member once, in turn.  `sequence`: names of members, by default `usual_sequence`."""
+
+    name, order, repeats = "gauss-seidel", ORDER, False
+
+    def __init__(self, sequence: Sequence[str] | None = None) -> None:
+        self._sequence, self._instant = sequence, Instant()
+
+    def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
+        """ValueError where no output gives a junction unknown, or the sequence is not one of the members."""
+        if self._sequence is None:
+            self._sequence = usual_sequence(joined.network)
+        at = {m.name: i for i, m in enumerate(joined.members)}
+        groups = [[at[name]] for name in complete(self._sequence, joined.network)]
+        return stepped(joined, self._instant, last, step, groups)
+
+
+def usual_sequence(network: Network) -> tuple[str, ...]:
+    """Members that are given efforts come first, as they take the newest flows to those that are given flows."""
+    given: dict[str, list[bool]] = {name: [] for name in network.members}
+    for j in network.junctions:
+        for end in j.ends:
+            given[end.member].append(network.port_of(end).given == "flow")
+    return tuple(sorted(given, key=lambda name: sum(given[name]) / max(len(given[name]), 1)))
+
+
+def complete(sequence: Sequence[str], network: Network) -> tuple[str, ...]:
+    """The sequence, if it has each member of the network once; ValueError."""
+    for name in sequence:
+        if name not in network.members:
+            raise ValueError(f"{network.name} has no member '{name}'; {meant(name, network.members)}")
+    missing = [n for n in network.members if n not in sequence]
+    if missing or len(sequence) != len(network.members):
+        what = f"it lacks {', '.join(missing)}" if missing else "a member is named twice"
+        raise ValueError(f"sequence {', '.join(sequence)}: each member of {network.name} comes once, {what}")
+    return tuple(sequence)
