@@ -6,8 +6,11 @@ import casadi as ca
 
 from phfmu.declare.dense import coefficient, square, stacked
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.value import Value
 from phfmu.declare.variable import _sx, time
-from phfmu.terms.term import Locator, Terms
+from phfmu.terms.canonical import Locator
+from phfmu.terms.term import Terms
+from phfmu.terms.velocities import velocity_of
 
 
 class Flat:
@@ -23,24 +26,24 @@ class Flat:
         for where, e, given in self._mass:
             z[where] = given if given is not None else _divide(e.T, gradient[where])
         self._z = ca.vertcat(*(v.z for v in declaration.states)), ca.densify(z)
-        self.constraint_rows = [i for c in declaration.constraints for i in self._where(c.multiplier, "a")]
+        self.constraint_rows = [i for c in declaration.constraints for i in self._where(c.multiplier)]
         self.constraints = [c.g[j] for c in declaration.constraints for j in range(c.g.numel())]
 
-    def _where(self, v, kind: str) -> list[int]:
-        return [i for k, i in self._locator.of(v) if k == kind]
+    def _where(self, v) -> list[int]:
+        return [at.index for at in self._locator.of(v)]
 
     def _mass_blocks(self) -> list[tuple[list[int], ca.SX, ca.SX | None]]:
         """(states, E of them, costate where it is given): every state once."""
         d, out, done = self.declaration, [], set()
         for pair in d.closed:
-            where = [i for v in pair.variables for i in self._where(v, "x")]
+            where = [i for v in pair.variables for i in self._where(v)]
             out.append((where, ca.SX(pair.E), ca.SX(pair.z)))
             done.update(id(v) for v in pair.variables)
         for key, value in d.E.items():
-            where = [i for v in stacked(key) for i in self._where(v, "x")]
+            where = [i for v in stacked(key) for i in self._where(v)]
             out.append((where, square(value, len(where)), None))
             done.update(id(v) for v in stacked(key))
-        out += [(self._where(v, "x"), ca.SX.eye(v.n), None) for v in d.states if id(v) not in done]
+        out += [(self._where(v), ca.SX.eye(v.n), None) for v in d.states if id(v) not in done]
         return out
 
     def rates(self, f: ca.SX) -> ca.SX:
@@ -56,7 +59,7 @@ class Flat:
         f = ca.SX.zeros(n1 + self.terms.na)
 
         def at(variables) -> list[int]:
-            return [i if k == "x" else n1 + i for v in variables for k, i in locator.of(v)]
+            return [at.index + n1 * (at.kind is not Value.STATE) for v in variables for at in locator.of(v)]
 
         for sign, blocks in ((1.0, d.structure), (-1.0, d.dissipation)):
             for block in blocks:
@@ -68,7 +71,7 @@ class Flat:
             jac = ca.jacobian(g, self.x)
             f[n1 + row] += ca.jacobian(g, time)
             for q in sorted(set(jac.sparsity().get_triplet()[1])):
-                v = self.terms.velocity_of[q]
+                v = velocity_of(self.terms)[q]
                 f[v] -= jac[0, q] * self.a[row]
                 f[n1 + row] += jac[0, q] * self._z[0][v]
         return ca.substitute(f, *self._z)
@@ -85,7 +88,7 @@ class Flat:
             if port.bound is not None:
                 y = ca.mtimes(b.T, self.declaration.effort(v))
                 for j, s in enumerate(port.bound):
-                    f[n1 + self._locator.find(s, port.name)[1]] -= y[j]
+                    f[n1 + self._locator.find(s, port.name).index] -= y[j]
 
 
 def _divide(e: ca.SX, right: ca.SX) -> ca.SX:

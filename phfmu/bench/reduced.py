@@ -25,7 +25,8 @@ from phfmu.bench.flat import Flat
 from phfmu.declare.phdae import PHDAE, _starts
 from phfmu.declare.variable import _sx, time
 from phfmu.terms.extract import extract
-from phfmu.terms.term import Hidden, Terms
+from phfmu.terms.hidden import Hidden
+from phfmu.terms.term import Terms
 
 Array = NDArray[np.float64]
 
@@ -120,7 +121,7 @@ def reduced(declaration: PHDAE, *, gamma: float = 20.0, live: Collection[str] = 
     gamma: Baumgarte stabilisation [1/s].  Errors: DeclarationError of the extraction.
     """
     terms = extract(declaration)
-    hidden = terms.hidden
+    hidden = terms.found(Hidden)
     system = Flat(declaration, terms)
     f, a = system.right_hand_side(), system.a
     rate = system.rates(f[: terms.n1])

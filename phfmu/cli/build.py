@@ -165,9 +165,7 @@ def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf
 
 def _most(coupling: Named, schemes: Iterable[Scheme], engine: str) -> float:
     """The order that members stepped apart keep together at most."""
-    from phfmu.network.members.node_values import takes_node_values
-
-    at_nodes = coupling.nodes and engine != "fmu" and all(takes_node_values(s) for s in schemes)
+    at_nodes = coupling.nodes and engine != "fmu" and all(s.node_values for s in schemes)
     return inf if at_nodes else coupling.order
 
 

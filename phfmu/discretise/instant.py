@@ -13,18 +13,16 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.value import Value
 from phfmu.plan.address import (
     READ,
     Address,
     costate,
     costate_row,
-    force,
     gradient,
     increment,
     row,
     source,
-    velocity_costate,
-    velocity_increment,
 )
 from phfmu.plan.arguments import Arguments
 from phfmu.plan.layout import Layout
@@ -33,7 +31,9 @@ from phfmu.plan.planner import Maps, make_plan
 from phfmu.plan.spec import Result, Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, of_algebraics, of_states
 from phfmu.schemes.scheme import node_holds
-from phfmu.terms.hidden import Check, rates
+from phfmu.schemes.velocities import force, velocity_costate, velocity_increment
+from phfmu.terms.hidden import Check, Hidden, rates, variable_at
+from phfmu.terms.located import Row, ValueAt
 from phfmu.terms.term import (
     CLOSED,
     CONSTRAINT,
@@ -45,10 +45,10 @@ from phfmu.terms.term import (
     MASS_BLOCK,
     OBSERVABLE,
     SOURCE,
-    Hidden,
     Term,
     Terms,
 )
+from phfmu.terms.velocities import velocity_of
 
 #: the rate of an algebraic variable that a differentiated row contains; its row is the undifferentiated one that gives it
 RATE = Role("rate of an algebraic variable")
@@ -56,48 +56,48 @@ RATE = Role("rate of an algebraic variable")
 
 def algebraic_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The rate of the j-th algebraic variable that the term reads."""
-    return layout.at(RATE, term.index["a"][j], node)
+    return layout.at(RATE, term.index[Value.ALGEBRAIC][j], node)
 
 
 def input_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The rate of the algebraic variable that feeds the j-th input that the term reads."""
-    return layout.at(RATE, layout.terms.bound[term.index["u"][j]], node)
+    return layout.at(RATE, layout.terms.bound[term.index[Value.INPUT][j]], node)
 
 
 def costate_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The rate of the j-th costate that the term reads."""
     del node
-    return layout.costate_rate(term.index["z"][j])
+    return layout.costate_rate(term.index[Value.COSTATE][j])
 
 
 def velocity_costate_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The rate of the costate of the velocity that belongs to the term's j-th position."""
     del node
-    return layout.costate_rate(layout.terms.velocity_of[term.index["x"][j]])
+    return layout.costate_rate(velocity_of(layout.terms)[term.index[Value.STATE][j]])
 
 
 def gradient_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """Slot of the rate of the costate of the term's j-th state."""
     del node
-    return layout.rate_slot(term.rows[j][1])
+    return layout.rate_slot(term.rows[j].index)
 
 
 def source_rate(layout: Layout, term: Term, j: int, node: int) -> int:
     """Slot of the rate of a source."""
     del j, node
-    return layout.source_rate_slot(term.rows[0][1])
+    return layout.source_rate_slot(term.rows[0].index)
 
 
 def velocity_check(layout: Layout, term: Term, j: int, node: int) -> int:
     """The reported term's j-th row, undifferentiated."""
     del node
-    return layout.report(("velocity", term.rows[j][1]))
+    return layout.report(("velocity", term.rows[j].index))
 
 
 def position_check(layout: Layout, term: Term, j: int, node: int) -> int:
     """The reported constraint g."""
     del node
-    return layout.report(("position", term.rows[j][1]))
+    return layout.report(("position", term.rows[j].index))
 
 
 def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], Layout]:
@@ -105,8 +105,8 @@ def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], L
 
     `rests`: redundant constraints may rest.
     """
-    hidden = terms.hidden
-    if hidden.rows and terms.solved_costates:
+    hidden, solved = terms.found(Hidden), terms.solved_costates()
+    if hidden.rows and solved:
         raise DeclarationError(
             terms.model.name,
             "constraints together with a non-diagonal or state-dependent E are not supported yet",
@@ -114,10 +114,10 @@ def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], L
             "descriptor",
         )
     unknowns = of_states(terms, INCREMENT, "rate of", range(terms.n1)) if hidden.rows else []
-    unknowns += of_states(terms, COSTATE, "costate of", terms.solved_costates)
+    unknowns += of_states(terms, COSTATE, "costate of", solved)
     unknowns += of_algebraics(terms, ALGEBRAIC, "equation of", range(terms.na))
     unknowns += of_algebraics(terms, RATE, "rate of", sorted(hidden.solved_by.values()))
-    position = {t.rows[0][1] for t in terms.of(CONSTRAINT)}
+    position = {t.rows[0].index for t in terms.of(CONSTRAINT)}
     levels = (("velocity", hidden.checks), ("position", sorted(position)))
     checks = [Check(terms.algebraic_names[a], level, a) for level, which in levels for a in which]
     reports = [*range(len(terms.observable_names)), *((c.level, c.row) for c in checks)]
@@ -126,7 +126,7 @@ def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], L
     cache: dict[tuple, list[Spec]] = {}
     work = []
     for term in terms.terms:
-        key = (term.key, tuple((r[0] == "a" and r[1] in hidden.rows, r[1] in hidden.solved_by) for r in term.rows))
+        key = (term.key, tuple((hidden.differentiates(r), r.index in hidden.solved_by) for r in term.rows))
         if key not in cache:
             cache[key] = rule.specs(term)
         work.append((term, cache[key]))
@@ -164,7 +164,7 @@ class _Instant:
         return build(term)
 
     def _energy(self, term: Term) -> list[Spec]:
-        args, x = Arguments(term, 1), term.local["x"]
+        args, x = Arguments(term, 1), term.local[Value.STATE]
         w = term.data["z"] if "z" in term.data else ca.gradient(term.data["H"], x) * term.data["scale"]
         return [self._costates(args, x, w, term.data["H"])]
 
@@ -177,7 +177,7 @@ class _Instant:
         return Spec(0, args.x, args.p, args.y, out, stored=h)
 
     def _closed(self, term: Term) -> list[Spec]:
-        args, x = Arguments(term, 1), term.local["x"]
+        args, x = Arguments(term, 1), term.local[Value.STATE]
         specs = [self._costates(args, x, term.data["z"], term.data["H"])]
         if self.rate:
             args = Arguments(term, 1)
@@ -200,24 +200,25 @@ class _Instant:
 
     def _source(self, term: Term) -> list[Spec]:
         args, s = Arguments(term, 1), term.data["s"]
+        rate = ca.gradient(s, term.local[Value.TIME]) if Value.TIME in term.local else ca.SX(0)
         out: list[Result] = [(Address(source), 0, s)]
         if self.rate:
-            out.append((Address(source_rate), 0, ca.gradient(s, term.local["t"]) if "t" in term.local else ca.SX(0)))
+            out.append((Address(source_rate), 0, rate))
         return [Spec(0, args.x, args.p, args.y, out)]
 
     def _flow(self, term: Term) -> list[Spec]:
         args, local, f = Arguments(term, 1), term.local, term.data["f"]
-        chosen = [j for j, (kind, i) in enumerate(term.rows) if kind == "a" and i in self.hidden.rows]
+        chosen = [j for j, r in enumerate(term.rows) if self.hidden.differentiates(r)]
         made = {k: args.matrix(place, local[k].numel()) for k, place in READ.items() if k in local}
         drift = self._drift(term, args, chosen) if chosen else ca.SX(f.numel(), 1)
         f, drift = ca.substitute([f, drift], [local[k] for k in made], list(made.values()))
         out: list[Result] = []
-        for j, (kind, i) in enumerate(term.rows):
-            if kind == "x" and not self.rate:
+        for j, r in enumerate(term.rows):
+            if r.kind is Row.BALANCE and not self.rate:
                 continue
-            value = f[j] if kind == "y" else -(drift[j] if j in chosen else f[j])
+            value = f[j] if r.kind is Row.OUTPUT else -(drift[j] if j in chosen else f[j])
             out.append((Address(row, j), 0, value))
-            if j in chosen and i in self.hidden.solved_by:
+            if j in chosen and r.index in self.hidden.solved_by:
                 out.append((Address(self._original, j), 0, -f[j]))
             elif j in chosen:
                 out.append((Address(velocity_check, j), 0, f[j]))
@@ -227,20 +228,20 @@ class _Instant:
         """df/dt along x1', the costate rates and the rates of algebraic variables; held inputs have none."""
         local, f = term.local, term.data["f"]
         drift = ca.SX(f.numel(), 1)
-        if "x" in local:
-            drift += ca.jtimes(f, local["x"], args.matrix(increment, local["x"].numel()))
-        if "z" in local:
-            drift += ca.jtimes(f, local["z"], args.matrix(costate_rate, local["z"].numel()))
-        if "t" in local:
-            drift += ca.jacobian(f, local["t"])
-        place = {"a": algebraic_rate, "u": input_rate}
-        for kind, i in rates(term, chosen, self.bound):
-            drift += ca.jacobian(f, local[kind][i]) * args.symbol(place[kind], i)
+        if Value.STATE in local:
+            drift += ca.jtimes(f, local[Value.STATE], args.matrix(increment, local[Value.STATE].numel()))
+        if Value.COSTATE in local:
+            drift += ca.jtimes(f, local[Value.COSTATE], args.matrix(costate_rate, local[Value.COSTATE].numel()))
+        if Value.TIME in local:
+            drift += ca.jacobian(f, local[Value.TIME])
+        place = {Value.ALGEBRAIC: algebraic_rate, Value.INPUT: input_rate}
+        for at in rates(term, chosen, self.bound):
+            drift += ca.jacobian(f, local[at.kind][at.index]) * args.symbol(place[at.kind], at.index)
         return drift
 
     def _original(self, layout: Layout, term: Term, j: int, node: int) -> int:
         """The undifferentiated form of the term's j-th row, which gives a variable."""
-        return layout.at(RATE, self.hidden.solved_by[term.rows[j][1]], node)
+        return layout.at(RATE, self.hidden.solved_by[term.rows[j].index], node)
 
     def _observable(self, term: Term) -> list[Spec]:
         args, local, f = Arguments(term, 1), term.local, term.data["f"]
@@ -249,11 +250,11 @@ class _Instant:
         return [Spec(1, args.x, args.p, args.y, [(Address(row, j), 0, f[j]) for j in range(f.numel())])]
 
     def _constraint(self, term: Term) -> list[Spec]:
-        args, q, g = Arguments(term, 1), term.local["x"], term.data["g"]
+        args, q, g = Arguments(term, 1), term.local[Value.STATE], term.data["g"]
         n = q.numel()
         z, dz = args.matrix(velocity_costate, n), args.matrix(velocity_costate_rate, n)
         lam, r = args.matrix(force, 1), args.matrix(increment, n)
-        grad, t = ca.gradient(g, q), term.local.get("t")
+        grad, t = ca.gradient(g, q), term.local.get(Value.TIME)
         moving = ca.SX(0) if t is None else ca.gradient(g, t)
         speed = ca.dot(grad, z) + moving
         rate = ca.dot(grad, dz) + ca.dot(ca.gradient(speed, q), r)
@@ -270,32 +271,29 @@ def _constants(layout: Layout, hidden: Hidden) -> list[tuple[int, int, float, in
     other = terms.with_descriptor()
     if hidden.rows:
         out += [(w, w, 1.0, 0) for w in (layout.at(INCREMENT, i) for i in range(terms.n1) if i not in other)]
-    out += [(layout.at(COSTATE, i), layout.nv + layout.slot(i, 0), -1.0, 0) for i in terms.solved_costates]
-    for kind, r, source_kind, i, value in terms.constants:
-        if kind == "x" and not hidden.rows:
+    out += [(layout.at(COSTATE, i), layout.nv + layout.slot(i, 0), -1.0, 0) for i in terms.solved_costates()]
+    for c in terms.constants:
+        if c.row.kind is Row.BALANCE and not hidden.rows:
             continue
-        src = layout.value(source_kind, i)
-        if kind == "a" and r in hidden.rows:
+        source, r = layout.value(c.source), c.row.index
+        if hidden.differentiates(c.row):
             if r in hidden.solved_by:
-                out.append((layout.at(RATE, hidden.solved_by[r]), src, -value, 0))
+                out.append((layout.at(RATE, hidden.solved_by[r]), source, -c.value, 0))
             else:
-                out.append((layout.report(("velocity", r)), src, value, 0))
-            rate = _rate(layout, source_kind, i)
+                out.append((layout.report(("velocity", r)), source, c.value, 0))
+            rate = _rate(layout, c.source)
             if rate is not None:
-                out.append((layout.row("a", r), rate, -value, 0))
+                out.append((layout.row(c.row), rate, -c.value, 0))
         else:
-            out.append((layout.row(kind, r), src, value if kind == "y" else -value, 0))
+            out.append((layout.row(c.row), source, c.value if c.row.kind is Row.OUTPUT else -c.value, 0))
     return out
 
 
-def _rate(layout: Layout, kind: str, i: int) -> int | None:
+def _rate(layout: Layout, value: ValueAt) -> int | None:
     """Y index of the time derivative of a value in a differentiated row; held inputs have none."""
-    if kind == "z":
-        return layout.costate_rate(i)
-    if kind == "a":
-        return layout.at(RATE, i)
-    if i in layout.terms.bound:
-        return layout.at(RATE, layout.terms.bound[i])
-    if i in layout.sources:
-        return layout.nv + layout.source_rate_slot(i)
-    return None
+    variable = variable_at(value, layout.terms.bound)
+    if variable is not None:
+        return layout.at(RATE, variable)
+    if value.kind is Value.COSTATE:
+        return layout.costate_rate(value.index)
+    return layout.nv + layout.source_rate_slot(value.index) if value.index in layout.sources else None

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from phfmu.declare.value import Value
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
 from phfmu.terms.term import Term
 
@@ -37,27 +38,27 @@ class Address:
 
 def increment(layout: Layout, term: Term, j: int, node: int) -> int:
     """Increment of the term's j-th state."""
-    return layout.at(INCREMENT, term.index["x"][j], node)
+    return layout.at(INCREMENT, term.index[Value.STATE][j], node)
 
 
 def own_costate(layout: Layout, term: Term, j: int, node: int) -> int:
     """Costate of the term's j-th state."""
-    return layout.costate(term.index["x"][j], node)
+    return layout.costate(term.index[Value.STATE][j], node)
 
 
 def costate(layout: Layout, term: Term, j: int, node: int) -> int:
     """The j-th costate that the term reads."""
-    return layout.costate(term.index["z"][j], node)
+    return layout.costate(term.index[Value.COSTATE][j], node)
 
 
 def algebraic(layout: Layout, term: Term, j: int, node: int) -> int:
     """The j-th algebraic variable that the term reads."""
-    return layout.at(ALGEBRAIC, term.index["a"][j], node)
+    return layout.at(ALGEBRAIC, term.index[Value.ALGEBRAIC][j], node)
 
 
 def port_input(layout: Layout, term: Term, j: int, node: int) -> int:
     """The j-th port input that the term reads."""
-    return layout.input_index(term.index["u"][j], node)
+    return layout.input_index(term.index[Value.INPUT][j], node)
 
 
 def step_size(layout: Layout, term: Term, j: int, node: int) -> int:
@@ -66,28 +67,8 @@ def step_size(layout: Layout, term: Term, j: int, node: int) -> int:
     return layout.nv - 1
 
 
-def force(layout: Layout, term: Term, j: int, node: int) -> int:
-    """The multiplier of a constraint."""
-    del j
-    return layout.at(ALGEBRAIC, term.rows[0][1], node)
-
-
-def _velocity(layout: Layout, term: Term, j: int) -> int:
-    return layout.terms.velocity_of[term.index["x"][j]]
-
-
-def velocity_increment(layout: Layout, term: Term, j: int, node: int) -> int:
-    """Increment of the velocity that belongs to the term's j-th position; as a result: the balance of it."""
-    return layout.at(INCREMENT, _velocity(layout, term, j), node)
-
-
-def velocity_costate(layout: Layout, term: Term, j: int, node: int) -> int:
-    """Costate of that velocity."""
-    return layout.costate(_velocity(layout, term, j), node)
-
-
 #: by the kind of value that a term reads
-READ: dict[str, Place] = {"z": costate, "a": algebraic, "u": port_input}
+READ: dict[Value, Place] = {Value.COSTATE: costate, Value.ALGEBRAIC: algebraic, Value.INPUT: port_input}
 
 
 # -- results ------------------------------------------------------------------------------------------------------------
@@ -95,33 +76,23 @@ READ: dict[str, Place] = {"z": costate, "a": algebraic, "u": port_input}
 
 def row(layout: Layout, term: Term, j: int, node: int) -> int:
     """The term's j-th row."""
-    return layout.row(*term.rows[j], node)
+    return layout.row(term.rows[j], node)
 
 
 def costate_row(layout: Layout, term: Term, j: int, node: int) -> int:
     """The row E^T z = grad H of the term's j-th state."""
-    return layout.at(COSTATE, term.rows[j][1], node)
+    return layout.at(COSTATE, term.rows[j].index, node)
 
 
 def gradient(layout: Layout, term: Term, j: int, node: int) -> int:
     """Slot of the costate (or gradient) of the term's j-th state."""
-    return layout.slot(term.rows[j][1], node)
-
-
-def velocity_gradient(layout: Layout, term: Term, j: int, node: int) -> int:
-    """Slot of the costate of the velocity that belongs to the term's j-th position."""
-    return layout.slot(_velocity(layout, term, j), node)
-
-
-def velocity_costate_row(layout: Layout, term: Term, j: int, node: int) -> int:
-    """The row of the costate of that velocity, where it is an unknown."""
-    return layout.at(COSTATE, _velocity(layout, term, j), node)
+    return layout.slot(term.rows[j].index, node)
 
 
 def source(layout: Layout, term: Term, j: int, node: int) -> int:
     """Slot of a source."""
     del j
-    return layout.source_slot(term.rows[0][1], node)
+    return layout.source_slot(term.rows[0].index, node)
 
 
 # -- old values ---------------------------------------------------------------------------------------------------------
@@ -132,19 +103,14 @@ Old = Callable[["Layout", Term], list[int]]
 
 def states_then_time(layout: Layout, term: Term) -> list[int]:
     """The term's states, then time if it depends on it."""
-    return [*term.index.get("x", ()), *_time(layout, term)]
-
-
-def with_velocities(layout: Layout, term: Term) -> list[int]:
-    """Positions, their velocities, then time."""
-    positions = term.index["x"]
-    return [*positions, *(layout.terms.velocity_of[q] for q in positions), *_time(layout, term)]
+    return [*term.indices(Value.STATE), *time(layout, term)]
 
 
 def with_algebraics(layout: Layout, term: Term) -> list[int]:
     """States, then the algebraic variables of the last step."""
-    return [*term.index.get("x", ()), *(layout.terms.n1 + 1 + i for i in term.index["a"])]
+    return [*term.indices(Value.STATE), *(layout.terms.n1 + 1 + i for i in term.index[Value.ALGEBRAIC])]
 
 
-def _time(layout: Layout, term: Term) -> list[int]:
-    return [layout.terms.n1] if "t" in term.index else []
+def time(layout: Layout, term: Term) -> list[int]:
+    """Time, if the term depends on it."""
+    return [layout.terms.n1] if Value.TIME in term.index else []

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
+from phfmu.declare.value import Value
 from phfmu.plan.address import Address, Place
-from phfmu.terms.term import EMPTY, Term
+from phfmu.terms.term import Term
 
 
 @dataclass
@@ -31,8 +32,8 @@ class Arguments:
     @property
     def x(self) -> ca.SX:
         """Old states of the term, then time if it depends on it."""
-        return ca.vertcat(self.term.local.get("x", EMPTY), self.term.local.get("t", EMPTY))
+        return ca.vertcat(self.term.symbols(Value.STATE), self.term.symbols(Value.TIME))
 
     @property
     def p(self) -> ca.SX:
-        return self.term.local.get("p", EMPTY)
+        return self.term.symbols(Value.PARAMETER)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from phfmu.declare.value import Value
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
+from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.term import Terms
 
 
@@ -62,15 +64,13 @@ class Layout:
     def roles(self) -> set[Role]:
         return {u.role for u in self.unknowns}
 
-    def row(self, kind: str, i: int, node: int = 0) -> int:
-        """Row of a state (x), of an algebraic variable (a), of the output of a pair (y) or of an observable (o)."""
-        if kind == "x":
-            return self.at(INCREMENT, i, node)
-        if kind == "a":
-            return self.at(ALGEBRAIC, i, node)
-        if kind == "y":
-            return self.nw + node * len(self.terms.pairs) + i
-        return self.report(i)
+    def row(self, row: RowAt, node: int = 0) -> int:
+        """Where a row of the terms is: the unknown of equal number, an output of a pair, or a report."""
+        return _ROW[row.kind](self, row.index, node)
+
+    def output(self, pair: int, node: int) -> int:
+        """Row of the output of a pair."""
+        return self.nw + node * len(self.terms.pairs) + pair
 
     def report(self, key: Hashable) -> int:
         """Row of what is reported under `key`."""
@@ -96,11 +96,9 @@ class Layout:
 
     # -- values that kernels and constants read -------------------------------------------------------------------------
 
-    def value(self, kind: str, i: int, node: int = 0) -> int:
-        """Y index of a costate (z), an algebraic variable (a) or a port input (u)."""
-        if kind == "z":
-            return self.costate(i, node)
-        return self.at(ALGEBRAIC, i, node) if kind == "a" else self.input_index(i, node)
+    def value(self, value: ValueAt, node: int = 0) -> int:
+        """Y index of a costate, an algebraic variable or a port input."""
+        return _VALUE[value.kind](self, value.index, node)
 
     def costate(self, i: int, node: int) -> int:
         """Y index of a costate: an unknown, or assembled."""
@@ -127,3 +125,17 @@ class Layout:
 
     def nominals(self) -> np.ndarray:
         return np.array([u.nominal for u in self.unknowns], float).reshape(-1)
+
+
+#: by the kind of a row and of a value: (layout, index, node) -> where it is
+_ROW: dict[Row, Callable[[Layout, int, int], int]] = {
+    Row.BALANCE: lambda layout, i, node: layout.at(INCREMENT, i, node),
+    Row.EQUATION: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
+    Row.OUTPUT: Layout.output,
+    Row.OBSERVABLE: lambda layout, i, node: layout.report(i),
+}
+_VALUE: dict[Value, Callable[[Layout, int, int], int]] = {
+    Value.COSTATE: Layout.costate,
+    Value.ALGEBRAIC: lambda layout, i, node: layout.at(ALGEBRAIC, i, node),
+    Value.INPUT: Layout.input_index,
+}

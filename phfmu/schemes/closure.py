@@ -16,6 +16,7 @@ from dataclasses import replace
 import casadi as ca
 
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.value import Value
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.address import Address, algebraic, with_algebraics
 from phfmu.plan.arguments import Arguments
@@ -24,19 +25,19 @@ from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, Role, Unknown, of_algebraics
 from phfmu.schemes.scheme import node_maps
-from phfmu.terms.term import EMPTY, Kind, Term, Terms
+from phfmu.terms.term import EMPTY, Term, TermKind, Terms
 
 POINTS = ("end", "start", "midpoint")
 
 #: an algebraic state that is carried from step to step
 CARRIED = Role("carried algebraic variable")
 #: the equation of one
-CLOSURE = Kind("closure")
+CLOSURE = TermKind("closure")
 
 
 def carried(layout: Layout, term: Term, j: int, node: int) -> int:
     """The new value of the j-th algebraic variable that the term reads; as a result: its closure."""
-    return layout.at(CARRIED, term.index["a"][j], node)
+    return layout.at(CARRIED, term.index[Value.ALGEBRAIC][j], node)
 
 
 def require(point: str, scheme: str) -> None:
@@ -52,8 +53,8 @@ def unknowns(terms: Terms) -> list[Unknown]:
 
 def add(terms: Terms) -> Terms:
     """`terms` with one closure equation per algebraic variable."""
-    local = {"a": ca.SX.sym("a")}
-    new = [Term(CLOSURE, (CLOSURE,), local, {"a": (i,)}, {}) for i in range(terms.na)]
+    local = {Value.ALGEBRAIC: ca.SX.sym("a")}
+    new = [Term(CLOSURE, (CLOSURE,), local, {Value.ALGEBRAIC: (i,)}, {}) for i in range(terms.na)]
     return replace(terms, terms=[*terms.terms, *new])
 
 

@@ -23,7 +23,7 @@ from phfmu.schemes import impulses
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
 from phfmu.terms.bare import IMPULSE
-from phfmu.terms.term import CONSTRAINT, Term, Terms
+from phfmu.terms.term import CLOSED, CONSTRAINT, Term, Terms
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class Collocated(GaussScheme):
     gradient: str = "per-term"
     name: str = "collocated"
     impulses: bool = True
+    node_values = True
 
     def prepare(self, terms: Terms) -> Terms:
         """The terms with their impulses; DeclarationError says what does not fit."""
@@ -80,7 +81,7 @@ def require_pairs(terms: Terms, k: int) -> None:
                 terms.model.name, f"the pair (E, z) on {names} has no discrete pair",
                 "give ebar and zbar, or use --scheme dirac-dissipative", "pair",
             )  # fmt: skip
-    if terms.closed_states and k > 1:
+    if k > 1 and terms.of(CLOSED):
         raise DeclarationError(
             terms.model.name,
             "the closed-form pair has order 2 only",

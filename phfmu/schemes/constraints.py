@@ -19,24 +19,27 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import degree, piecewise
+from phfmu.declare.value import Value
 from phfmu.gradients.gradients import QUOTIENT_GUARD, general, guarded, projected
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.plan.address import (
     Address,
-    force,
     increment,
     row,
     step_size,
+)
+from phfmu.plan.arguments import Arguments
+from phfmu.plan.layout import Layout
+from phfmu.plan.spec import Result, Spec, substituted
+from phfmu.plan.unknown import Role
+from phfmu.schemes.velocities import (
+    force,
     velocity_costate,
     velocity_costate_row,
     velocity_gradient,
     velocity_increment,
     with_velocities,
 )
-from phfmu.plan.arguments import Arguments
-from phfmu.plan.layout import Layout
-from phfmu.plan.spec import Result, Spec, substituted
-from phfmu.plan.unknown import Role
 from phfmu.terms.term import Term
 
 #: the multiplier of the velocity level
@@ -46,7 +49,7 @@ VELOCITY_LEVEL = Role("velocity multiplier")
 def velocity_level(layout: Layout, term: Term, j: int, node: int) -> int:
     """The velocity multiplier of a constraint; as a result: the constraint on that level."""
     del j, node
-    return layout.at(VELOCITY_LEVEL, term.rows[0][1])
+    return layout.at(VELOCITY_LEVEL, term.rows[0].index)
 
 
 @dataclass(frozen=True)
@@ -76,13 +79,13 @@ class _Path:
 
 
 def _path(term: Term, args: Arguments, d: ca.SX, nd: Nodes) -> _Path:
-    t = term.local.get("t")
-    return _Path(term.local["x"], d, t, None if t is None else args.symbol(step_size), nd)
+    t = term.local.get(Value.TIME)
+    return _Path(term.local[Value.STATE], d, t, None if t is None else args.symbol(step_size), nd)
 
 
 def quadratic(term: Term) -> bool:
     """True if the constraint has degree 2 at most in q (bars, directors, joints)."""
-    p = degree(term.data["g"], term.local["x"])
+    p = degree(term.data["g"], term.local[Value.STATE])
     return p is not None and p <= 2
 
 
@@ -136,7 +139,7 @@ def _turning(g: ca.SX, path: _Path, v: ca.SX, dv: ca.SX, simple: bool) -> tuple[
 
 def collocated(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the plain scheme: -G_i^T lambda_i on v, 0 = G_i z_v,i + r_i."""
-    args, n, k = Arguments(term, nd.k), term.local["x"].numel(), nd.k
+    args, n, k = Arguments(term, nd.k), term.local[Value.STATE].numel(), nd.k
     d, z, lam = args.matrix(increment, n), args.matrix(velocity_costate, n), args.matrix(force, 1)
     path = _path(term, args, d, nd)
     rows, rates = _node_rows(term.data["g"], path, quadratic(term))
@@ -151,7 +154,7 @@ def collocated(term: Term, nd: Nodes) -> list[Spec]:
 
 def two_level(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the two-level form; `light` velocities have the row sum_i b_i [m n_i - S_i^T mu] = 0 instead of n_i."""
-    k, args, g, n = nd.k, Arguments(term, nd.k), term.data["g"], term.local["x"].numel()
+    k, args, g, n = nd.k, Arguments(term, nd.k), term.data["g"], term.local[Value.STATE].numel()
     v = ca.SX.sym("v", n)
     d, dv = args.matrix(increment, n), args.matrix(velocity_increment, n)
     z, lam, mu = args.matrix(velocity_costate, n), args.matrix(force, 1), args.symbol(velocity_level)
@@ -176,7 +179,7 @@ def two_level(term: Term, nd: Nodes) -> list[Spec]:
                 -sum((b[i] * shift[i][int(j)] for i in range(k)), ca.SX(0)) * mu,
             )
         )
-    time = term.local.get("t", ca.SX(0, 1))
+    time = term.symbols(Value.TIME)
     kernels = [Spec(1, ca.vertcat(path.q, v, time), args.p, args.y, out, old=with_velocities)]
     mass = term.data["mass"]
     add: list[Result] = [(Address(velocity_gradient, j, i), 0, shift[i][j] * mu / mass[j])

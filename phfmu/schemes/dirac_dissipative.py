@@ -22,10 +22,21 @@ import numpy as np
 
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import degree
+from phfmu.declare.value import Value
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
 from phfmu.gradients.quadrature import nodes
-from phfmu.plan.address import Address, algebraic, costate, costate_row, gradient, increment, row, with_algebraics
+from phfmu.plan.address import (
+    Address,
+    algebraic,
+    costate,
+    costate_row,
+    gradient,
+    increment,
+    own_costate,
+    row,
+    with_algebraics,
+)
 from phfmu.plan.arguments import Arguments
 from phfmu.plan.layout import Layout
 from phfmu.plan.planner import Maps
@@ -35,10 +46,11 @@ from phfmu.schemes import closure, minimal
 from phfmu.schemes.closure import carried
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, Triplet, node_constants, node_unknowns
-from phfmu.terms.term import CLOSED, MASS_BLOCK, Kind, Term, Terms
+from phfmu.terms.located import Row, RowAt
+from phfmu.terms.term import CLOSED, MASS_BLOCK, Term, TermKind, Terms
 
 #: rows given by the user
-GIVEN = Kind("given")
+GIVEN = TermKind("given")
 
 Constraint = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 
@@ -61,25 +73,24 @@ class DiracDissipative(GaussScheme):
         return self.closure == "minimal"
 
     def prepare(self, terms: Terms) -> Terms:
-        """The terms with all costates solved for and the closure; DeclarationError if the closure does not fit."""
+        """The terms with the closure; DeclarationError if it does not fit."""
         closure.require(self.at, self.name)
-        every = replace(terms, solved_costates=tuple(range(terms.n1)))
         if callable(self.closure):
-            return _constrained(every, self.closure)
+            return _constrained(terms, self.closure)
         if self._minimal:
-            return minimal.prepare(every)
+            return minimal.prepare(terms)
         closure.require(self.closure, self.name)
         _require_regular(terms)
-        return closure.add(every)
+        return closure.add(terms)
 
     def unknowns(self, terms: Terms) -> list[Unknown]:
-        out = node_unknowns(terms, 1) + closure.unknowns(terms)
+        out = node_unknowns(terms, 1, range(terms.n1)) + closure.unknowns(terms)
         return out + minimal.multipliers(terms) if self._minimal else out
 
     def constants(self, layout: Layout) -> list[Triplet]:
-        own = {i for t in layout.terms.of(MASS_BLOCK, CLOSED) for _, i in t.rows}
+        own = {r.index for t in layout.terms.of(MASS_BLOCK, CLOSED) for r in t.rows}
         costates = [layout.at(COSTATE, i) for i in range(layout.terms.n1) if i not in own]
-        out = node_constants(layout) + [(w, w, 1.0, 0) for w in costates]
+        out = node_constants(layout, range(layout.terms.n1)) + [(w, w, 1.0, 0) for w in costates]
         return out + minimal.constants(layout, out) if self._minimal else out
 
     def maps(self, layout: Layout) -> Maps:
@@ -98,14 +109,14 @@ class DiracDissipative(GaussScheme):
 
     def _pair(self, term: Term) -> list[Spec]:
         """E d and E^T f with E at the midpoint, and the discrete gradient of the pair's H."""
-        x, data, n = term.local["x"], term.data, len(term.rows)
+        x, data, n = term.local[Value.STATE], term.data, len(term.rows)
         args = Arguments(term, 1)
         d = args.matrix(increment, n)
         kind = "quadratic" if degree(data["H"], x) in (0, 1, 2) else "general"
         w, dh = node_gradients(self.gradient, Summand(kind, data["H"], x), d, nodes(1))
         slots = Spec(0, args.x, args.p, args.y, [(Address(gradient, j), 0, w[j]) for j in range(n)], stored=dh)
         args = Arguments(term, 1)
-        d, f = args.matrix(increment, n), args.matrix(costate, n)
+        d, f = args.matrix(increment, n), args.matrix(own_costate, n)
         e = ca.sparsify(gradients.at(data["E"], x, x + d / 2))
         lhs, back = ca.mtimes(e, d), ca.mtimes(e.T, f)
         out = [(Address(row, j), 0, lhs[j]) for j in range(n)] + [
@@ -147,23 +158,23 @@ def _constrained(terms: Terms, constraint: Constraint) -> Terms:
             "costates that E^T f = grad H does not contain)",
             f"give {n}",
         )
-    local = {"x": model.x, "a": ca.vertcat(*(v.sx for v in model.algebraics)), "f": f, "new": new,
-             "p": ca.vertcat(*(p.sx for p in model.parameters))}  # fmt: skip
-    index = {"x": tuple(range(terms.n1)), "z": tuple(range(terms.n1)), "a": tuple(range(terms.na)),
-             "p": tuple(range(terms.np))}  # fmt: skip
-    costates = tuple(("x", i) for i in open_costates)
-    term = Term(GIVEN, (GIVEN, id(constraint)), local, index, {"rows": rows}, costates)
+    local = {Value.STATE: model.x, Value.ALGEBRAIC: ca.vertcat(*(v.sx for v in model.algebraics)),
+             Value.PARAMETER: ca.vertcat(*(p.sx for p in model.parameters))}  # fmt: skip
+    index = {Value.STATE: tuple(range(terms.n1)), Value.COSTATE: tuple(range(terms.n1)),
+             Value.ALGEBRAIC: tuple(range(terms.na)), Value.PARAMETER: tuple(range(terms.np))}  # fmt: skip
+    costates = tuple(RowAt(Row.BALANCE, i) for i in open_costates)
+    term = Term(GIVEN, (GIVEN, id(constraint)), local, index, {"rows": rows, "new": new, "f": f}, costates)
     return replace(terms, terms=[*terms.terms, term])
 
 
 def _given(term: Term) -> Spec:
     """The user's rows with x' = (x + D, X) and f = (Z, f2)."""
     args, local = Arguments(term, 1), term.local
-    n, m = local["x"].numel(), local["a"].numel()
+    n, m = local[Value.STATE].numel(), local[Value.ALGEBRAIC].numel()
     d, new = args.matrix(increment, n), args.matrix(carried, m)
     f = ca.vertcat(args.matrix(costate, n), args.matrix(algebraic, m))
-    pairs = [(local["new"], ca.vertcat(local["x"] + d, new)), (local["f"], f)]
+    pairs = [(term.data["new"], ca.vertcat(local[Value.STATE] + d, new)), (term.data["f"], f)]
     (rows,) = substituted([term.data["rows"]], pairs)
     places = [Address(carried, j) for j in range(m)] + [Address(costate_row, j) for j in range(len(term.rows))]
     out = [(place, 0, rows[j]) for j, place in enumerate(places)]
-    return Spec(1, ca.vertcat(local["x"], local["a"]), args.p, args.y, out, old=with_algebraics)
+    return Spec(1, ca.vertcat(local[Value.STATE], local[Value.ALGEBRAIC]), args.p, args.y, out, old=with_algebraics)

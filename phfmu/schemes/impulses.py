@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.value import Value
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.plan.address import Address, Place, increment
 from phfmu.plan.arguments import Arguments
@@ -30,7 +31,8 @@ from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Result, Spec
 from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
 from phfmu.terms.bare import IMPULSE, Finder
-from phfmu.terms.term import Impulses, Term, Terms
+from phfmu.terms.located import Row
+from phfmu.terms.term import Term, Terms
 
 #: Points of the rule for the square root: error (e/4)^(2 POINTS) for a relative change e of S over a step.
 POINTS = 3
@@ -40,6 +42,16 @@ WORK_POINTS = 5
 #: the impulse m at the start;  the roots r_l, whose sum is the impulse at the end, or that impulse;  the shifts L m, L m'
 START, ROOT = Role("start impulse", vanishes=True), Role("end impulse", vanishes=True)
 START_SHIFT, END_SHIFT = Role("start shift", vanishes=True), Role("end shift", vanishes=True)
+
+
+@dataclass(frozen=True)
+class Impulses:
+    """Rows of bare nodes with an impulse pair and with a projecting end impulse; the states shifted at start and end."""
+
+    pairs: tuple[int, ...] = ()
+    projected: tuple[int, ...] = ()
+    start_states: tuple[int, ...] = ()
+    end_states: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,7 +66,7 @@ def _place(role: Role) -> Place:
     """The unknown of the term's j-th row."""
 
     def place(layout: Layout, term: Term, j: int, node: int) -> int:
-        return layout.at(role, term.rows[j][1], node)
+        return layout.at(role, term.rows[j].index, node)
 
     return place
 
@@ -64,13 +76,13 @@ start, root, start_shift, end_shift = map(_place, (START, ROOT, START_SHIFT, END
 
 def own_start_shift(layout: Layout, term: Term, j: int, node: int) -> int:
     """The shift at the start of the j-th state that a term reads."""
-    return layout.at(START_SHIFT, term.index["x"][j], node)
+    return layout.at(START_SHIFT, term.index[Value.STATE][j], node)
 
 
 def work_on(layout: Layout, term: Term, j: int, node: int) -> int:
     """The work of the term's j-th row on its member."""
     del node
-    return layout.report(Work(term.rows[j][1], term.owner))
+    return layout.report(Work(term.rows[j].index, term.owner))
 
 
 def prepare(terms: Terms) -> Terms:
@@ -83,16 +95,16 @@ def prepare(terms: Terms) -> Terms:
     rows = {remedy: tuple(n.row for n in finder.nodes if n.remedy == remedy) for remedy in ("pair", "projection")}
     marked = [_marked(t, set(shifted)) for t in terms.terms]
     impulses = Impulses(rows["pair"], rows["projection"], shifted, ended)
-    return replace(terms, terms=marked + pairs + ends, impulses=impulses)
+    return replace(terms, terms=marked + pairs + ends).having(impulses)
 
 
 def _states(terms: list[Term]) -> tuple[int, ...]:
-    return tuple(sorted({i for t in terms for kind, i in t.rows if kind == "x"}))
+    return tuple(sorted({r.index for t in terms for r in t.rows if r.kind is Row.BALANCE}))
 
 
 def _marked(t: Term, shifted: set[int]) -> Term:
     """A term with the local places of shifted states as data; they are part of its key."""
-    where = tuple(j for j, i in enumerate(t.index.get("x", ())) if i in shifted)
+    where = tuple(j for j, i in enumerate(t.indices(Value.STATE)) if i in shifted)
     return replace(t, key=(*t.key, ("shifted", where)), data=t.data | {"shifted": where}) if where else t
 
 
@@ -124,8 +136,8 @@ class _Member:
 
     def __init__(self, term: Term, nd: Nodes):
         self.args, self.data, self.k = Arguments(term, nd.k), term.data, nd.k
-        self.x, n = term.local["x"], term.local["x"].numel()
-        self.psi = range(sum(kind == "x" for kind, _ in term.rows))
+        self.x, n = term.local[Value.STATE], term.local[Value.STATE].numel()
+        self.psi = range(sum(r.kind is Row.BALANCE for r in term.rows))
         self.nodes = range(len(self.psi), len(term.rows))
         self.rest = ca.SX(n - len(self.psi), 1)
         self.increment = ca.mtimes(self.args.matrix(increment, n), ca.DM(nd.b))
@@ -188,8 +200,8 @@ def _projection(own: _Member) -> list[Spec]:
 
 def unknowns(terms: Terms) -> list[Unknown]:
     """Impulses and roots per bare row, shifts per shifted state."""
-    found = terms.impulses
-    if found is None:
+    found = terms.found(Impulses)
+    if not found.end_states:
         return []
     size = max(terms.state_nominals[i] for i in found.end_states)  # it has the unit of the states it shifts
     out = of_algebraics(terms, START, "end current at", found.pairs, nominal=size)
@@ -203,13 +215,13 @@ def unknowns(terms: Terms) -> list[Unknown]:
 
 def reports(terms: Terms) -> list[Work]:
     """The work of every impulse on every member."""
-    return [Work(i, t.owner) for t in terms.of(IMPULSE) for kind, i in t.rows if kind == "a"]
+    return [Work(r.index, t.owner) for t in terms.of(IMPULSE) for r in t.rows if r.kind is Row.EQUATION]
 
 
 def maps(layout: Layout, base: Maps) -> Maps:
     """`base` with the shifts of x', with node voltages whose interval means include the impulses, (m + m')/h, and with work."""
-    found = layout.terms.impulses
-    if found is None:
+    found = layout.terms.found(Impulses)
+    if not found.end_states:
         return base
     end = (-1.0) ** layout.k / POINTS
     factor = {(START, r): 1.0 for r in found.pairs} | {(ROOT, r): end for r in found.pairs}

@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.value import Value
 from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.address import Address, costate_row, increment, own_costate, row
 from phfmu.plan.arguments import Arguments
 from phfmu.plan.spec import Spec
 from phfmu.terms.rank import constraint_jacobian, null_vectors
 from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, Term, Terms
+from phfmu.terms.velocities import velocity_of
 
 LIGHT = 1e-6
 _LIGHT = "light"
@@ -29,40 +31,40 @@ def prepare(terms: Terms) -> Terms:
 
     DeclarationError where the form M v' = .., z_v = v is absent, or M is singular on ker Dg.
     """
-    constraints = terms.of(CONSTRAINT)
-    shifted = sorted({terms.velocity_of[q] for t in constraints for q in t.index["x"]})
-    mass = {t.rows[0][1]: t for t in terms.of(MASS)}
+    constraints, velocity = terms.of(CONSTRAINT), velocity_of(terms)
+    shifted = sorted({velocity[q] for t in constraints for q in t.index[Value.STATE]})
+    mass = {t.rows[0].index: t for t in terms.of(MASS)}
     require_velocities(terms, shifted)
     light = light_velocities(terms, shifted, mass)
     new = []
     for t in terms.terms:
         if t.kind is CONSTRAINT:
-            velocities = [terms.velocity_of[q] for q in t.index["x"]]
+            velocities = [velocity[q] for q in t.index[Value.STATE]]
             t = _with_masses(t, [mass.get(v) for v in velocities], np.array([v in light for v in velocities]))
-        elif t.kind is MASS and t.rows[0][1] in light:
+        elif t.kind is MASS and t.rows[0].index in light:
             t = replace(t, key=("light", t.key), tag=_LIGHT)
         new.append(t)
-    return replace(terms, terms=new, light=tuple(sorted(light)))
+    return replace(terms, terms=new)
 
 
 def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]) -> Term:
     """The constraint with the mass expressions as data, its parameters extended by theirs (None = unit mass)."""
-    symbols, index, data = [term.local.get("p", EMPTY)], list(term.index.get("p", ())), []
+    symbols, index, data = [term.symbols(Value.PARAMETER)], list(term.indices(Value.PARAMETER)), []
     for m in masses:
-        local = EMPTY if m is None else m.local.get("p", EMPTY)
+        local = EMPTY if m is None else m.symbols(Value.PARAMETER)
         fresh = ca.SX.sym("p", local.numel())
         value = ca.SX(1) if m is None else m.data["m"]
         data.append(ca.substitute([value], [local], [fresh])[0] if local.numel() else value)
         symbols.append(fresh)
-        index += [] if m is None else list(m.index.get("p", ()))
+        index += [] if m is None else list(m.indices(Value.PARAMETER))
     key = ("masses", term.key, tuple(None if m is None else m.key for m in masses), tuple(light.tolist()))
     p = ca.vertcat(*symbols)
-    local = term.local | ({"p": p} if p.numel() else {})
+    local = term.local | ({Value.PARAMETER: p} if p.numel() else {})
     return replace(
         term,
         key=key,
         local=local,
-        index=term.index | {"p": tuple(index)},
+        index=term.index | {Value.PARAMETER: tuple(index)},
         data=term.data | {"mass": data, "light": light},
     )
 
@@ -72,13 +74,18 @@ def is_light(term: Term) -> bool:
     return term.tag == _LIGHT
 
 
+def light(terms: Terms) -> list[int]:
+    """The light velocities: their costates are unknowns."""
+    return sorted(t.rows[0].index for t in terms.of(MASS) if is_light(t))
+
+
 def specs(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of a light velocity: m D_i as ever; for its costates equal increments, and its shift in the mean,
 
     sum_i b_i m (z_i - v_i) = sum_i b_i S_i^T mu.
     """
     args = Arguments(term, nd.k)
-    d, v, z, m = args.matrix(increment, 1), term.local["x"], args.matrix(own_costate, 1), term.data["m"]
+    d, v, z, m = args.matrix(increment, 1), term.local[Value.STATE], args.matrix(own_costate, 1), term.data["m"]
     shift = sum((nd.b[i] * (z[i] - v - ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)), ca.SX(0))
     out = [(Address(row, 0, i), 0, m * d[i]) for i in range(nd.k)]
     out += [(Address(costate_row, 0, i), 0, d[i + 1] - d[i]) for i in range(nd.k - 1)]
@@ -120,7 +127,7 @@ def require_velocities(terms: Terms, shifted: list[int]) -> None:
     rng = np.random.default_rng(1)
     known: dict[tuple, NDArray[np.bool_]] = {}
     for t in terms.of(ENERGY, JOINT):
-        for j, (_, i) in enumerate(t.rows):
+        for j, i in enumerate(r.index for r in t.rows):
             if i in good:
                 if t.kind is JOINT:  # all energies in one: judged by the scheme's own gradient
                     good[i] += 1
@@ -129,8 +136,9 @@ def require_velocities(terms: Terms, shifted: list[int]) -> None:
                     known[t.key] = _is_velocity(t, p, rng)
                 good[i] += 1 if known[t.key][j] else 2
     names = [n for v in terms.model.states for n in v.names()]
+    solved = terms.solved_costates()
     for v, count in good.items():
-        if count != 1 or v in terms.solved_costates:
+        if count != 1 or v in solved:
             raise DeclarationError(
                 terms.model.name,
                 "the two-level scheme needs velocities as states (M v' = ..., z = v) with a diagonal M; "
@@ -142,12 +150,12 @@ def require_velocities(terms: Terms, shifted: list[int]) -> None:
 
 def _is_velocity(t: Term, p: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.bool_]:
     """Per state of an energy term: its costate is the state itself."""
-    x = t.local["x"]
+    x = t.local[Value.STATE]
     if "z" not in t.data:
         return np.zeros(x.numel(), bool)
-    f = ca.Function("z", [x, t.local.get("p", EMPTY)], [ca.densify(t.data["z"])])
+    f = ca.Function("z", [x, t.symbols(Value.PARAMETER)], [ca.densify(t.data["z"])])
     at = rng.standard_normal(x.numel())
-    z = np.array(f(at, p[list(t.index.get("p", ()))])).ravel()
+    z = np.array(f(at, p[list(t.indices(Value.PARAMETER))])).ravel()
     return np.abs(z - at) <= 1e-9 * (1 + np.abs(at))
 
 
@@ -160,6 +168,6 @@ def _values(terms: Terms, masses: list[Term]) -> dict[int, float]:
     p, known, out = _parameters(terms), {}, {}
     for t in masses:
         if t.key not in known:
-            known[t.key] = ca.Function("m", [t.local.get("p", EMPTY)], [t.data["m"]])
-        out[t.rows[0][1]] = float(known[t.key](p[list(t.index.get("p", ()))]))
+            known[t.key] = ca.Function("m", [t.symbols(Value.PARAMETER)], [t.data["m"]])
+        out[t.rows[0].index] = float(known[t.key](p[list(t.indices(Value.PARAMETER))]))
     return out

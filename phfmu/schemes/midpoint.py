@@ -18,3 +18,4 @@ class Midpoint(Collocated):
     gradient: str = field(default="nodal", init=False, repr=False)
     name: str = "midpoint"
     impulses: bool = field(default=True, init=False, repr=False)
+    node_values = False

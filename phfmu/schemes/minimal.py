@@ -14,19 +14,18 @@ from functools import cache
 
 import casadi as ca
 
+from phfmu.declare.value import Value
 from phfmu.plan.address import (
     Address,
     Place,
     algebraic,
     costate,
     costate_row,
-    force,
     gradient,
     increment,
+    own_costate,
     port_input,
     row,
-    velocity_costate,
-    velocity_increment,
     with_algebraics,
 )
 from phfmu.plan.arguments import Arguments
@@ -36,16 +35,18 @@ from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_
 from phfmu.schemes import closure
 from phfmu.schemes.closure import carried
 from phfmu.schemes.scheme import Triplet
-from phfmu.terms.term import CLOSED, EMPTY, Kind, Term, Terms
+from phfmu.schemes.velocities import force, velocity_costate, velocity_increment
+from phfmu.terms.located import Row
+from phfmu.terms.term import CLOSED, EMPTY, Term, TermKind, Terms
 
 #: the point of zbar in a step
 PART = {"start": 0.0, "midpoint": 0.5, "end": 1.0}
 #: the distance of a costate from its algebraic variable
-NEARNESS = Kind("nearness")
+NEARNESS = TermKind("nearness")
 #: equations of the scheme, by the unknowns of equal number -> their multipliers
 MULTIPLIER = {role: Role(f"multiplier of the row of {role.name}") for role in (INCREMENT, COSTATE, ALGEBRAIC)}
 #: what kernels read that is always an unknown
-PRIMAL = (increment, costate, algebraic, carried, velocity_costate, force)
+PRIMAL = (increment, costate, own_costate, algebraic, carried, velocity_costate, force)
 
 
 @cache
@@ -84,8 +85,8 @@ def open_costates(terms: Terms) -> list[int]:
     """States whose row of E^T f = grad H is empty: nothing but a closure ties their costates."""
     out = []
     for t in terms.of(CLOSED):
-        e, slope = ca.sparsify(t.data["E"]), ca.gradient(t.data["H"], t.local["x"])
-        out += [i for j, (_, i) in enumerate(t.rows) if not e[:, j].nnz() and not ca.sparsify(slope[j]).nnz()]
+        e, slope = ca.sparsify(t.data["E"]), ca.gradient(t.data["H"], t.local[Value.STATE])
+        out += [r.index for j, r in enumerate(t.rows) if not e[:, j].nnz() and not ca.sparsify(slope[j]).nnz()]
     return sorted(out)
 
 
@@ -93,9 +94,12 @@ def prepare(terms: Terms) -> Terms:
     """`terms` with the distances |f2 - z2bar|, and with inputs told apart by whether they are unknowns."""
     marked = []
     for t in terms.terms:
-        bound = tuple(i in terms.bound for i in t.index.get("u", ()))
+        bound = tuple(i in terms.bound for i in t.indices(Value.INPUT))
         marked.append(replace(t, key=(t.key, bound), data=t.data | {"bound": bound}) if any(bound) else t)
-    near = [Term(NEARNESS, (NEARNESS,), {"a": ca.SX.sym("a")}, {"a": (i,)}, {}) for i in range(terms.na)]
+    near = [
+        Term(NEARNESS, (NEARNESS,), {Value.ALGEBRAIC: ca.SX.sym("a")}, {Value.ALGEBRAIC: (i,)}, {})
+        for i in range(terms.na)
+    ]
     return replace(terms, terms=marked + near)
 
 
@@ -159,17 +163,17 @@ def _equation(term: Term, address: Address) -> Address | None:
     """The equation that a result contributes to; None for outputs, sources and the rows of closures."""
     if address.place is gradient:
         return replace(address, place=costate_row)
-    if address.place is row and term.rows[address.j][0] not in ("x", "a"):
+    if address.place is row and term.rows[address.j].kind not in (Row.BALANCE, Row.EQUATION):
         return None
     return address if address.place in (row, costate_row, velocity_increment) else None
 
 
 def _pair(term: Term, at: str) -> Spec:
     """Derivatives of 1/2 |f - zbar|^2, zbar = z at the chosen point, for a pair with its own E."""
-    args, x, n = Arguments(term, 1), term.local["x"], len(term.rows)
-    d, f = args.matrix(increment, n), args.matrix(costate, n)
+    args, x, n = Arguments(term, 1), term.local[Value.STATE], len(term.rows)
+    d, f = args.matrix(increment, n), args.matrix(own_costate, n)
     (z,) = substituted([term.data["z"]], [(x, x + PART[at] * d)])
     distance = ca.sumsqr(f - z) / 2
-    read = ((increment, d), (costate, f))
+    read = ((increment, d), (own_costate, f))
     out = [(Address(stationary(place), j), 0, ca.gradient(distance, v[j])) for place, v in read for j in range(n)]
     return Spec(1, args.x, args.p, args.y, [o for o in out if ca.sparsify(o[2]).nnz()])

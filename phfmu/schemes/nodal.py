@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.value import Value
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
 from phfmu.gradients.quadrature import Nodes
@@ -18,6 +19,7 @@ from phfmu.plan.address import READ, Address, costate_row, gradient, increment, 
 from phfmu.plan.arguments import Arguments
 from phfmu.plan.spec import Result, Spec, substituted
 from phfmu.schemes import constraints
+from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, SOURCE, Term
 
 
@@ -48,10 +50,10 @@ class NodeKernels:
         return [] if build is None else build(term)
 
     def _energy(self, term: Term) -> list[Spec]:
-        args, x, data = Arguments(term, self.k), term.local["x"], term.data
+        args, x, data = Arguments(term, self.k), term.local[Value.STATE], term.data
         d = args.matrix(increment, x.numel())
         kind = term.tag[0]
-        strain = (data["C"], data["phi"], term.local["z"]) if kind == "strain" else None
+        strain = (data["C"], data["phi"], term.local[Value.INVARIANT]) if kind == "strain" else None
         metric = np.array(term.tag[1]) if kind == "general" else None
         if kind == "quadratic" and not self.gradient.startswith("itoh-abe"):
             w, dh = gradients.quadratic(data["H"], data["z"], x, d, self.nodes)
@@ -61,7 +63,7 @@ class NodeKernels:
         return [self._costates(args, w * ca.repmat(data["scale"], 1, self.k), dh, loss)]
 
     def _joint(self, term: Term) -> list[Spec]:
-        args, x = Arguments(term, self.k), term.local["x"]
+        args, x = Arguments(term, self.k), term.local[Value.STATE]
         d = args.matrix(increment, x.numel())
         w, dh = gradients.joint_gonzalez(term.data["H"], x, d, self.nodes)
         return [self._costates(args, w * term.data["scale"], dh)]
@@ -69,16 +71,16 @@ class NodeKernels:
     def _loss(self, term: Term, d: ca.SX, w: ca.SX, dh: ca.SX) -> ca.SX | None:
         if not self.loses_energy:
             return None
-        return gradients.numerical_loss(term.data["H"], term.local["x"], d, w, dh, self.nodes)
+        return gradients.numerical_loss(term.data["H"], term.local[Value.STATE], d, w, dh, self.nodes)
 
     def _costates(self, args: Arguments, w: ca.SX, dh: ca.SX, numerical: ca.SX | None = None) -> Spec:
         out = [(Address(gradient, j, i), 0, w[j, i]) for i in range(self.k) for j in range(w.shape[0])]
         return Spec(0, args.x, args.p, args.y, out, stored=dh, numerical=numerical)
 
     def _closed(self, term: Term) -> list[Spec]:
-        args, x, data = Arguments(term, 1), term.local["x"], term.data
+        args, x, data = Arguments(term, 1), term.local[Value.STATE], term.data
         d = args.matrix(increment, x.numel())
-        ebar, zbar = substituted([data["ebar"], data["zbar"]], [(term.local["z"], d)])
+        ebar, zbar = substituted([data["ebar"], data["zbar"]], [(term.local[Value.INCREMENT], d)])
         dh = gradients.at(data["H"], x, x + d) - data["H"]
         places = range(x.numel())
         costates = Spec(0, args.x, args.p, args.y, [(Address(gradient, j), 0, zbar[j]) for j in places], stored=dh)
@@ -104,16 +106,16 @@ class NodeKernels:
     def _at_nodes(self, term: Term, args: Arguments) -> tuple[list[list[tuple[ca.SX, ca.SX]]], ca.SX]:
         """Per node the substitution of local symbols by their node values; and the increments (states x k)."""
         nd, local = self.nodes, term.local
-        d = args.matrix(increment, local["x"].numel()) if "x" in local else EMPTY
-        step = args.symbol(step_size) if "t" in local else None
+        d = args.matrix(increment, local[Value.STATE].numel()) if Value.STATE in local else EMPTY
+        step = args.symbol(step_size) if Value.TIME in local else None
         made = {kind: args.matrix(place, local[kind].numel()) for kind, place in READ.items() if kind in local}
         pairs = []
         for i in range(self.k):
             at = [(local[kind], values[:, i]) for kind, values in made.items()]
-            if "x" in local:
-                at.append((local["x"], local["x"] + ca.mtimes(d, ca.DM(nd.a[i]))))
+            if Value.STATE in local:
+                at.append((local[Value.STATE], local[Value.STATE] + ca.mtimes(d, ca.DM(nd.a[i]))))
             if step is not None:
-                at.append((local["t"], local["t"] + nd.c[i] * step))
+                at.append((local[Value.TIME], local[Value.TIME] + nd.c[i] * step))
             pairs.append(at)
         return pairs, d
 
@@ -124,8 +126,9 @@ class NodeKernels:
         lost = None
         for i in range(self.k):
             (f,) = substituted([term.data["f"]], pairs[i])
-            for j, (kind, _) in enumerate(term.rows):
-                out.append((Address(row, j, i), int(kind == "x"), f[j] if kind == "y" else -f[j]))
+            for j, r in enumerate(term.rows):
+                value = f[j] if r.kind is Row.OUTPUT else -f[j]
+                out.append((Address(row, j, i), int(r.kind is Row.BALANCE), value))
             if "loss" in term.data:
                 (loss,) = substituted([term.data["loss"]], pairs[i])
                 lost = self.nodes.b[i] * loss + (0 if lost is None else lost)

@@ -19,7 +19,7 @@ from phfmu.plan.unknown import Unknown
 from phfmu.schemes.collocated import require_pairs
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
-from phfmu.terms.term import Term, Terms
+from phfmu.terms.term import CLOSED, Term, Terms
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Radau(GaussScheme):
     def prepare(self, terms: Terms) -> Terms:
         """The terms; DeclarationError for closed-form pairs."""
         require_pairs(terms, 1)
-        if terms.closed_states:
+        if terms.of(CLOSED):
             raise DeclarationError(
                 terms.model.name,
                 "the closed-form pair has no Radau form",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +13,8 @@ from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
+from phfmu.terms.located import Row
+from phfmu.terms.rest import ConstraintsAtStart
 from phfmu.terms.term import Term, Terms
 
 #: (row, Y index, value, power of h)
@@ -58,6 +60,11 @@ class Scheme(Protocol):
         ...
 
     @property
+    def node_values(self) -> bool:
+        """A step keeps the order when an input has a value of its own at each node; else inputs are to be held."""
+        ...
+
+    @property
     def impulses(self) -> bool:
         """Bare nodes get impulses where their conditions hold."""
         ...
@@ -97,6 +104,7 @@ class GaussScheme:
     k: int = 1
     gradient: str
     two_level: bool = False
+    node_values: bool = False
     impulses: bool = False
     loses_energy: bool = False
 
@@ -124,32 +132,35 @@ class GaussScheme:
         return Holds()
 
 
-def node_unknowns(terms: Terms, k: int) -> list[Unknown]:
-    """Increments, solved costates and algebraic variables at every node."""
+def node_unknowns(terms: Terms, k: int, costates: Iterable[int] | None = None) -> list[Unknown]:
+    """Increments, algebraic variables, and the costates of these states (None: those of blocks of E) at every node."""
+    solved = terms.solved_costates() if costates is None else costates
     out: list[Unknown] = []
     for node in range(k):
         out += of_states(terms, INCREMENT, "balance of", range(terms.n1), node)
-        out += of_states(terms, COSTATE, "costate of", (*terms.solved_costates, *terms.light), node)
+        out += of_states(terms, COSTATE, "costate of", solved, node)
         out += of_algebraics(terms, ALGEBRAIC, "equation of", range(terms.na), node)
     return out
 
 
-def node_constants(layout: Layout) -> list[Triplet]:
-    """Identity rows of E, E^T z = W rows, and the constant entries of (J - R) z + B u at every node."""
+def node_constants(layout: Layout, costates: Iterable[int] | None = None) -> list[Triplet]:
+    """Identity rows of E, E^T z = W rows, and the constant entries of (J - R) z + B u at every node.
+
+    `costates`: of the states with such rows (None: those of blocks of E).
+    """
     terms, out = layout.terms, []
     other = terms.with_descriptor()
+    solved = terms.solved_costates() if costates is None else costates
     for node in range(layout.k):
         for i in range(terms.n1):
             if i not in other:
                 w = layout.at(INCREMENT, i, node)
                 out.append((w, w, 1.0, 0))
-        for i in terms.solved_costates:
+        for i in solved:
             out.append((layout.at(COSTATE, i, node), layout.nv + layout.slot(i, node), -1.0, 0))
-        for row_kind, row, kind, source, value in terms.constants:
-            sign = 1.0 if row_kind == "y" else -1.0
-            out.append(
-                (layout.row(row_kind, row, node), layout.value(kind, source, node), sign * value, int(row_kind == "x"))
-            )
+        for c in terms.constants:
+            value = c.value if c.row.kind is Row.OUTPUT else -c.value
+            out.append((layout.row(c.row, node), layout.value(c.source, node), value, int(c.row.kind is Row.BALANCE)))
     return out
 
 
@@ -172,10 +183,10 @@ def node_maps(layout: Layout, nd: Nodes) -> Maps:
 
 def node_holds(layout: Layout, *levels: Role) -> Holds:
     """The constraints of a model with their rows at the nodes, and those of further levels."""
-    terms = layout.terms
+    found = layout.terms.found(ConstraintsAtStart)
     rows = [
         (*(layout.at(ALGEBRAIC, a, i) for i in range(layout.k)), *(layout.at(level, a) for level in levels))
-        for a in terms.speeds
+        for a in found.sizes
     ]
-    rests = np.array([a in terms.resting for a in terms.speeds], bool)
-    return Holds(tuple(rows), rests, np.array(list(terms.speeds.values())))
+    rests = np.array([a in found.resting for a in found.sizes], bool)
+    return Holds(tuple(rows), rests, np.array(list(found.sizes.values())))

@@ -28,6 +28,7 @@ class TwoLevel(Collocated):
     name: str = "two-level"
     impulses: bool = field(default=True, init=False, repr=False)
     two_level = True
+    node_values = False  # not proved for the velocity level
 
     def prepare(self, terms: Terms) -> Terms:
         """The terms with the masses of their constraints; DeclarationError says what does not fit."""
@@ -36,8 +37,9 @@ class TwoLevel(Collocated):
         if self.k % 2 == 0:
             raise DeclarationError("scheme two-level", "has odd stages only", "use --order 2 or 6", "stages")
         terms = inertia.prepare(terms)
-        if terms.light and self.gradient not in ("per-term", "mean-value"):
-            names = ", ".join(terms.state_names[i] for i in terms.light[:6])
+        light = inertia.light(terms)
+        if light and self.gradient not in ("per-term", "mean-value"):
+            names = ", ".join(terms.state_names[i] for i in light[:6])
             raise DeclarationError(
                 terms.model.name,
                 f"{names} without mass have no {self.gradient} gradient",
@@ -47,9 +49,10 @@ class TwoLevel(Collocated):
         return impulses.prepare(terms)
 
     def unknowns(self, terms: Terms) -> list[Unknown]:
-        multipliers = [t.rows[0][1] for t in terms.of(CONSTRAINT)]
+        multipliers = [t.rows[0].index for t in terms.of(CONSTRAINT)]
         velocity = of_algebraics(terms, VELOCITY_LEVEL, "velocity constraint of", multipliers)
-        return node_unknowns(terms, self.k) + velocity + impulses.unknowns(terms)
+        costates = [*terms.solved_costates(), *inertia.light(terms)]
+        return node_unknowns(terms, self.k, costates) + velocity + impulses.unknowns(terms)
 
     def specs(self, term: Term) -> list[Spec]:
         """Kernels of one term."""

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import ANALYTIC, degree
+from phfmu.declare.value import Value
 from phfmu.gradients.gradients import stress
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.differences import Differences, differences
@@ -89,7 +90,7 @@ def lane_kernel(kind: str, args: Sequence[ca.SX], results: Sequence[ca.SX]) -> L
 
 
 def _p(term: Term) -> ca.SX:
-    return term.local.get("p", EMPTY)
+    return term.symbols(Value.PARAMETER)
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def _singles(n: int) -> Differences:
 
 def constraint(term: Term) -> Lanes:
     """Gradient of g and its derivative along v, both with respect to the coordinates."""
-    q, g = term.local["x"], term.data["g"]
+    q, g = term.local[Value.STATE], term.data["g"]
     x = differences(ca.Function("g", [q, _p(term)], [g]), 0)
     d, back = x.substitution(q, "d")
     g, v = ca.substitute(g, q, back), ca.SX.sym("v", d.numel())
@@ -118,7 +119,7 @@ def constraint(term: Term) -> Lanes:
 
 def strain(term: Term, k: int) -> Lanes:
     """Gradient of C, the stresses at the k nodes, and C itself, of a term phi(C(q))."""
-    q, s = term.local["x"], term.local["z"]
+    q, s = term.local[Value.STATE], term.local[Value.INVARIANT]
     x = differences(ca.Function("C", [q, _p(term)], [term.data["C"]]), 0)
     d, back = x.substitution(q, "d")
     c = ca.substitute(term.data["C"], q, back)
@@ -138,29 +139,30 @@ def _stresses(phi: ca.SX, s: ca.SX, p: ca.SX, k: int) -> LaneKernel:
 
 def potential(term: Term) -> Lanes:
     """Force -DV of a quadratic potential; a constant one is a load."""
-    q = term.local["x"]
+    q = term.local[Value.STATE]
     force = -ca.gradient(term.data["H"], q)
     if not ca.depends_on(force, q):
         return Lanes((lane_kernel("load", [_p(term)], [force]),), o=_singles(q.numel()))
     x = differences(ca.Function("f", [q, _p(term)], [force]), 0)
-    return _force(term, {"x": q}, force, x, Differences(()))
+    return _force(term, {Value.STATE: q}, force, x, Differences(()))
 
 
 def flow(term: Term, outputs: Sequence[int]) -> Lanes:
     """The chosen outputs of a flow."""
-    args = {kind: term.local[kind] for kind in ("x", "z", "u") if kind in term.local}
+    kinds = (Value.STATE, Value.COSTATE, Value.INPUT)
+    args = {kind: term.local[kind] for kind in kinds if kind in term.local}
     force = ca.vertcat(*(term.data["f"][j] for j in outputs))
-    f = ca.Function("f", [*(args.get(kind, EMPTY) for kind in ("x", "z", "u")), _p(term)], [force])
+    f = ca.Function("f", [*(args.get(kind, EMPTY) for kind in kinds), _p(term)], [force])
     return _force(term, args, force, differences(f, 0), differences(f, 1))
 
 
-def _force(term: Term, args: dict[str, ca.SX], force: ca.SX, x: Differences, z: Differences) -> Lanes:
+def _force(term: Term, args: dict[Value, ca.SX], force: ca.SX, x: Differences, z: Differences) -> Lanes:
     """A force in the coordinates of its arguments; opposite results become one."""
-    q, v = args.get("x", EMPTY), args.get("z", EMPTY)
+    q, v = args.get(Value.STATE, EMPTY), args.get(Value.COSTATE, EMPTY)
     d, x_back = x.substitution(q, "d")
     e, z_back = z.substitution(v, "e")
     force = ca.substitute([force], [q, v], [x_back, z_back])[0] if q.numel() + v.numel() else force
-    inputs = [d, e, args.get("u", EMPTY), _p(term)]
+    inputs = [d, e, args.get(Value.INPUT, EMPTY), _p(term)]
     o = _opposites(ca.Function("f", inputs, [ca.densify(force)]))
     chosen = ca.vertcat(*(force[plus] for plus, _ in o.pairs))
     return Lanes((lane_kernel("force", inputs, [chosen]),), x, z, o)

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import degree, piecewise
+from phfmu.declare.value import Value
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Floats, Ints, Plan
@@ -25,7 +26,10 @@ from phfmu.schur import lanes
 from phfmu.schur.elimination import Elimination, Pattern, eliminate, factor_pattern, updates
 from phfmu.schur.lane_groups import Instances, LaneGroup, Tiles, tiled
 from phfmu.schur.lanes import Lanes, NoLanes
+from phfmu.terms.located import Constant, Row
+from phfmu.terms.rest import ConstraintsAtStart
 from phfmu.terms.term import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, Term
+from phfmu.terms.velocities import velocity_of
 
 #: a factor of all rows with no more updates than this per row is never the larger part of a step
 FEW = 200
@@ -108,12 +112,14 @@ class _Builder:
         self.layout, self.terms, self.plan = layout, layout.terms, plan
         t = self.terms
         constraint = t.of(CONSTRAINT)
-        self.position = sorted(t.velocity_of)
-        self.velocity = [t.velocity_of[q] for q in self.position]
+        velocity = velocity_of(t)
+        self.position = sorted(velocity)
+        self.velocity = [velocity[q] for q in self.position]
+        self.resting = t.found(ConstraintsAtStart).resting
         _require(sorted(self.position + self.velocity) == list(range(t.n1)))
-        _require(sorted(x.rows[0][1] for x in constraint) == list(range(t.na)))
+        _require(sorted(x.rows[0].index for x in constraint) == list(range(t.na)))
         _require(layout.roles() <= {INCREMENT, ALGEBRAIC, VELOCITY_LEVEL})
-        _require(not t.solved_costates and not t.bound and all(p.port.source is None for p in t.pairs))
+        _require(not t.solved_costates() and not t.bound and all(p.port.source is None for p in t.pairs))
         _require(len(t.pairs) == t.nu)
         self.dof = {q: d for d, q in enumerate(self.position)}
         self.dof_v = {v: d for d, v in enumerate(self.velocity)}
@@ -123,8 +129,8 @@ class _Builder:
         self.known: dict[tuple, Lanes] = {}
 
     def build(self) -> SchurStepper:
-        for triplet in self.terms.constants:
-            self._constant(*triplet)
+        for constant in self.terms.constants:
+            self._constant(constant)
         for term in self.terms.terms:
             self._add_term(term)
         _require(self.kinetic == set(self.velocity))
@@ -144,27 +150,28 @@ class _Builder:
         else:
             _require(term.kind is OBSERVABLE)
 
-    def _constant(self, row_kind: str, row: int, kind: str, source: int, value: float) -> None:
-        if row_kind == "y" or row_kind == "x" and row in self.dof:
+    def _constant(self, c: Constant) -> None:
+        balance, row = c.row.kind is Row.BALANCE, c.row.index
+        if c.row.kind is Row.OUTPUT or balance and row in self.dof:
             return
-        _require(row_kind == "x" and row in self.dof_v)
-        dof = self.dof_v[row]
-        if kind == "u":
-            self.load.append((dof, 0, source, value))
-        elif kind == "z" and source in self.dof_v:
-            self.load.append((dof, 1, self.dof_v[source], value))
+        _require(balance and row in self.dof_v)
+        dof, costate = self.dof_v[row], c.source.kind is Value.COSTATE
+        if c.source.kind is Value.INPUT:
+            self.load.append((dof, 0, c.source.index, c.value))
+        elif costate and c.source.index in self.dof_v:
+            self.load.append((dof, 1, self.dof_v[c.source.index], c.value))
         else:
-            _require(kind == "z" and source == self.position[dof] and value == -1.0)
+            _require(costate and c.source.index == self.position[dof] and c.value == -1.0)
 
     def _mass(self, term: Term) -> None:
-        row, m, p = term.rows[0][1], term.data["m"], term.local.get("p", lanes.EMPTY)
-        _require(row in self.dof_v and not self._depends(m, term, "x"))
+        row, m, p = term.rows[0].index, term.data["m"], term.symbols(Value.PARAMETER)
+        _require(row in self.dof_v and not self._depends(m, term, Value.STATE))
         start = [s for v in self.terms.model.parameters for s in v.start]
-        _require(float(ca.Function("m", [p], [m])([start[i] for i in term.index.get("p", ())])) > 0)
+        _require(float(ca.Function("m", [p], [m])([start[i] for i in term.indices(Value.PARAMETER)])) > 0)
         self._add(self._once(term, lambda: lanes.mass(term)), term, o=[self.dof_v[row]])
 
     def _energy(self, term: Term) -> None:
-        states = term.index.get("x", ())
+        states = term.indices(Value.STATE)
         kind = term.tag[0]
         if all(x in self.dof_v for x in states):
             _require(kind == "quadratic" and self._is_kinetic(term) and not self.kinetic & set(states))
@@ -174,44 +181,44 @@ class _Builder:
         dofs = [self.dof[x] for x in states]
         if kind == "quadratic":
             return self._add(self._once(term, lambda: lanes.potential(term)), term, x=dofs, o=dofs)
-        _require(kind == "strain" and not piecewise(term.data["phi"], term.local["z"]))
+        _require(kind == "strain" and not piecewise(term.data["phi"], term.local[Value.INVARIANT]))
         self._add(self._once(term, lambda: lanes.strain(term, self.layout.k)), term, x=dofs)
 
     def _is_kinetic(self, term: Term) -> bool:
         """Its costates are the velocities themselves, z_v = v."""
-        x = term.local["x"]
+        x = term.local[Value.STATE]
         defect = ca.gradient(term.data["H"], x) * term.data["scale"] - x
-        f = ca.Function("f", [x, term.local.get("p", lanes.EMPTY)], [defect])
+        f = ca.Function("f", [x, term.symbols(Value.PARAMETER)], [defect])
         rng = np.random.default_rng(1)
         values = [rng.uniform(0.5, 2.0, f.numel_in(i)) for i in range(2)]
         return bool(np.max(np.abs(np.asarray(f(*values)))) <= 1e-13)
 
     def _flow(self, term: Term) -> None:
-        outputs = [j for j, (kind, _) in enumerate(term.rows) if kind != "y"]
+        outputs = [j for j, r in enumerate(term.rows) if r.kind is not Row.OUTPUT]
         if not outputs:
             return
-        _require(all(term.rows[j][0] == "x" and term.rows[j][1] in self.dof_v for j in outputs))
-        _require(set(term.local) <= {"x", "z", "u", "p"})
-        _require(all(x in self.dof for x in term.index.get("x", ())))
-        _require(all(z in self.dof_v for z in term.index.get("z", ())))
+        _require(all(term.rows[j].kind is Row.BALANCE and term.rows[j].index in self.dof_v for j in outputs))
+        _require(term.local.keys() <= {Value.STATE, Value.COSTATE, Value.INPUT, Value.PARAMETER})
+        _require(all(x in self.dof for x in term.indices(Value.STATE)))
+        _require(all(z in self.dof_v for z in term.indices(Value.COSTATE)))
         self._add(
             self._once(term, lambda: lanes.flow(term, outputs)), term,
-            x=[self.dof[x] for x in term.index.get("x", ())], z=[self.dof_v[z] for z in term.index.get("z", ())],
-            u=list(term.index.get("u", ())), o=[self.dof_v[term.rows[j][1]] for j in outputs],
+            x=[self.dof[x] for x in term.indices(Value.STATE)], z=[self.dof_v[z] for z in term.indices(Value.COSTATE)],
+            u=list(term.indices(Value.INPUT)), o=[self.dof_v[term.rows[j].index] for j in outputs],
         )  # fmt: skip
 
     def _constraint(self, term: Term) -> None:
-        if term.rows[0][1] in self.terms.resting:
+        if term.rows[0].index in self.resting:
             return
         _require(
-            set(term.local) <= {"x", "p"}
+            term.local.keys() <= {Value.STATE, Value.PARAMETER}
             and not np.any(term.data["light"])
-            and degree(term.data["g"], term.local["x"]) in (1, 2)
+            and degree(term.data["g"], term.local[Value.STATE]) in (1, 2)
         )
         known = self._once(term, lambda: lanes.constraint(term))
-        self._add(known, term, x=[self.dof[x] for x in term.index["x"]], multiplier=term.rows[0][1])
+        self._add(known, term, x=[self.dof[x] for x in term.index[Value.STATE]], multiplier=term.rows[0].index)
 
-    def _depends(self, expr: ca.SX, term: Term, kind: str) -> bool:
+    def _depends(self, expr: ca.SX, term: Term, kind: Value) -> bool:
         return kind in term.local and ca.depends_on(expr, term.local[kind])
 
     def _once(self, term: Term, make: Callable[[], Lanes]) -> Lanes:
@@ -223,7 +230,7 @@ class _Builder:
     def _add(self, made: Lanes, term: Term, *, x=(), z=(), u=(), o=(), multiplier: int = -1) -> None:
         g = self.groups.setdefault(tuple(k.name for k in made.kernels), Instances(made.kernels))
         ends = (made.x.globally(x), made.z.globally(z), made.o.globally(o))
-        g.add(*ends, list(u), list(term.index.get("p", ())), multiplier)
+        g.add(*ends, list(u), list(term.indices(Value.PARAMETER)), multiplier)
 
     # -- tables -----------------------------------------------------------------------------------------------------
 

@@ -16,24 +16,15 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from phfmu.terms.canonical import Locator, components, make_term, scalars
+from phfmu.terms.hidden import Hidden
+from phfmu.terms.located import Row, RowAt
 from phfmu.terms.rows import costate_symbols, costates, row_expressions
-from phfmu.terms.term import (
-    CLOSED,
-    CONSTRAINT,
-    ENERGY,
-    JOINT,
-    Kind,
-    Locator,
-    Term,
-    Terms,
-    components,
-    make_term,
-    scalars,
-)
+from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, Term, TermKind, Terms
 
 Remedy = Literal["pair", "projection", "none"]
 #: the impulses of a bare node on the states of a member
-IMPULSE = Kind("impulse")
+IMPULSE = TermKind("impulse")
 
 
 @dataclass(frozen=True)
@@ -59,8 +50,8 @@ class Finder:
 
     def __init__(self, terms: Terms):
         self.terms, self.nodes = terms, []
-        holonomic = {t.rows[0][1] for t in terms.of(CONSTRAINT)}
-        rows = [r for r in terms.hidden.checks if r not in holonomic]
+        holonomic = {t.rows[0].index for t in terms.of(CONSTRAINT)}
+        rows = [r for r in terms.found(Hidden).checks if r not in holonomic]
         if not rows:
             return
         model = terms.model
@@ -71,7 +62,7 @@ class Finder:
         L = ca.vertcat(*self.L.values())
         self.S = ca.mtimes([L, ca.hessian(model.hamiltonian, self.x)[0], L.T])
         self.states = {r: set(self.L[r].sparsity().get_triplet()[1]) for r in rows}
-        self.owner = {i: t.owner for t in terms.of(ENERGY, JOINT, CLOSED) for _, i in t.rows}
+        self.owner = {r.index: t.owner for t in terms.of(ENERGY, JOINT, CLOSED) for r in t.rows}
         linear = self._linear(L, rows)
         for cluster in self._clusters(rows):
             if not linear.issuperset(cluster):
@@ -151,7 +142,7 @@ class Finder:
                 exprs = {"L": L, "c": -ca.mtimes(L.T, gradient), "S": ca.mtimes([L.T, hessian, L])}
                 out.append(
                     make_term(IMPULSE, {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
-                              rows=[("x", i) for i in own] + [("a", r) for r in touched], owner=owner,
+                              rows=[RowAt(Row.BALANCE, i) for i in own] + [RowAt(Row.EQUATION, r) for r in touched], owner=owner,
                               extra=ca.vertsplit(psi), tag=remedy)
                 )  # fmt: skip
         return out

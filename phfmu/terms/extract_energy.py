@@ -9,7 +9,10 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.summands import summands
-from phfmu.terms.term import ENERGY, JOINT, Locator, Terms, WithIncrement, make_term, member
+from phfmu.declare.value import Value
+from phfmu.terms.canonical import Locator, make_term, member
+from phfmu.terms.located import Row, RowAt
+from phfmu.terms.term import ENERGY, JOINT, Terms
 
 
 def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
@@ -33,19 +36,16 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
         if e.kind == "strain":
             c = ca.SX.sym("c")
             assert e.invariant is not None and e.phi is not None
-            # phi(c) keeps its own symbol: c is filed as a costate, a kind energies never use otherwise
-            probe = WithIncrement(locator)
-            probe.where[c.element_hash()] = ("z", -1)
             exprs |= {"C": e.invariant, "phi": e.phi(c)}
-            term = make_term(ENERGY, exprs, probe, "energy", rows=[("x", i) for _, i in states],
+            term = make_term(ENERGY, exprs, locator.also(c, Value.INVARIANT, [-1]), "energy", rows=_balances(states),
                              owner=member(out.members, e.owner), extra=[*(s for s, _ in states), c], tag=tag)  # fmt: skip
             out.terms.append(term)
             continue
         if e.kind == "general":
-            chosen = {i for v in e.correct for _, i in locator.of(v)} or {i for _, i in states}
+            chosen = {at.index for v in e.correct for at in locator.of(v)} or {i for _, i in states}
             nominal = out.state_nominals
             tag = (e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
-        out.terms.append(make_term(ENERGY, exprs, locator, "energy", rows=[("x", i) for _, i in states],
+        out.terms.append(make_term(ENERGY, exprs, locator, "energy", rows=_balances(states),
                                    owner=member(out.members, e.owner), extra=[s for s, _ in states], tag=tag))  # fmt: skip
 
 
@@ -75,8 +75,12 @@ def _joint(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], g
     scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
     exprs = {"H": total, "scale": scale, "z": _costates(total, states, mass)}
     out.terms.append(make_term(JOINT, exprs, locator, "energy",
-                               rows=[("x", i) for _, i in states], owner=member(out.members, group[0].owner),
+                               rows=_balances(states), owner=member(out.members, group[0].owner),
                                extra=[s for s, _ in states]))  # fmt: skip
+
+
+def _balances(states: list[tuple[ca.SX, int]]) -> list[RowAt]:
+    return [RowAt(Row.BALANCE, i) for _, i in states]
 
 
 def _costates(h: ca.SX, states: list[tuple[ca.SX, int]], mass: dict[int, ca.SX]) -> ca.SX:
@@ -99,10 +103,10 @@ def divided(gradient: ca.SX, m: ca.SX) -> ca.SX:
 def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
     found = []
     for s in ca.symvar(expr):
-        kind, i = locator.find(s, "energy")
-        if kind == "x":
-            found.append((s, i))
-        elif kind != "p":
+        at = locator.find(s, "energy")
+        if at.kind is Value.STATE:
+            found.append((s, at.index))
+        elif at.kind is not Value.PARAMETER:
             raise DeclarationError(
                 "the energy", f"depends on '{s}'", "H may depend on states and parameters only", "symbol"
             )

@@ -8,11 +8,30 @@ Source: the structural step of Pantelides, SIAM J. Sci. Stat. Comput. 9 (1988).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 
-from phfmu.terms.term import FLOW, Hidden, Term, Terms
+from phfmu.declare.value import Value
+from phfmu.terms.located import Row, RowAt, ValueAt
+from phfmu.terms.term import FLOW, Term, Terms
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """`rows`: algebraic rows to differentiate;  `solved_by`: such a row -> the variable its own form determines."""
+
+    rows: frozenset[int] = frozenset()
+    solved_by: dict[int, int] = field(default_factory=dict)
+
+    def differentiates(self, row: RowAt) -> bool:
+        """Whether it is one of them."""
+        return row.kind is Row.EQUATION and row.index in self.rows
+
+    @property
+    def checks(self) -> list[int]:
+        """Rows that hold for consistent states only."""
+        return sorted(self.rows - self.solved_by.keys())
 
 
 @dataclass(frozen=True)
@@ -24,14 +43,21 @@ class Check:
     row: int
 
 
-def contained(term: Term, j: int, bound: dict[int, int]) -> dict[tuple[str, int], int]:
-    """Algebraic variables in output j of a flow term: (local kind, local index) -> variable."""
+def variable_at(at: ValueAt, bound: dict[int, int]) -> int | None:
+    """The algebraic variable that a value is: itself, or what feeds an input."""
+    if at.kind is Value.INPUT:
+        return bound.get(at.index)
+    return at.index if at.kind is Value.ALGEBRAIC else None
+
+
+def contained(term: Term, j: int, bound: dict[int, int]) -> dict[ValueAt, int]:
+    """Algebraic variables in output j of a flow term: local place -> variable."""
     found = {}
-    for kind in ("a", "u"):
+    for kind in (Value.ALGEBRAIC, Value.INPUT):
         for i, source in enumerate(term.index.get(kind, ())):
-            variable = source if kind == "a" else bound.get(source)
+            variable = variable_at(ValueAt(kind, source), bound)
             if variable is not None and ca.depends_on(term.data["f"][j], term.local[kind][i]):
-                found[(kind, i)] = variable
+                found[ValueAt(kind, i)] = variable
     return found
 
 
@@ -45,15 +71,17 @@ def hidden_rows(terms: Terms) -> Hidden:
         return Hidden()
     columns: list[set[int]] = [set() for _ in range(terms.na)]
     bound = terms.bound
-    for kind, row, source, i, _ in terms.constants:
-        if kind == "a" and (source == "a" or source == "u" and i in bound):
-            columns[row].add(i if source == "a" else bound[i])
-    patterns: dict[tuple, list[list[tuple[str, int]]]] = {}
+    for c in terms.constants:
+        variable = variable_at(c.source, bound)
+        if c.row.kind is Row.EQUATION and variable is not None:
+            columns[c.row.index].add(variable)
+    patterns: dict[tuple, list[list[ValueAt]]] = {}
     for t in terms.of(FLOW):
-        if any(kind == "a" for kind, _ in t.rows):
+        if any(r.kind is Row.EQUATION for r in t.rows):
             for row, places in zip(t.rows, _pattern(t, bound, patterns), strict=True):
-                if row[0] == "a":
-                    columns[row[1]] |= {_variable(t, place, bound) for place in places}
+                if row.kind is Row.EQUATION:
+                    found = (variable_at(ValueAt(at.kind, t.index[at.kind][at.index]), bound) for at in places)
+                    columns[row.index] |= {v for v in found if v is not None}
     rows = np.repeat(np.arange(terms.na), [len(c) for c in columns])
     cols = np.array([c for found in columns for c in sorted(found)], int)
     pattern = csr_matrix((np.ones(len(rows), np.int8), (rows, cols)), shape=(terms.na, terms.na))
@@ -68,19 +96,14 @@ def hidden_rows(terms: Terms) -> Hidden:
     return Hidden(frozenset(reached), {r: int(match[r]) for r in reached if match[r] >= 0})
 
 
-def _pattern(t: Term, bound: dict[int, int], known: dict) -> list[list[tuple[str, int]]]:
+def _pattern(t: Term, bound: dict[int, int], known: dict) -> list[list[ValueAt]]:
     """Per output the places of algebraic variables; the same for all terms of one kind and binding."""
-    key = (t.key, tuple(i in bound for i in t.index.get("u", ())))
+    key = (t.key, tuple(i in bound for i in t.indices(Value.INPUT)))
     if key not in known:
         known[key] = [list(contained(t, j, bound)) for j in range(len(t.rows))]
     return known[key]
 
 
-def _variable(t: Term, place: tuple[str, int], bound: dict[int, int]) -> int:
-    kind, i = place
-    return t.index[kind][i] if kind == "a" else bound[t.index["u"][i]]
-
-
-def rates(term: Term, chosen: list[int], bound: dict[int, int]) -> dict[tuple[str, int], int]:
-    """Algebraic variables whose rates occur in the differentiated outputs `chosen` of a flow term."""
+def rates(term: Term, chosen: list[int], bound: dict[int, int]) -> dict[ValueAt, int]:
+    """Algebraic variables whose rates occur in the differentiated outputs `chosen` of a flow term, by local place."""
     return {place: v for j in chosen for place, v in contained(term, j, bound).items()}

@@ -18,11 +18,15 @@ from typing import Literal
 import casadi as ca
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.value import Value
 from phfmu.declare.variable import time
 from phfmu.terms.bare import depends
+from phfmu.terms.canonical import components
 from phfmu.terms.extract import extract
+from phfmu.terms.hidden import Hidden
 from phfmu.terms.rows import costate_symbols, costates, output_expressions, row_expressions
-from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Terms, components
+from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Terms
+from phfmu.terms.velocities import velocity_of
 
 Impulse = Literal["pair", "end", "none"]
 
@@ -69,8 +73,8 @@ class _Search:
         self.z, self.u = costate_symbols(model), ca.SX.sym("u", len(terms.pairs))
         self.y = output_expressions(terms, range(terms.nu), self.z, self.u)
         self.a = ca.vertcat(*(v.sx for v in model.algebraics))
-        self.owned = {i for t in terms.of(ENERGY, JOINT) for _, i in t.rows}
-        self.odd = {i for t in terms.of(MASS_BLOCK, CLOSED) for _, i in t.rows}
+        self.owned = {r.index for t in terms.of(ENERGY, JOINT) for r in t.rows}
+        self.odd = {r.index for t in terms.of(MASS_BLOCK, CLOSED) for r in t.rows}
         self.bound = self._constrained()
         self.mass = self._masses()
 
@@ -115,20 +119,22 @@ class _Search:
         """The diagonal of E."""
         out, p = ca.SX.ones(self.terms.n1), ca.vertcat(*(v.sx for v in self.terms.model.parameters))
         for t in self.terms.of(MASS):
-            local = t.local.get("p", ca.SX(0, 1))
+            local = t.symbols(Value.PARAMETER)
             m = t.data["m"]
-            out[t.rows[0][1]] = ca.substitute([m], [local], [p[list(t.index["p"])]])[0] if local.numel() else m
+            out[t.rows[0].index] = (
+                ca.substitute([m], [local], [p[list(t.index[Value.PARAMETER])]])[0] if local.numel() else m
+            )
         return out
 
     def _constrained(self) -> dict[int, str]:
         """State -> hidden constraint that an impulse on it would break."""
         terms, names = self.terms, self.terms.algebraic_names
-        holonomic = {t.rows[0][1]: t for t in terms.of(CONSTRAINT)}
-        out = {}
+        holonomic = {t.rows[0].index: t for t in terms.of(CONSTRAINT)}
+        out, velocity = {}, velocity_of(terms)
         for row, t in holonomic.items():
-            for q in t.index.get("x", ()):
-                out |= {q: names[row], terms.velocity_of[q]: names[row]}
-        rows = sorted(terms.hidden.rows - holonomic.keys())
+            for q in t.indices(Value.STATE):
+                out |= {q: names[row], velocity[q]: names[row]}
+        rows = sorted(terms.found(Hidden).rows - holonomic.keys())
         if rows:
             z = costates(terms)
             for row, c in row_expressions(terms, rows, z).items():

@@ -9,7 +9,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.terms.term import CONSTRAINT, EMPTY, Term, Terms
+from phfmu.declare.value import Value
+from phfmu.terms.term import CONSTRAINT, Term, Terms
+from phfmu.terms.velocities import velocity_of
 from phfmu.words import folded
 
 if TYPE_CHECKING:
@@ -84,7 +86,7 @@ def constraint_rank(model: PHDAE) -> ConstraintRank:
     terms = extract(model)
     jacobian, values = constraint_jacobian(terms), constraint_values(terms)
     names = [n for v in model.algebraics for n in v.names()]
-    rows = [names[t.rows[0][1]] for t in terms.of(CONSTRAINT)]
+    rows = [names[t.rows[0].index] for t in terms.of(CONSTRAINT)]
     labels = constraint_labels(model)
     redundant: dict[int, Redundant] = {}
     groups = []
@@ -185,9 +187,10 @@ def constraint_jacobian(terms: Terms) -> csc_matrix:
     """Dg at the start (constraints in order x states), on the columns of the velocities."""
     from scipy.sparse import csc_matrix
 
-    entries = [(r, terms.velocity_of[q], value)
+    velocity = velocity_of(terms)
+    entries = [(r, velocity[q], value)
                for r, (t, (_, grad)) in enumerate(_evaluated(terms))
-               for q, value in zip(t.index["x"], grad, strict=True)]  # fmt: skip
+               for q, value in zip(t.index[Value.STATE], grad, strict=True)]  # fmt: skip
     row, col, value = zip(*entries, strict=True) if entries else ((), (), ())
     count = len(terms.of(CONSTRAINT))
     return csc_matrix((value, (row, col)), shape=(count, terms.n1))
@@ -215,9 +218,9 @@ def _evaluated(terms: Terms) -> list[tuple[Term, tuple[float, Array]]]:
     out = []
     for t in terms.of(CONSTRAINT):
         if t.key not in known:
-            symbols = [t.local["x"], t.local.get("p", EMPTY), t.local.get("t", EMPTY)]
+            symbols = [t.local[Value.STATE], t.symbols(Value.PARAMETER), t.symbols(Value.TIME)]
             known[t.key] = ca.Function("g", symbols, [t.data["g"], ca.densify(ca.gradient(t.data["g"], symbols[0]))])
-        time = np.zeros(1 if "t" in t.local else 0)
-        g, grad = known[t.key](x[list(t.index["x"])], p[list(t.index.get("p", ()))], time)
+        time = np.zeros(1 if Value.TIME in t.local else 0)
+        g, grad = known[t.key](x[list(t.index[Value.STATE])], p[list(t.indices(Value.PARAMETER))], time)
         out.append((t, (float(g), np.array(grad).ravel())))
     return out

@@ -9,21 +9,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.terms.hidden import contained
+from phfmu.declare.value import Value
+from phfmu.terms.hidden import contained, variable_at
+from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS_BLOCK, Term, Terms
+from phfmu.terms.velocities import velocity_of
 
 
 def moved_by_impulses(terms: Terms) -> NDArray[np.bool_]:
     """Per state whether an impulse reaches it (n1)."""
     moved = np.zeros(terms.n1, bool)
-    for kind, row, source, i, _ in terms.constants:
-        if kind == "x" and (source == "a" or (source == "u" and i in terms.bound)):
-            moved[row] = True
-    for t in terms.terms:
-        if t.kind is FLOW:
-            moved[[i for j, (kind, i) in enumerate(t.rows) if kind == "x" and contained(t, j, terms.bound)]] = True
-        elif t.kind is CONSTRAINT:
-            moved[[terms.velocity_of[q] for q in t.index["x"]]] = True
+    for c in terms.constants:
+        if c.row.kind is Row.BALANCE and variable_at(c.source, terms.bound) is not None:
+            moved[c.row.index] = True
+    for t in terms.of(FLOW):
+        reached = (r for j, r in enumerate(t.rows) if r.kind is Row.BALANCE and contained(t, j, terms.bound))
+        moved[[r.index for r in reached]] = True
+    velocity = velocity_of(terms)
+    for t in terms.of(CONSTRAINT):
+        moved[[velocity[q] for q in t.index[Value.STATE]]] = True
     blocks = [_coupling(t) for t in terms.of(MASS_BLOCK, CLOSED)]
     found = -1
     while found != moved.sum():
@@ -39,4 +43,4 @@ def _coupling(t: Term) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
     pattern = np.zeros((len(t.rows), len(t.rows)), bool)
     pattern[rows, columns] = True
     pattern[~np.diag(pattern)] = True
-    return np.array([i for _, i in t.rows], int), pattern
+    return np.array([r.index for r in t.rows], int), pattern

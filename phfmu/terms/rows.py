@@ -7,10 +7,13 @@ from collections.abc import Iterable
 import casadi as ca
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.value import Value
 from phfmu.declare.variable import time
 from phfmu.terms.extract_energy import divided
-from phfmu.terms.hidden import Check
-from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Hidden, Term, Terms
+from phfmu.terms.hidden import Check, Hidden
+from phfmu.terms.located import Row
+from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Term, Terms
+from phfmu.terms.velocities import velocity_of
 
 
 def costate_symbols(model: PHDAE) -> ca.SX:
@@ -23,29 +26,30 @@ def row_expressions(terms: Terms, rows: Iterable[int], z: ca.SX) -> dict[int, ca
 
     Free inputs are left out, and so are the rows of holonomic constraints.
     """
-    return _expressions(terms, "a", rows, z, ca.SX.zeros(len(terms.pairs)))
+    return _expressions(terms, Row.EQUATION, rows, z, ca.SX.zeros(len(terms.pairs)))
 
 
 def output_expressions(terms: Terms, pairs: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
     """The chosen pair outputs y = B^T z in x, `z` (n1), algebraic variables, parameters and free inputs `u` (a symbol a pair)."""
-    return _expressions(terms, "y", pairs, z, u)
+    return _expressions(terms, Row.OUTPUT, pairs, z, u)
 
 
-def _expressions(terms: Terms, kind: str, rows: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
+def _expressions(terms: Terms, kind: Row, rows: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
     """The chosen rows of one kind; `u`: what stands for the free inputs."""
     model, bound, x = terms.model, terms.bound, terms.model.x
     found = {r: ca.SX(0) for r in rows}
     p = ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
-    for k, row, source, i, value in terms.constants:
-        if k == kind and row in found:
-            found[row] += value * (z[i] if source == "z" else a[i] if source == "a" else _input(i, u, a, bound))
+    read = {Value.COSTATE: z.__getitem__, Value.ALGEBRAIC: a.__getitem__, Value.INPUT: lambda i: _input(i, u, a, bound)}
+    for c in terms.constants:
+        if c.row.kind is kind and c.row.index in found:
+            found[c.row.index] += c.value * read[c.source.kind](c.source.index)
     for t in terms.of(FLOW):
-        if any(k == kind and i in found for k, i in t.rows):
+        chosen = [(j, r.index) for j, r in enumerate(t.rows) if r.kind is kind and r.index in found]
+        if chosen:
             f = ca.substitute([t.data["f"]], *_globals(t, x, z, p, a, bound, u))[0]
-            for j, (k, i) in enumerate(t.rows):
-                if k == kind and i in found:
-                    found[i] += f[j]
+            for j, i in chosen:
+                found[i] += f[j]
     return found
 
 
@@ -59,23 +63,27 @@ def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
 
     Algebraic variables that over-determined rows give (the common velocity of a rigid joint) are eliminated.
     """
-    model, hidden, x = terms.model, terms.hidden, terms.model.x
+    model, hidden, x = terms.model, terms.found(Hidden), terms.model.x
     z, p = costates(terms), ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
     position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}
     rows = row_expressions(terms, hidden.rows, z)
-    out = [ca.SX(0) for _ in checks]
+    out, velocity = [ca.SX(0) for _ in checks], velocity_of(terms)
     for t in terms.of(CONSTRAINT):
         g = t.data["g"]
-        exprs = [g, ca.gradient(g, t.local["x"]), ca.gradient(g, t.local["t"]) if "t" in t.local else ca.SX(0)]
+        exprs = [
+            g,
+            ca.gradient(g, t.local[Value.STATE]),
+            ca.gradient(g, t.local[Value.TIME]) if Value.TIME in t.local else ca.SX(0),
+        ]
         value, grad, moving = ca.substitute(exprs, *_globals(t, x, z, p, a, terms.bound))
-        v = ca.vertcat(*(z[terms.velocity_of[i]] for i in t.index["x"]))
-        rows[t.rows[0][1]] += ca.dot(grad, v) + moving
-        out[position[t.rows[0][1]]] += value
-    velocity = _eliminated(rows, hidden, a)
+        v = ca.vertcat(*(z[velocity[i]] for i in t.index[Value.STATE]))
+        rows[t.rows[0].index] += ca.dot(grad, v) + moving
+        out[position[t.rows[0].index]] += value
+    eliminated = _eliminated(rows, hidden, a)
     for n, c in enumerate(checks):
         if c.level == "velocity":
-            out[n] = velocity[c.row]
+            out[n] = eliminated[c.row]
     return out
 
 
@@ -100,15 +108,15 @@ def costates(terms: Terms) -> ca.SX:
     p = ca.vertcat(*(v.sx for v in model.parameters))
     for t in terms.terms:
         if t.kind is MASS:
-            local = t.local.get("p", ca.SX(0, 1))
+            local = t.symbols(Value.PARAMETER)
             m = t.data["m"]
             if local.numel():
-                (m,) = ca.substitute([m], [local], [p[list(t.index["p"])]])
-            z[t.rows[0][1]] = divided(z[t.rows[0][1]], m)
+                (m,) = ca.substitute([m], [local], [p[list(t.index[Value.PARAMETER])]])
+            z[t.rows[0].index] = divided(z[t.rows[0].index], m)
         elif t.kind is CLOSED:
             value = ca.substitute([t.data["z"]], *_globals(t, model.x, z, p, ca.SX(0, 1), {}))[0]
-            for j, (_, i) in enumerate(t.rows):
-                z[i] = value[j]
+            for j, r in enumerate(t.rows):
+                z[r.index] = value[j]
     return z
 
 
@@ -117,15 +125,15 @@ def _globals(
 ) -> tuple[list[ca.SX], list[ca.SX]]:
     """Old and new symbols that bring a local expression back to the model's; free inputs become those of `u`, or 0."""
     old, new = [], []
-    for kind, source in (("x", x), ("z", z), ("p", p), ("a", a)):
-        if kind in t.local and not (t.kind is CLOSED and kind == "z"):
+    for kind, source in ((Value.STATE, x), (Value.COSTATE, z), (Value.PARAMETER, p), (Value.ALGEBRAIC, a)):
+        if kind in t.local:
             old.append(t.local[kind])
             new.append(source[list(t.index[kind])])
-    if "t" in t.local:
-        old.append(t.local["t"])
+    if Value.TIME in t.local:
+        old.append(t.local[Value.TIME])
         new.append(time)
-    if "u" in t.local:
-        old.append(t.local["u"])
-        free = ca.SX.zeros(1 + max(t.index["u"])) if u is None else u
-        new.append(ca.vertcat(*(_input(i, free, a, bound) for i in t.index["u"])))
+    if Value.INPUT in t.local:
+        old.append(t.local[Value.INPUT])
+        free = ca.SX.zeros(1 + max(t.index[Value.INPUT])) if u is None else u
+        new.append(ca.vertcat(*(_input(i, free, a, bound) for i in t.index[Value.INPUT])))
     return old, new

@@ -26,11 +26,13 @@ from phfmu import (
     state,
     strain_energy,
 )
+from phfmu.declare.value import Value
 from phfmu.gradients.gradient_names import GRADIENTS
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan import address
 from phfmu.plan.address import Address
 from phfmu.schemes import constraints
+from phfmu.schemes.velocities import velocity_costate
 from phfmu.terms.extract import extract
 from phfmu.terms.term import CONSTRAINT
 
@@ -284,14 +286,14 @@ def rows(name: str, k: int):
     (term,) = (t for t in extract(model).terms if t.kind is CONSTRAINT)
     (spec,) = constraints.collocated(term, nodes(k))
     symbols, expr = dict(spec.y), {a: e for a, _, e in spec.out}
-    place = {j: i for i, j in enumerate(term.index["x"])}
+    place = {j: i for i, j in enumerate(term.index[Value.STATE])}
     z, d = (ca.SX(N, k) for _ in range(2))
     for j, i in itertools.product(range(N), range(k)):
-        z[j, i] = symbols[Address(address.velocity_costate, place[j], i)]
+        z[j, i] = symbols[Address(velocity_costate, place[j], i)]
         d[j, i] = symbols[Address(address.increment, place[j], i)]
     G = ca.horzcat(*(-ca.gradient(expr[Address(address.row, 0, i)], z[:, i]) for i in range(k)))
     x, coefficient = spec.x[[place[j] for j in range(N)]], ca.SX.sym("p", P.numel())
-    used = term.index.get("p", ())
+    used = term.indices(Value.PARAMETER)
     (G,) = ca.substitute([G], [spec.p], [coefficient[list(used)]]) if used else (G,)
     slope = ca.jacobian(ca.vec(G), ca.vec(d))
     return ca.Function("g", [x, d, coefficient], [G, slope]), ca.Function("g", [X, P], [CONSTRAINTS[name]])

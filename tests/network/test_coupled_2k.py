@@ -38,7 +38,6 @@ from phfmu.network.couplings.coupling import Step
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import NodeNewton, Unknowns
-from phfmu.network.members.node_values import takes_node_values
 from phfmu.schemes.midpoint import Midpoint
 from phfmu.schemes.radau import Radau
 from phfmu.schemes.two_level import TwoLevel
@@ -225,5 +224,5 @@ def test_a_step_that_fails_brings_impulses_and_unknowns_back() -> None:
 
 def test_members_under_other_schemes_are_held() -> None:
     """Two-level steps and the midpoint baseline are kinds of `Collocated`, but not proved to keep order 2k."""
-    assert takes_node_values(Collocated(3))
-    assert not any(takes_node_values(s) for s in (TwoLevel(3), Midpoint(), Radau(2)))
+    assert Collocated(3).node_values
+    assert not any(s.node_values for s in (TwoLevel(3), Midpoint(), Radau(2)))

@@ -14,6 +14,7 @@ import phfmu as ph
 from phfmu import PHDAE, Collocated, DeclarationError, Port, PythonInstance, TwoLevel, block, build_model, energy
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
+from phfmu.declare.value import Value
 from phfmu.discretise.onestep import step_layout
 from phfmu.engine.evaluate import Evaluator
 from phfmu.plan.address import Address, increment, row
@@ -315,7 +316,7 @@ def test_equal_kernels_with_other_powers_of_h_are_groups_of_their_own() -> None:
     """A damper's -z on a state goes with h, an equal kernel on an algebraic row does not: names do not tell them apart."""
     scheme = Collocated(1)
     layout = step_layout(extract(build("mass")), scheme)
-    flow = next(t for t in layout.terms.terms if scheme.specs(t) and t.index.get("x"))
+    flow = next(t for t in layout.terms.terms if scheme.specs(t) and t.index.get(Value.STATE))
 
     def spec(power: int) -> Spec:
         args = Arguments(flow, 1)

@@ -7,7 +7,7 @@ from phfmu.network.couplings.bare_columns import bare
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.junctions.interface import interface
 from phfmu.network.junctions.network import Network
-from phfmu.network.members.node_values import DeclaredOffer, takes_node_values
+from phfmu.network.members.node_values import DeclaredOffer
 
 
 def order_told(network: Network) -> str:
@@ -46,4 +46,4 @@ def exchanged(network: Network) -> dict[str, str]:
 
 
 def _held(network: Network) -> list[str]:
-    return [n for n, d in network.members.items() if not takes_node_values(default_scheme(d))]
+    return [n for n, d in network.members.items() if not default_scheme(d).node_values]

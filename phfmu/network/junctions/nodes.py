@@ -15,11 +15,12 @@ def node_kinds(declaration: PHDAE) -> dict[str, str]:
     """Junction -> index 1, or index 2 and what the steps do about it."""
     from phfmu.terms.bare import bare_nodes
     from phfmu.terms.extract import extract
+    from phfmu.terms.hidden import Hidden
 
     terms = extract(declaration)
     names = [n for v in declaration.algebraics for n in v.names()]
     bare = {n.row: n for n in bare_nodes(terms)}
-    over = terms.hidden.rows
+    over = terms.found(Hidden).rows
     out = {}
     for junction, _ in declaration.junctions:
         rows = [i for i, n in enumerate(names) if n.startswith(f"{junction}.")]

@@ -17,21 +17,11 @@ from phfmu.engine.status import Status, StepFailure
 from phfmu.gradients.quadrature import Nodes, nodes
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
-from phfmu.schemes.collocated import Collocated
-from phfmu.schemes.scheme import Scheme
 from phfmu.terms.port_impulses import PortImpulse
 
 Array = NDArray[np.float64]
 
 MOVE = 1e-6  # relative change of an input in differences
-
-
-def takes_node_values(scheme: Scheme) -> bool:
-    """Whether the steps of a member keep order 2k when its inputs are given at the k nodes.
-
-    Not those of the kinds of it, two-level steps and the midpoint baseline: their members are held.
-    """
-    return type(scheme) is Collocated
 
 
 class Offer(Protocol):
@@ -197,6 +187,6 @@ class HeldNodes:
 
 def node_values(member: Member) -> NodeValues:
     """The most that a member offers."""
-    if isinstance(member, EngineMember) and takes_node_values(member.model.scheme):
+    if isinstance(member, EngineMember) and member.model.scheme.node_values:
         return EngineNodes(member)
     return HeldNodes(member)

@@ -1,0 +1,52 @@
+"""Where the values and rows of a declaration are, and the constant entries between them.
+
+With E x' = (J - R) z + B u the rows are the balances of the states, the algebraic equations and the outputs y = B^T z of the
+scalar port pairs; a declaration also has rows of observables and of sources.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from phfmu.declare.value import Value
+
+
+class Row(Enum):
+    """A kind of row."""
+
+    BALANCE = "balance of a state"
+    EQUATION = "algebraic equation"
+    OUTPUT = "output of a port pair"
+    OBSERVABLE = "observable"
+    SOURCE = "source of a port pair"
+
+
+@dataclass(frozen=True, slots=True)
+class ValueAt:
+    """The value number `index` of its kind."""
+
+    kind: Value
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class RowAt:
+    """The row number `index` of its kind."""
+
+    kind: Row
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A constant entry: `row` contains `value` times `source`."""
+
+    row: RowAt
+    source: ValueAt
+    value: float
+
+
+#: the row that belongs to a variable of J, R or B, and the effort that its column multiplies
+ROW_OF = {Value.STATE: Row.BALANCE, Value.ALGEBRAIC: Row.EQUATION, Value.INPUT: Row.OUTPUT}
+EFFORT_OF = {Row.BALANCE: Value.COSTATE, Row.EQUATION: Value.ALGEBRAIC, Row.OUTPUT: Value.INPUT}
