@@ -9,6 +9,7 @@ from typing import Any
 from phfmu import meant
 
 _E, _M, _S = "phfmu.components.electrical.", "phfmu.components.mechanical.", "phfmu.components.scenes."
+_C = "phfmu.components.control."
 
 LIBRARY: dict[str, tuple[str, str, str]] = {
     "synchronous_machine": ("component", _E + "synchronous_machine", "field and damper windings, abc terminals"),
@@ -30,8 +31,11 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "damper": ("component", _M + "translational", "linear damper between two flanges"),
     "rotational_inertia": ("component", _M + "rotational", "rotor with viscous friction"),
     "flexible_shaft": ("component", _M + "rotational", "torsional spring with damping"),
+    "torque_source": ("component", _M + "torque_source", "torque set by a signal"),
+    "pi_controller": ("component", _C + "pi_controller", "proportional and integral control: signals, no power"),
     "oscillator": ("scene", _S + "oscillator", "two masses and three springs, cut in three"),
     "drive": ("scene", _S + "drive", "DC motor, flexible shaft and load inertia"),
+    "speed_control": ("scene", _S + "speed_control", "rotor with PI speed control by signals, load step"),
     "smib": ("scene", _S + "smib", "turbo generator at an infinite bus, torque step"),
     "smib_hydro": ("scene", _S + "smib", "hydro generator at an infinite bus, torque step"),
     "smib_folded": ("scene", _S + "smib", "smib with the line folded into the machine: full order"),

@@ -24,6 +24,9 @@ from phfmu.declare.port import Given as Given
 from phfmu.declare.port import Port as Port
 from phfmu.declare.port import drive as drive
 from phfmu.declare.problem import Problem as Problem
+from phfmu.declare.signal import driven as driven
+from phfmu.declare.signal import signal_input as signal_input
+from phfmu.declare.signal import signal_output as signal_output
 from phfmu.declare.transform.descriptor import reduce_descriptor as reduce_descriptor
 from phfmu.declare.transform.parametrised import Parametrised as Parametrised
 from phfmu.declare.transform.transformation import SystemTransformation as SystemTransformation

@@ -31,8 +31,8 @@ SUM = CONSTRAINT + "sum."
 class Quantity:
     """One scalar: the sum of `count` entries of `block` from `first` on.
 
-    `block`: one of an instance's signals (x, a, y_step, energy, ..), or a place that only units have (parameter, input,
-    node_input, node_output, gap, row_*).  `start` is None if calculated; `unit` "1" is none; `nominal` None: not known.
+    `block`: one of an instance's signals (x, a, y_step, energy, ..), or a place that only units have (parameter, tunable,
+    input, node_input, node_output, gap, row_*).  `start` is None if calculated; `unit` "1" is none; `nominal` None: not known.
     """
 
     name: str
@@ -61,6 +61,8 @@ STEP_LEDGER = (
     (f"dissipated{MEAN}", "row_dissipated", "energy dissipated in the last step"),
     (f"moved{MEAN}", "row_moved", "sum over the energies of |change| in the last step"),
 )
+#: the same of changes between steps, in models that have such
+JUMPED = ("events", "jumped", "energy brought since the start by changes of parameters and signals between steps")
 #: ending, block and time of the outputs of a port
 OUTPUTS = (("", "y_end", "at the present time"), (MEAN, "y_step", "mean of the last step"))
 
@@ -70,7 +72,7 @@ def quantities(model: Model) -> tuple[Quantity, ...]:
     d = model.declaration
     return (
         Quantity("time", "independent", "x", model.step.nx, unit="s", description="time"),
-        *_starts(d.parameters, "parameter", "parameter", list(model.p0)),
+        *_parameters(model),
         *_ports(model),
         *_totals(model),
         *_starts(d.states, "local", "x", list(model.x0)),
@@ -134,6 +136,12 @@ def _starts(declared: Sequence[Variable], causality: Causality, block: str, star
     ]
 
 
+def _parameters(model: Model) -> Iterator[Quantity]:
+    for i, name, text, v, j in _scalars(model.declaration.parameters):
+        causality, block = ("input", "tunable") if v.signal else ("parameter", "parameter")
+        yield Quantity(name, causality, block, i, 1, float(model.p0[i]), v.unit, _nominal(v, j), text)
+
+
 def _nominal(v: Variable, entry: int) -> float | None:
     """Parameters have no nominal value of their own."""
     return None if v.role == "parameter" or not v.nominal[entry] else abs(v.nominal[entry])
@@ -182,6 +190,12 @@ def _totals(model: Model) -> Iterator[Quantity]:
             yield Quantity(total(name, member), "local", block, i, 1, None, "J", description=f"{member}: {text}")
 
 
+def jumps(model: Model) -> Iterator[Quantity]:
+    """Of a unit whose stored energy depends on what may be set between steps."""
+    name, block, text = JUMPED
+    yield Quantity(total(name), "output", block, 0, model.step.ncomp, None, "J", description=text)
+
+
 def _observables(model: Model) -> Iterator[Quantity]:
     place = 0
     for o in model.declaration.observables:
@@ -189,7 +203,8 @@ def _observables(model: Model) -> Iterator[Quantity]:
             name = model.observable_names[place]
             text = o.description or f"observable {o.name}"
             text = text if o.expr.numel() == 1 else f"{text}, entry {i + 1}"
-            yield Quantity(name, "local", "observables", place, 1, None, o.unit, description=text)
+            causality: Causality = "output" if o.signal else "local"
+            yield Quantity(name, causality, "observables", place, 1, None, o.unit, description=text)
             place += 1
 
 

@@ -124,12 +124,13 @@ def _with_settings(system: Any, values: dict[str, float]) -> Any:
         return system
     if not isinstance(system, Network):
         return system.with_starts(values)
-    net = Network(system.name, dict(system.members), list(system.junctions), system.description)
-    joined = {n: j.name for j in net.junctions for e in j.ends for n in inputs_of(net, e)}
+    net = replace(system, members=dict(system.members))
+    joined = {n: f"junction '{j.name}'" for j in net.junctions for e in j.ends for n in inputs_of(net, e)}
+    joined |= {f"{w.target}.{w.input}": f"signal {w.source}.{w.output}" for w in net.wires}
     for name, value in values.items():
         member, _, rest = name.partition(".")
         if name in joined:
-            raise KeyError(f"'{name}' is fed by the junction '{joined[name]}'; it cannot be set")
+            raise KeyError(f"'{name}' is fed by the {joined[name]}; it cannot be set")
         try:
             net.members[member] = net.members[member].with_starts({rest: value})
         except KeyError:
@@ -163,10 +164,14 @@ def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf
     return f"{names}, order {min(most, own)}{why}{gradient}, {engine} engine, {coupling}"
 
 
-def _most(coupling: Named, schemes: Iterable[Scheme], engine: str) -> float:
-    """The order that members stepped apart keep together at most."""
+def _most(coupling: Named, schemes: Iterable[Scheme], engine: str, signals: bool) -> float:
+    """The order that members stepped apart keep together at most; signals between them are held."""
+    from phfmu.network.couplings.held_signals import ORDER as SIGNALS
+
     at_nodes = coupling.nodes and engine != "fmu" and all(s.node_values for s in schemes)
-    return inf if at_nodes else coupling.order
+    if at_nodes and not signals:
+        return inf
+    return min(coupling.order, SIGNALS) if signals else coupling.order
 
 
 def _order_lost(asked: int | None, coupling: Named, most: float, engine: str) -> list[str]:
@@ -224,7 +229,7 @@ def _coupled(args: argparse.Namespace, s: Scene, network: Network, name: str, wh
 
         return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling.make)
 
-    most = coupling.order if network.units else _most(coupling, schemes.values(), engine)
+    most = coupling.order if network.units else _most(coupling, schemes.values(), engine, bool(network.wires))
     label = _label(list(schemes.values()), engine, coupling.words, most, coupling.held)
     return Job(s, label, False, build, [*why, *_order_lost(args.order, coupling, most, engine)])
 

@@ -43,6 +43,8 @@ def call(args: argparse.Namespace) -> int:
 
         print(f"order: {order_told(s.system)}")
         words = exchanged(s.system)
+        for wire in s.system.wires:
+            print(f"signal {wire}")
     if d.junctions:
         from phfmu.network.junctions.nodes import node_kinds
 
@@ -51,7 +53,10 @@ def call(args: argparse.Namespace) -> int:
         apart = f"; newton: {words[name]}" if name in words else ""
         print(f"junction {name}: {', '.join(ends)}; {kinds[name]}{apart}")
     limit = limits(d)
-    for title, variables in (("states", d.states), ("algebraic variables", d.algebraics), ("parameters", d.parameters)):
+    signals = tuple(v for v in d.parameters if v.signal)
+    fixed = tuple(v for v in d.parameters if not v.signal)
+    for title, variables in (("states", d.states), ("algebraic variables", d.algebraics), ("parameters", fixed),
+                             ("signal inputs", signals)):  # fmt: skip
         if variables:
             print(f"{title}:")
         for v in variables:

@@ -77,12 +77,18 @@ class Holonomic:
 
 @dataclass(frozen=True, eq=False)
 class Observable:
-    """A named expression of x, z, x2, parameters and time that is reported but not integrated."""
+    """A named expression of x, z, x2, parameters and time that is reported but not integrated; `signal`: others may read it."""
 
     name: str
     expr: ca.SX
     unit: str = "1"
     description: str = ""
+    signal: bool = False
+
+    def names(self) -> list[str]:
+        """Scalar names, `[1]`-based for vectors."""
+        n = self.expr.numel()
+        return [self.name] if n == 1 else [f"{self.name}[{j + 1}]" for j in range(n)]
 
 
 def observable(name: str, expr: Any, *, unit: str = "1", description: str = "") -> Observable:

@@ -144,6 +144,8 @@ class Variable(_Arithmetic):
     max: tuple[float, ...] | None = None
     #: the value 0 is not allowed either
     positive: bool = False
+    #: of a parameter: others feed it, see `signal.py`
+    signal: bool = False
 
     @property
     def n(self) -> int:

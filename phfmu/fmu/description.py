@@ -11,6 +11,8 @@ from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 
+import casadi as ca
+
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.units import BASE, parse_unit
 from phfmu.discretise.model import Model, require_model
@@ -19,7 +21,7 @@ from phfmu.fmu.outward import require_ports, turned
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
-from phfmu.signals import MEAN
+from phfmu.signals import MEAN, jumps
 
 #: category of messages -> its description
 LOG_CATEGORIES = {
@@ -43,7 +45,7 @@ class Unit:
     `node_inputs`: ports also have inputs and outputs at the nodes of a step.  `ledger_outputs`: energies and residuals of
     constraints are outputs, else local variables.  `terminals`: ports are listed as terminals.  `arrays`: vector ports are arrays
     in FMI 3.0.  `left_out`: what the declaration's scene has and the unit has not, a line each.  `outward`: names of ports whose
-    flow counts out of the unit (`outward.py`).
+    flow counts out of the unit (`outward.py`).  `tunable`: scalar names of parameters that may be set between steps.
     Errors: TypeError if `model` is none; FMUError for an outward port there is not.
     """
 
@@ -56,6 +58,7 @@ class Unit:
     left_out: tuple[str, ...] = ()
     arrays: bool = False
     outward: tuple[str, ...] = ()
+    tunable: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         require_model(self.model, "Unit")
@@ -79,8 +82,17 @@ class Unit:
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
-        table = variables(self.model, (node_values,) if self.node_inputs else (), self.ledger_outputs)
+        groups = [*([node_values] if self.node_inputs else []), *([jumps] if self.jumps else [])]
+        table = variables(self.model, groups, self.ledger_outputs, self.tunable)
         return turned(table, [p for p in self.declaration.ports if p.name in self.outward])
+
+    @cached_property
+    def jumps(self) -> bool:
+        """Whether stored energy depends on what may be set between steps."""
+        d = self.declaration
+        free = [s for v in d.parameters for s, n in zip(ca.vertsplit(v.sx), v.names(), strict=True)
+                if v.signal or n in self.tunable]  # fmt: skip
+        return bool(free) and bool(ca.depends_on(d.hamiltonian, ca.vertcat(*free)))
 
     @cached_property
     def spans(self) -> dict[int, Span]:

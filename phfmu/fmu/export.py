@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from phfmu.declare.model_name import unwritable
@@ -14,6 +14,7 @@ from phfmu.fmu.description import Unit, build_description
 from phfmu.fmu.terminals import terminals as terminals_of
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS, Version
+from phfmu.words import meant
 
 #: platform -> compiler target
 PLATFORMS = {
@@ -41,6 +42,7 @@ def export(
     left_out: Sequence[str] = (),
     arrays: bool = False,
     outward: Sequence[str] = (),
+    tunable: Collection[str] = (),
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions` (numbers, or rows as
     in `phfmu.fmu.version`).
@@ -52,6 +54,8 @@ def export(
     has not, for its documentation and manifest.  `arrays`: vector ports as array variables in FMI 3.0.
     `outward`: ports whose flow (the current, the force: what sums to zero at a connection) counts out of the unit, for tools
     that connect variables plainly.
+    `tunable`: parameters that may be set between steps, by scalar or vector name; what that makes of stored energy is booked
+    (`energy.events`).
     The same model gives the same bytes.  Errors: TypeError for anything but a model; FMUError, CompilerMissing, CompileError.
     """
     if bad := unwritable(model.declaration):
@@ -64,7 +68,10 @@ def export(
             f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
-    unit = Unit(model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays, tuple(outward))
+    set_later = _scalars(model, tunable)
+    unit = Unit(
+        model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays, tuple(outward), set_later
+    )
     equations = sources.generated(unit)
     token = sources.token(unit, equations)
     code = sources.complete(unit, equations, token)
@@ -75,6 +82,15 @@ def export(
         package.write(path, _files(unit, version, token, code, libraries))
         paths.append(path)
     return paths
+
+
+def _scalars(model: Model, tunable: Collection[str]) -> frozenset[str]:
+    """Scalar names of parameters; FMUError names what is none."""
+    known = {n: [n] for v in model.declaration.parameters for n in v.names()}
+    known |= {v.name: v.names() for v in model.declaration.parameters}
+    if lost := [n for n in tunable if n not in known]:
+        raise FMUError(f"{model.name} has no parameter '{lost[0]}' to be tunable; {meant(lost[0], known)}")
+    return frozenset(n for name in tunable for n in known[name])
 
 
 def _rows(versions: Sequence[str | Version]) -> list[Version]:

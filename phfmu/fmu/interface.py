@@ -28,6 +28,7 @@ class Scalar:
     type: str = "Float64"
     entry: int = 0
     size: int = 0
+    variability: str = ""
 
 
 @dataclass(frozen=True)

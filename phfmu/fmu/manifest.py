@@ -14,7 +14,7 @@ from phfmu.fmu.description import Unit
 from phfmu.fmu.outward import summed
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
-from phfmu.signals import LEDGER, MEAN, STEP_LEDGER, port_energy, total
+from phfmu.signals import JUMPED, LEDGER, MEAN, STEP_LEDGER, port_energy, total
 
 LAYER = "org.phfmu.ports"
 PATH = f"extra/{LAYER}/fmi-ls-manifest.xml"
@@ -110,6 +110,11 @@ def manifest(unit: Unit) -> bytes:
     energy = etree.SubElement(root, "Energy")
     for what, _, _ in (*LEDGER, *STEP_LEDGER):
         energy.set(ENERGY.get(what, what), total(what))
+    if unit.jumps:
+        energy.set(JUMPED[0], total(JUMPED[0]))
+    for v in unit.variables:
+        if v.block == "FMU_TUNABLE" and v.causality == "parameter":
+            etree.SubElement(root, "Tunable", name=v.name)
     for port in unit.declaration.ports:
         if not port.external:
             continue

@@ -201,6 +201,7 @@ class ModelDescription:
             type=self._once(type_),
             entry=entry,
             size=size,
+            variability=self._once(own.get("variability", "")),
         )
 
     def _leave_out(self, kind: str, name: str) -> None:

@@ -122,6 +122,12 @@ class FMUInstance:
         """Inputs that belong to no port."""
         return self._values.others()
 
+    @property
+    def tunable(self) -> list[str]:
+        """Parameters that may be set between steps."""
+        variables = self.interface.variables.items()
+        return [n for n, v in variables if v.causality == "parameter" and v.variability == "tunable"]
+
     def start_inputs(self) -> Array:
         """Inputs before anyone sets them."""
         return self._values.starts(self._starts)
@@ -255,7 +261,7 @@ class FMUInstance:
             raise
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Values by name: start values before the first step, inputs outside of ports at any time."""
+        """Values by name: start values before the first step, inputs outside of ports and tunable parameters at any time."""
         r = self._slave.references(self.interface.scalars(list(values), "variable"))
         r.values[:] = list(values.values())
         try:

@@ -151,5 +151,6 @@ const fmu_interface fmu_the_interface = {{
     .ranges = {"ranges" if ranges else "0"},
     .equations = {equations_name},
     .end_equations = {end_name},
+    .jumps = {int(unit.jumps)},
 }};
 """

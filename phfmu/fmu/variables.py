@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from phfmu.declare.parameter_limits import Limit, limits
@@ -33,7 +33,9 @@ class FMUVariable(Quantity):
 
     @property
     def variability(self) -> str:
-        return "fixed" if self.causality == "parameter" else "continuous"
+        if self.causality != "parameter":
+            return "continuous"
+        return "tunable" if self.block == "FMU_TUNABLE" else "fixed"
 
     @property
     def initial(self) -> str | None:
@@ -50,11 +52,11 @@ class FMUVariable(Quantity):
 
 #: places of fmu.h; the others are blocks of phfmu.h
 _OF_UNITS = (
-    *("parameter", "input", "node_input", "node_output", "gap"),
+    *("parameter", "tunable", "input", "node_input", "node_output", "gap", "jumped"),
     *("row_stored", "row_supplied", "row_dissipated", "row_moved"),
 )
 #: energies, which no input changes before the next step
-_OF_STATE = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL", "FMU_GAP")
+_OF_STATE = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL", "FMU_GAP", "FMU_JUMPED")
 #: where outputs of the ledger and residuals of constraints come from: to be looked at, not to be connected
 _BOOKS = (*_OF_STATE, "PH_OBSERVABLES")
 
@@ -63,20 +65,29 @@ _BOOKS = (*_OF_STATE, "PH_OBSERVABLES")
 Group = Callable[[Model], Iterable[Quantity]]
 
 
-def variables(model: Model, groups: Sequence[Group] = (), ledger_outputs: bool = True) -> tuple[FMUVariable, ...]:
+def variables(
+    model: Model, groups: Sequence[Group] = (), ledger_outputs: bool = True, tunable: Collection[str] = ()
+) -> tuple[FMUVariable, ...]:
     """All variables; the place is the value reference.  FMUError lists illegal and repeated names.
 
     `groups` come last, so that the references of the others stay.  `ledger_outputs`: energies and residuals of
-    constraints are outputs, else local variables.
+    constraints are outputs, else local variables.  `tunable`: scalar names of parameters that may change between steps.
     """
-    limit = limits(model.declaration)
+    limit, told = limits(model.declaration), (*quantities(model), *(q for group in groups for q in group(model)))
     table = tuple(
-        _written(q, limit.get(q.name) if q.causality == "parameter" else None)
-        for q in (*quantities(model), *(q for group in groups for q in group(model)))
+        _written(
+            replace(q, block="tunable") if q.name in tunable and q.block == "parameter" else q,
+            limit.get(q.name) if q.block in ("parameter", "tunable") else None,
+        )
+        for q in told
     )
     if not ledger_outputs:
+        signals = {n for o in model.declaration.observables if o.signal for n in o.names()}
         table = tuple(
-            replace(v, causality="local") if v.causality == "output" and v.block in _BOOKS else v for v in table
+            replace(v, causality="local")
+            if v.causality == "output" and v.block in _BOOKS and v.name not in signals
+            else v
+            for v in table
         )
     problems = _problems(table)
     if problems:

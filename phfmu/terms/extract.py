@@ -51,6 +51,6 @@ def _observables(model: PHDAE, out: Terms, locator: Locator) -> None:
     for o in model.observables:
         n = o.expr.numel()
         rows = [RowAt(Row.OBSERVABLE, first + j) for j in range(n)]
-        out.observable_names += [o.name] if n == 1 else [f"{o.name}[{j + 1}]" for j in range(n)]
+        out.observable_names += o.names()
         out.terms.append(make_term(OBSERVABLE, {"f": ca.vec(o.expr)}, locator, f"observable '{o.name}'", rows=rows))
         first += n

@@ -24,7 +24,8 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     const ph_plan *p = about->model->step;
     const size_t model = ph_size(about->model), length = strlen(name) + 1, nu = (size_t)p->nu;
     const size_t nc = (size_t)p->ncomp;
-    const size_t values = (size_t)p->nx + (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu + 3 * nc;
+    const size_t values =
+        (size_t)p->nx + 2 * (size_t)p->np + nu * (size_t)p->k + 2 * nu * nu + (FMU_NBOOKS + 1) * nc;
     const size_t scalars = about->sizes ? 2 * (size_t)about->nvariable : 0;
     char *block;
     fmu *f;
@@ -47,9 +48,12 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     f->books.start = f->end_map + nu * nu;
     f->books.booked = f->books.start + nc;
     f->books.rest = f->books.booked + nc;
+    f->books.jumped = f->books.rest + nc;
+    f->books.before = f->books.jumped + nc;
+    f->old = f->books.before + nc;
     if (scalars)
-        f->scalars = (unsigned *)(void *)(f->books.rest + nc);
-    f->name = (char *)(f->books.rest + nc) + sizeof(unsigned) * scalars;
+        f->scalars = (unsigned *)(void *)(f->old + p->np);
+    f->name = (char *)(f->old + p->np) + sizeof(unsigned) * scalars;
     memcpy(f->name, name, length);
     return f;
 }
@@ -145,7 +149,7 @@ static void open_books(fmu *f) {
     const double *energy = ph_signals(f->in) + f->offset[PH_H];
     for (int c = 0; c < f->about->model->step->ncomp; c++) {
         f->books.start[c] = energy[c];
-        f->books.booked[c] = f->books.rest[c] = 0.0;
+        f->books.booked[c] = f->books.rest[c] = f->books.jumped[c] = 0.0;
     }
 }
 

@@ -21,6 +21,7 @@ enum { FMU_INSTANTIATED = 1, FMU_INITIALIZATION = 2, FMU_STEP = 4, FMU_TERMINATE
  * nodes of a step, of which FMU_NODE_INPUT is one. */
 enum {
     FMU_PARAMETER = PH_NBLOCK,
+    FMU_TUNABLE, /* a parameter that may also be set between steps */
     FMU_INPUT,
     FMU_ROW_STORED,
     FMU_ROW_DISSIPATED,
@@ -28,6 +29,7 @@ enum {
     FMU_ROW_NUMERICAL,
     FMU_ROW_MOVED,
     FMU_GAP,
+    FMU_JUMPED, /* change of stored energy by tunable parameters since the start */
     FMU_NODE_INPUT,
     FMU_NODE_OUTPUT
 };
@@ -48,7 +50,8 @@ typedef struct fmu_check {
     double limit;
 } fmu_check;
 
-/* Limits of a parameter, checked when initialization ends; `above`: min itself is not allowed. */
+/* Limits of a parameter, checked when initialization ends and when it is set later; `above`: min itself is
+ * not allowed. */
 typedef struct fmu_range {
     int variable; /* value reference */
     double min, max;
@@ -67,6 +70,7 @@ typedef struct fmu_interface {
     const fmu_range *ranges;          /* nrange */
     const char *const *equations;     /* rows of the step, step->nw */
     const char *const *end_equations; /* rows of the end values, instant->nw */
+    int jumps;                        /* whether stored energy depends on a tunable parameter */
 } fmu_interface;
 
 #define FMU_TOKEN 38
@@ -89,12 +93,16 @@ typedef struct fmu_phase {
     double steps; /* taken since the start */
 } fmu_phase;
 
-/* The stored energy and what was booked as its change, ncomp each. */
+/* The stored energy and what was booked as its change, ncomp each; one stretch of memory. */
 typedef struct fmu_books {
     double *start;  /* H when initialization ended */
     double *booked; /* sum of its changes by the ledgers of all steps */
     double *rest;   /* what compensated summation still owes `booked`, to be subtracted */
+    double *jumped; /* sum of its changes by tunable parameters between steps */
+    double *before; /* H while they change, not saved */
 } fmu_books;
+
+#define FMU_NBOOKS 4
 
 struct fmu {
     const fmu_interface *about;
@@ -106,10 +114,10 @@ struct fmu {
     void *environment;
     char *name;                /* owned */
     int offset[PH_NBLOCK + 1]; /* of the signal table */
-    double *x, *u, *p;         /* nx, nu*k, np: values being set */
+    double *x, *u, *p, *old;   /* nx, nu*k, np, np: values being set, parameters before */
     int early;                 /* a step may end before its end */
     double solved;             /* length of what could be solved of a discarded step, the last call; else 0 */
-    fmu_books books;           /* saved with the state, as one stretch of 3*ncomp */
+    fmu_books books;           /* saved with the state, as one stretch of FMU_NBOOKS*ncomp */
     double *step_map, *end_map; /* nu*nu sensitivities, row-major */
     int step_known, end_known;  /* whether they belong to the present time */
     unsigned *scalars;          /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
@@ -147,6 +155,7 @@ double fmu_time(const fmu *f);
 /* fmu_values.c. ref: n value references, values: n. A refused call changes nothing. */
 int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double *values);
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values);
+int fmu_set_parameters(fmu *f, const double *p); /* p (np); books what they make of H; answers a ph_status */
 int fmu_check_ranges(const fmu *f, const char *function);
 int fmu_held(const fmu *f, const double *u); /* u (nu*k): the same at all nodes */
 

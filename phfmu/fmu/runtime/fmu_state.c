@@ -32,7 +32,7 @@ static unsigned long long sum_of(const void *bytes, size_t size) {
 
 /* Bytes of the books, which lie between the head and the state of the model. */
 static size_t books_size(const fmu *f) {
-    return 3 * sizeof(double) * (size_t)f->about->model->step->ncomp;
+    return FMU_NBOOKS * sizeof(double) * (size_t)f->about->model->step->ncomp;
 }
 
 size_t fmu_state_size(const fmu *f) {

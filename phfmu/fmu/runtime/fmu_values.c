@@ -23,7 +23,10 @@ static int solved(const fmu *f, int block) {
 static const double *block_of(const fmu *f, int block) {
     switch (block) {
     case FMU_PARAMETER:
+    case FMU_TUNABLE:
         return ph_parameters(f->in);
+    case FMU_JUMPED:
+        return f->books.jumped;
     case FMU_INPUT:
     case FMU_NODE_INPUT:
         return ph_input(f->in);
@@ -40,13 +43,12 @@ static const double *block_of(const fmu *f, int block) {
     }
 }
 
-/* H - H(start) - booked changes; before the start nothing is asked of the ledger. Parameters and states are
- * fixed from then on, so no jump of H has to be booked. */
+/* H - H(start) - booked changes; before the start nothing is asked of the ledger. */
 static double gap_of(const fmu *f, const fmu_variable *v) {
     const double *energy = ph_signals(f->in) + f->offset[PH_H];
     double sum = 0.0;
     for (int c = v->first; f->phase.mode != FMU_INITIALIZATION && c < v->first + v->count; c++)
-        sum += (energy[c] - f->books.start[c]) - f->books.booked[c] + f->books.rest[c];
+        sum += (energy[c] - f->books.start[c] - f->books.jumped[c]) - f->books.booked[c] + f->books.rest[c];
     return sum;
 }
 
@@ -89,21 +91,41 @@ int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double 
     return FMU_OK;
 }
 
-/* Inputs at any time, parameters and states until initialization ends. */
+static int check_range(const fmu *f, const char *function, const fmu_range *range, double value) {
+    const char *name = f->about->variables[range->variable].name;
+    if (value < range->min || (range->above && value == range->min))
+        return fmu_refuse(f, "%s: the parameter %s = %.9g must be %s %.9g", function, name, value,
+                          range->above ? "above" : "at least", range->min);
+    if (value > range->max)
+        return fmu_refuse(f, "%s: the parameter %s = %.9g must be at most %.9g", function, name, value,
+                          range->max);
+    return FMU_OK;
+}
+
+/* Of a parameter that is set between steps. */
+static int check_own_range(const fmu *f, const char *function, unsigned ref, double value) {
+    for (int i = 0; i < f->about->nrange; i++)
+        if (f->about->ranges[i].variable == (int)ref)
+            return check_range(f, function, &f->about->ranges[i], value);
+    return FMU_OK;
+}
+
+/* Inputs and tunable parameters at any time, other parameters and states until initialization ends. */
 static int check_set(const fmu *f, const char *function, unsigned ref, double value) {
     const fmu_variable *v = find(f, function, ref);
     const int nx = f->about->model->step->nx;
-    int start;
+    int start, late;
     if (!v)
         return FMU_ERROR;
     start = v->block == FMU_PARAMETER || (v->block == PH_X && v->first < nx);
-    if (!start && v->block != FMU_INPUT && v->block != FMU_NODE_INPUT)
+    late = !(f->phase.mode & (FMU_INSTANTIATED | FMU_INITIALIZATION));
+    if (!start && v->block != FMU_INPUT && v->block != FMU_NODE_INPUT && v->block != FMU_TUNABLE)
         return fmu_refuse(f, "%s: '%s' is calculated and cannot be set", function, v->name);
-    if (start && !(f->phase.mode & (FMU_INSTANTIATED | FMU_INITIALIZATION)))
+    if (start && late)
         return fmu_refuse(f, "%s: '%s' is fixed after initialization", function, v->name);
     if (!isfinite(value))
         return fmu_refuse(f, "%s: '%s' = %g is not finite", function, v->name, value);
-    return FMU_OK;
+    return late && v->block == FMU_TUNABLE ? check_own_range(f, function, ref, value) : FMU_OK;
 }
 
 static void copy(double *to, const double *from, int n) {
@@ -115,6 +137,7 @@ static void copy(double *to, const double *from, int n) {
 static double *place_of(fmu *f, const fmu_variable *v, int *changed) {
     switch (v->block) {
     case FMU_PARAMETER:
+    case FMU_TUNABLE:
         changed[0] = 1;
         return f->p + v->first;
     case FMU_INPUT:
@@ -140,6 +163,29 @@ static int set_inputs(fmu *f) {
     return fmu_held(f, f->u) ? ph_set_input(f->in, f->u) : ph_set_node_inputs(f->in, f->u);
 }
 
+int fmu_set_parameters(fmu *f, const double *p) {
+    const double *energy = ph_signals(f->in) + f->offset[PH_H];
+    const int nc = f->about->model->step->ncomp;
+    int status;
+    if (!f->about->jumps || f->phase.mode != FMU_STEP)
+        return ph_set_parameters(f->in, p);
+    status = ph_refresh(f->in);
+    if (status)
+        return status;
+    copy(f->books.before, energy, nc);
+    copy(f->old, ph_parameters(f->in), f->about->model->step->np);
+    status = ph_set_parameters(f->in, p);
+    if (!status)
+        status = ph_refresh(f->in);
+    if (status) {
+        ph_set_parameters(f->in, f->old);
+        return status;
+    }
+    for (int c = 0; c < nc; c++)
+        f->books.jumped[c] += energy[c] - f->books.before[c];
+    return PH_OK;
+}
+
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values) {
     const ph_plan *plan = f ? f->about->model->step : NULL;
     int changed[3] = {0};
@@ -159,8 +205,8 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
             to[node * plan->nu] = v->sign < 0 ? -values[i] : values[i];
     }
     f->end_known = 0;
-    if ((changed[0] && ph_set_parameters(f->in, f->p)) ||
-        (changed[2] && ph_set_x(f->in, fmu_time(f), f->x)) || (changed[1] && set_inputs(f)))
+    if ((changed[0] && fmu_set_parameters(f, f->p)) || (changed[2] && ph_set_x(f->in, fmu_time(f), f->x)) ||
+        (changed[1] && set_inputs(f)))
         return fmu_refuse(f, "%s: the values were refused", function);
     return FMU_OK;
 }
@@ -168,14 +214,8 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
 int fmu_check_ranges(const fmu *f, const char *function) {
     for (int i = 0; i < f->about->nrange; i++) {
         const fmu_range *range = &f->about->ranges[i];
-        const fmu_variable *v = &f->about->variables[range->variable];
-        const double value = value_of(f, v);
-        if (value < range->min || (range->above && value == range->min))
-            return fmu_refuse(f, "%s: the parameter %s = %.9g must be %s %.9g", function, v->name, value,
-                              range->above ? "above" : "at least", range->min);
-        if (value > range->max)
-            return fmu_refuse(f, "%s: the parameter %s = %.9g must be at most %.9g", function, v->name, value,
-                              range->max);
+        if (check_range(f, function, range, value_of(f, &f->about->variables[range->variable])))
+            return FMU_ERROR;
     }
     return FMU_OK;
 }

@@ -15,6 +15,7 @@ from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupling import Coupling, Solution, Step
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.growth import Growth
+from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import newton
@@ -41,6 +42,7 @@ class Coupled:
         face = self.joined.face
         self.last = Solution(face.start.copy(), np.zeros(len(face.P)))
         self.booking = replace(self.joined.booking, loose=not self.coupling.repeats)
+        self._signals = HeldSignals(network, members)
         self._sums = EndSums(self.joined)
         self.names = [*self.joined.names, *face.names, *self._sums.names]
 
@@ -49,13 +51,16 @@ class Coupled:
 
     def set_value(self, name: str, value: float) -> str:
         """Set a member's parameter or free input `member.name` and say which it is; KeyError names close ones."""
+        if self._signals.feeds(name):
+            raise KeyError(f"{name} is fed by a signal; it cannot be set")
         self._sums.forget()
+        self._signals.forget()
         self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
-        if self._growth is None:
-            return self.joined.set_value(name, value, self.last.xi)
-        before = self.energies()
+        before = self.energies() if self._growth else None
         kind = self.joined.set_value(name, value, self.last.xi)
-        self._growth.given(self.energies() - before)
+        self._signals.sample()
+        if self._growth is not None:
+            self._growth.given(self.energies() - before)
         return kind
 
     def read(self) -> Array:
@@ -74,6 +79,7 @@ class Coupled:
         for m in self.joined.members:
             m.check_start()
         self.joined.apply(self.last.xi)
+        self._signals.sample()
         self._sums.require_zero(self.last.xi)
         self.last = replace(self.last, y=self.joined.end_outputs())
 
@@ -115,9 +121,11 @@ class Coupled:
 
         Every member is at t + h with the committed inputs, or, also when reading fails, all are back at t.
         """
-        states, last = self.joined.states(self.coupling.repeats), self.last
+        self._signals.hold(h)
+        states, last, samples = self.joined.states(self.coupling.repeats), self.last, self._signals.state()
         try:
             self.last = self.coupling.solve(self.joined, last, Step(t, h, states))
+            self._signals.stepped(h)
             known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
             test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
             book = self.joined.ledger()
@@ -126,5 +134,6 @@ class Coupled:
             return known | test | book
         except BaseException:
             self.joined.restore(states)
+            self._signals.restore(samples)
             self.last = last
             raise

@@ -88,7 +88,7 @@ class Exchange:
             own = nodes(self.k[c])
             R = np.eye(rule.k)[:, i] if own.k == rule.k else np.array([own.value(t)[i] for t in rule.c])
             to[:, :, z] = R[:, None] * P[:, c]
-        to = to.reshape(rule.k * len(P), -1)
+        to = to.reshape(rule.k * len(P), len(self.columns))
         back = to.T * np.repeat(rule.b, len(P)) / self.weights[:, None]
         fed = np.flatnonzero(P.any(axis=1)).tolist()
         rows = [node * len(P) + j for node in range(rule.k) for j in fed]

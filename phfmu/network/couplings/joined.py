@@ -112,8 +112,8 @@ class Joined:
                     self.free[indices] = value * m.input_sign[own]
                     m.set_input(self.inputs(xi)[place])
                     return "input"
-                if m.set_parameter(rest, value):
-                    return "parameter"
+                if kind := m.set_parameter(rest, value):
+                    return kind
         raise KeyError(f"{self.network.name} has no parameter or input '{name}'; {meant(name, self.settable())}")
 
     def read(self) -> Array:

@@ -13,6 +13,8 @@ from phfmu.network.members.node_values import DeclaredOffer
 def order_told(network: Network) -> str:
     """What `--order` is composed and apart, for members in Python or compiled code under their usual schemes."""
     held = _held(network)
+    if network.wires:
+        return f"--order composed; {Newton.order} with --coupling newton: signals are held over a step"
     if held:
         which = f"{', '.join(held)} take{'s' if len(held) == 1 else ''} held inputs"
         return f"--order composed; {Newton.order} with --coupling newton: {which}"

@@ -31,17 +31,14 @@ class FMUStepper:
         self._u = unit.start_inputs()
 
     def settable(self) -> list[str]:
-        return self.member.settable() + self.unit.other_inputs
+        return self.member.settable()
 
     def set_value(self, name: str, value: float) -> str:
-        """Set an input and say so; KeyError names close ones, ValueError refuses parameters."""
-        if name in self.unit.other_inputs:
-            self.unit.set({name: value})
-            return "input"
+        """Set an input or tunable parameter and say which; KeyError names close ones, ValueError refuses fixed parameters."""
         found = self.member.input_places(name)
         if not found:
-            if self.member.set_parameter(name, value):
-                return "parameter"
+            if kind := self.member.set_parameter(name, value):
+                return kind
             raise KeyError(f"{self.unit.name} has no input '{name}'; {meant(name, self.settable())}")
         self._u[found] = value * self.member.input_sign[found]
         self.unit.set_input(self._u)

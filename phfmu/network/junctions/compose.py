@@ -18,13 +18,23 @@ import casadi as ca
 from phfmu.declare.phdae import PHDAE, Observable, skew
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable
+from phfmu.network.junctions.fed import fed
 from phfmu.network.junctions.junction import ConnectionError, End, Junction
 from phfmu.network.junctions.unknowns import Unknowns, junction_unknowns
+from phfmu.network.junctions.wires import Wire, outputs, signal_symbols
 
 
-def compose(name: str, members: Mapping[str, PHDAE], junctions: Sequence[Junction], description: str = "") -> PHDAE:
+def compose(
+    name: str,
+    members: Mapping[str, PHDAE],
+    junctions: Sequence[Junction],
+    description: str = "",
+    wires: Sequence[Wire] = (),
+) -> PHDAE:
     """One PHDAE with all states, terms and free ports of the members, and the junction equations."""
     require_members(name, members)
+    if wires:
+        members = _wired(members, wires)
     unknowns = [junction_unknowns(members, j) for j in junctions]
     feed = {end: u for u in unknowns for end in u.junction.ends}
     parts = [_prefixed(member, model, feed) for member, model in members.items()]
@@ -50,6 +60,19 @@ def compose(name: str, members: Mapping[str, PHDAE], junctions: Sequence[Junctio
         junctions=tuple((j.name, tuple(map(str, j.ends))) for j in junctions),
         description=description,
     )
+
+
+def _wired(members: Mapping[str, PHDAE], wires: Sequence[Wire]) -> dict[str, PHDAE]:
+    """Members whose signal inputs are the outputs that feed them; `wires` are in order."""
+    symbols, exprs = ca.SX(0, 1), ca.SX(0, 1)
+    values: dict[str, dict[str, ca.SX]] = {}
+    for w in wires:
+        found = outputs(members[w.source])[w.output.partition("[")[0]]
+        expr = ca.substitute(found.expr[found.names.index(w.output)], symbols, exprs)
+        (symbol,) = signal_symbols(members[w.target], [w.input])
+        symbols, exprs = ca.vertcat(symbols, symbol), ca.vertcat(exprs, expr)
+        values.setdefault(w.target, {})[w.input] = expr
+    return {name: fed(model, values[name]) if name in values else model for name, model in members.items()}
 
 
 def require_members(name: str, members: Mapping[str, PHDAE]) -> None:

@@ -17,6 +17,7 @@ from phfmu.declare.port import Port
 from phfmu.declare.units import parse_unit
 from phfmu.network.junctions.compose import compose
 from phfmu.network.junctions.junction import ConnectionError, End, Junction, Kind
+from phfmu.network.junctions.wires import Wire, in_order, wires_between
 from phfmu.words import meant
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ class Network:
     members: dict[str, PHDAE | UnitFile] = field(default_factory=dict)
     junctions: list[Junction] = field(default_factory=list)
     description: str = ""
+    #: signals between members, each after those it depends on at once
+    wires: list[Wire] = field(default_factory=list)
 
     def add(
         self, name: str, member: PHDAE | UnitFile | str | PathLike[str], ports: Mapping[str, Any] | None = None
@@ -94,6 +97,21 @@ class Network:
         self._check_fit(ends)
         return self._join(Junction(name, kind or self._default_kind(self._port(ends[0])), ends))
 
+    def signal(self, source: str, target: str) -> None:
+        """Feed the signal input `member.name` from an observable, state or port output `member.name`: a value, no power.
+
+        Composed, the input is the output at every instant; members stepped apart hold it over a step, at its value in the
+        middle as the two steps before foretell it (order 2).
+        Errors: ConnectionError for names and units that do not fit, an input that is fed already or that H depends on, and
+        loops of outputs that depend on each other at once.
+        """
+        new = wires_between(self.members, source, target)
+        for wire in new:
+            fed = [w for w in self.wires if (w.target, w.input) == (wire.target, wire.input)]
+            if fed:
+                raise ConnectionError(f"{wire.target}.{wire.input} is fed by {fed[0].source}.{fed[0].output} already")
+        self.wires = in_order(self.members, [*self.wires, *new])
+
     def compose(self) -> PHDAE:
         """The network as one PHDAE: the class is closed under interconnection.  ConnectionError names units in it."""
         if self.units:
@@ -101,7 +119,7 @@ class Network:
                 f"{self.name}: {', '.join(self.units)} {'is an FMU' if len(self.units) == 1 else 'are FMUs'}, which cannot be "
                 "composed into one model; step the members apart (--coupling newton)"
             )
-        return compose(self.name, self.declared, self.junctions, self.description)
+        return compose(self.name, self.declared, self.junctions, self.description, self.wires)
 
     @property
     def declared(self) -> dict[str, PHDAE]:

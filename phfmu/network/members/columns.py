@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.signals import quantities
+from phfmu.signals import Quantity, quantities
 
 Array = NDArray[np.float64]
 
@@ -18,8 +18,10 @@ class Columns:
 
     def __init__(self, model: Model, layout: dict[str, slice]):
         place = {block: where.start for block, where in layout.items()}
-        chosen = [q for q in quantities(model) if q.block in place and q.causality != "independent"]
+        chosen: list[Quantity] = [q for q in quantities(model) if q.block in place and q.causality != "independent"]
         self.names = [q.name for q in chosen]
+        self._chosen = chosen
+        self._known: dict[tuple[str, ...], list[tuple[str, slice]]] = {}
         self._blocks = list(layout)
         entries = [place[q.block] + q.first + np.arange(q.count) for q in chosen]
         self._gather = np.concatenate(entries) if entries else np.zeros(0, int)
@@ -30,6 +32,16 @@ class Columns:
         if not self.names:
             return np.zeros((len(signals), 0))
         return np.add.reduceat(signals[:, self._gather], self._starts, axis=1)
+
+    def some(self, instance: Any, names: tuple[str, ...]) -> Array:
+        """A few columns at the present time, from the blocks they are in."""
+        if names not in self._known:
+            self._known[names] = [self._place(n) for n in names]
+        return np.array([float(instance.signal(block)[place].sum()) for block, place in self._known[names]])
+
+    def _place(self, name: str) -> tuple[str, slice]:
+        q = next(q for q in self._chosen if q.name == name)
+        return q.block, slice(q.first, q.first + q.count)
 
     def now(self, instance: Any) -> Array:
         """The columns at the present time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -53,8 +54,16 @@ class EngineMember:
     def input_places(self, name: str) -> list[int]:
         return places(self._inputs.inputs, name)
 
-    def set_parameter(self, name: str, value: float) -> bool:
-        return bool(places(self._inputs.parameters, name)) and bool(self._inputs.set(name, value))
+    def set_parameter(self, name: str, value: float) -> str:
+        return self._inputs.set(name, value) if places(self._inputs.parameters, name) else ""
+
+    def read_signals(self, names: Sequence[str]) -> Array:
+        return self._columns.some(self.instance, tuple(names))
+
+    def write_signals(self, names: Sequence[str], values: Array) -> None:
+        p = self.instance.parameters
+        p[[self._inputs.parameters[n] for n in names]] = values
+        self.instance.set_parameters(p)
 
     def start_inputs(self) -> Array:
         return self.model.u0.copy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,8 @@ class FMUMember:
         self._watched = np.array(watched, int)
         self._inside = _fed_from_inside(unit)
         self.booking = _booking(unit, name)
+        self._tunable = frozenset(unit.tunable)
+        self._others = [*unit.other_inputs, *unit.tunable]
         self._u = unit.start_inputs()
         self.input_sign = unit.input_sign
         self.nominal = np.array([unit.variable(n).nominal for n in unit.inputs])
@@ -68,21 +71,31 @@ class FMUMember:
         return self.unit.interface.saves
 
     def settable(self) -> list[str]:
-        return list(self.unit.inputs)
+        return [*self.unit.inputs, *self._others]
 
     def input_places(self, name: str) -> list[int]:
         return places({n: i for i, n in enumerate(self.unit.inputs)}, name)
 
-    def set_parameter(self, name: str, value: float) -> bool:
-        """Parameters of an FMU are fixed once it is initialised; ValueError says so."""
+    def set_parameter(self, name: str, value: float) -> str:
+        """Tunable parameters and inputs without power; ValueError for parameters that are fixed once it is initialised."""
+        found = [n for n in self._others if n == name or n.partition("[")[0] == name]
+        if found:
+            self.unit.set(dict.fromkeys(found, value))
+            return "parameter" if found[0] in self._tunable else "input"
         variables = self.unit.interface.variables.items()
         known = {n: i for i, (n, v) in enumerate(variables) if v.causality == "parameter"}
         if not places(known, name):
-            return False
+            return ""
         raise ValueError(
-            f"{self.name}.{name} = {value:g}: parameters of an FMU are fixed during a run; set a start value "
-            "(--set) instead, drive an input, or run the declaration it was made of"
+            f"{self.name}.{name} = {value:g}: this parameter of the FMU is fixed during a run; export it as tunable "
+            "(--tunable), set a start value (--set) instead, drive an input, or run the declaration it was made of"
         )
+
+    def read_signals(self, names: Sequence[str]) -> Array:
+        return self.unit.get(names)
+
+    def write_signals(self, names: Sequence[str], values: Array) -> None:
+        self.unit.set(dict(zip(names, values.tolist(), strict=True)))
 
     def start_inputs(self) -> Array:
         return self.unit.start_inputs()

@@ -29,6 +29,7 @@ class Inputs:
         d = self.model.declaration
         names = [n for v in d.parameters for n in v.names()]
         self.parameters = {n: i for i, n in enumerate(names)}
+        self._signals = {n for v in d.parameters if v.signal for n in (v.name, *v.names())}
         free = [n for p in d.ports if p.external for n in p.input_names()]
         self.inputs = {n: i for i, n in enumerate(free)}
         self.u = self.model.u0.copy()
@@ -46,7 +47,10 @@ class Inputs:
         return np.take_along_axis(u, last, axis=0)
 
     def set(self, name: str, value: float) -> str:
-        """What was set, "parameter" or "input"; "" if `name` is not known. The bare name of a vector sets all entries."""
+        """What was set, "parameter" or "input" (of a port, or a signal); "" if `name` is not known.
+
+        The bare name of a vector sets all entries.
+        """
         for table in (self.parameters, self.inputs):
             found = places(table, name)
             if not found:
@@ -55,7 +59,7 @@ class Inputs:
                 p = self.instance.parameters
                 p[found] = value
                 self.instance.set_parameters(p)
-                return "parameter"
+                return "input" if name in self._signals else "parameter"
             self.u[found] = value
             self.instance.set_input(self.u)
             return "input"

@@ -1,0 +1,1 @@
+"""Controllers: signals in, signals out, no power."""

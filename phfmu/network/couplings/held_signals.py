@@ -1,0 +1,120 @@
+"""Signals between members that are stepped apart: sampled where steps meet, held over a step.
+
+The held value is that of the line through the last two samples in the middle of the step,
+
+    s_n + h_n (s_n - s_{n-1}) / (2 h_{n-1}),
+
+cut at the limits of the input: order 2, without iteration.  After events, and in the first step, it is s_n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.parameter_limits import declared_limits
+from phfmu.network.junctions.network import Network
+from phfmu.network.junctions.wires import Wire
+from phfmu.network.members.member import Member
+
+Array = NDArray[np.float64]
+
+#: of what is held
+ORDER = 2
+
+
+@dataclass(frozen=True)
+class _Hop:
+    """Wires that can be sampled together: (member, names, places in the samples) read, then written."""
+
+    read: list[tuple[Member, list[str], list[int]]] = field(default_factory=list)
+    write: list[tuple[Member, list[str], list[int]]] = field(default_factory=list)
+
+
+class HeldSignals:
+    """The signals of a network; without wires nothing is done."""
+
+    def __init__(self, network: Network, members: Sequence[Member]):
+        self.wires = network.wires
+        self._members = {m.name: m for m in members}
+        self._hops = [self._hop(numbers) for numbers in _stages(network.wires)]
+        self._all = self._hop(range(len(self.wires))).write
+        self._low, self._high = _limits(network)
+        self._now = np.zeros(len(self.wires))
+        self._before: Array | None = None
+        self._last = 0.0
+
+    def feeds(self, name: str) -> bool:
+        """Whether `member.input`, or an entry of it, is fed by a wire."""
+        fed = [f"{w.target}.{w.input}" for w in self.wires]
+        return any(name in (n, n.partition("[")[0]) for n in fed)
+
+    def sample(self) -> None:
+        """Outputs at the present time, and with them all inputs, which are now what the network says."""
+        for hop in self._hops:
+            for member, names, places in hop.read:
+                self._now[places] = member.read_signals(names)
+            self._write(hop.write, self._now)
+
+    def forget(self) -> None:
+        """What comes is not the continuation of the last step."""
+        self._before = None
+
+    def hold(self, h: float) -> None:
+        """Inputs for the next step, of length h, from the samples at its start."""
+        if self._before is None or not self.wires:
+            return
+        ahead = self._now + (h / (2.0 * self._last)) * (self._now - self._before)
+        inside = (self._low <= self._now) & (self._now <= self._high)
+        self._write(self._all, np.where(inside, np.clip(ahead, self._low, self._high), self._now))
+
+    def stepped(self, h: float) -> None:
+        """After a step of length h: samples at its end."""
+        if self.wires:
+            self._before, self._last = self._now.copy(), h
+            self.sample()
+
+    def state(self) -> tuple[Array, Array | None, float]:
+        return self._now.copy(), self._before, self._last
+
+    def restore(self, state: tuple[Array, Array | None, float]) -> None:
+        """Samples of an earlier time; the members are brought back by others."""
+        self._now, self._before, self._last = state[0].copy(), state[1], state[2]
+
+    def _hop(self, numbers: Sequence[int]) -> _Hop:
+        hop = _Hop()
+        for side, list_ in (("source", hop.read), ("target", hop.write)):
+            for name in dict.fromkeys(getattr(self.wires[i], side) for i in numbers):
+                own = [i for i in numbers if getattr(self.wires[i], side) == name]
+                what = [self.wires[i].output if side == "source" else self.wires[i].input for i in own]
+                list_.append((self._members[name], what, own))
+        return hop
+
+    @staticmethod
+    def _write(parts: list[tuple[Member, list[str], list[int]]], values: Array) -> None:
+        for member, names, places in parts:
+            member.write_signals(names, values[places])
+
+
+def _stages(wires: Sequence[Wire]) -> list[list[int]]:
+    """Numbers of the wires, which are in order, in runs in which no wire begins at a member that an earlier one ends at."""
+    stages: list[list[int]] = []
+    reached: set[str] = set()
+    for i, w in enumerate(wires):
+        if not stages or w.source in reached:
+            stages.append([])
+            reached = set()
+        stages[-1].append(i)
+        reached.add(w.target)
+    return stages
+
+
+def _limits(network: Network) -> tuple[Array, Array]:
+    """Declared limits of the inputs that are fed."""
+    known = {n: declared_limits(d) for n, d in network.declared.items()}
+    found = [known.get(w.target, {}).get(w.input) for w in network.wires]
+    low = [-np.inf if f is None else f.min for f in found]
+    return np.array(low), np.array([np.inf if f is None else f.max for f in found])

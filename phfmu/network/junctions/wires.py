@@ -1,0 +1,176 @@
+"""Signals between members: a wire carries a value, and no power, from an output of one member to a signal input.
+
+Composed, the input is replaced by the expression of the output; apart, it is held over a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+from phfmu.declare.dense import coefficient
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.port import Port
+from phfmu.declare.signal import read_by, signal_inputs
+from phfmu.declare.units import UnitError, parse_unit
+from phfmu.declare.variable import _sx
+from phfmu.network.junctions.junction import ConnectionError
+from phfmu.words import meant
+
+if TYPE_CHECKING:
+    from phfmu.fmu.unit_file import UnitFile
+
+
+@dataclass(frozen=True)
+class Wire:
+    """From scalar `output` of member `source` to scalar `input` of member `target`."""
+
+    source: str
+    output: str
+    target: str
+    input: str
+
+    def __str__(self) -> str:
+        return f"{self.source}.{self.output} -> {self.target}.{self.input}"
+
+
+@dataclass(frozen=True)
+class Output:
+    """What a wire may begin at: its scalar names, their expression and unit."""
+
+    names: list[str]
+    expr: ca.SX
+    unit: str
+
+
+def outputs(model: PHDAE | UnitFile) -> dict[str, Output]:
+    """Name -> observables, states and outputs of ports without feedthrough; of a unit its outputs and local variables."""
+    if not isinstance(model, PHDAE):
+        told = {n: v for n, v in model.interface.variables.items() if v.causality in ("output", "local")}
+        return {n: Output([n], ca.SX.sym(n), v.unit) for n, v in told.items()}
+    found = {o.name: Output(o.names(), ca.vec(o.expr), o.unit) for o in model.observables}
+    found |= {v.name: Output(v.names(), v.sx, v.unit) for v in model.states}
+    through = {id(v) for b in (*model.structure, *model.dissipation) for v in b.variables if isinstance(v, Port)}
+    for port in model.ports:
+        if port.on and id(port) not in through:
+            names = port.output_names()
+            found[names[0].partition("[")[0]] = Output(names, _output(model, port), port.output_unit)
+    return found
+
+
+def _output(model: PHDAE, port: Port) -> ca.SX:
+    """y = B^T z."""
+    y = ca.SX(port.n, 1)
+    for v, value in port.on.items():
+        y += ca.mtimes(coefficient(value, v.n, port.n).T, model.effort(v))
+    return y
+
+
+def _inputs(model: PHDAE | UnitFile) -> dict[str, str]:
+    """Scalar name -> unit of signal inputs; of a unit its inputs that belong to no port."""
+    if isinstance(model, PHDAE):
+        return signal_inputs(model)
+    ports = {n for p in model.port_maps for n in p.inputs}
+    return {n: v.unit for n, v in model.interface.variables.items() if v.causality == "input" and n not in ports}
+
+
+def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: str) -> list[Wire]:
+    """One wire per scalar of the two ends, `member.name`; ConnectionError for what does not exist or does not fit."""
+    a, output = _split(members, source)
+    b, wanted = _split(members, target)
+    found, name = outputs(members[a]), output.partition("[")[0]
+    if name not in found or (output != name and output not in found[name].names):
+        what = "has no observable, state or port output (of a port without feedthrough)"
+        raise ConnectionError(f"member '{a}' {what} '{output}'; {meant(output, found)}")
+    given = found[name].names if output == name else [output]
+    units = _inputs(members[b])
+    taken = [n for n in units if wanted in (n, n.partition("[")[0])]
+    if not taken:
+        raise ConnectionError(f"member '{b}' has no signal input '{wanted}'; {meant(wanted, units)}")
+    if len(given) != len(taken):
+        raise ConnectionError(f"{source} has {len(given)} values, {target} takes {len(taken)}; they must be equal")
+    into = members[b]
+    told = isinstance(into, PHDAE) is isinstance(members[a], PHDAE)
+    _require_unit((source, found[name].unit), (target, units[taken[0]]), told)
+    if isinstance(into, PHDAE):
+        _refuse_work(into, taken, target)
+    return [Wire(a, g, b, t) for g, t in zip(given, taken, strict=True)]
+
+
+def _require_unit(source: tuple[str, str], target: tuple[str, str], told: bool) -> None:
+    """(name, unit) of both ends; units of files may tell none, unless both ends are of one kind (`told`)."""
+    units = (source[1], target[1])
+    if units[0] == units[1] or (not told and "1" in units):
+        return
+    try:
+        mine, other = map(parse_unit, units)
+        fit = mine.without_angle() == other.without_angle() and abs(mine.factor / other.factor - 1) <= 1e-12
+    except UnitError:
+        fit = False
+    if not fit:
+        raise ConnectionError(
+            f"unit mismatch: {source[0]} is in {units[0]}, {target[0]} in {units[1]}; connect signals of one unit, or declare "
+            "an output that is converted"
+        )
+
+
+def _split(members: Mapping[str, PHDAE | UnitFile], end: str) -> tuple[str, str]:
+    member, _, name = end.partition(".")
+    if member not in members:
+        raise ConnectionError(f"the network has no member '{member}'; {meant(member, members)}")
+    return member, name
+
+
+def _refuse_work(model: PHDAE, names: Sequence[str], target: str) -> None:
+    """A signal that H, E or a constraint depends on would do work that no port books."""
+    symbols = signal_symbols(model, names)
+    places = [
+        *(("H", e.expr) for e in model.energies),
+        *(("a closed pair", ca.SX(p.hamiltonian)) for p in model.closed),
+    ]
+    places += [("E", ca.SX(_sx(m))) for m in model.E.values()] + [("a constraint", c.g) for c in model.constraints]
+    for what, expr in places:
+        if read_by(expr, symbols):
+            raise ConnectionError(
+                f"{target} stands in {what} of its member: a change would do work that no port books; let it act on J, R, B "
+                "or a source, or change it by events, which book their energy"
+            )
+
+
+def signal_symbols(model: PHDAE, names: Sequence[str]) -> list[ca.SX]:
+    """The symbols of scalar inputs."""
+    place = {n: s for v in model.parameters for n, s in zip(v.names(), ca.vertsplit(v.sx), strict=True)}
+    return [place[n] for n in names]
+
+
+def in_order(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire]) -> list[Wire]:
+    """Wires so that each comes after those its output depends on at once; ConnectionError names a loop of them.
+
+    Of a unit that is not known; its outputs count as those of states.
+    """
+    sorter: TopologicalSorter[int] = TopologicalSorter()
+    for i, wire in enumerate(wires):
+        fed = [j for j, other in enumerate(wires) if other.target == wire.source]
+        model, name = members[wire.source], wire.output.partition("[")[0]
+        if not isinstance(model, PHDAE):
+            sorter.add(i)
+            continue
+        out = outputs(model)[name]
+        expr = out.expr[out.names.index(wire.output)]
+        through = read_by(expr, signal_symbols(model, [wires[j].input for j in fed]))
+        sorter.add(i, *(fed[k] for k in through))
+    try:
+        return [wires[i] for i in sorter.static_order()]
+    except CycleError as error:
+        raise ConnectionError(_loop([wires[i] for i in error.args[1]])) from None
+
+
+def _loop(cycle: Sequence[Wire]) -> str:
+    return (
+        f"signals in a loop without delay: {', '.join(map(str, cycle[:-1]))}: each depends on the one before at once. Put a "
+        "state into one of the members (a filter, an integrator, an actuator with a time constant)"
+    )
