@@ -46,9 +46,8 @@ class Tangents:
         dy = np.concatenate([dv, np.zeros(plan.nz)])
         dy[plan.nv :] += self._stages[0].sums(h, plan.nz, x, evaluator.Y, p, dx, dy)
         constant = plan.const_val * h**plan.const_pow * dy[plan.const_src]
-        r = np.bincount(plan.const_row, constant, plan.nrow) + self._stages[1].sums(
-            h, plan.nrow, x, evaluator.Y, p, dx, dy
-        )
+        r: Array = np.bincount(plan.const_row, constant, plan.nrow).astype(float)
+        r += self._stages[1].sums(h, plan.nrow, x, evaluator.Y, p, dx, dy)
         r[plan.hold.of(evaluator.rests)] = 0.0
         return r
 

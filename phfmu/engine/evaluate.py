@@ -8,27 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.plan.buffered import Buffered
 from phfmu.plan.plan import Group, Plan, Products
 
 Array = NDArray[Any]
 TABLES = ("xi", "yi", "pi")  # of a group: where a kernel's arguments x, Y, p are
-
-
-class Buffered:
-    """A kernel function mapped over the instances of a group, on arrays of its arguments and results (n x width each)."""
-
-    def __init__(self, function: Any, arg: list[Array], res: list[Array]):
-        n = len(arg[0])
-        mapped = function.map(n) if n > 1 else function
-        self.arg, self.res = arg, res
-        self._keep = mapped.buffer()
-        buffer, self.call = self._keep
-        for i, a in enumerate(arg):
-            if a.size:
-                buffer.set_arg(i, memoryview(a))
-        for i, r in enumerate(res):
-            if r.size:
-                buffer.set_res(i, memoryview(r))
 
 
 class Stage:
