@@ -53,7 +53,7 @@ def job_of(args: argparse.Namespace) -> Job:
     require_sound_scene(args, s)
     name, why = _coupling(args, s)
     if name == "monolithic":
-        return _monolithic(args, s, s.declaration())
+        return _monolithic(args, s, s.declaration(), why)
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} is a single component; --coupling {name} needs a network of members")
     return _coupled(args, s, s.system, name, why)
@@ -185,7 +185,7 @@ def _order_lost(asked: int | None, coupling: Named, most: float, engine: str) ->
     ]
 
 
-def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> Job:
+def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]) -> Job:
     scheme, engine = scheme_of(args, declaration), engine_of(args)
 
     def build() -> Stepper:
@@ -199,14 +199,14 @@ def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE) -> Job:
         model = build_model(declaration, scheme)
         return Monolithic(model, instance_of(model, engine))
 
-    return Job(s, _label([scheme], engine, "monolithic"), engine != "fmu", build)
+    return Job(s, _label([scheme], engine, "monolithic"), engine != "fmu", build, why)
 
 
 def _coupled(args: argparse.Namespace, s: Scene, network: Network, name: str, why: list[str]) -> Job:
     from phfmu.network.couplings.named import named_coupling
 
     engine, sequence = engine_of(args), args.sequence and [name.strip() for name in args.sequence.split(",")]
-    coupling = named_coupling(name, network, sequence)
+    coupling = named_coupling(name, network, sequence, args.unconverged)
     schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
 
     def member(name: str, declaration: PHDAE | UnitFile) -> Member:

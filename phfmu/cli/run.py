@@ -40,6 +40,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument(
         "--sequence", metavar="A,B,..", help="the order in which --coupling gauss-seidel steps the members"
     )
+    parser.add_argument("--unconverged", default="raise", choices=("raise", "halve", "accept"),
+                        help="what to do with a step whose coupling does not converge: refuse it (default), take it in "
+                        "halves, or keep the best trial, with what its junctions make of energy booked")  # fmt: skip
     options.add_steps(parser)
     options.add_settings(parser)
     options.add_no_check(parser)

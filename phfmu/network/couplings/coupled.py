@@ -19,6 +19,7 @@ from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.unconverged import added
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.member import Member
 
@@ -38,10 +39,10 @@ class Coupled:
     ):
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
-        self._growth = None if self.coupling.repeats else Growth(self.joined)
+        self._growth = None if self.coupling.closes else Growth(self.joined)
         face = self.joined.face
         self.last = Solution(face.start.copy(), np.zeros(len(face.P)))
-        self.booking = replace(self.joined.booking, loose=not self.coupling.repeats)
+        self.booking = replace(self.joined.booking, loose=not self.coupling.closes)
         self._signals = HeldSignals(network, members)
         self._sums = EndSums(self.joined)
         self.names = [*self.joined.names, *face.names, *self._sums.names]
@@ -96,6 +97,7 @@ class Coupled:
         """
         if self._growth is not None:
             self._growth.given(self.energies())
+        if not self.coupling.repeats:
             self.last = Solution(Instant().solve(self.joined, self.last.xi, t0), self.last.y)
             return
         states = self.joined.states()
@@ -128,7 +130,7 @@ class Coupled:
             self._signals.stepped(h)
             known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
             test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
-            book = self.joined.ledger()
+            book = added(self.joined.ledger(), self.last.earlier)
             if self._growth is not None:
                 self._growth.watch(t, h, known["H"], book["pairs"])
             return known | test | book

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from phfmu.engine.status import StepFailure
 from phfmu.network.couplings.joined import Joined
 
 Array = NDArray[Any]
@@ -30,29 +31,48 @@ class Step:
 
 @dataclass(frozen=True)
 class Solution:
-    """Junction unknowns xi of a step and outputs y of the members under them; trials; by which test they were accepted."""
+    """Junction unknowns xi of a step and outputs y of the members under them; trials; by which test they were accepted.
+
+    `earlier`: the ledger of the parts before the last, of a step that was taken in parts.
+    """
 
     xi: Array
     y: Array
     iterations: int = 0
     accepted_by: str = ""
+    earlier: dict[str, Array] | None = None
+
+
+class Unconverged(StepFailure):
+    """An iteration that was given up.
+
+    `best`: the trial that left the least, if all were finite; the members are at the end of the step under it.
+    """
+
+    best: Solution | None = None
+
+    def of(self, best: Solution) -> Unconverged:
+        self.best = best
+        return self
 
 
 class Coupling(Protocol):
     """Finds the junction unknowns of a step.
 
     `name`: for the head line of a run;  `order`: the most that it keeps, whatever the order of the members;
-    `repeats`: whether it takes a step more than once, for which members must save their states.
+    `repeats`: whether it takes a step more than once, for which members must save their states;  `closes`: whether junctions
+    create no energy, by its own account.
     """
 
     name: str
     order: int
     repeats: bool
+    closes: bool
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """One step from step.t, where the members are; they end at step.t + step.h under the returned unknowns.
 
-        `last`: of the step before, at the start its unknowns are the start values.  StepFailure: the members may be anywhere,
-        who calls brings them back.
+        `last`: of the step before, at the start its unknowns are the start values.  Unconverged: its best trial may be
+        kept.  Any other StepFailure: the members may be anywhere, who calls brings them back.
         """
         ...

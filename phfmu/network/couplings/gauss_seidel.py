@@ -15,7 +15,7 @@ from phfmu.words import meant
 class GaussSeidel:
     """Every member once, in turn.  `sequence`: names of members, by default `usual_sequence`."""
 
-    name, order, repeats = "gauss-seidel", ORDER, False
+    name, order, repeats, closes = "gauss-seidel", ORDER, False, False
 
     def __init__(self, sequence: Sequence[str] | None = None) -> None:
         self._sequence, self._instant = sequence, Instant()

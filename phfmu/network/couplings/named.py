@@ -11,6 +11,7 @@ from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.unconverged import POLICIES
 from phfmu.network.junctions.network import Network
 
 
@@ -30,12 +31,21 @@ class Named:
     make: Callable[[Joined], Coupling]
 
 
-def named_coupling(name: str, network: Network, sequence: Sequence[str] | None = None) -> Named:
-    """The coupling `name` of members of a network; `sequence` for gauss-seidel.  ValueError for what does not go together."""
+def named_coupling(
+    name: str, network: Network, sequence: Sequence[str] | None = None, unconverged: str = "raise"
+) -> Named:
+    """The coupling `name` of members of a network.
+
+    sequence:  of the members, for gauss-seidel;  unconverged:  raise | halve | accept, for couplings that iterate
+    Errors: ValueError for what does not go together.
+    """
     if sequence is not None and name != GaussSeidel.name:
         raise ValueError(f"a sequence of members ({', '.join(sequence)}) is for {GaussSeidel.name}, not for {name}")
     if name == Newton.name:
-        return Named(f"{name} coupling", Newton.order, "inputs held", True, newton)
+        wrap = POLICIES[unconverged]
+        return Named(f"{name} coupling", Newton.order, "inputs held", True, lambda joined: wrap(newton(joined)))
+    if unconverged != "raise":
+        raise ValueError(f"--unconverged {unconverged} is for couplings that iterate; {name} takes each step once")
     lagged = "outputs of an instant held"
     if name == Jacobi.name:
         return Named(f"{name} coupling", Jacobi.order, lagged, False, lambda _: Jacobi())

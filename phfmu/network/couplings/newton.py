@@ -11,13 +11,14 @@ the matrix regular.  Whatever the iteration leaves is booked at the junctions: s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import Status, StepFailure
-from phfmu.network.couplings.coupling import Solution, Step
+from phfmu.engine.status import Status
+from phfmu.network.couplings.coupling import Solution, Step, Unconverged
 from phfmu.network.couplings.joined import Joined
 
 Array = NDArray[Any]
@@ -57,11 +58,12 @@ class Worst:
 class Newton:
     """One value per junction unknown and step, held: the whole is of order 2, whatever the order of the members is."""
 
-    name, order, repeats = "newton", 2, True
+    name, order, repeats, closes = "newton", 2, True, True
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
         xi, history, gain = last.xi.copy(), [], np.zeros_like(joined.face.C)
+        best = np.inf, xi
         for i in range(ITERATIONS):
             if i > 0:
                 joined.restore(step.states)
@@ -69,6 +71,7 @@ class Newton:
             if not np.isfinite(trial.r).all():
                 raise _failure(Status.NOT_FINITE, joined, step, trial, history)
             history.append(float(np.max(trial.scaled(joined), initial=0.0)))
+            best = min(best, (history[-1], xi), key=itemgetter(0))
             accepted_by = _accepted(joined, trial, step.h, history, gain)
             if accepted_by:
                 return Solution(xi, trial.y, i + 1, accepted_by)
@@ -81,7 +84,9 @@ class Newton:
                 raise _failure(Status.SINGULAR, joined, step, trial, history) from None
             if not np.isfinite(xi).all():
                 raise _failure(Status.NOT_FINITE, joined, step, trial, history)
-        raise _failure(Status.NO_CONVERGENCE, joined, step, trial, history)
+        joined.restore(step.states)
+        kept = _trial(joined, best[1], step)
+        raise _failure(Status.NO_CONVERGENCE, joined, step, trial, history).of(Solution(kept.xi, kept.y, ITERATIONS))
 
 
 def _trial(joined: Joined, xi: Array, step: Step) -> Trial:
@@ -114,17 +119,17 @@ def _accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain
     return "rounding floor" if stalled and history[-1] <= STAGNATION else ""
 
 
-def _failure(status: Status, joined: Joined, step: Step, trial: Trial, history: list[float]) -> StepFailure:
+def _failure(status: Status, joined: Joined, step: Step, trial: Trial, history: list[float]) -> Unconverged:
     scaled = np.nan_to_num(trial.scaled(joined), nan=np.inf)
     worst = int(np.argmax(scaled))
     found = Worst(joined.face.names[worst], float(trial.xi[worst]), float(abs(trial.r[worst])))
     return failure(status, joined, step, found, history)
 
 
-def failure(status: Status, joined: Joined, step: Step, worst: Worst, history: list[float]) -> StepFailure:
+def failure(status: Status, joined: Joined, step: Step, worst: Worst, history: list[float]) -> Unconverged:
     """The error of an interface Newton iteration; history: largest scaled residual of each trial."""
     last = ", ".join(f"{v:.3g}" for v in history[-3:])
-    return StepFailure(
+    return Unconverged(
         status, joined.network.name, step.t, step.h,
         equation=f"junction row of {worst.name} = {worst.value:.6g}",
         residual=worst.residual, iterations=len(history),

@@ -12,13 +12,14 @@ the step; also where the iteration stops early.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import Status
-from phfmu.network.couplings.coupling import Coupling, Solution, Step
+from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.newton import (
@@ -88,7 +89,7 @@ class Trial:
 class NodeNewton:
     """As many values per junction variable and step as the members take: the whole has their order."""
 
-    name, repeats = "newton", True
+    name, repeats, closes = "newton", True, True
 
     def __init__(self, exchange: Exchange):
         self.exchange = exchange
@@ -98,6 +99,7 @@ class NodeNewton:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
         z, before = self._start(last, step.h), self.before()
         history: list[float] = []
+        best = np.inf, z
         matrix, stalls, taken = None, 0, 0
         for i in range(ITERATIONS):
             if i > 0:
@@ -106,6 +108,7 @@ class NodeNewton:
             if not np.isfinite([*trial.rows, *trial.ends, *trial.law]).all():
                 raise self._failure(Status.NOT_FINITE, step, z, trial, history)
             history.append(float(np.max(trial.scaled, initial=0.0)))
+            best = min(best, (history[-1], z), key=itemgetter(0))
             stalled = i > 1 and history[-1] > SHRINKING * history[-2]
             stalls += stalled
             floor = stalled and matrix is not None and self._at_floor(z, trial, matrix)
@@ -119,7 +122,10 @@ class NodeNewton:
                 raise self._failure(Status.SINGULAR, step, z, trial, history) from None
             if not np.isfinite(np.append(z.xi, z.m)).all():
                 raise self._failure(Status.NOT_FINITE, step, z, trial, history)
-        raise self._failure(Status.NO_CONVERGENCE, step, z, trial, history)
+        joined.restore(step.states)
+        self.trial(best[1], before, step)
+        given_up = self._failure(Status.NO_CONVERGENCE, step, z, trial, history)
+        raise given_up.of(self._solution(best[1], step.h, ITERATIONS, ""))
 
     def _start(self, last: Solution, h: float) -> Unknowns:
         """The polynomials of the step before, and its impulses if it was as long; after an event its means."""
@@ -135,7 +141,7 @@ class NodeNewton:
         xi = e.mean(z.xi)
         xi[e.bare] += z.m.sum(axis=0) / h
         y = np.concatenate([s.values.member.output() for s in e.shares])
-        return NodeSolution(xi, y, trials, accepted_by, z, h)
+        return NodeSolution(xi, y, trials, accepted_by, found=z, h=h)
 
     def before(self) -> Before:
         """What a step starts from, of the members where they are."""
@@ -204,7 +210,7 @@ class NodeNewton:
         J[n + nb :, n + nb :] = np.eye(nb)
         return J
 
-    def _failure(self, status: Status, step: Step, z: Unknowns, trial: Trial, history: list[float]) -> Exception:
+    def _failure(self, status: Status, step: Step, z: Unknowns, trial: Trial, history: list[float]) -> Unconverged:
         e = self.exchange
         scaled = np.nan_to_num(trial.scaled, nan=np.inf)
         worst = int(np.argmax(scaled)) if scaled.size else 0

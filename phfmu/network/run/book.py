@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.stepper import Stepper
+from phfmu.network.couplings.unconverged import HALVED, KEPT
 from phfmu.network.members.booking import Booking
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.scene import Event
 from phfmu.signals import CONSTRAINT
+from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger, PortKey
@@ -45,6 +47,8 @@ class Book:
         self._least = np.zeros(len(b.components))
         #: what the events did beside setting values, one line each
         self.notes: list[str] = []
+        #: steps that a coupling kept without convergence, and that it halved
+        self.given_up: dict[str, int] = dict.fromkeys((KEPT, HALVED), 0)
 
     @staticmethod
     def _key(component: str, port: str, index: int | None, junction: str | None, b: Booking) -> PortKey:
@@ -120,6 +124,7 @@ class Book:
         self.steps += n
         self.iterations += s.spent
         self._keep_least(t, h, s)
+        self._keep_given_up(t, s)
         for name, i in self._watch:
             self._worst[name] = max(self._worst[name], float(np.max(np.abs(s.signals[:, i]))))
 
@@ -129,6 +134,23 @@ class Book:
             i = int(np.argmin(s.dissipated[:, c]))
             self._least[c] = least[c]
             self.least[self.layout.components[c]] = float(t[i] + h[i]), s.signals[i].copy()
+
+    def _keep_given_up(self, t: Array, s: Steps) -> None:
+        if s.accepted_by is None:
+            return
+        for word, message in (KEPT, "the best trial was kept"), (HALVED, "taken in parts"):
+            for i in np.flatnonzero(s.accepted_by == word):
+                self.given_up[word] += 1
+                self.ledger.event(float(t[i]), word, message=message)
+
+    def told(self) -> list[str]:
+        """Lines about steps whose iteration was given up."""
+        kept, halved = self.given_up[KEPT], self.given_up[HALVED]
+        lines = [f"{counted(halved, 'step')} of {self.steps} did not converge and went in parts"] if halved else []
+        if kept:
+            many = f"{counted(kept, 'step')} of {self.steps}"
+            lines.append(f"{many} did not converge; the best trial was kept, and its junctions made energy")
+        return lines
 
     def worst(self) -> dict[str, float]:
         return self._worst

@@ -59,7 +59,7 @@ def run(stepper: Stepper, options: Options) -> Result:
     if options.dense is not None:
         facts["interpolated"] = inside
     rest_notes = _rest_notes(before, stepper.rest_changes())
-    notes = (*_unreached(options.events, stop - close, stop), *book.notes, *march.notes(), *rest_notes)
+    notes = (*_unreached(options.events, stop - close, stop), *book.notes, *book.told(), *march.notes(), *rest_notes)
     return Result(
         stepper.names, time, values, ledger, book.steps, book.iterations, book.worst(), projection, notes=notes,
         least=book.least, **facts,
