@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import TYPE_CHECKING, Any
 
 from phfmu.cli.options import require_sound, scheme_of, settings
+from phfmu.network.couplings.coupling_names import EXPLICIT
 from phfmu.target import is_fmu, scene
 from phfmu.words import meant
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from phfmu.network.junctions.junction import End
     from phfmu.network.junctions.network import Network
     from phfmu.network.members.member import Member
+    from phfmu.network.members.rollback import Rollback
     from phfmu.network.scene import Event, Scene
     from phfmu.schemes.scheme import Scheme
 
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Job:
     """What a command line asks to run; `label`: for the run's head line; `whole`: one composed model, not units or members;
-    `notes`: what is not as asked for, one line each.
+    `notes`: what is not as asked for, one line each, also of what `build` finds.
 
     `build` makes the stepper, which may compile: what can be refused before should be.
     """
@@ -37,7 +39,7 @@ class Job:
     label: str
     whole: bool
     build: Callable[[], Stepper]
-    notes: Sequence[str] = ()
+    notes: list[str] = field(default_factory=list)
 
 
 def job_of(args: argparse.Namespace) -> Job:
@@ -51,15 +53,25 @@ def job_of(args: argparse.Namespace) -> Job:
     s = scene(args.target)
     s = replace(s, system=_with_settings(s.system, settings(args.set)))
     require_sound_scene(args, s)
-    name, why = _coupling(args, s)
+    tried = _tried(args, s)
+    name, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
     if name == "monolithic":
         return _monolithic(args, s, s.declaration(), why)
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} is a single component; --coupling {name} needs a network of members")
-    return _coupled(args, s, s.system, name, why)
+    return _coupled(args, s, s.system, name, why, {} if name in EXPLICIT else tried)
 
 
-def _coupling(args: argparse.Namespace, s: Scene) -> tuple[str, list[str]]:
+def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
+    """Whether units can take steps back, where the coupling may ask it of them."""
+    if args.coupling in EXPLICIT or not s.units:
+        return {}
+    from phfmu.network.members.unit_member import tried
+
+    return tried(s.units, s.step if args.step is None else args.step)
+
+
+def _coupling(args: argparse.Namespace, s: Scene, stuck: Mapping[str, str]) -> tuple[str, list[str]]:
     """The coupling asked for, or the one that fits and the line that says why; one model without a word if nobody asked."""
     from phfmu.network.couplings.auto import choose
     from phfmu.network.junctions.network import Network
@@ -68,7 +80,7 @@ def _coupling(args: argparse.Namespace, s: Scene) -> tuple[str, list[str]]:
         return args.coupling, []
     if not isinstance(s.system, Network):
         return "monolithic", []
-    found = choose(s.system)
+    found = choose(s.system, stuck=stuck)
     silent = args.coupling is None and found.name == "monolithic"
     return found.name, [] if silent else [f"coupling {found.name}: {found.why}"]
 
@@ -202,20 +214,28 @@ def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: lis
     return Job(s, _label([scheme], engine, "monolithic"), engine != "fmu", build, why)
 
 
-def _coupled(args: argparse.Namespace, s: Scene, network: Network, name: str, why: list[str]) -> Job:
+def _coupled(
+    args: argparse.Namespace, s: Scene, network: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
+) -> Job:
     from phfmu.network.couplings.named import named_coupling
 
     engine, sequence = engine_of(args), args.sequence and [name.strip() for name in args.sequence.split(",")]
     coupling = named_coupling(name, network, sequence, args.unconverged)
     schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
 
+    step = s.step if args.step is None else args.step
+    notes = list(why)
+
     def member(name: str, declaration: PHDAE | UnitFile) -> Member:
         from phfmu.declare.phdae import PHDAE
         from phfmu.discretise.model import build_model
         from phfmu.network.members.engine_member import EngineMember
+        from phfmu.network.members.unit_member import unit_member
 
         if not isinstance(declaration, PHDAE):
-            return _unit_member(name, declaration)
+            made, lines = unit_member(name, declaration, step, tried.get(name))
+            notes.extend(lines)
+            return made
         own = replace(declaration, name=name)
         if engine == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
@@ -231,21 +251,8 @@ def _coupled(args: argparse.Namespace, s: Scene, network: Network, name: str, wh
 
     most = coupling.order if network.units else _most(coupling, schemes.values(), engine, bool(network.wires))
     label = _label(list(schemes.values()), engine, coupling.words, most, coupling.held)
-    return Job(s, label, False, build, [*why, *_order_lost(args.order, coupling, most, engine)])
-
-
-def _unit_member(name: str, file: UnitFile) -> Member:
-    """A member that is the unit of a file."""
-    from phfmu.fmu.reader import FMUInstance
-    from phfmu.network.members.fmu_member import FMUMember
-
-    _say_left_out(str(file.path), file.interface.left_out)
-    return FMUMember(name, FMUInstance(file.path, file.port_maps, starts=file.starts, start=0.0, name=name))
-
-
-def _say_left_out(path: str, left_out: str) -> None:
-    if left_out:
-        print(f"phfmu: {path}: left out, cannot be read or set here: {left_out}", file=sys.stderr)
+    notes += _order_lost(args.order, coupling, most, engine)
+    return Job(s, label, False, build, notes)
 
 
 def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: float) -> Any:
@@ -273,8 +280,10 @@ def _fmu_run(args: argparse.Namespace) -> Job:
     from phfmu.network.scene import fmu_scene
 
     _refuse_compiled_in(args)
-    unit = FMUInstance(args.target, unit_file(args.target).port_maps, starts=settings(args.set))
-    _say_left_out(args.target, unit.interface.left_out)
+    file = unit_file(args.target)
+    unit = FMUInstance(file.path, file.port_maps, starts=settings(args.set))
+    for line in file.left_out:
+        print(f"phfmu: {args.target}: {line}", file=sys.stderr)
     return Job(fmu_scene(unit), f"FMI {unit.interface.version}", False, lambda: FMUStepper(unit))
 
 

@@ -25,6 +25,7 @@ from phfmu.fmu.version import VERSIONS
 from phfmu.fmu.words import plain
 
 CHUNK = 2**20
+TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 #: what the standard allows; of other methods a few bytes can become gigabytes in one call
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
@@ -56,6 +57,14 @@ class Archive:
             f"{self.path}: no library for this platform ({' or '.join(folders)}); the archive has "
             f"{', '.join(self.platforms) or 'none'}. Export it with this platform, or run it on one of those"
         )
+
+    @cached_property
+    def terminals(self) -> bytes | None:
+        """The document of its terminals, if it has one."""
+        if TERMINALS not in self._names:
+            return None
+        with _opened(self.path) as archive:
+            return _document(archive, TERMINALS, self.path)
 
     @cached_property
     def folder(self) -> Path:

@@ -74,7 +74,7 @@ class Interface:
             Port(
                 p.name, p.domain, p.given, {}, len(p.inputs) if p.vector or len(p.inputs) > 1 else None,
                 start=[p.input_sign * (self.variables[n].start or 0.0) + 0.0 for n in p.inputs],
-                nominal=[self.variables[n].nominal for n in p.inputs],
+                nominal=[abs(p.input_sign) * self.variables[n].nominal for n in p.inputs],
                 description=self.variables[p.inputs[0]].description if p.inputs else "",
             )
             for p in (self.ports if ports is None else ports)

@@ -66,7 +66,7 @@ class PortMap:
     ports of the domain meet counts out of it.  `step_outputs`: empty where there are none;
     `vector`: the scalars are entries of a vector, also if there is only one.  `node_inputs`, `node_outputs`: per pair
     the names at the nodes of a step; empty where there are none.  `displacements`: of units of other tools, what the outputs
-    are the rates of; empty where that is not told.
+    are the rates of; empty where that is not told.  `input_factor` and the others: units of the domain in a unit of the variable.
     """
 
     name: str
@@ -80,16 +80,24 @@ class PortMap:
     node_inputs: tuple[tuple[str, ...], ...] = ()
     node_outputs: tuple[tuple[str, ...], ...] = ()
     displacements: tuple[str, ...] = ()
+    input_factor: float = 1.0
+    output_factor: float = 1.0
+    displacement_factor: float = 1.0
 
     @property
     def input_sign(self) -> float:
-        """Of the inputs into the component."""
-        return self.sign if self.given == summed(self.domain) else 1.0
+        """Of the inputs into the component, in units of the domain."""
+        return self.input_factor * (self.sign if self.given == summed(self.domain) else 1.0)
 
     @property
     def output_sign(self) -> float:
-        """Of the outputs into the component."""
-        return self.sign if self.given != summed(self.domain) else 1.0
+        """Of the outputs into the component, in units of the domain."""
+        return self.output_factor * (self.sign if self.given != summed(self.domain) else 1.0)
+
+    @property
+    def displacement_sign(self) -> float:
+        """Of the displacements, as of the outputs."""
+        return self.displacement_factor * (self.sign if self.given != summed(self.domain) else 1.0)
 
 
 def manifest(unit: Unit) -> bytes:

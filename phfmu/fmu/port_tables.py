@@ -17,17 +17,17 @@ from pathlib import Path
 from typing import Any
 
 from phfmu.declare.port import Domain, Given
-from phfmu.declare.units import UnitError, is_power
+from phfmu.declare.units import Unit, UnitError, is_power, parse_unit
 from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PortMap
-from phfmu.fmu.port_units import DOMAINS, domain_of, require_units
+from phfmu.fmu.port_units import DOMAINS, domain_of, factor_to, unit_of
 from phfmu.fmu.variables import FMUError
 from phfmu.words import meant
 
 #: `pump.fmu` -> `pump.ports.toml`
 ENDING = ".ports.toml"
 
-KEYS = ("effort", "flow", "sign", "domain", "displacement")
+KEYS = ("effort", "flow", "sign", "domain", "displacement", "effort_unit", "flow_unit", "displacement_unit")
 
 
 def sidecar(path: Path) -> Path:
@@ -77,12 +77,25 @@ class _Table:
             raise FMUError(
                 f"{self.where}: {len(displacements)} displacements for {len(outputs)} outputs; give one for each"
             )
-        port = PortMap(
+        units = {"effort": domain.effort_unit, "flow": domain.flow_unit}
+        other = "flow" if given == "effort" else "effort"
+        return PortMap(
             self.name, domain, given, inputs, outputs, sign=self._sign(domain), vector=self._vector(),
-            displacements=displacements,
+            displacements=displacements, input_factor=self._factor(given, inputs, units[given]),
+            output_factor=self._factor(other, outputs, units[other]),
+            displacement_factor=self._factor("displacement", displacements, f"s.{units[other]}"),
         )  # fmt: skip
-        require_units(port, self.interface, self.where)
-        return port
+
+    def _factor(self, key: str, names: tuple[str, ...], wanted: str) -> float:
+        return factor_to(wanted, {n: self._unit(key, n) for n in names}, self.where)
+
+    def _unit(self, key: str, name: str) -> Unit | None:
+        """As it is told here, else by the unit."""
+        told = self.table.get(f"{key}_unit")
+        try:
+            return unit_of(self.interface, name) if told is None else parse_unit(str(told))
+        except UnitError as error:
+            raise FMUError(f"{self.where}: {key}_unit: {error}") from None
 
     def _vector(self) -> bool:
         """Told by a list, or as an array."""
@@ -95,13 +108,10 @@ class _Table:
         names = [told] if isinstance(told, str) else told
         if not isinstance(names, list | tuple) or not names or not all(isinstance(n, str) for n in names):
             raise FMUError(f'{self.where}: say which variable is its {key}: {key} = "name", or a list of names')
-        known, found = self.interface.variables, list[str]()
-        for n in names:
-            entries = [n] if n in known else [v for v in known if v.startswith(f"{n}[")]
-            if not entries:
-                raise FMUError(f"{self.where}: {self.interface.name} has no variable '{n}'; {meant(n, known)}")
-            found += entries
-        return tuple(found)
+        try:
+            return tuple(entry for n in names for entry in entries_of(n, self.interface))
+        except FMUError as error:
+            raise FMUError(f"{self.where}: {error}") from None
 
     def _given(self, members: Mapping[str, tuple[str, ...]]) -> Given:
         """Which of the two are inputs."""
@@ -113,7 +123,7 @@ class _Table:
         return "effort" if inputs == ["effort"] else "flow"
 
     def _domain(self, members: Mapping[str, tuple[str, ...]]) -> Domain:
-        told = self.table.get("domain")
+        told, units = self.table.get("domain"), {m: self._unit(m, names[0]) for m, names in members.items()}
         if isinstance(told, Domain):
             return told
         if isinstance(told, Mapping):
@@ -121,9 +131,11 @@ class _Table:
         if told is not None and told not in DOMAINS:
             own = "or a table: domain = {name, effort, effort_unit, flow, flow_unit, common}"
             raise FMUError(f"{self.where}: unknown domain {told!r}; there are {', '.join(DOMAINS)}, {own}")
-        found = DOMAINS[told] if told else domain_of(self.interface, members["effort"][0], members["flow"][0])
+        found = DOMAINS[told] if told else domain_of(*units.values())
         if found is None:
-            texts = ", ".join(f"{m} in {self.interface.variables[n[0]].unit}" for m, n in members.items())
+            texts = ", ".join(
+                f"{m} {members[m][0]} in {u.text if u else 'none that is known'}" for m, u in units.items()
+            )
             raise FMUError(
                 f"{self.where}: its units ({texts}) do not tell its domain; say domain = one of {', '.join(DOMAINS)}"
             )
@@ -152,3 +164,12 @@ class _Table:
                 "power into it), sign = -1 if it counts out of it"
             )
         return float(sign)
+
+
+def entries_of(name: str, interface: Interface) -> list[str]:
+    """The variable, or the entries of an array; FMUError if there is no such variable."""
+    known = interface.variables
+    entries = [name] if name in known else [v for v in known if v.startswith(f"{name}[")]
+    if not entries:
+        raise FMUError(f"{interface.name} has no variable '{name}'; {meant(name, known)}")
+    return entries

@@ -1,11 +1,12 @@
-"""Units of the variables of a port: which domain they tell, and whether they are those of the domain."""
+"""Units of the variables of a port: which domain they tell, and the factors to those of the domain."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 from phfmu.declare.port import ELECTRICAL, HYDRAULIC, ROTATIONAL, TRANSLATIONAL, Domain
 from phfmu.declare.units import Unit, UnitError, parse_unit
 from phfmu.fmu.interface import Interface
-from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.variables import FMUError
 
 DOMAINS = {d.name: d for d in (ELECTRICAL, TRANSLATIONAL, ROTATIONAL, HYDRAULIC)}
@@ -25,25 +26,31 @@ def unit_of(interface: Interface, name: str) -> Unit | None:
         return None
 
 
-def domain_of(interface: Interface, effort: str, flow: str) -> Domain | None:
-    """The domain whose dimensions the two variables have."""
-    units = unit_of(interface, effort), unit_of(interface, flow)
+def domain_of(effort: Unit | None, flow: Unit | None) -> Domain | None:
+    """The domain with these dimensions."""
     for d in DOMAINS.values():
         own = parse_unit(d.effort_unit), parse_unit(d.flow_unit)
-        if all(a is not None and a.without_angle() == b.without_angle() for a, b in zip(units, own, strict=True)):
+        if all(
+            a is not None and a.without_angle() == b.without_angle() for a, b in zip((effort, flow), own, strict=True)
+        ):
             return d
     return None
 
 
-def require_units(port: PortMap, interface: Interface, where: str) -> None:
-    """FMUError for a variable whose unit is not that of its domain."""
-    efforts, flows = (port.inputs, port.outputs) if port.given == "effort" else (port.outputs, port.inputs)
-    for names, own in ((efforts, port.domain.effort_unit), (flows, port.domain.flow_unit)):
-        for n in names:
-            unit, wanted = unit_of(interface, n), parse_unit(own)
-            if unit is None:
-                continue
-            if unit.without_angle() != wanted.without_angle() or abs(unit.factor / wanted.factor - 1) > SAME:
-                raise FMUError(
-                    f"{where}: {n} is in {unit.text}, ports of the domain {port.domain.name} have {own} there"
-                )
+def factor_to(wanted: str, units: Mapping[str, Unit | None], where: str) -> float:
+    """What a value of the variables in `units` is multiplied by to be in the unit `wanted`; 1 where they have none.
+
+    FMUError for another dimension, or variables of different units.
+    """
+    target, factors = parse_unit(wanted), set[float]()
+    for n, unit in units.items():
+        if unit is None:
+            factors.add(1.0)
+        elif unit.without_angle() != target.without_angle():
+            raise FMUError(f"{where}: {n} is in {unit.text}, its port has {wanted} there")
+        else:
+            ratio = unit.factor / target.factor
+            factors.add(1.0 if abs(ratio - 1) < SAME else ratio)
+    if len(factors) > 1:
+        raise FMUError(f"{where}: {', '.join(units)} are not in one unit; make a port of each")
+    return factors.pop() if factors else 1.0

@@ -21,8 +21,8 @@ class PortValues:
     """nu scalar pairs of all ports: inputs `u`, outputs now `y_end`, as means of a step `y_mean` (None: not told).
 
     `u_nodes`, `y_nodes`: inputs and outputs at the nodes of a step, node by node; `held`: u was set after u_nodes.
-    References hold what the unit says; times `input_sign`, `output_sign` (nu) it counts into the component, as all arguments
-    and results of methods do.  FMUError names what the unit has not, and what is no pair.
+    References hold what the unit says; times `input_sign`, `output_sign` (nu) it counts into the component in units of the
+    domain, as all arguments and results of methods do.  FMUError names what the unit has not, and what is no pair.
     """
 
     def __init__(self, interface: Interface, ports: Sequence[PortMap], name: str):
@@ -32,6 +32,10 @@ class PortValues:
         means = [n for p in ports for n in p.step_outputs]
         self.input_sign: Array = np.array([p.input_sign for p in ports for _ in p.inputs])
         self.output_sign: Array = np.array([p.output_sign for p in ports for _ in p.inputs])
+        #: of the outputs at places `rates`
+        self.displacements = [n for p in ports for n in p.displacements]
+        self.displacement_sign: Array = np.array([p.displacement_sign for p in ports for _ in p.displacements])
+        self.rates = np.flatnonzero([bool(p.displacements) for p in ports for _ in p.inputs])
         self.u = self.group(self.inputs, "input")
         self.y_end = self.group(self.outputs, "output")
         self.y_mean = self.group(means, "output") if len(means) == len(self.inputs) else None
@@ -64,7 +68,7 @@ class PortValues:
 
     def begin(self, given: Mapping[str, float]) -> None:
         """Held inputs are those of the start."""
-        self.u.values[:], self.held = self.input_sign * self.starts(given), True
+        self.u.values[:], self.held = self.starts(given) / self.input_sign, True
 
     def inputs_now(self) -> Array:
         """Held inputs (nu)."""
@@ -80,7 +84,7 @@ class PortValues:
         values = np.asarray(u, float)
         if values.shape != (self.nu,) or not np.isfinite(values).all():
             raise ValueError(f"{self.name}: expected {self.nu} finite inputs, got {u}")
-        self.u.values[:], self.held = self.input_sign * values, True
+        self.u.values[:], self.held = values / self.input_sign, True
 
     def take_at_nodes(self, u: ArrayLike) -> None:
         """Inputs at the k nodes (k x nu) into theirs; FMUError if the unit was exported without them."""
@@ -91,7 +95,7 @@ class PortValues:
             )
         if values.shape != (k, self.nu) or not np.isfinite(values).all():
             raise ValueError(f"{self.name}: expected {k} x {self.nu} finite inputs, got {u}")
-        self.u_nodes.values[:], self.held = (self.input_sign * values).ravel(), False
+        self.u_nodes.values[:], self.held = (values / self.input_sign).ravel(), False
 
     def memory(self) -> dict[str, Any]:
         """A copy of what was set."""

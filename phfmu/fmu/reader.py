@@ -114,7 +114,7 @@ class FMUInstance:
 
     @property
     def input_sign(self) -> Array:
-        """-1 where the variable of an input counts out of the unit, else 1 (nu): times it, a value counts inward."""
+        """Times it (nu), a value of a variable counts inward, in units of the domain: -1 where it counts outward in them."""
         return self._values.input_sign
 
     @property
@@ -170,7 +170,7 @@ class FMUInstance:
                 raise UnitFailure(self.name, t, h, error.function, error.answer, error.words) from error
             raise StepFailure(error.status, self.name, t, h, tried=f"in the unit: {error}") from error
         if not np.isfinite(looked).all():
-            raise self.not_finite(self.outputs, looked, reached)
+            raise self.not_finite(self._books.looked, looked, reached)
         self.time, self._h = reached, h if reached == t + h else reached - t
         self._books.book(self._h, looked)
         return reached

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +13,8 @@ from phfmu.fmu.slave import Slave
 from phfmu.fmu.values import References
 
 Array = NDArray[np.float64]
+#: of an estimate, what a saved state keeps
+_KEPT = ("after", "means", "supplied", "pairs")
 _STEP, _MOVED = ("storedStep", "dissipatedStep", "suppliedStep"), "movedStep"
 
 
@@ -21,6 +23,8 @@ class Books(Protocol):
 
     #: the ledger is a quadrature of port power, because the unit does not tell its own
     estimated: bool
+    #: the variables that `look` gives
+    looked: Sequence[str]
 
     def begin(self, slave: Slave) -> None: ...
 
@@ -63,6 +67,7 @@ class Told:
     """The unit's own ledger, exact; nothing is kept here."""
 
     estimated = False
+    looked: Sequence[str] = ()
 
     def __init__(self, ports: PortValues, means: References):
         self._ports, self._means, energy = ports, means, ports.interface.energy
@@ -103,28 +108,41 @@ class Told:
 
 
 class Estimated:
-    """By the trapezoidal rule.  What the unit dissipates it keeps to itself: stored is what was supplied."""
+    """By the change of displacements, whose rates the outputs are: u (q1 - q0) is what held inputs supply; else by the trapezoid.
+
+    What the unit dissipates it keeps to itself: stored is what was supplied.
+    """
 
     estimated = True
 
     def __init__(self, ports: PortValues):
-        self._ports = ports
+        self._ports, n = ports, ports.nu
+        self.looked: Sequence[str] = [*ports.outputs, *ports.displacements]
+        self._seen = ports.group(self.looked, "output")
+        self._inward = np.concatenate([ports.output_sign, ports.displacement_sign])
+        self._rates = ports.rates
+        self._y, self._q = slice(0, n), slice(n, None)
 
     def begin(self, slave: Slave) -> None:
         self._slave = slave
         self._supplied, self._pairs = np.zeros(self._ports.nu), np.zeros(self._ports.nu)
-        self._before = self._after = self.look()
+        self._after = self.look() * self._inward
+        self._means = self._after[self._y]
 
     def look(self) -> Array:
-        return self._slave.get(self._ports.y_end).copy()
+        return self._slave.get(self._seen).copy()
 
     def book(self, h: float, looked: Array) -> None:
-        self._before, self._after = self._after, looked
-        self._pairs = h * self._ports.inputs_now() * self.means()
+        before, after = self._after, looked * self._inward
+        means = (before[self._y] + after[self._y]) / 2
+        if h:
+            means[self._rates] = (after[self._q] - before[self._q]) / h
+        self._after, self._means = after, means
+        self._pairs = h * self._ports.inputs_now() * means
         self._supplied = self._supplied + self._pairs
 
     def means(self) -> Array:
-        return self._ports.output_sign * (self._before + self._after) / 2
+        return self._means.copy()
 
     def energies(self) -> Array:
         return np.array([self._supplied.sum()])
@@ -138,8 +156,8 @@ class Estimated:
         return {"stored": supplied, "dissipated": np.zeros(1), "supplied": supplied, "pairs": self._pairs.copy()}
 
     def memory(self) -> dict[str, Any]:
-        return {n: getattr(self, f"_{n}").copy() for n in ("before", "after", "supplied", "pairs")}
+        return {n: getattr(self, f"_{n}").copy() for n in _KEPT}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        self._before, self._after = memory["before"].copy(), memory["after"].copy()
-        self._supplied, self._pairs = memory["supplied"].copy(), memory["pairs"].copy()
+        for n in _KEPT:
+            setattr(self, f"_{n}", memory[n].copy())

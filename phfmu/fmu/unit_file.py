@@ -15,18 +15,23 @@ from phfmu.fmu.archive import open_archive
 from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_tables import port_maps, read_sidecar, sidecar
+from phfmu.fmu.terminal_ports import terminal_ports
 from phfmu.fmu.variables import FMUError
 from phfmu.words import meant
 
 
 @dataclass(frozen=True, eq=False)
 class UnitFile:
-    """A unit that has been read; `port_maps`: its ports in the names of its variables; `starts`: values before the start."""
+    """A unit that has been read; `port_maps`: its ports in the names of its variables; `starts`: values before the start.
+
+    `left_out`: lines about what cannot be read, set or joined here.
+    """
 
     path: Path
     interface: Interface
     port_maps: tuple[PortMap, ...]
     starts: Mapping[str, float] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -69,17 +74,22 @@ def unit_file(path: str | PathLike[str], ports: Mapping[str, Any] | None = None)
     """The unit, also beside the scene's file, with its ports.
 
     `ports`: tables or `PortMap`s by name.  Without them: those of `pump.ports.toml` beside `pump.fmu`, else of
-    the manifest of this package.  FMUError if the unit cannot be read, or its ports do not fit it.
+    the manifest of this package, else its terminals that are pairs.  FMUError if the unit cannot be read, or its
+    ports do not fit it.
     """
     path = located(Path(path))
     if path.suffix.lower() != ".fmu":
         raise FMUError(f"{path}: a unit is a file whose name ends with .fmu")
-    interface = open_archive(path).interface
-    beside = sidecar(path)
+    archive = open_archive(path)
+    interface, beside = archive.interface, sidecar(path)
+    lines = [f"left out, cannot be read or set here: {o}" for o in (interface.left_out,) if o]
     if ports is not None:
         maps = port_maps(ports, interface, str(path))
     elif beside.is_file():
         maps = read_sidecar(beside, interface)
-    else:
+    elif interface.ports or archive.terminals is None:
         maps = interface.ports
-    return UnitFile(path, interface, maps)
+    else:
+        maps, others = terminal_ports(archive.terminals, interface, str(path))
+        lines += others
+    return UnitFile(path, interface, maps, left_out=tuple(lines))

@@ -66,15 +66,32 @@ def library() -> bytes:
     return compile({CODE.name: CODE, **sources.headers()}).path.read_bytes()
 
 
-def mass(path: Path, version: str, saves: bool = True, unit_of_force: str = "N") -> Path:
-    """A mass on a spring as a unit of another tool."""
-    return unit(path, version, MASS[version].format(unit=unit_of_force), saves)
+#: the terminal of the mass, whose force is of the kind {kind}
+TERMINALS = """<fmiTerminalsAndIcons fmiVersion="3.0"><Terminals><Terminal name="rod.flange" matchingRule="plug">
+<TerminalMemberVariable variableName="v" memberName="v" variableKind="signal"/>
+<TerminalMemberVariable variableName="F" memberName="F" variableKind="{kind}"/></Terminal>
+<Terminal name="bus" matchingRule="bus"><TerminalMemberVariable variableName="q" memberName="q" variableKind="signal"/></Terminal>
+</Terminals></fmiTerminalsAndIcons>"""
 
 
-def unit(path: Path, version: str, variables: str, saves: bool = False, before: str = "") -> Path:
-    """A unit with that library for this machine."""
+def mass(
+    path: Path, version: str, saves: bool = True, unit_of_force: str = "N", before: str = "", terminals: str = ""
+) -> Path:
+    """A mass on a spring as a unit of another tool; `terminals`: the kind of its force in a terminal."""
+    more = {"terminalsAndIcons/terminalsAndIcons.xml": TERMINALS.format(kind=terminals)} if terminals else {}
+    return unit(path, version, MASS[version].format(unit=unit_of_force), saves, before, more)
+
+
+def unit(
+    path: Path,
+    version: str,
+    variables: str,
+    saves: bool = False,
+    before: str = "",
+    more: Mapping[str, str] | None = None,
+) -> Path:
+    """A unit with that library for this machine, and `more` files."""
     folder = fmpy.platform if version == "2.0" else fmpy.platform_tuple
     name = f"binaries/{folder}/foreign{fmpy.sharedLibraryExtension}"
-    return archive(
-        path, {"modelDescription.xml": description(version, variables, saves=saves, before=before), name: library()}
-    )
+    about = description(version, variables, saves=saves, before=before)
+    return archive(path, {"modelDescription.xml": about, name: library(), **(more or {})})

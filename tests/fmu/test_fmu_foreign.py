@@ -185,3 +185,40 @@ def test_inputs_outside_of_ports_are_driven_from_a_table(units: dict[str, Path],
     assert main(["run", str(units[version]), "--input", str(tmp_path / "in.csv"), "-o", str(out)]) == 0
     rows = np.genfromtxt(out, delimiter=",", names=True)
     assert rows["y"][[5, -1]] == pytest.approx([0.5, 5.0])
+
+
+TYPED = {
+    "2.0": """
+<ScalarVariable name="u" valueReference="1" causality="input"><Real declaredType="Force" start="0"/></ScalarVariable>
+<ScalarVariable name="y" valueReference="2" causality="output"><Real declaredType="Force" unit="N"/></ScalarVariable>
+<ScalarVariable name="y2" valueReference="2" causality="output"><Real/></ScalarVariable>""",
+    "3.0": """
+<Float64 name="u" valueReference="1" causality="input" declaredType="Force" start="0"/>
+<Float64 name="y" valueReference="2" causality="output" declaredType="Force" unit="N">
+<Annotations><Annotation type="x"/></Annotations><Alias name="y2"/></Float64>
+<Float64 name="wide" valueReference="6" causality="output"><Dimension start="2"/>
+<Alias name="broad" description="too"/></Float64>""",
+}
+UNIT = '<Unit name="daN"><BaseUnit kg="1" m="1" s="-2" factor="10"/></Unit>'
+UNIT += '<Unit name="degC"><BaseUnit K="1" offset="273.15"/></Unit>'
+TYPES = {
+    "2.0": '<SimpleType name="Force"><Real unit="daN" nominal="5"/></SimpleType>',
+    "3.0": '<Float64Type name="Force" unit="daN" nominal="5"/>',
+}
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_declared_types_units_and_aliases_are_read(tmp_path: Path, version: str) -> None:
+    before = f"<UnitDefinitions>{UNIT}</UnitDefinitions><TypeDefinitions>{TYPES[version]}</TypeDefinitions>"
+    path = foreign.unit(tmp_path / "typed.fmu", version, TYPED[version], before=before)
+    with FMUInstance(path, starts={"u": 1.5}) as unit:
+        assert [(unit.variable(n).unit, unit.variable(n).nominal) for n in ("u", "y")] == [("daN", 5.0), ("N", 5.0)]
+        assert unit.interface.units["daN"].factor == 10.0 and "degC" not in unit.interface.units
+        unit.do_step(0.0, 0.1)
+        assert unit.values()["y2"] == unit.values()["y"] == pytest.approx(3.1)
+        if version == "3.0":
+            assert unit.get(["broad[2]", "broad[1]"]).tolist() == [20.0, 10.0]
+            assert unit.variable("broad[1]").description == "too" and unit.variable("wide[1]").description == ""
+    table = tmp_path / "o.csv"
+    assert main(["run", str(path), "-o", str(table)]) == 0
+    assert {"y", "y2"} <= set(table.read_text().splitlines()[0].split(","))

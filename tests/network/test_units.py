@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from phfmu import Network
+from phfmu import Coupled, EngineMember, Network, Options, PythonInstance, build_model
+from phfmu import run as run_
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
+from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.unit_file import unit_file
 from phfmu.fmu.variables import FMUError
 from phfmu.network.junctions.junction import ConnectionError
+from phfmu.network.members.unit_member import tried, unit_member
 from tests.fmu import foreign
 
 VERSIONS = ["2.0", "3.0"]
@@ -73,7 +77,8 @@ def test_a_foreign_unit_in_a_scene_moves_as_the_declared_member(
     assert np.abs(declared["pump.v"]).max() > 1.0
     for name in ("pump.v", "pump.q", "cart.v", "spring.e"):
         assert np.abs(mixed[name] - declared[name]).max() <= 1e-11, name
-    assert "pump.fmu: left out, cannot be read or set here: String: 1 (label)" in said.err
+    assert "pump: left out, cannot be read or set here: String: 1 (label)" in said.out
+    assert "pump: restores" not in said.out and "stepped last" not in said.out
     assert "estimated" in said.out and "closed" not in next(
         l for l in said.out.splitlines() if l.strip().startswith("pump")
     )
@@ -90,8 +95,8 @@ PORT = {"effort": "F", "flow": "v", "sign": 1}
         ({"effort": "f"}, "foreign has no variable 'f'"),
         ({"effort": None}, 'say which variable is its effort: effort = "name"'),
         ({"effort": "H"}, "effort H is local; flow v is output; of a pair one has to be an input"),
-        ({"flow": "m"}, "m is in kg, ports of the domain translational have m/s there"),
-        ({"flow": "m", "domain": None}, r"its units \(effort in N, flow in kg\) do not tell its domain"),
+        ({"flow": "m"}, "m is in kg, its port has m/s there"),
+        ({"flow": "m", "domain": None}, r"its units \(effort F in N, flow m in kg\) do not tell its domain"),
         ({"domain": "thermal"}, "unknown domain 'thermal'; there are electrical, translational"),
         ({"domain": {"name": "mine"}}, "a domain of its own has name, effort, effort_unit, flow, flow_unit, common"),
         ({"velocity": "v"}, "unknown key 'velocity'"),
@@ -136,3 +141,113 @@ def test_values_before_the_start_are_set_by_name(folder: Path, run: Cli, capsys:
     assert "'pump.F' is fed by the junction 'a'" in capsys.readouterr().err
     assert main(["run", str(path), "--set", "pump.mm=1"]) == 2
     assert "no parameter, state or input 'pump.mm'; did you mean" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("lies", [True, False])
+def test_a_unit_that_cannot_take_steps_back_is_told_and_stepped_last(
+    folder: Path, run: Cli, version: str, lies: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The response of a free mass is linear, so that the prediction is exact and the run that of the declared member."""
+    foreign.mass(folder / "pump.fmu", version, saves=lies)
+    scene(folder)
+    mixed = run("mixed", *(("--set", "pump.forgets=1") if lies else ()))
+    said = capsys.readouterr()
+    assert (
+        "pump: " + ("does not restore its state: " if lies else "cannot save its state; it is stepped last") in said.out
+    )
+    if lies:
+        assert "a step repeated from a restored state ends with q = " in said.out and "it is stepped last" in said.out
+    assert "smaller step" not in said.out + said.err
+    declared = run("declared")
+    for name in ("pump.v", "pump.q", "cart.v", "spring.e"):
+        assert np.abs(mixed[name] - declared[name]).max() <= 1e-10, name
+
+
+def test_what_a_prediction_misses_is_booked_and_shrinks_with_the_step(folder: Path) -> None:
+    """On a spring of its own the free motion of the unit is not uniform; members still lose nothing that is not told."""
+    path = foreign.mass(folder / "pump.fmu", "3.0", saves=False)
+    lost = []
+    for h in (0.02, 0.01, 0.005):
+        net = Network("one")
+        net.add("pump", path, ports={"flange": PORT})
+        net.members["pump"] = net.members["pump"].with_starts({"k": 30.0, "q": 0.2})
+        net.add("cart", mass(2.0, q=0.3, k=10.0))
+        net.junction("a", ["pump.flange", "cart.flange"])
+        unit, _ = unit_member("pump", net.units["pump"], h, tried(net.units, h)["pump"])
+        model = build_model(replace(net.declared["cart"], name="cart"))
+        result = run_(
+            Coupled(net, [unit, EngineMember("cart", model, PythonInstance(model))]), Options(stop=1.0, step=h)
+        )
+        rows = dict(zip(result.names, result.values.T, strict=True))
+        assert np.abs(rows["pump.v"] - rows["cart.v"]).max() < 40 * h**2
+        lost.append(np.abs(rows["pump.v"] - rows["cart.v"]).max())
+    assert 3.5 < lost[0] / lost[1] < 4.5 and 3.5 < lost[1] / lost[2] < 4.5
+
+
+#: a unit of the description that the text alone does not tell
+KILO = '<UnitDefinitions><Unit name="kilonewton"><BaseUnit kg="1" m="1" s="-2" factor="1000"/></Unit></UnitDefinitions>'
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("how", ["defined", "told", "terminal"])
+def test_units_and_signs_of_the_variables_are_converted(folder: Path, run: Cli, version: str, how: str) -> None:
+    """A force of 1 kN that the unit takes for 1 moves a mass of 1 as 1 N moves one of 1 g; so with force and sign turned."""
+    told = {"defined": "sign = 1", "told": 'sign = -1\neffort_unit = "kN"'}
+    if how == "terminal":
+        (folder / "pump.ports.toml").unlink()
+    else:
+        (folder / "pump.ports.toml").write_text(SIDECAR.replace("sign = 1", told[how]))
+    foreign.mass(
+        folder / "pump.fmu", version, unit_of_force="kilonewton", before=KILO if how != "told" else "",
+        terminals={"defined": "inflow", "told": "", "terminal": "inflow"}[how],
+    )  # fmt: skip
+    port = "flange" if how != "terminal" else "rod_flange"
+    path = scene(folder)
+    path.write_text(path.read_text().replace("pump.flange", f"pump.{port}"))
+    turn = -1 if how == "told" else 1
+    mixed = run("mixed", "--set", f"pump.m={1e-3 * turn}")
+    assert np.abs(mixed["pump.v"] - run("declared")["pump.v"]).max() <= 1e-11
+
+
+def test_terminals_that_are_no_ports_are_told(folder: Path) -> None:
+    (folder / "pump.ports.toml").unlink()
+    file = unit_file(foreign.mass(folder / "pump.fmu", "3.0", terminals="outflow"))
+    assert [(m.name, m.domain.name, m.sign) for m in file.port_maps] == [("rod_flange", "translational", -1.0)]
+    assert file.left_out[1:] == (
+        "terminal 'bus': is no power port, which has as many signals as inflows or outflows: q (signal)",
+    )
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_work_is_exact_by_a_displacement_and_of_second_order_by_the_trapezoid(folder: Path, version: str) -> None:
+    """The energy that the unit itself tells, of a mass on a spring of its own, is what forces held over steps supply."""
+    path = foreign.mass(folder / "pump.fmu", version)
+    missed = {}
+    for h in (0.1, 0.05):
+        for name, more in (("trapezoid", {}), ("displacement", {"displacement": "q"})):
+            file = unit_file(path, {"flange": {**PORT, **more}})
+            with FMUInstance(path, file.port_maps, starts={"k": 30.0, "q": 0.2}) as unit:
+                before = unit.get(["H"])[0]
+                for k in range(round(1 / h)):
+                    unit.set_input([np.cos(3 * k * h)])
+                    unit.do_step(k * h, h)
+                missed[name, h] = abs(unit.get(["H"])[0] - before - unit.energies()[0])
+    assert missed["displacement", 0.1] < 1e-14 > missed["displacement", 0.05]
+    assert 3 < missed["trapezoid", 0.1] / missed["trapezoid", 0.05] < 5 and missed["trapezoid", 0.05] > 1e-5
+
+
+def test_two_units_that_cannot_take_steps_back_are_stepped_once_each(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    foreign.mass(folder / "pump.fmu", "2.0", saves=False)
+    path = scene(folder)
+    path.write_text(path.read_text().replace("mass(2.0, q=0.3)", f'"pump.fmu", ports={{"flange": {PORT}}}'))
+    assert main(["run", str(path), "--stop", "0.1", "--step", "1e-4"]) == 0
+    said = capsys.readouterr().out
+    assert (
+        "coupling gauss-seidel: pump cannot save its state; cart cannot save its state, so no step can be repeated"
+        in said
+    )
+    assert main(["run", str(path), "--stop", "0.1", "--coupling", "newton"]) == 0
+    assert capsys.readouterr().out.count("it is stepped last") == 2, "asked for"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from phfmu.network.junctions.network import Network
@@ -15,20 +16,21 @@ class Choice:
     why: str
 
 
-def choose(network: Network, fmus: bool = False) -> Choice:
-    """One model where all members are declared; else steps are repeated, where all units can go back, or taken once.
+def choose(network: Network, fmus: bool = False, stuck: Mapping[str, str] | None = None) -> Choice:
+    """One model where all members are declared; else steps are repeated, where units can go back, or taken once.
 
-    `fmus`: some declared members are to be stepped as exported units.
+    `fmus`: some declared members are to be stepped as exported units.  `stuck`: units that cannot go back and what is wrong with
+    them, default those that say so.  One of them is stepped last against a predicted response; of more, predictions would meet.
     """
     units = network.units
     if not units and not fmus:
         return Choice("monolithic", "all members are declared, so they are stepped as one model")
-    stuck = [name for name, unit in units.items() if not unit.interface.saves]
+    if stuck is None:
+        stuck = {name: "cannot save its state" for name, unit in units.items() if not unit.interface.saves}
+    if len(stuck) > 1:
+        why = "; ".join(f"{name} {words}" for name, words in stuck.items())
+        return Choice("gauss-seidel", f"{why}, so no step can be repeated; junctions make energy, which is told")
     if stuck:
-        whose = "their" if len(stuck) > 1 else "its"
-        return Choice(
-            "gauss-seidel",
-            f"{', '.join(stuck)} cannot save {whose} state, so no step can be repeated; junctions make energy, which is told",
-        )
+        return Choice("newton", f"all members but {', '.join(stuck)} can repeat a step")
     named = ", ".join(units) or "some members"
     return Choice("newton", f"{named} cannot be composed, and all members can repeat a step")

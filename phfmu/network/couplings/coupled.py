@@ -127,6 +127,7 @@ class Coupled:
         states, last, samples = self.joined.states(self.coupling.repeats), self.last, self._signals.state()
         try:
             self.last = self.coupling.solve(self.joined, last, Step(t, h, states))
+            self.joined.finish()
             self._signals.stepped(h)
             known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
             test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}

@@ -7,3 +7,6 @@ COUPLINGS = {
     "gauss-seidel": "each member steps once, one after the other, with the newest outputs of the others",
     "jacobi": "each member steps once, all with the outputs at the start of the step",
 }
+
+#: those that take no step back
+EXPLICIT = ("gauss-seidel", "jacobi")

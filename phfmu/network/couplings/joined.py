@@ -19,6 +19,7 @@ from phfmu.network.junctions.network import Network
 from phfmu.network.members.booking import Booking
 from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
+from phfmu.network.members.stepped_last import SteppedLast
 from phfmu.words import meant
 
 Array = NDArray[np.float64]
@@ -31,6 +32,7 @@ class Joined:
         require_members(network.name, network.members)
         self.network, self.members = network, members
         self.face = interface(network, members)
+        self._last = [m for m in members if isinstance(m, SteppedLast)]
         self.booking = _booking(network, members)
         self.names = [f"{m.name}.{n}" for m in members for n in m.names]
         ends = np.cumsum([0, *(m.nu for m in members)]).tolist()
@@ -58,6 +60,11 @@ class Joined:
         for m in self.members:
             m.do_step(t, h)
         return np.concatenate([m.output() for m in self.members])
+
+    def finish(self) -> None:
+        """Members that were put off take the step that the others took."""
+        for m in self._last:
+            m.finish()
 
     def rows(self, xi: Array, y: Array) -> Array:
         """r = P^T Y + C xi (n)."""

@@ -75,7 +75,7 @@ def _wired(members: Mapping[str, PHDAE], wires: Sequence[Wire]) -> dict[str, PHD
     return {name: fed(model, values[name]) if name in values else model for name, model in members.items()}
 
 
-def require_members(name: str, members: Mapping[str, PHDAE]) -> None:
+def require_members(name: str, members: Mapping[str, object]) -> None:
     """ConnectionError if there is nothing to step."""
     if not members:
         raise ConnectionError(f"network '{name}' has no members; add one: network.add('name', component)")

@@ -64,7 +64,7 @@ class FMUMember:
         self._others = [*unit.other_inputs, *unit.tunable]
         self._u = unit.start_inputs()
         self.input_sign = unit.input_sign
-        self.nominal = np.array([unit.variable(n).nominal for n in unit.inputs])
+        self.nominal = np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs])
 
     @property
     def saves(self) -> bool:

@@ -1,0 +1,104 @@
+"""A unit that cannot take a step back: others step against what it is expected to do, then it steps once.
+
+Its mean outputs are predicted from the outputs y(t) where it is,
+
+    Y = y(t) + b + G (U - U_last),      G = dY/dU of the first step,
+
+with b = Y_last - y(t_last) of the last step; should its length change, b and G are in proportion to it.  What the prediction
+misses is left in the rows of its junctions, which book it: sum h U^T Y.  Exact for linear members without feedthrough whose
+free motion is uniform.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.rest_changes import RestChange
+from phfmu.network.members.fmu_member import FMUMember
+
+Array = NDArray[np.float64]
+
+
+class SteppedLast:
+    """The member `inner`, whose steps are put off until `finish`; response: `rollback.response` to a step of length h."""
+
+    def __init__(self, inner: FMUMember, h: float, response: tuple[Array, Array]):
+        self.inner, self._h, (first, self._G) = inner, h, response
+        self.name, self.nu, self.names = inner.name, inner.nu, inner.names
+        self.places, self.nominal, self.booking = inner.places, inner.nominal, inner.booking
+        self.input_sign, self.saves = inner.input_sign, False
+        self._u = inner.start_inputs()
+        self._end = inner.end_output().copy()
+        self._last, self._b = self._u, first - self._end
+        self._put_off: tuple[float, float] | None = None
+
+    # -- of a step ----------------------------------------------------------------------------------------------------
+
+    def set_input(self, u: Array) -> None:
+        self._u = np.array(u)
+        self.inner.set_input(u)
+
+    def do_step(self, t: float, h: float) -> None:
+        if h != self._h:
+            self._b, self._G, self._h = self._b * (h / self._h), self._G * (h / self._h), h
+        self._put_off = t, h
+
+    def finish(self) -> None:
+        """The step that was put off, under the inputs that were found for it."""
+        if self._put_off is None:
+            return
+        t, h = self._put_off
+        self.inner.do_step(t, h)
+        self._put_off = None
+        self._b, self._last = self.inner.output() - self._end, self._u
+        self._end = self.inner.end_output().copy()
+
+    def output(self) -> Array:
+        if self._put_off is None:
+            return self.inner.output()
+        return self._end + self._b + self._G @ (self._u - self._last)
+
+    def end_output(self) -> Array:
+        return self.inner.end_output()
+
+    def sensitivity(self, t: float, h: float, state: Any) -> Array:
+        return self._G
+
+    def get_state(self) -> None:
+        """The unit is where it is; nothing is kept."""
+
+    def set_state(self, state: None) -> None:
+        """A step that was put off is forgotten; one that was taken stays."""
+        self._put_off = None
+
+    # -- as of any other member ---------------------------------------------------------------------------------------
+
+    def settable(self) -> list[str]:
+        return self.inner.settable()
+
+    def input_places(self, name: str) -> list[int]:
+        return self.inner.input_places(name)
+
+    def set_parameter(self, name: str, value: float) -> bool:
+        return self.inner.set_parameter(name, value)
+
+    def start_inputs(self) -> Array:
+        return self.inner.start_inputs()
+
+    def ledger(self) -> dict[str, Array]:
+        return self.inner.ledger()
+
+    def energies(self) -> Array:
+        return self.inner.energies()
+
+    def read(self) -> Array:
+        return self.inner.read()
+
+    def rest_changes(self) -> list[RestChange]:
+        return self.inner.rest_changes()
+
+    def check_start(self) -> None:
+        self.inner.check_start()

@@ -1,0 +1,38 @@
+"""A member from the file of a unit, of the kind that it can be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.unit_file import UnitFile
+from phfmu.network.members.fmu_member import FMUMember
+from phfmu.network.members.member import Member
+from phfmu.network.members.rollback import Rollback, response, try_rollback
+from phfmu.network.members.stepped_last import SteppedLast
+
+LAST = "it is stepped last, against a predicted response; what that misses is booked at its junctions"
+
+
+def made(name: str, file: UnitFile) -> FMUInstance:
+    """An instance for a run from t = 0."""
+    return FMUInstance(file.path, file.port_maps, starts=file.starts, start=0.0, name=name)
+
+
+def tried(units: Mapping[str, UnitFile], h: float) -> dict[str, Rollback]:
+    """Whether units of other tools take steps of length h back; those of this package restore every bit."""
+    return {n: try_rollback(partial(made, n, f), h) for n, f in units.items() if not f.interface.energy}
+
+
+def unit_member(name: str, file: UnitFile, h: float, found: Rollback | None = None) -> tuple[Member, list[str]]:
+    """The member `name` of a network with steps of length h, and lines about what it cannot do.
+
+    found: what a trial gave; a unit that cannot take steps back is stepped last.  None where no step is taken back.
+    """
+    notes, member = [f"{name}: {line}" for line in file.left_out], FMUMember(name, made(name, file))
+    if found is None or not found.words:
+        return member, notes
+    if found.works:
+        return member, [*notes, f"{name}: {found.words}"]
+    return SteppedLast(member, h, response(partial(made, name, file), h)), [*notes, f"{name}: {found.words}; {LAST}"]
