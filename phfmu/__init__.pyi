@@ -7,6 +7,7 @@ from phfmu.declare.energy import Energy as Energy
 from phfmu.declare.energy import energy as energy
 from phfmu.declare.energy import strain_energy as strain_energy
 from phfmu.declare.error import DeclarationError as DeclarationError
+from phfmu.declare.error import Refusal as Refusal
 from phfmu.declare.phdae import PHDAE as PHDAE
 from phfmu.declare.phdae import Block as Block
 from phfmu.declare.phdae import Holonomic as Holonomic

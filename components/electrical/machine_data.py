@@ -17,15 +17,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu import meant
+from phfmu import Problem, Refusal, meant
 
 #: Peak stator-rotor mutual inductances M act as sqrt(3/2) M in orthonormal dq coordinates.
 COUPLING = sqrt(1.5)
 SINGULAR = 1e-12  # smallest eigenvalue over largest below which a block counts as singular
 
 
-class MachineDataError(ValueError):
-    """Data that no machine can have; the message lists every problem with its remedy."""
+#: what is wrong, and the remedy
+Wrong = tuple[str, str]
+
+
+class MachineDataError(Refusal):
+    """Data that no machine can have: every problem with its remedy."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +124,8 @@ def machine_set(machine: str | Mapping[str, Any] | MachineData, **changes: Any) 
     """
     if isinstance(machine, str):
         if machine not in _file():
-            hint = meant(machine, machine_names())
-            raise MachineDataError(f"no machine set '{machine}'; {hint}; or give a mapping of its entries")
+            hint = f"{meant(machine, machine_names())}; or give a mapping of its entries"
+            raise MachineDataError("machines", f"no machine set '{machine}'", hint)
         machine = _file()[machine]
     base = asdict(machine) if isinstance(machine, MachineData) else dict(machine)
     known = {f.name: f for f in fields(MachineData)}
@@ -129,15 +133,16 @@ def machine_set(machine: str | Mapping[str, Any] | MachineData, **changes: Any) 
     entries = {**_stator(base), **_stator(changes)}
     missing = [k for k, f in known.items() if f.default is MISSING and k not in entries]
     if missing:
-        problems.append(f"missing: {', '.join(missing)} (Ld, Lq, L0 may be given as Laa0, Laa2, Lab0)")
+        problems.append((f"missing: {', '.join(missing)}", "give them; Ld, Lq, L0 also as Laa0, Laa2, Lab0"))
     data = None
     if "H" in changes:
-        problems.append("H cannot be changed, it follows from J = 2 H Sn / omega^2; give J")
+        problems.append(("H cannot be changed, it follows from J = 2 H Sn / omega^2", "give J"))
     if not problems:
         data = MachineData(**{k: _plain(v) for k, v in entries.items() if k in known})
         problems = machine_problems(data) or _inertia(data, base)
     if problems or data is None:
-        raise MachineDataError(f"machine set '{entries.get('name', '?')}': " + "; ".join(problems))
+        entry = f"machine set '{entries.get('name', '?')}'"
+        raise MachineDataError.of([Problem("", entry, *problem) for problem in problems])
     return data
 
 
@@ -156,30 +161,30 @@ PHASES, AXES = ("Laa0", "Laa2", "Lab0"), ("Ld", "Lq", "L0")
 BESIDE = ("pu", "H")
 
 
-def _unknown(entries: Mapping[str, Any], known: Mapping[str, Any]) -> list[str]:
+def _unknown(entries: Mapping[str, Any], known: Mapping[str, Any]) -> list[Wrong]:
     """Entries that would be ignored: names that nobody knows, and some of Laa0, Laa2, Lab0 without the others."""
     names = [*known, *PHASES, *BESIDE]
-    out = [f"unknown entry '{k}'; {meant(k, names)}" for k in entries if k not in names]
+    out = [(f"unknown entry '{k}'", meant(k, names)) for k in entries if k not in names]
     given = [k for k in PHASES if k in entries]
     if 0 < len(given) < len(PHASES):
         lacks = ", ".join(k for k in PHASES if k not in given)
-        out.append(f"{', '.join(given)} without {lacks}; the three give Ld, Lq, L0 together")
+        out.append((f"{', '.join(given)} without {lacks}", "give all three: they give Ld, Lq, L0 together"))
     return out
 
 
-def _twice(entries: Mapping[str, Any]) -> list[str]:
+def _twice(entries: Mapping[str, Any]) -> list[Wrong]:
     """Ld, Lq or L0 beside what they would be computed from, where the two differ."""
     if not all(k in entries for k in PHASES):
         return []
     computed = _stator({k: entries[k] for k in PHASES})
     return [
-        f"{k} = {float(entries[k]):.9g} H, but {', '.join(PHASES)} give {computed[k]:.9g} H; leave one of them out"
+        (f"{k} = {float(entries[k]):.9g} H, but {', '.join(PHASES)} give {computed[k]:.9g} H", "leave one of them out")
         for k in AXES
         if k in entries and not isclose(float(entries[k]), computed[k], rel_tol=1e-6)
     ]
 
 
-def _inertia(data: MachineData, base: Mapping[str, Any]) -> list[str]:
+def _inertia(data: MachineData, base: Mapping[str, Any]) -> list[Wrong]:
     """H = J omega^2 / (2 Sn) of a mapping that gives both; nothing if J or a rating was changed."""
     if "H" not in base or "J" not in base:
         return []
@@ -187,7 +192,7 @@ def _inertia(data: MachineData, base: Mapping[str, Any]) -> list[str]:
     changed = any(float(base.get(k, v)) != v for k, v in (("J", data.J), ("Sn", data.Sn), ("fn", data.fn)))
     if changed or isclose(float(base["H"]), own, rel_tol=1e-2):
         return []
-    return [f"H = {float(base['H']):.6g} s, but J gives {own:.6g} s; leave one of them out"]
+    return [(f"H = {float(base['H']):.6g} s, but J gives {own:.6g} s", "leave one of them out")]
 
 
 def _plain(value: Any) -> Any:
@@ -197,63 +202,71 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, (str, int)) else float(value)
 
 
-def machine_problems(data: MachineData) -> list[str]:
-    """Everything that makes `data` impossible, with remedies; empty if it is sound."""
+def machine_problems(data: MachineData) -> list[Wrong]:
+    """Everything that makes `data` impossible, each with its remedy; empty if it is sound."""
     problems = _sizes(data)
     return problems or [*_signs(data), *_definite(data)]
 
 
-def _sizes(data: MachineData) -> list[str]:
-    m, out = len(data.axis), []
+def _sizes(data: MachineData) -> list[Wrong]:
+    m = len(data.axis)
+    out: list[Wrong] = []
     if m == 0:
-        return ["axis is empty; a synchronous machine has at least the field winding, axis = ['d']"]
+        return [("axis is empty", "a synchronous machine has at least the field winding: axis = ['d']")]
     if any(a not in ("d", "q") for a in data.axis):
-        return [f"axis = {list(data.axis)}; every rotor winding is on 'd' or on 'q'"]
+        return [(f"axis = {list(data.axis)}", "put every rotor winding on 'd' or on 'q'")]
     if data.axis[0] != "d":
-        out.append("axis starts with 'q'; the first rotor winding is the field winding and lies on 'd'")
+        out.append(("axis starts with 'q'", "list the field winding first: it lies on 'd'"))
     for name in ("R_rotor", "M_stator_rotor"):
         found = len(getattr(data, name))
         if found != m:
-            out.append(f"{name} has {found} entries for {m} rotor windings (axis)")
+            out.append((f"{name} has {found} entries for {m} rotor windings (axis)", "give one for each winding"))
     if len(data.L_rotor) != m or any(np.size(row) != m for row in data.L_rotor):
-        out.append(f"L_rotor has rows of {[np.size(row) for row in data.L_rotor]} entries; expected {m} x {m}")
+        sizes = [np.size(row) for row in data.L_rotor]
+        out.append(
+            (f"L_rotor has rows of {sizes} entries, expected {m} x {m}", "give a row and a column for each winding")
+        )
     if not isinstance(data.pole_pairs, int) or data.pole_pairs < 1:
-        out.append(f"pole_pairs = {data.pole_pairs}; it is a positive integer")
+        out.append((f"pole_pairs = {data.pole_pairs}", "give a positive integer"))
     return out
 
 
-def _signs(data: MachineData) -> list[str]:
+def _signs(data: MachineData) -> list[Wrong]:
     out = []
     for name in ("Sn", "Vn_rms_ll", "fn", "J"):
         value = getattr(data, name)
         if not (value > 0 and np.isfinite(value)):
             hint = "; without inertia p is no state" if name == "J" else ""
-            out.append(f"{name} = {value} must be positive{hint}")
+            out.append((f"{name} = {value} must be positive", f"give a positive number{hint}"))
     for name, value in [
         ("Ra", data.Ra),
         ("d", data.d),
         *((f"R_rotor[{j + 1}]", r) for j, r in enumerate(data.R_rotor)),
     ]:
         if not (value >= 0 and np.isfinite(value)):
-            out.append(f"{name} = {value} must not be negative; a negative one creates energy")
+            out.append((f"{name} = {value} must not be negative", "give one from 0: a negative one creates energy"))
     return out
 
 
-def _definite(data: MachineData) -> list[str]:
-    L, out = data.constant_inductance(), []
+def _definite(data: MachineData) -> list[Wrong]:
+    L = data.constant_inductance()
+    out: list[Wrong] = []
     if not np.isfinite(L).all():
-        return ["an inductance is not finite"]
+        return [("an inductance is not finite", "give finite numbers")]
     rotor = L[3:, 3:]
     if np.max(np.abs(rotor - rotor.T)) > 1e-12 * np.max(np.abs(rotor)):
-        out.append("L_rotor is not symmetric")
+        out.append(("L_rotor is not symmetric", "give each mutual inductance once on each side of the diagonal"))
     across = [(i, j) for i in data.on_axis("d") for j in data.on_axis("q") if rotor[i, j] or rotor[j, i]]
     out += [
-        f"L_rotor[{i + 1},{j + 1}] couples a d with a q winding; the axes are orthogonal, so it is 0" for i, j in across
+        (f"L_rotor[{i + 1},{j + 1}] couples a d with a q winding", "make it 0: the axes are orthogonal")
+        for i, j in across
     ]
     if not data.L0 > SINGULAR * max(abs(data.Ld), abs(data.Lq)):
         out.append(
-            f"L0 = {data.L0:.6g} H makes L singular (L0 = Laa0 - 2 Lab0; book data often have "
-            "Lab0 = Laa0/2); give L0 > 0, e.g. the stator leakage inductance"
+            (
+                f"L0 = {data.L0:.6g} H makes L singular (L0 = Laa0 - 2 Lab0; book data often have Lab0 = Laa0/2)",
+                "give L0 > 0, e.g. the stator leakage inductance",
+            )
         )
     for axis, row in (("d", 0), ("q", 1)):
         where = [row, *(3 + j for j in data.on_axis(axis))]
@@ -261,8 +274,10 @@ def _definite(data: MachineData) -> list[str]:
         if not values[0] > SINGULAR * values[-1]:
             names = ", ".join([f"L{axis}", *(data.windings[j - 3] for j in where[1:])])
             out.append(
-                f"the {axis}-axis block of L ({names}) is not positive definite (eigenvalues "
-                f"{values[0]:.3g} .. {values[-1]:.3g} H): a mutual inductance is too large for its self "
-                f"inductances; check M_stator_rotor, L_rotor and L{axis}"
+                (
+                    f"the {axis}-axis block of L ({names}) is not positive definite (eigenvalues "
+                    f"{values[0]:.3g} .. {values[-1]:.3g} H): a mutual inductance is too large for its self inductances",
+                    f"check M_stator_rotor, L_rotor and L{axis}",
+                )
             )
     return out

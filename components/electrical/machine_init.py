@@ -52,7 +52,9 @@ def operating_point(
 ) -> OperatingPoint:
     """The operating point with winding currents I (n), momentum p and angle theta; it need not be steady."""
     if len(I) != machine.n:
-        raise MachineDataError(f"machine '{machine.name}' has {machine.n} windings, I has {len(I)} entries")
+        raise MachineDataError(
+            f"machine '{machine.name}'", f"has {machine.n} windings, I has {len(I)} entries", "give a current for each"
+        )
     T = park(theta)
     currents = np.concatenate([T @ np.asarray(I[:3], float), np.asarray(I[3:], float)])
     dq = machine.constant_inductance() @ currents
@@ -78,7 +80,10 @@ def steady_state(
     V = m.Vn_rms_ll if V is None else V
     M_f = m.M_stator_rotor[0]
     if M_f == 0 or not V > 0:
-        raise MachineDataError(f"machine '{m.name}': M_stator_rotor[1] = {M_f} H is 0, or V = {V} V not > 0")
+        wrong = f"M_stator_rotor[1] = {M_f} H is 0" if M_f == 0 else f"V = {V} V is not > 0"
+        raise MachineDataError(
+            f"machine '{m.name}'", f"{wrong}: there is no such steady state", "give both from above 0"
+        )
     v = V * sqrt(2.0 / 3.0) * exp(1j * angle)
     i = -(complex(P, Q) / (1.5 * v)).conjugate()
     theta = phase(v - (m.Ra + 1j * w * m.Lq) * i) - pi / 2.0

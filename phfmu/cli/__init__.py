@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _report(error: Exception) -> int:
-    """One clear line on stderr and the exit code for an exception."""
+    """What went wrong on stderr, a line for each problem, and the exit code."""
     from phfmu.engine.status import StepFailure
 
     text = error.args[0] if isinstance(error, KeyError) and error.args else str(error)
@@ -67,6 +67,7 @@ def _report(error: Exception) -> int:
 
 
 def _say(error: BaseException, text: str) -> None:
-    """The line of an error, and one for each of its notes."""
-    for line in (text, *getattr(error, "__notes__", ())):
-        print(f"phfmu: {line}", file=sys.stderr)
+    """The lines of an error and of its notes."""
+    for part in (text, *getattr(error, "__notes__", ())):
+        for line in part.splitlines() or [""]:
+            print(f"phfmu: {line}", file=sys.stderr)

@@ -1,8 +1,9 @@
-"""The error of a declaration."""
+"""What is refused, as data."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Self
 
 from phfmu.declare.problem import Problem
 
@@ -13,10 +14,10 @@ RULES = frozenset({
 })  # fmt: skip
 
 
-class DeclarationError(ValueError):
-    """The declaration does not fit what is asked of it, as data: what of it, why, and what to do.
+class Refusal(ValueError):
+    """What was given does not fit what is asked of it: what of it, why, and what to do.
 
-    entry:     the model, and within it the variable, port, block or setting (`motor: port 'shaft'`)
+    entry:     the model or network, and within it the variable, port, block or setting (`motor: port 'shaft'`)
     reason:    what does not fit, with its numbers;  remedy: what to do about it
     rule:      a word for programs, one of RULES, or "" where none asks for it
     problems:  all that were found; the data above are those of the first
@@ -28,10 +29,15 @@ class DeclarationError(ValueError):
         self.problems = (Problem(rule, entry, reason, remedy), *also)
 
     @classmethod
-    def of(cls, problems: Sequence[Problem]) -> DeclarationError:
+    def of(cls, problems: Sequence[Problem]) -> Self:
         """One error that carries them all."""
         first, *others = problems
         return cls(first.entry, first.reason, first.remedy, first.rule, others)
 
     def __str__(self) -> str:
+        """A line for each problem."""
         return "\n".join(f"{p.entry}: {p.reason}; {p.remedy}" for p in self.problems)
+
+
+class DeclarationError(Refusal):
+    """The declaration does not fit what is asked of it."""

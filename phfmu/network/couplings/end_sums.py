@@ -9,7 +9,7 @@ from phfmu.declare.junction_words import spread_words
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.junctions.hidden import hidden_part
 from phfmu.network.junctions.junction import Junction
-from phfmu.network.members.consistent import MONOLITHIC, InconsistentState
+from phfmu.network.members.consistent import MONOLITHIC, inconsistent
 from phfmu.signals import SUM
 
 Array = NDArray[np.float64]
@@ -54,10 +54,8 @@ class EndSums:
                 bad.append(f"{n}: sum {v:.6g}" if pure else f"{n}: {self._differ(j, v)}")
         if bad:
             instead = f", or {MONOLITHIC}" if network.composable else ""
-            raise InconsistentState(
-                f"{network.name}: inconsistent start: {'; '.join(bad)}. Joined flows of states must sum to zero "
-                f"and joined outputs must be equal at the start; change the start values{instead}"
-            )
+            rule = "joined flows of states must sum to zero and joined outputs must be equal at the start"
+            raise inconsistent(network.name, bad, f"{rule}: change the start values{instead}")
 
     def _hidden(self, xi: Array) -> Array:
         """Projector to what no junction unknown can change."""

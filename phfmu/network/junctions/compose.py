@@ -78,7 +78,7 @@ def _wired(members: Mapping[str, PHDAE], wires: Sequence[Wire]) -> dict[str, PHD
 def require_members(name: str, members: Mapping[str, object]) -> None:
     """ConnectionError if there is nothing to step."""
     if not members:
-        raise ConnectionError(f"network '{name}' has no members; add one: network.add('name', component)")
+        raise ConnectionError(f"network '{name}'", "has no members", "add one: network.add('name', component)")
 
 
 def _all(parts: list[PHDAE], field: str) -> tuple:

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from phfmu.declare.error import Refusal
 from phfmu.declare.port import Port
 
 Kind = Literal["0", "1"]
 
 
-class ConnectionError(ValueError):
-    """A connection that cannot be made; the message names both sides, the numbers and the remedy."""
+class ConnectionError(Refusal):
+    """A connection that cannot be made; `entry` names the sides."""
 
 
 class WithPorts(Protocol):

@@ -48,16 +48,18 @@ class Network:
         Errors: ConnectionError if the name or object is taken; FMUError for a unit that cannot be read, or other ports than its.
         """
         if name in self.members:
-            raise ConnectionError(f"{self.name}: there is a member '{name}' already; give the new one another name")
+            raise ConnectionError(self.name, f"there is a member '{name}' already", "give the new one another name")
         if any(member is m for m in self.members.values()):
-            raise ConnectionError(f"{self.name}: '{name}' is the same object as another member; build a second one")
+            raise ConnectionError(self.name, f"'{name}' is the same object as another member", "build a second one")
         self._check_name("member", name)
         if isinstance(member, str | PathLike):
             from phfmu.fmu.unit_file import unit_file
 
             member = unit_file(member, ports)
         elif ports is not None:
-            raise ConnectionError(f"{self.name}: '{name}' has ports of its own; `ports` is for the path of an FMU")
+            raise ConnectionError(
+                self.name, f"'{name}' has ports of its own", "leave out `ports`, which is for the path of an FMU"
+            )
         self.members[name] = member
 
     def connect(self, a: str, b: str, *, name: str = "", signs: tuple[int, int] | None = None) -> Junction:
@@ -69,21 +71,24 @@ class Network:
         ends = (self._end(a), self._end(b))
         pa, pb = (self._port(e) for e in ends)
         if ends[0] == ends[1]:
-            raise ConnectionError(f"{a} is joined to itself; name the port of another element as the other end")
+            raise ConnectionError(a, "is joined to itself", "name the port of another element as the other end")
         self._check_fit(ends)
         if pa.given == pb.given:
             other = "0-junction" if pa.given == "effort" else "1-junction"
             raise ConnectionError(
-                f"{a} and {b} both take the {pa.given} as input, so neither can give it to the other on a plain bond; "
+                f"{a} - {b}",
+                f"both take the {pa.given} as input, so neither can give it to the other on a plain bond",
                 f"join them at a junction: network.junction('name', ['{a}', '{b}'], kind='0' or '1') "
-                f"({other} with the common {pa.given} as unknown)"
+                f"({other} with the common {pa.given} as unknown)",
             )
         kind = self._default_kind(pa)
         if signs is not None:
             if signs[0] not in (1, -1) or signs[1] not in (1, -1) or signs[0] + signs[1] != 0:
                 raise ConnectionError(
-                    f"{a} - {b}: u_a = {signs[0]:+d} y_b and u_b = {signs[1]:+d} y_a create power (C + C^T has entries "
-                    f"{signs[0] + signs[1]}); with power positive into both sides the signs must be opposite"
+                    f"{a} - {b}",
+                    f"u_a = {signs[0]:+d} y_b and u_b = {signs[1]:+d} y_a create power (C + C^T has entries "
+                    f"{signs[0] + signs[1]})",
+                    "give opposite signs: power is positive into both sides",
                 )
             effort_sign = signs[0] if pa.given == "effort" else signs[1]
             kind = "0" if effort_sign == 1 else "1"
@@ -93,7 +98,9 @@ class Network:
         """Join any number of ports; kind "0" common effort, "1" common flow, default by the domain."""
         ends = tuple(self._end(p) for p in ports)
         if len(ends) < 2:
-            raise ConnectionError(f"junction '{name}' joins {len(ends)} port; it needs at least two")
+            raise ConnectionError(
+                f"junction '{name}'", f"joins {len(ends)} port; it needs at least two", "name another"
+            )
         self._check_fit(ends)
         return self._join(Junction(name, kind or self._default_kind(self._port(ends[0])), ends))
 
@@ -109,15 +116,20 @@ class Network:
         for wire in new:
             fed = [w for w in self.wires if (w.target, w.input) == (wire.target, wire.input)]
             if fed:
-                raise ConnectionError(f"{wire.target}.{wire.input} is fed by {fed[0].source}.{fed[0].output} already")
+                end, first = f"{wire.target}.{wire.input}", f"{fed[0].source}.{fed[0].output}"
+                raise ConnectionError(
+                    f"signal input {end}", f"{end} is fed by {first} already", "connect one of the two"
+                )
         self.wires = in_order(self.members, [*self.wires, *new])
 
     def compose(self) -> PHDAE:
         """The network as one PHDAE: the class is closed under interconnection.  ConnectionError names units in it."""
         if self.units:
+            what = "is an FMU" if len(self.units) == 1 else "are FMUs"
             raise ConnectionError(
-                f"{self.name}: {', '.join(self.units)} {'is an FMU' if len(self.units) == 1 else 'are FMUs'}, which cannot be "
-                "composed into one model; step the members apart (--coupling newton)"
+                self.name,
+                f"{', '.join(self.units)} {what}, which cannot be composed into one model",
+                "step the members apart (--coupling newton)",
             )
         return compose(self.name, self.declared, self.junctions, self.description, self.wires)
 
@@ -150,33 +162,40 @@ class Network:
         for e in junction.ends:
             if str(e) in taken:
                 raise ConnectionError(
-                    f"{e} is joined at '{taken[str(e)]}' already; add it there as one more port of a single junction"
+                    str(e),
+                    f"is joined at '{taken[str(e)]}' already",
+                    "add it there as one more port of a single junction",
                 )
         twice = [str(e) for e in junction.ends if junction.ends.count(e) > 1]
         if twice:
             alone = len(set(junction.ends)) == 1
             raise ConnectionError(
-                f"junction '{junction.name}' joins {twice[0]} to itself: it is listed {twice.count(twice[0])} times; "
-                + ("name the port of another element beside it" if alone else "list each port once")
+                f"junction '{junction.name}'",
+                f"joins {twice[0]} to itself: it is listed {twice.count(twice[0])} times",
+                "name the port of another element beside it" if alone else "list each port once",
             )
         if junction.name in {j.name for j in self.junctions} | set(self.members):
-            raise ConnectionError(f"the name '{junction.name}' is taken by another junction or member")
+            raise ConnectionError(
+                self.name, f"the name '{junction.name}' is taken by another junction or member", "choose another"
+            )
         self.junctions.append(junction)
         return junction
 
     def _check_name(self, what: str, name: str) -> None:
         if not (name.isidentifier() and name.isascii()):
             raise ConnectionError(
-                f"{self.name}: {what} name '{name}' must be a letter followed by letters a-z, A-Z, digits, _"
+                self.name,
+                f"'{name}' is no name of a {what}",
+                "a name is a letter followed by letters a-z, A-Z, digits, _",
             )
 
     def _end(self, text: str) -> End:
         member, _, port = text.partition(".")
         if member not in self.members:
-            raise ConnectionError(f"{self.name} has no member '{member}'; {meant(member, self.members)}")
+            raise ConnectionError(self.name, f"has no member '{member}'", meant(member, self.members))
         names = [p.name for p in self.members[member].ports if p.external]
         if port not in names:
-            raise ConnectionError(f"member '{member}' has no free port '{port}'; {meant(port, names)}")
+            raise ConnectionError(f"member '{member}'", f"has no free port '{port}'", meant(port, names))
         return End(member, port)
 
     def _port(self, end: End) -> Port:
@@ -190,15 +209,20 @@ class Network:
         for end in ends[1:]:
             port = self._port(end)
             if port.n != first.n:
-                raise ConnectionError(f"{ends[0]} has {first.n} scalar pairs, {end} has {port.n}; they must be equal")
+                raise ConnectionError(
+                    f"{ends[0]} - {end}",
+                    f"{ends[0]} has {first.n} scalar pairs, {end} has {port.n}",
+                    "join ports of equal size",
+                )
             for what in ("effort", "flow"):
                 mine, other = getattr(first.domain, f"{what}_unit"), getattr(port.domain, f"{what}_unit")
                 a, b = parse_unit(mine), parse_unit(other)
                 if a.without_angle() != b.without_angle() or abs(a.factor / b.factor - 1) > 1e-12:
                     raise ConnectionError(
+                        f"{ends[0]} - {end}",
                         f"unit mismatch: the {what} of {ends[0]} ({first.domain.name}) is in {mine}, of {end} "
-                        f"({port.domain.name}) in {other}; connect ports of one domain and unit, or put a transformer "
-                        "or gyrator between them"
+                        f"({port.domain.name}) in {other}",
+                        "connect ports of one domain and unit, or put a transformer or gyrator between them",
                     )
 
     def _free_name(self, ends: tuple[End, ...]) -> str:

@@ -85,14 +85,15 @@ def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: 
     found, name = outputs(members[a]), output.partition("[")[0]
     if name not in found or (output != name and output not in found[name].names):
         what = "has no observable, state or port output (of a port without feedthrough)"
-        raise ConnectionError(f"member '{a}' {what} '{output}'; {meant(output, found)}")
+        raise ConnectionError(f"member '{a}'", f"{what} '{output}'", meant(output, found))
     given = found[name].names if output == name else [output]
     units = _inputs(members[b])
     taken = [n for n in units if wanted in (n, n.partition("[")[0])]
     if not taken:
-        raise ConnectionError(f"member '{b}' has no signal input '{wanted}'; {meant(wanted, units)}")
+        raise ConnectionError(f"member '{b}'", f"has no signal input '{wanted}'", meant(wanted, units))
     if len(given) != len(taken):
-        raise ConnectionError(f"{source} has {len(given)} values, {target} takes {len(taken)}; they must be equal")
+        reason = f"{source} has {len(given)} values, {target} takes {len(taken)}"
+        raise ConnectionError(f"signal {source} - {target}", reason, "connect as many as it takes")
     into = members[b]
     told = isinstance(into, PHDAE) is isinstance(members[a], PHDAE)
     _require_unit((source, found[name].unit), (target, units[taken[0]]), told)
@@ -113,15 +114,16 @@ def _require_unit(source: tuple[str, str], target: tuple[str, str], told: bool) 
         fit = False
     if not fit:
         raise ConnectionError(
-            f"unit mismatch: {source[0]} is in {units[0]}, {target[0]} in {units[1]}; connect signals of one unit, or declare "
-            "an output that is converted"
+            f"signal {source[0]} - {target[0]}",
+            f"unit mismatch: {source[0]} is in {units[0]}, {target[0]} in {units[1]}",
+            "connect signals of one unit, or declare an output that is converted",
         )
 
 
 def _split(members: Mapping[str, PHDAE | UnitFile], end: str) -> tuple[str, str]:
     member, _, name = end.partition(".")
     if member not in members:
-        raise ConnectionError(f"the network has no member '{member}'; {meant(member, members)}")
+        raise ConnectionError(f"signal end {end}", f"the network has no member '{member}'", meant(member, members))
     return member, name
 
 
@@ -136,8 +138,9 @@ def _refuse_work(model: PHDAE, names: Sequence[str], target: str) -> None:
     for what, expr in places:
         if read_by(expr, symbols):
             raise ConnectionError(
-                f"{target} stands in {what} of its member: a change would do work that no port books; let it act on J, R, B "
-                "or a source, or change it by events, which book their energy"
+                f"signal input {target}",
+                f"{target} stands in {what} of its member: a change would do work that no port books",
+                "let it act on J, R, B or a source, or change it by events, which book their energy",
             )
 
 
@@ -166,11 +169,9 @@ def in_order(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire]) -> 
     try:
         return [wires[i] for i in sorter.static_order()]
     except CycleError as error:
-        raise ConnectionError(_loop([wires[i] for i in error.args[1]])) from None
-
-
-def _loop(cycle: Sequence[Wire]) -> str:
-    return (
-        f"signals in a loop without delay: {', '.join(map(str, cycle[:-1]))}: each depends on the one before at once. Put a "
-        "state into one of the members (a filter, an integrator, an actuator with a time constant)"
-    )
+        cycle = [str(wires[i]) for i in error.args[1][:-1]]
+        raise ConnectionError(
+            "signals in a loop without delay",
+            f"{', '.join(cycle)}: each depends on the one before at once",
+            "put a state into one of the members (a filter, an integrator, an actuator with a time constant)",
+        ) from None

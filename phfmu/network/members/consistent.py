@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+from phfmu.declare.error import Refusal
 from phfmu.declare.junction_words import junction_words
+from phfmu.declare.problem import Problem
 from phfmu.discretise.model import CONSISTENCY, Model
 
 PROJECT = "let the run move the start onto it with --project (energy change booked)"
@@ -12,8 +15,8 @@ PROJECT = "let the run move the start onto it with --project (energy change book
 MONOLITHIC = f"compose the network (--coupling monolithic) and {PROJECT}"
 
 
-class InconsistentState(ValueError):
-    """A hidden constraint (position, velocity, Kirchhoff) does not hold; names it with its number and remedy."""
+class InconsistentState(Refusal):
+    """Hidden constraints (position, velocity, Kirchhoff) do not hold: one problem for each, with its number."""
 
 
 def require_consistent(model: Model, instance: Any, instead: str = PROJECT) -> None:
@@ -28,7 +31,13 @@ def require_consistent(model: Model, instance: Any, instead: str = PROJECT) -> N
         if not abs(v) <= CONSISTENCY * s
     ]
     if bad:
-        raise InconsistentState(
-            f"{model.name}: inconsistent start: {'; '.join(bad)}. A start off the constraints would chatter for ever; "
-            f"change the start values so that the constraint holds (position, velocity or sum of currents), or {instead}"
+        remedy = (
+            "a start off the constraints would chatter for ever: change the start values so that the constraint holds "
+            f"(position, velocity or sum of currents), or {instead}"
         )
+        raise inconsistent(model.name, bad, remedy)
+
+
+def inconsistent(name: str, reasons: Sequence[str], remedy: str) -> InconsistentState:
+    """The error for what does not hold at the start of `name`, with one remedy for all of it."""
+    return InconsistentState.of([Problem("", name, f"inconsistent start: {reason}", remedy) for reason in reasons])
