@@ -16,14 +16,19 @@ from phfmu.schur.stepper import SchurStepper
 
 
 def capacity(plan: Plan) -> int:
+    """Room for the entries of L + U of the Newton matrix."""
+    return factor_room(plan.matrix.row, plan.colptr, plan.order, plan.pivot_row)
+
+
+def factor_room(row: Ints, colptr: Ints, order: Ints, pivot_row: Ints) -> int:
     """Room for the entries of L + U: all of them up to 64 unknowns, else 4 times a trial factorisation."""
-    n, nnz = plan.nw, plan.matrix.nnz
+    n = len(order)
     if n <= 64:
         return n * n
-    values = np.random.default_rng(0).uniform(0.5, 1.5, nnz)
-    a = csc_matrix((values, plan.matrix.row, plan.colptr), shape=(n, n))[:, plan.order]
-    if np.array_equal(np.sort(plan.pivot_row), np.arange(n)):  # planned pivots on the diagonal
-        a = a[plan.pivot_row, :]
+    values = np.random.default_rng(0).uniform(0.5, 1.5, len(row))
+    a = csc_matrix((values, row, colptr), shape=(n, n))[:, order]
+    if np.array_equal(np.sort(pivot_row), np.arange(n)):  # planned pivots on the diagonal
+        a = a[pivot_row, :]
     a = a + diags(np.full(n, 4.0))
     trial = splu(csc_matrix(a), permc_spec="NATURAL", diag_pivot_thresh=0.0)
     return int(min(4 * (trial.L.nnz + trial.U.nnz) + n, n * n))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.codegen import kernel_table
+from phfmu.engine.handle import Handle
 from phfmu.engine.impulses import Ports
 from phfmu.engine.library import RECORD, Column, Record, build, enums, load, view
 from phfmu.engine.limits import LIMITS
@@ -291,6 +292,13 @@ class NativeInstance:
         from phfmu.engine.native_chain import NativeChain
 
         return NativeChain(self.model)
+
+    @property
+    def handle(self) -> Handle:
+        """For compiled code that steps the instance itself."""
+        lib, at = self._lib, self._in
+        places = lib.ph_signals(at), lib.ph_node_outputs(at)
+        return Handle(lib, at, self._state_size, *places, self._kicked, lambda: self._kicks, lambda: self._chain)
 
     def get_state(self) -> bytes:
         """A complete opaque copy; after `set_state`, in any instance of the model, the same bits follow."""

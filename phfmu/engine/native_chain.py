@@ -22,18 +22,18 @@ class NativeChain:
     def __init__(self, model: Model) -> None:
         self._plan = model.step
         table = kernel_table(kernels(model), model.step.schur)
-        self._lib = load(build(table, more={"tangents.c": tangent_text(table, model.step, model.instant)}).path)
-        address = ctypes.addressof(ctypes.c_char.in_dll(self._lib, "ph_tangents"))
+        self.lib = load(build(table, more={"tangents.c": tangent_text(table, model.step, model.instant)}).path)
+        address = ctypes.addressof(ctypes.c_char.in_dll(self.lib, "ph_tangents"))
         self._tables = CTables(model, table.index, table.token, address)
-        self._memory = np.zeros(self._lib.ph_size(self._tables.pointer) // 8 + 1)
-        self._in = self._memory.ctypes.data
-        self._init = self._lib.ph_init(self._in, self._tables.pointer)
+        self._memory = np.zeros(self.lib.ph_size(self._tables.pointer) // 8 + 1)
+        self.address = self._memory.ctypes.data
+        self._init = self.lib.ph_init(self.address, self._tables.pointer)
 
     def sensitivity(self, state: bytes) -> tuple[int, Floats]:
         """Status and S of the last step of a saved state."""
         s = np.empty((self._plan.nu, self._plan.nu))
         code = self._take(state)
-        return code or self._lib.ph_sensitivity(self._in, s.ctypes.data), s
+        return code or self.lib.ph_sensitivity(self.address, s.ctypes.data), s
 
     def along(self, state: bytes, du: Floats, dx: Floats) -> tuple[int, Floats]:
         """Status and changes of the outputs at the nodes (n x k x nu) along directions of the last step of a saved state.
@@ -41,12 +41,12 @@ class NativeChain:
         du: n x k x nu;  dx: n x (nx+1+na), directions of the state at its start, on return at its end.
         """
         dy = np.empty(du.shape)
-        return self._take(state) or self._lib.ph_step_along(self._in, Directions.of(du, dx, dy)), dy
+        return self._take(state) or self.lib.ph_step_along(self.address, Directions.of(du, dx, dy)), dy
 
     def end_along(self, du: Floats, dx: Floats) -> tuple[int, Floats]:
         """The same of the outputs at the end (n x nu), for the state taken last; dx: directions of the state there."""
         dy = np.empty((len(du), self._plan.nu))
-        return self._lib.ph_end_along(self._in, Directions.of(du, dx, dy)), dy
+        return self.lib.ph_end_along(self.address, Directions.of(du, dx, dy)), dy
 
     def _take(self, state: bytes) -> int:
-        return self._init or self._lib.ph_load(self._in, state)
+        return self._init or self.lib.ph_load(self.address, state)

@@ -25,25 +25,25 @@ class NativeImpulses:
         self._ports = ctypes.CDLL(str(built.path))
         ports = ctypes.addressof(ctypes.c_char.in_dll(self._ports, "ph_the_ports"))
         self._memory = np.zeros(lib.ph_impulses_size(instance, ports) // 8 + 1)
-        self._in = lib.ph_impulses_init(self._memory.ctypes.data, instance, ports)
-        address = lib.ph_impulse_values(self._in)
+        self.address = lib.ph_impulses_init(self._memory.ctypes.data, instance, ports)
+        address = lib.ph_impulse_values(self.address)
         #: at start and end of the coming steps, then of the last one (4 x n)
         self.values = view(address, 4 * self.n).reshape(4, self.n)
 
     def set(self, s: Floats) -> int:
         """Status; s: at start and end of the coming steps (2 x n)."""
-        return self._lib.ph_set_impulses(self._in, s.ctypes.data)
+        return self._lib.ph_set_impulses(self.address, s.ctypes.data)
 
     def step(self, t: float, h: float, parts: int = 1) -> int:
         """Status of a step with impulses."""
-        return self._lib.ph_step_impulses(self._in, t, h, parts)
+        return self._lib.ph_step_impulses(self.address, t, h, parts)
 
     def jump(self) -> Floats:
         """S at the present time (n x n)."""
         s = np.empty((self.n, self.n))
-        self._lib.ph_jump(self._in, s.ctypes.data)
+        self._lib.ph_jump(self.address, s.ctypes.data)
         return s
 
     def along(self, end: bool, ds: Floats, dx: Floats) -> None:
         """Directions dx of the states (m x (nx+1+na)) through the impulse at start or end of the last step, along ds (m x n)."""
-        self._lib.ph_impulses_along(self._in, int(end), len(dx), ds.ctypes.data, dx.ctypes.data)
+        self._lib.ph_impulses_along(self.address, int(end), len(dx), ds.ctypes.data, dx.ctypes.data)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -40,8 +40,12 @@ class Field:
 @lru_cache(maxsize=1)
 def structures() -> dict[str, tuple[Field, ...]]:
     """Members of the structures of plan.h and schur.h, in order."""
-    headers = "".join((RUNTIME / name).read_text() for name in ("schur/schur.h", "plan.h"))
-    text = re.sub(r"/\*.*?\*/", "", headers, flags=re.S)
+    return declared("".join((RUNTIME / name).read_text() for name in ("schur/schur.h", "plan.h")), STRUCTS)
+
+
+def declared(header: str, names: Sequence[str]) -> dict[str, tuple[Field, ...]]:
+    """Members of the structures `names` in the text of a header: plain sizes and pointers, in order."""
+    text = re.sub(r"/\*.*?\*/", "", header, flags=re.S)
     result = {}
     for name, body in re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", text, flags=re.S):
         fields = []
@@ -50,19 +54,24 @@ def structures() -> dict[str, tuple[Field, ...]]:
             if match:
                 fields += [Field(n, match[1], bool(match[2])) for n in match[3].split(", ")]
         result[name] = tuple(fields)
-    return {name: result[name] for name in STRUCTS}
+    return {name: result[name] for name in names}
 
 
 @lru_cache(maxsize=1)
 def ctypes_structures() -> dict[str, type[ctypes.Structure]]:
-    """The same structures for ctypes; every pointer is a void pointer."""
+    """The same structures for ctypes."""
+    return for_ctypes(structures())
+
+
+def for_ctypes(found: Mapping[str, tuple[Field, ...]]) -> dict[str, type[ctypes.Structure]]:
+    """Structures for ctypes; every pointer is a void pointer."""
     return {
         name: type(
             name,
             (ctypes.Structure,),
             {"_fields_": [(f.name, ctypes.c_void_p if f.pointer else SCALARS[f.ctype]) for f in fields]},
         )
-        for name, fields in structures().items()
+        for name, fields in found.items()
     }
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,11 @@ from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import added
 from phfmu.network.junctions.network import Network
+from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
+
+if TYPE_CHECKING:
+    from phfmu.network.couplings.master import Master
 
 Array = NDArray[Any]
 
@@ -46,6 +51,15 @@ class Coupled:
         self._signals = HeldSignals(network, members)
         self._sums = EndSums(self.joined)
         self.names = [*self.joined.names, *face.names, *self._sums.names]
+
+    @cached_property
+    def _master(self) -> Master | None:
+        """The steps in compiled code, where there are such."""
+        if self.joined.network.wires or not all(isinstance(m, EngineMember) for m in self.joined.members):
+            return None
+        from phfmu.network.couplings.master import master
+
+        return master(self.joined, self.coupling)
 
     def settable(self) -> list[str]:
         return self.joined.settable()
@@ -109,14 +123,28 @@ class Coupled:
         self.joined.apply(self.last.xi)
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
-        rows: list[dict[str, Any]] = []
-        for k in range(n):
+        parts: list[Steps] = []
+        done = 0
+        while done < n:
+            if (steps := self._compiled(t0, h, first + done, n - done)) is not None:
+                parts.append(steps)
+                done += len(steps.H)
+            if done == n:
+                break
             try:
-                rows.append(self._step(t0 + (first + k) * h, h))
+                parts.append(Steps.stacked([self._step(t0 + (first + done) * h, h)]))
             except StepFailure as failure:
-                failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
+                failure.recorded = {"steps": Steps.joined(parts)} if parts else {}
                 raise
-        return Steps.stacked(rows)
+            done += 1
+        return Steps.joined(parts)
+
+    def _compiled(self, t0: float, h: float, first: int, n: int) -> Steps | None:
+        """As many of n steps as go as usual without returning to Python, if all members can do that."""
+        if self._master is None or not self._sums.known:
+            return None
+        steps, self.last = self._master.advance(self.last, self._sums, (t0, h, first), n)
+        return steps if len(steps.H) else None
 
     def _step(self, t: float, h: float) -> dict[str, Any]:
         """One step, and what is known of it: the fields of `Steps`.

@@ -38,8 +38,21 @@ class EndSums:
 
     def values(self, xi: Array) -> Array:
         """The sums, with the junction unknowns xi."""
-        r = self._hidden(xi) @ self.joined.rows(xi, self.joined.end_outputs())
-        return np.array([r[own[0]] if len(own) == 1 else np.ptp(r[own]) for own in self._rows])
+        self._hidden(xi)
+        return self.of_rows(xi[None], self.joined.end_outputs()[None])[0]
+
+    @property
+    def known(self) -> bool:
+        """Whether `of_rows` knows which outputs follow the junction unknowns."""
+        return self._projector is not None
+
+    def of_rows(self, xi: Array, y: Array) -> Array:
+        """The sums (steps x names) with junction unknowns xi and outputs y at ends, a row a step."""
+        face = self.joined.face
+        assert self._projector is not None
+        r = (y @ face.P + xi @ face.C.T) @ self._projector.T
+        columns = [r[:, own[0]] if len(own) == 1 else np.ptp(r[:, own], axis=1) for own in self._rows]
+        return np.array(columns).reshape(-1, len(xi)).T
 
     def require_zero(self, xi: Array) -> None:
         """InconsistentState if joined flows (efforts) of states do not sum to zero."""

@@ -97,7 +97,7 @@ class NodeNewton:
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
-        z, before = self._start(last, step.h), self.before()
+        z, before = self.start(last, step.h), self.before()
         history: list[float] = []
         best = np.inf, z
         matrix, stalls, taken = None, 0, 0
@@ -127,7 +127,7 @@ class NodeNewton:
         given_up = self._failure(Status.NO_CONVERGENCE, step, z, trial, history)
         raise given_up.of(self._solution(best[1], step.h, ITERATIONS, ""))
 
-    def _start(self, last: Solution, h: float) -> Unknowns:
+    def start(self, last: Solution, h: float) -> Unknowns:
         """The polynomials of the step before, and its impulses if it was as long; after an event its means."""
         e = self.exchange
         nothing = np.zeros((2, len(e.bare)))

@@ -104,6 +104,10 @@ class EngineMember:
     def read(self) -> Array:
         return self._columns.now(self.instance)
 
+    def columns(self, signals: Array) -> Array:
+        """Rows of recorded signals -> rows of `names`."""
+        return self._columns.pick(signals)
+
     def rest_changes(self) -> list[RestChange]:
         return self.instance.rest_changes
 

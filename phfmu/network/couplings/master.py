@@ -1,0 +1,190 @@
+"""The master in compiled code: members of native engines, stepped and joined without returning to Python.
+
+The same iteration as that of `newton.py` and `node_newton.py`, with the same rules; equal to rounding, since linear systems are
+solved by the sparse factors of the runtime.  What does not go as usual there is left to these: a step that is refused by the
+compiled loop is taken by them, or refused with their words.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.native import NativeInstance
+from phfmu.engine.steps import Steps
+from phfmu.network.couplings import newton, node_newton
+from phfmu.network.couplings.coupling import Coupling, Solution
+from phfmu.network.couplings.end_sums import EndSums
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.master_library import Structures, library
+from phfmu.network.couplings.master_pattern import Exchanged, Pattern, exchanged
+from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.plan.ordering import StructurallySingular
+from phfmu.schemes.impulses import POINTS
+
+Array = NDArray[Any]
+
+#: words for ph_accepted
+ACCEPTED = np.array(["", "energy", "rounding floor"])
+LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
+
+
+class Master:
+    """Compiled steps of `joined` under `coupling`; ledger rows and columns are those of `Coupled`."""
+
+    def __init__(self, joined: Joined, coupling: Coupling, found: Exchanged):
+        self.joined, self.coupling, self.found = joined, coupling, found
+        self._pattern, self._memory = Pattern(found), Structures()
+        self._lib = library()
+        self._inputs: list[Array] = []
+        self._shares = [self._share(i) for i in range(len(found.parts))]
+        self._z, self._last = np.zeros(found.size), np.zeros(found.size)
+        #: steps that were taken here;  rules of the iteration (`ph_rules`)
+        self.taken, self.rules = 0, self._memory.fill("ph_rules", self._rules())
+        self._array = self._memory.array(self._shares)
+        self._struct = self._memory.fill("ph_master", self._values())
+        self._lib.ph_master_lu_init(ctypes.addressof(self._struct))
+
+    def advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
+        """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as go as usual, and the last of their solutions.
+
+        The members are at the end of these.
+        """
+        t0, h, first = grid
+        e, s = self.found, self._struct
+        next_ = self._begin(last, h)
+        members = [np.empty((n, width)) for width in e.widths]
+        for struct, rows in zip(self._array, members, strict=True):
+            struct.record = rows.ctypes.data
+        xi = np.empty((n, e.columns))
+        trials, accepted = np.zeros(n, np.int32), np.zeros(n, np.int32)
+        s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
+        done = self._lib.ph_master_run(ctypes.addressof(s), t0, h, n, first, next_)
+        self.taken += done
+        if done == 0:
+            return Steps.stacked([]), last
+        rows = self._steps([m[:done] for m in members], xi[:done], sums)
+        solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
+        return Steps(**rows, iterations=trials[:done], accepted_by=ACCEPTED[accepted[:done]]), solution
+
+    def _begin(self, last: Solution, h: float) -> int:
+        """Where the first step starts from; 1: the continuation of the step before, which is made there."""
+        e = self.found
+        if not isinstance(self.coupling, NodeNewton):
+            self._z[:] = last.xi
+            return 0
+        if isinstance(last, NodeSolution) and last.found is not None and last.h == h:
+            self._last[:] = e.pack(last.found)
+            return 1
+        self._z[:] = e.pack(self.coupling.start(last, h))
+        return 0
+
+    def _solution(self, xi: Array, trials: int, accepted_by: str, h: float) -> Solution:
+        for place, part in zip(self._inputs, self.found.parts, strict=True):
+            if part.held:  # what it was given, for those who set a part of it
+                part.member.set_input(place)
+        y = np.concatenate([p.member.output() for p in self.found.parts])
+        if not isinstance(self.coupling, NodeNewton):
+            return Solution(xi, y, trials, accepted_by)
+        return NodeSolution(xi, y, trials, accepted_by, self.found.unpack(self._last), h)
+
+    def _steps(self, members: list[Array], xi: Array, sums: EndSums) -> dict[str, Array]:
+        """Fields of `Steps` from what was recorded."""
+        signals, H, ends = [], [], []
+        books: dict[str, list[Array]] = {name: [] for name in LEDGER}
+        for rows, part in zip(members, self.found.parts, strict=True):
+            m, plan = part.member, part.instance.model.step
+            layout, width = part.instance.layout, part.signals
+            signals.append(m.columns(rows[:, :width]))
+            H.append(rows[:, layout["H"]])
+            ends.append(rows[:, layout["y_end"]][:, : m.nu])
+            at = width
+            for name in LEDGER:
+                size = plan.nq if name == "pairs" else plan.ncomp
+                books[name].append(rows[:, at : at + size])
+                at += size
+        signals += [xi, sums.of_rows(xi, np.hstack(ends))]
+        return {"signals": np.hstack(signals), "H": np.hstack(H)} | {n: np.hstack(b) for n, b in books.items()}
+
+    # -- structures -----------------------------------------------------------------------------------------------
+
+    def _share(self, i: int) -> Any:
+        part, m = self.found.parts[i], self._memory
+        handle = part.instance.handle
+        chain = handle.tangents() if part.directions and not part.held else None
+        kicks = handle.impulses() if part.kicks else handle.kicked
+        own = kicks.n if kicks else 0
+        plan, layout = part.instance.model.step, part.instance.layout
+        nu, kn, all_ = plan.nu, part.k * plan.nu, part.directions
+        width = plan.nx + 1 + plan.na
+        start = handle.signals
+        unit = np.zeros((all_, kn))
+        unit[np.arange(len(part.inputs)), part.inputs] = 1.0
+        ends = np.zeros((all_, part.kicks))
+        ends[all_ - part.kicks :] = np.eye(part.kicks)
+        self._inputs.append(np.zeros(kn))
+        values = {
+            "calls": m.calls(handle.lib), "in": handle.instance, "kicks": kicks.address if kicks else None,
+            "chain_calls": m.calls(chain.lib) if chain else None, "chain": chain.address if chain else None,
+            "nu": nu, "nq": plan.nq, "k": part.k, "ncomp": plan.ncomp, "nsignal": part.signals, "width": width,
+            "ninput": len(part.inputs), "nkick": part.kicks, "impulses": own, "ncol": len(part.col),
+            "nrow": len(part.row), "nright": len(part.right), "nleft": len(part.left), "col": part.col, "row": part.row,
+            "entry": self._pattern.entries[i], "input": part.inputs, "right_direction": part.right_direction,
+            "right_col": part.right_col, "right": part.right, "left_output": part.left_output, "left_row": part.left_row,
+            "left": part.left, "bare": part.bare, "weights": part.weights,
+            "free": self.joined.free[self.joined.places[i]].ctypes.data,
+            "outputs": start + 8 * layout["y_step"].start if part.held else handle.node_outputs,
+            "signals": start, "energies": start + 8 * layout["H"].start, "end": start + 8 * layout["y_end"].start,
+            "values": kicks.values.ctypes.data if kicks else None, "du": unit, "ds": np.eye(part.kicks), "ds_end": ends,
+            "kept": np.zeros(handle.state_size // 8 + 1), "copied": np.zeros(handle.state_size // 8 + 1),
+            "kept_values": np.zeros(4 * own), "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
+            "y": np.zeros(kn), "dx": np.zeros(max(all_ * width, nu * nu)), "dy": np.zeros((all_, kn)),
+            "dend": np.zeros((all_, nu)), "across": np.zeros((len(part.row), all_)), "jump": np.zeros(part.kicks**2),
+            "record": None,
+        }  # fmt: skip
+        return m.fill("ph_share", values)
+
+    def _rules(self) -> dict[str, Any]:
+        return {
+            "held": not isinstance(self.coupling, NodeNewton), "iterations": newton.ITERATIONS,
+            "stalls": node_newton.STALLS, "energy": newton.ENERGY, "rounding": newton.ROUNDING,
+            "stagnation": newton.STAGNATION, "shrinking": newton.SHRINKING, "stalled": newton.STALLED,
+            "floor": newton.FLOOR,
+        }  # fmt: skip
+
+    def _values(self) -> dict[str, Any]:
+        e, p, n = self.found, self._pattern, self.found.size
+        square = int(e.square[-1])
+        angles = (2 * np.arange(POINTS) + 1) * np.pi / (4 * POINTS)
+        work = {name: np.zeros(n) for name in ("rows", "size", "move", "scale")}
+        work |= {name: np.zeros(square) for name in ("S0", "S1", "mixed", "T")}
+        work |= {name: np.zeros(len(e.bare)) for name in ("moved", "sums")}
+        work |= {name: np.zeros(len(p.rowind)) for name in ("a", "scaled")}
+        lu = np.zeros(self._lib.ph_master_lu_size(n, len(p.rowind), p.capacity) // 8 + 1)
+        return work | {
+            "rules": ctypes.addressof(self.rules), "shares": self._array,
+            "nshare": len(e.parts), "nxi": e.nodes, "nbare": len(e.bare), "ncolumn": e.columns, "nskew": len(e.skew),
+            "ncluster": len(e.cluster) - 1, "nahead": len(e.ahead), "nnz": len(p.rowind), "capacity": p.capacity,
+            "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "column": e.column,
+            "bare_column": e.bare, "skew_row": e.skew_row, "skew_col": e.skew_col, "skew_entry": p.skew, "skew": e.skew,
+            "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
+            "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
+            "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
+            "found": self._last, "lu": lu, "xi": None, "trials": None, "accepted": None,
+        }  # fmt: skip
+
+
+def master(joined: Joined, coupling: Coupling) -> Master | None:
+    """The compiled twin of a coupling; None for couplings, or members, that have none."""
+    if not isinstance(coupling, newton.Newton | NodeNewton):
+        return None
+    if not all(isinstance(m, EngineMember) and isinstance(m.instance, NativeInstance) for m in joined.members):
+        return None
+    try:
+        return Master(joined, coupling, exchanged(joined, coupling))
+    except StructurallySingular:  # the twin tells where
+        return None

@@ -1,0 +1,183 @@
+/* Members of a network in compiled code, stepped apart and joined by Newton's method: the twin of newton.py
+ * and node_newton.py, where the equations are.
+ *
+ * Each member is a library of its own, and many may be loaded at once under the same names, so that they are
+ * called through tables of functions. This is a library of its own too: it is the same for every network and
+ * is compiled once, and what is not coupled has nothing of it.
+ *
+ * Whatever is not plain here, a member that refuses a step or rows that do not converge, is left to the
+ * Python twin: the members are put back to the start of the step.
+ *
+ * Unknowns z = (xi at nodes nxi | impulses m at the start nbare | m' at the end nbare), rows (at nodes nxi |
+ * at ends nbare | of the impulses nbare). The Python side reads the field lists from here: one field a line.
+ */
+#ifndef PH_MASTER_H
+#define PH_MASTER_H
+
+#include "impulses.h"
+#include "phfmu.h"
+
+/* Functions of the library of a member. */
+typedef struct ph_calls {
+    void (*save)(const ph_instance *, void *);
+    int (*load)(ph_instance *, const void *);
+    int (*set_input)(ph_instance *, const double *);
+    int (*set_node_inputs)(ph_instance *, const double *);
+    int (*step)(ph_instance *, double, double);
+    int (*refresh)(ph_instance *);
+    int (*sensitivity)(ph_instance *, double *);
+    int (*step_along)(ph_instance *, const ph_directions *);
+    int (*end_along)(ph_instance *, const ph_directions *);
+    const double *(*ledger)(const ph_instance *, int);
+    int (*set_impulses)(ph_impulses *, const double *);
+    int (*step_impulses)(ph_impulses *, double, double, int);
+    void (*jump)(ph_impulses *, double *);
+    void (*impulses_along)(ph_impulses *, int, int, const double *, double *);
+} ph_calls;
+
+/* A member's part. Its directions are: ninput inputs at nodes, nkick impulses at the start, nkick at the end.
+ * Its unknowns and rows have numbers of their own, that of unknown c in z is col[c], that of row r is row[r].
+ */
+typedef struct ph_share {
+    const ph_calls *calls;
+    ph_instance *in;
+    ph_impulses *kicks; /* NULL: it takes none */
+    const ph_calls *chain_calls;
+    ph_instance *chain; /* the instance with tangents; NULL: inputs are held */
+    int nu;
+    int nq;
+    int k; /* values of each input: its nodes, or 1 where they are held */
+    int ncomp;
+    int nsignal;
+    int width; /* nx+1+na */
+    int ninput;
+    int nkick;    /* impulses of the model if it is at a bare node, else 0 */
+    int impulses; /* impulses of the model */
+    int ncol;
+    int nrow;
+    int nright;
+    int nleft;
+    const int *col;             /* ncol */
+    const int *row;             /* nrow */
+    const int *entry;           /* nrow*ncol: entries of the matrix */
+    const int *input;           /* ninput: place of each direction among the k*nu inputs */
+    const int *right_direction; /* nright: direction += value * unknown */
+    const int *right_col;       /* nright */
+    const double *right;        /* nright */
+    const int *left_output;     /* nleft: row += value * output, of k*nu at nodes, then nu at the end */
+    const int *left_row;        /* nleft */
+    const double *left;         /* nleft */
+    const int *bare;            /* nkick: bare column of each impulse, or -1 */
+    const double *weights;      /* k */
+    const double *free;         /* nu: inputs besides those of junctions */
+    const double *outputs;      /* k*nq, of the instance */
+    const double *signals;      /* nsignal, of the instance */
+    const double *energies;     /* ncomp, of the instance: stored now */
+    const double *end;          /* nu, of the instance: outputs now */
+    double *values;             /* 4*impulses, of the instance: impulses that belong to its state */
+    const double *du;           /* directions*(k*nu), unit */
+    const double *ds;           /* nkick*nkick, unit */
+    const double *ds_end;       /* directions*nkick */
+    double *kept;               /* state at the start of the step, then the impulses: work, as all below */
+    double *copied;             /* state for the chain */
+    double *kept_values;        /* 4*impulses */
+    double *u;                  /* k*nu */
+    double *s;                  /* 2*nkick */
+    double *y;                  /* k*nu + nu */
+    double *dx;                 /* directions*width */
+    double *dy;                 /* directions*(k*nu) */
+    double *dend;               /* directions*nu */
+    double *across;             /* nrow*directions */
+    double *jump;               /* nkick*nkick */
+    double *record;             /* a row a step: signals, ledger rows; stride nsignal + 5 ncomp + nq */
+} ph_share;
+
+/* When an iteration is accepted; see newton.py. */
+typedef struct ph_rules {
+    int held; /* those of newton.py, where every member holds one value, else of node_newton.py */
+    int iterations;
+    int stalls;
+    double energy;
+    double rounding;
+    double stagnation;
+    double shrinking;
+    double stalled;
+    double floor;
+} ph_rules;
+
+typedef struct ph_master {
+    const ph_rules *rules;
+    const ph_share *shares; /* nshare */
+    int nshare;
+    int nxi;
+    int nbare;
+    int ncolumn;
+    int nskew;
+    int ncluster;
+    int nahead;
+    int nnz;
+    int capacity;
+    int points;             /* of the rule for the root of impulses */
+    const double *cosines;  /* points: cos^2 t_l */
+    const double *weights;  /* nxi */
+    const int *column;      /* nxi: common variable of each unknown */
+    const int *bare_column; /* nbare */
+    const int *skew_row;    /* nskew: rows at nodes += value * unknown */
+    const int *skew_col;    /* nskew */
+    const int *skew_entry;  /* nskew */
+    const double *skew;     /* nskew */
+    const double *least;    /* nxi+nbare: size of a row without terms */
+    const int *cluster;     /* ncluster+1: bare columns that S couples, one after the other */
+    const int *square;      /* ncluster+1: where the matrix of each begins */
+    const int *law_entry;   /* square[ncluster]: entries of the rows of the impulses, columns m */
+    const int *own_entry;   /* nbare: the same, columns m' */
+    const double *signs;    /* nbare: (-1)^k */
+    const int *ahead_to;    /* nahead: next unknown += value * unknown */
+    const int *ahead_from;  /* nahead */
+    const double *ahead;    /* nahead */
+    const int *colptr;      /* nz+1 */
+    const int *rowind;      /* nnz */
+    const int *order;       /* nz */
+    const int *prefer;      /* nz */
+    double *z;              /* nz: work, as all below, but for found and the factors */
+    double *found;          /* nz: of the last accepted step */
+    double *rows;           /* nz */
+    double *size;           /* nz */
+    double *move;           /* nz */
+    double *a;              /* nnz */
+    double *scaled;         /* nnz */
+    double *scale;          /* nz */
+    double *S0;             /* square[ncluster], as the next three */
+    double *S1;
+    double *mixed;
+    double *T;
+    double *moved; /* nbare: T m */
+    double *sums;  /* nbare: of outputs before the step */
+    void *lu;      /* ph_lu with room for its parts behind it */
+    double *xi;    /* a row a step: means of the common variables, ncolumn */
+    int *trials;   /* a step each */
+    int *accepted; /* a step each: ph_accepted */
+} ph_master;
+
+typedef enum ph_accepted { PH_NOT_YET, PH_BY_ENERGY, PH_BY_FLOOR } ph_accepted;
+
+/* Bytes of the factors of n unknowns. */
+PH_API size_t ph_master_lu_size(int n, int nnz, int capacity);
+PH_API void ph_master_lu_init(ph_master *m);
+/* Steps k = first..first+n-1 from t0 + k h, of which the first starts from z; next: from the continuation of
+ * `found`. Returns how many were accepted: fewer than n if one was not, before which the members are then. */
+PH_API int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next);
+
+/* share.c */
+int ph_share_trial(ph_master *m, const ph_share *s, double t, double h, double *through);
+int ph_share_end(ph_master *m, const ph_share *s, double *S, double *sums);
+int ph_share_matrix(ph_master *m, const ph_share *s);
+void ph_share_keep(const ph_share *s);
+int ph_share_restore(const ph_share *s);
+void ph_share_record(const ph_share *s, int row);
+
+/* pair.c: T of r_T and what it makes of m. */
+int ph_pair_moved(ph_master *m);
+int ph_pair_root(ph_master *m);
+
+#endif

@@ -1,0 +1,277 @@
+"""The compiled master: rows and books of the loop in Python, steps in blocks of any length, refused steps, sparse matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from phfmu import (
+    PHDAE,
+    TRANSLATIONAL,
+    Collocated,
+    Coupled,
+    EngineMember,
+    Monolithic,
+    NativeInstance,
+    Network,
+    Options,
+    Port,
+    PythonInstance,
+    Scene,
+    StepFailure,
+    build_model,
+    energy,
+    run,
+    state,
+)
+from phfmu.components.mechanical.translational import mass, spring
+from phfmu.components.scenes.drive import drive
+from phfmu.components.scenes.ladder import ladder
+from phfmu.components.scenes.oscillator import oscillator
+from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.two_machine import two_machine
+from phfmu.engine.steps import Steps
+from phfmu.network.couplings import master_library
+from phfmu.network.couplings.coupling import Coupling, Solution, Step
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.master_pattern import Pattern, exchanged
+from phfmu.network.couplings.newton import Newton
+from phfmu.network.couplings.node_newton import newton
+
+SAME = 1e-12  # of the size of a column: rounding
+BOOKS = ("stored", "dissipated", "supplied", "pairs")
+
+
+class InPython:
+    """A coupling that is not one of those that are compiled, and does what it wraps."""
+
+    def __init__(self, inner: Coupling):
+        self.name, self.order, self.repeats, self._inner = inner.name, inner.order, inner.repeats, inner
+
+    def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
+        return self._inner.solve(joined, last, step)
+
+
+def members(net: Network, k: int, engine: Any = NativeInstance) -> list[Any]:
+    models = {n: build_model(replace(d, name=n), Collocated(k)) for n, d in net.declared.items()}
+    return [EngineMember(n, m, engine(m)) for n, m in models.items()]
+
+
+def both(net: Any, k: int, chosen: Callable[[Joined], Coupling] = newton) -> list[Coupled]:
+    """Compiled, then in Python."""
+    own = [members(net, k) for _ in range(2)]
+    compiled, python = (chosen(Joined(net, m)) for m in own)
+    out = [Coupled(net, own[0], compiled), Coupled(net, own[1], InPython(python))]
+    if chosen is newton:  # exchanges know their members
+        out = [Coupled(net, own[0]), Coupled(net, own[1])]
+        out[1].coupling = InPython(out[1].coupling)
+    assert out[0]._master is not None and out[1]._master is None
+    return out
+
+
+def faulted() -> Scene:
+    return two_machine(t_fault=4e-4, t_clear=12e-4)
+
+
+def torque() -> Scene:
+    scene = smib()
+    return replace(scene, events=(replace(scene.events[0], t=3e-3),))
+
+
+def line() -> Scene:
+    scene = ladder(2)
+    return replace(scene, events=(replace(scene.events[0], t=1e-3),))
+
+
+SCENES: dict[Callable[[], Scene], tuple[float, int]] = {
+    torque: (1e-3, 8), faulted: (2e-4, 10), line: (1e-4, 20), drive: (1e-3, 20), oscillator: (1e-2, 20),
+}  # fmt: skip
+QUICK = ((torque, 1), (torque, 2), (faulted, 3), (line, 2), (drive, 1), (oscillator, 2))
+CASES = [
+    pytest.param(make, k, marks=() if (make, k) in QUICK else pytest.mark.slow, id=f"{make.__name__}-{k}")
+    for make in SCENES
+    for k in (1, 2, 3)
+]
+
+
+@pytest.mark.parametrize(("make", "k"), CASES)
+def test_rows_and_books_are_those_of_the_loop_in_python(make: Callable[[], Scene], k: int) -> None:
+    """Through the scene's events; energies relative to those in play."""
+    scene = make()
+    h, n = SCENES[make]
+    net: Any = scene.system
+    options = Options(stop=n * h, step=h, events=scene.events)
+    steppers = both(net, k)
+    one, two = (run(s, options) for s in steppers)
+    assert steppers[0]._master.taken >= n - 1 - 2 * len(scene.events)  # pyright: ignore[reportOptionalMemberAccess]
+    assert np.array_equal(one.time, two.time)
+    energy = max(np.abs(two.column(f"{m}.energy.stored")).max() for m in net.members)
+    for name in two.names:
+        a, b = one.column(name), two.column(name)
+        size = energy if ".energy" in name else size_of(two, steppers[1], name)
+        assert np.abs(a - b).max() <= SAME * size, name
+    a, b = one.ledger.summary(), two.ledger.summary()
+    assert a.closed == b.closed
+    for x, y in zip(a.components, b.components, strict=True):
+        assert [x.stored, x.dissipated, x.supplied] == pytest.approx(
+            [y.stored, y.dissipated, y.supplied], abs=SAME * energy
+        )
+    assert one.iterations <= two.iterations + n // 4
+
+
+def size_of(result: Any, stepper: Coupled, name: str) -> float:
+    """The largest of the columns of that name, of any member; of sums that are zero, what they are made of."""
+    if "constraint" in name:
+        return float(np.abs(stepper.joined.end_outputs()).max())
+    same = [n for n in result.names if kind_of(n) == kind_of(name)]
+    return float(max(np.abs(result.column(n)).max() for n in same))
+
+
+def kind_of(name: str) -> str:
+    return name.partition("[")[0].rpartition(".")[2].partition("_")[0]
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_held_values_too(k: int) -> None:
+    """The rules of `Newton`, which takes one value a step of members of any order."""
+    net: Any = smib().system
+    one, two = (s.advance(0.0, 1e-4, 8) for s in both(net, k, lambda _: Newton()))
+    assert one.iterations is not None and one.accepted_by is not None
+    assert one.iterations.tolist() == np.array(two.iterations).tolist()
+    assert one.accepted_by.tolist() == np.array(two.accepted_by).tolist()
+    scale = np.abs(two.H).sum()
+    assert np.abs(one.H - two.H).max() <= SAME * scale
+    assert all(np.abs(getattr(one, b) - getattr(two, b)).max() <= SAME * scale for b in BOOKS)
+
+
+def test_blocks_of_any_length_give_the_same_bits() -> None:
+    net: Any = smib().system
+    found: list[Steps] = []
+    for blocks in ((12,), (1, 4, 7)):
+        stepper = Coupled(net, members(net, 2))
+        stepper.check_start()
+        first, parts = 0, []
+        for n in blocks:
+            parts.append(stepper.advance(0.0, 1e-3, n, first))
+            first += n
+        found.append(Steps.joined(parts))
+    assert np.array_equal(found[0].signals, found[1].signals) and np.array_equal(found[0].pairs, found[1].pairs)
+
+
+def pulled() -> Network:
+    """A mass drawn to a place where there is no force any more: no solution beyond e = 1."""
+    e = state("e", unit="m")
+    net = Network("pulled")
+    net.add("body", mass(1.0))
+    end = Port("end", TRANSLATIONAL, "flow", {e: 1.0})
+    net.add("pull", PHDAE("pull", (e,), energies=(energy(ca.log(1.0 - e.sx)),), ports=(end,)))
+    net.connect("body.flange", "pull.end", name="joint")
+    return net
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_a_step_that_fails_leaves_members_where_they_were(k: int) -> None:
+    """With the error of the loop in Python; then a shorter step is taken."""
+    texts = []
+    for stepper in both(pulled(), k):
+        stepper.check_start()
+        stepper.advance(0.0, 0.05, 3)
+        H, states, last, first = stepper.energies(), stepper.joined.states(), stepper.last, 3
+        with pytest.raises(StepFailure) as caught:
+            for first in range(3, 100):
+                H, states, last = stepper.energies(), stepper.joined.states(), stepper.last
+                stepper.advance(0.0, 0.05, 1, first)
+        texts.append(f"{caught.value.status} {caught.value.time} {caught.value.h} {caught.value.equation}")
+        assert stepper.joined.states() == states and stepper.last is last and np.array_equal(stepper.energies(), H)
+        assert len(stepper.advance(first * 0.05, 1e-6, 1).H) == 1
+    assert texts[0] == texts[1]
+
+
+def test_steps_before_one_that_fails_are_kept() -> None:
+    """In a run, with the words and the rows of the loop in Python."""
+    found = []
+    for stepper in both(pulled(), 2):
+        kept: list[Any] = []
+        with pytest.raises(StepFailure) as caught:
+            run(stepper, Options(stop=5.0, step=0.05, keep=lambda *rows, kept=kept: kept.append(rows)))
+        found.append((np.concatenate([t for t, *_ in kept]), np.concatenate([v for _, v, _ in kept]), caught.value))
+    (t, a, failed), (t2, b, failed2) = found
+    assert 5 < len(t) < 100 and np.array_equal(t, t2)
+    assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()  # the motion is unstable
+    assert (failed.time, failed.status, failed.equation) == (failed2.time, failed2.status, failed2.equation)
+
+
+def test_what_is_refused_is_taken_by_the_loop_in_python() -> None:
+    """A compiled loop that may try once accepts nothing; rows are those of Python alone, to the last bit."""
+    net: Any = smib().system
+    one, two = both(net, 2)
+    assert one._master is not None
+    one._master.rules.iterations = 1
+    rows = []
+    for stepper in (one, two):
+        stepper.check_start()
+        rows.append(stepper.advance(0.0, 1e-3, 4).signals)
+    assert one._master.taken == 0
+    assert np.array_equal(rows[0], rows[1])
+
+
+def ring(n: int) -> Network:
+    """Masses with springs between them."""
+    net = Network("ring")
+    for i in range(n):
+        net.add(f"m{i}", mass(1.0, q=0.1 * (i == 0)))
+        net.add(f"s{i}", spring(100.0))
+    for i in range(n):
+        net.junction(f"j{i}", [f"m{i}.flange", f"s{i}.a", f"s{(i - 1) % n}.b"])
+    return net
+
+
+def pattern(net: Network, k: int) -> tuple[int, int, int]:
+    """Unknowns, entries, room for factors."""
+    joined = Joined(net, members(net, k, PythonInstance))
+    found = exchanged(joined, newton(joined))
+    made = Pattern(found)
+    return found.size, len(made.rowind), made.capacity
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_the_interface_matrix_of_a_ring_is_sparse(k: int) -> None:
+    """Twice the members, twice the entries."""
+    (n, entries, _), (n2, entries2, room2) = pattern(ring(40), k), pattern(ring(80), k)
+    assert n2 == 2 * n and entries2 == 2 * entries
+    assert room2 < n2**2 / 4
+
+
+def test_a_ring_of_many_members() -> None:
+    """Energy stays, and the books close, with sparse factors (more than 64 unknowns)."""
+    net = ring(40)
+    stepper = Coupled(net, members(net, 2))
+    model = build_model(net.compose(), Collocated(2))
+    one = run(Monolithic(model, NativeInstance(model)), Options(stop=0.2, step=0.02))
+    two = run(stepper, Options(stop=0.2, step=0.02))
+    assert np.abs(two.column("m7.q") - one.column("m7.q")).max() <= SAME
+    assert two.ledger.summary().closed
+
+
+def test_what_is_not_coupled_natively_compiles_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused() -> Any:
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr("phfmu.network.couplings.master.library", refused)
+    scene = oscillator()
+    net: Any = scene.system
+    model = build_model(scene.declaration(), Collocated(1))
+    Monolithic(model, NativeInstance(model)).advance(0.0, 0.01, 2)
+    Coupled(net, members(net, 1, PythonInstance)).advance(0.0, 0.01, 2)
+    with pytest.raises(AssertionError, match="compiled"):
+        Coupled(net, members(net, 1)).advance(0.0, 0.01, 2)
+
+
+def test_one_library_is_for_every_network() -> None:
+    """Of what models compile it has the sparse factors only."""
+    assert [n for n in master_library.sources() if n.endswith(".c")] == ["lu.c", "master.c", "pair.c", "share.c"]
