@@ -32,7 +32,8 @@ class Quantity:
     """One scalar: the sum of `count` entries of `block` from `first` on.
 
     `block`: one of an instance's signals (x, a, y_step, energy, ..), or a place that only units have (parameter, tunable,
-    input, node_input, node_output, gap, row_*).  `start` is None if calculated; `unit` "1" is none; `nominal` None: not known.
+    input, node_input, node_output, impulse, jump, gap, row_*).  `start` is None if calculated; `unit` "1" is none;
+    `nominal` None: not known.
     """
 
     name: str
@@ -96,6 +97,12 @@ def ordered_ports(declaration: PHDAE) -> list[tuple[Port, int]]:
 def port_energy(port: str) -> str:
     """terminal -> terminal.energy."""
     return port + ENERGY
+
+
+def pair_energies(port: Port) -> list[str]:
+    """terminal -> terminal.energy_step[1], ..."""
+    base = port.name + ENERGY + MEAN
+    return [base] if port.size is None else [f"{base}[{i + 1}]" for i in range(port.size)]
 
 
 def end_name(name: str) -> str:

@@ -176,24 +176,23 @@ def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf
     return f"{names}, order {min(most, own)}{why}{gradient}, {engine} engine, {coupling}"
 
 
-def _most(coupling: Named, schemes: Iterable[Scheme], engine: str, signals: bool) -> float:
+def _most(coupling: Named, schemes: Iterable[Scheme], signals: bool) -> float:
     """The order that members stepped apart keep together at most; signals between them are held."""
     from phfmu.network.couplings.held_signals import ORDER as SIGNALS
 
-    at_nodes = coupling.nodes and engine != "fmu" and all(s.node_values for s in schemes)
+    at_nodes = coupling.nodes and all(s.node_values for s in schemes)
     if at_nodes and not signals:
         return inf
     return min(coupling.order, SIGNALS) if signals else coupling.order
 
 
-def _order_lost(asked: int | None, coupling: Named, most: float, engine: str) -> list[str]:
+def _order_lost(asked: int | None, coupling: Named, most: float) -> list[str]:
     """A line if the coupling does not keep the order that was asked for."""
     if asked is None or asked <= most:
         return []
-    keeps = f"; --engine native or python keeps order {asked}" if coupling.nodes and engine == "fmu" else ""
     return [
         f"--order {asked} is that of the members: {coupling.words} joins them by one value per step, held, so the run is of "
-        f"order {most:g}{keeps}"
+        f"order {most:g}"
     ]
 
 
@@ -226,6 +225,8 @@ def _coupled(
     step = s.step if args.step is None else args.step
     notes = list(why)
 
+    kicked = _kicked(network) if engine == "fmu" and coupling.nodes else set()
+
     def member(name: str, declaration: PHDAE | UnitFile) -> Member:
         from phfmu.declare.phdae import PHDAE
         from phfmu.discretise.model import build_model
@@ -240,7 +241,7 @@ def _coupled(
         if engine == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
 
-            return FMUMember(name, _as_fmu(own, schemes[name], args, s.step))
+            return FMUMember(name, _as_fmu(own, schemes[name], args, s.step, *_exchanged(schemes[name], name, kicked)))
         model = build_model(own, schemes[name])
         return EngineMember(name, model, instance_of(model, engine))
 
@@ -249,13 +250,31 @@ def _coupled(
 
         return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling.make)
 
-    most = coupling.order if network.units else _most(coupling, schemes.values(), engine, bool(network.wires))
+    most = coupling.order if network.units else _most(coupling, schemes.values(), bool(network.wires))
     label = _label(list(schemes.values()), engine, coupling.words, most, coupling.held)
-    notes += _order_lost(args.order, coupling, most, engine)
+    notes += _order_lost(args.order, coupling, most)
     return Job(s, label, False, build, notes)
 
 
-def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: float) -> Any:
+def _kicked(network: Network) -> set[str]:
+    from phfmu.network.couplings.told import kicked
+
+    return kicked(network)
+
+
+def _exchanged(scheme: Scheme, name: str, kicked: set[str]) -> tuple[bool, bool]:
+    """Whether the unit of a member needs inputs at nodes, and impulses where steps have one node."""
+    return scheme.node_values and scheme.order > 2, scheme.node_values and name in kicked
+
+
+def _as_fmu(
+    declaration: PHDAE,
+    scheme: Any,
+    args: argparse.Namespace,
+    step: float,
+    node_inputs: bool = False,
+    impulses: bool = False,
+) -> Any:
     """The declaration exported to a temporary folder and loaded again."""
     import atexit
     import shutil
@@ -269,7 +288,10 @@ def _as_fmu(declaration: PHDAE, scheme: Any, args: argparse.Namespace, step: flo
     folder = tempfile.mkdtemp(prefix="phfmu-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     step = step if args.step is None else args.step
-    (path,) = export(build_model(declaration, scheme), folder, versions=(args.fmi or LATEST,), step=step)
+    versions = (args.fmi or LATEST,)
+    (path,) = export(
+        build_model(declaration, scheme), folder, versions, step=step, node_inputs=node_inputs, impulses=impulses
+    )
     return FMUInstance(path)
 
 

@@ -26,7 +26,10 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--step", type=float, help="internal step in s (default: the scene's)")
     options.add_scheme(parser)
     parser.add_argument("--node-inputs", action="store_true",
-                        help="optional port inputs at the nodes of a step, e.g. terminal.v_node[1,2] (order 4 or 6)")  # fmt: skip
+                        help="optional port inputs at the nodes of a step, e.g. terminal.v_node[1,2] (order 4 or 6), "
+                        "and impulses at its ends for ports that take some")  # fmt: skip
+    parser.add_argument("--impulses", action="store_true",
+                        help="the same at order 2 too, with impulses at the ends of a step for ports that take some")  # fmt: skip
     parser.add_argument("--outputs", default="ledger", choices=("ledger", "local"),
                         help="energies and residuals of constraints as outputs, or as local variables")  # fmt: skip
     parser.add_argument("--arrays", action="store_true",
@@ -66,7 +69,8 @@ def call(args: argparse.Namespace) -> int:
     left_out = _left_out(s, declaration)
     paths = export(model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
                    node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
-                   terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward)  # fmt: skip
+                   terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward,
+                   impulses=args.impulses)  # fmt: skip
     for line in left_out:
         print(f"phfmu: not in the unit: {line}", file=sys.stderr)
     for path in paths:

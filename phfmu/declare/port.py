@@ -111,19 +111,24 @@ class Port:
         """Names of the scalar outputs y, e.g. `terminal.i[1]` or with suffix `_step`."""
         return self._names((self.domain.flow if self.given == "effort" else self.domain.effort) + suffix)
 
-    def _node_names(self, member: str, k: int) -> list[list[str]]:
-        base, places = f"{self.name}.{member}_node", range(1, k + 1)
+    def _indexed(self, member: str, n: int) -> list[list[str]]:
+        """Per pair n names: the second index, of a scalar port the only one, counts them."""
+        base, places = f"{self.name}.{member}", range(1, n + 1)
         if self.size is None:
             return [[f"{base}[{i}]" for i in places]]
         return [[f"{base}[{j + 1},{i}]" for i in places] for j in range(self.size)]
 
     def node_input_names(self, k: int) -> list[list[str]]:
         """Per pair the names of its input at the k nodes of a step, e.g. `terminal.v_node[1,2]`, `shaft.torque_node[2]`."""
-        return self._node_names(self.domain.effort if self.given == "effort" else self.domain.flow, k)
+        return self._indexed((self.domain.effort if self.given == "effort" else self.domain.flow) + "_node", k)
 
     def node_output_names(self, k: int) -> list[list[str]]:
         """Per pair the names of its output at the k nodes of a step, e.g. `terminal.i_node[1,2]`."""
-        return self._node_names(self.domain.flow if self.given == "effort" else self.domain.effort, k)
+        return self._indexed((self.domain.flow if self.given == "effort" else self.domain.effort) + "_node", k)
+
+    def impulse_names(self) -> list[list[str]]:
+        """Per pair the names of its impulses at both ends of a step: `terminal.v_impulse[1,2]`, `shaft.torque_impulse[1]`."""
+        return self._indexed((self.domain.effort if self.given == "effort" else self.domain.flow) + "_impulse", 2)
 
     @property
     def input_unit(self) -> str:

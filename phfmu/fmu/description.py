@@ -16,7 +16,9 @@ import casadi as ca
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.units import BASE, parse_unit
 from phfmu.discretise.model import Model, require_model
-from phfmu.fmu.node_values import node_values
+from phfmu.engine.impulses import PortKernels
+from phfmu.fmu.impulse_values import impulse_values, kernels_of, require_kernels
+from phfmu.fmu.node_values import node_values, require_nodes
 from phfmu.fmu.outward import require_ports, turned
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
@@ -42,7 +44,8 @@ class Span:
 class Unit:
     """A model to be exported, with its declaration.  `step`: longest internal and suggested communication step, s; `stop`: s.
 
-    `node_inputs`: ports also have inputs and outputs at the nodes of a step.  `ledger_outputs`: energies and residuals of
+    `node_inputs`: ports also have inputs and outputs at the nodes of a step, and impulses where they take some; `impulses`: the
+    same for steps with one node.  `ledger_outputs`: energies and residuals of
     constraints are outputs, else local variables.  `terminals`: ports are listed as terminals.  `arrays`: vector ports are arrays
     in FMI 3.0.  `left_out`: what the declaration's scene has and the unit has not, a line each.  `outward`: names of ports whose
     flow counts out of the unit (`outward.py`).  `tunable`: scalar names of parameters that may be set between steps.
@@ -59,10 +62,25 @@ class Unit:
     arrays: bool = False
     outward: tuple[str, ...] = ()
     tunable: frozenset[str] = frozenset()
+    impulses: bool = False
 
     def __post_init__(self) -> None:
         require_model(self.model, "Unit")
         require_ports(self.declaration, self.outward)
+        if self.impulses:
+            require_kernels(self.model)
+        elif self.node_inputs:
+            require_nodes(self.model)
+
+    @property
+    def at_nodes(self) -> bool:
+        """Whether it has inputs at the nodes of a step."""
+        return self.node_inputs or self.impulses
+
+    @cached_property
+    def kernels(self) -> PortKernels | None:
+        """Its impulses; None without."""
+        return kernels_of(self.model) if self.at_nodes else None
 
     @property
     def declaration(self) -> PHDAE:
@@ -82,7 +100,7 @@ class Unit:
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
-        groups = [*([node_values] if self.node_inputs else []), *([jumps] if self.jumps else [])]
+        groups = [node_values] * self.at_nodes + [impulse_values] * (self.kernels is not None) + [jumps] * self.jumps
         table = variables(self.model, groups, self.ledger_outputs, self.tunable)
         return turned(table, [p for p in self.declaration.ports if p.name in self.outward])
 

@@ -43,13 +43,15 @@ def export(
     arrays: bool = False,
     outward: Sequence[str] = (),
     tunable: Collection[str] = (),
+    impulses: bool = False,
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions` (numbers, or rows as
     in `phfmu.fmu.version`).
 
     `model`: of `build_model`, it carries its declaration.  `step`: longest internal and suggested communication step, s.
     `platforms`: keys of PLATFORMS, default this machine.  `node_inputs`: optional port inputs at the nodes of a step,
-    and the outputs there (order 4, 6).  `ledger_outputs`: energies and residuals of constraints as outputs, else as
+    and the outputs there (order 4, 6), with impulses at its ends for ports that take some; `impulses`: the same at order 2
+    too, FMUError if no port does.  `ledger_outputs`: energies and residuals of constraints as outputs, else as
     local variables.  `terminals`: a file that lists the ports as terminals.  `left_out`: lines about what the unit
     has not, for its documentation and manifest.  `arrays`: vector ports as array variables in FMI 3.0.
     `outward`: ports whose flow (the current, the force: what sums to zero at a connection) counts out of the unit, for tools
@@ -70,7 +72,17 @@ def export(
         )
     set_later = _scalars(model, tunable)
     unit = Unit(
-        model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays, tuple(outward), set_later
+        model,
+        step,
+        stop,
+        node_inputs,
+        ledger_outputs,
+        terminals,
+        tuple(left_out),
+        arrays,
+        tuple(outward),
+        set_later,
+        impulses,
     )
     equations = sources.generated(unit)
     token = sources.token(unit, equations)

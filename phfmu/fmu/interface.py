@@ -36,7 +36,8 @@ class Interface:
     """A unit for Co-Simulation.  `ports` and `energy` are those of the manifest, empty in foreign units.
 
     `left_out`: what cannot be read or set here, in words.  `nodes`, `weights`: places on [0, 1] and weights of the nodes at
-    which ports take inputs; empty without such inputs.
+    which ports take inputs; empty without such inputs.  `impulses`: inputs of which impulses are taken, in the order of
+    the matrix `jump`.
     """
 
     version: str
@@ -54,6 +55,8 @@ class Interface:
     energy: dict[str, str] = field(default_factory=dict)
     nodes: tuple[float, ...] = ()
     weights: tuple[float, ...] = ()
+    impulses: tuple[str, ...] = ()
+    jump: str = ""
     left_out: str = ""
     units: dict[str, Unit] = field(default_factory=dict)
 

@@ -11,10 +11,12 @@ from typing import Any
 from phfmu.declare.port import Domain, Given
 from phfmu.fmu import limits
 from phfmu.fmu.description import Unit
+from phfmu.fmu.impulse_values import JUMP
 from phfmu.fmu.outward import summed
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
-from phfmu.signals import JUMPED, LEDGER, MEAN, STEP_LEDGER, port_energy, total
+from phfmu.signals import JUMPED, LEDGER, MEAN, STEP_LEDGER, pair_energies, port_energy, total
+from phfmu.terms.port_impulses import PortImpulse
 
 LAYER = "org.phfmu.ports"
 PATH = f"extra/{LAYER}/fmi-ls-manifest.xml"
@@ -52,6 +54,14 @@ NODES = (
     "sets all of them, what is set last counts; (length of the step) * sum of weight * node input * node output is "
     "the energy supplied to the component in a step, exactly"
 )
+NODE_DERIVATIVE = (
+    "the directional derivative of an output at a node with respect to inputs at nodes and impulses is the sensitivity of the "
+    "step map of the last communication step; where there are impulses, that of an output at the present time is too"
+)
+IMPULSES = (
+    "impulses at the start and at the end of the coming communication steps, which stay until they are set; the outputs "
+    "conjugate to the inputs listed change by jump times impulse (lower triangle of a symmetric matrix, at the present time)"
+)
 FAILURE = (
     "a step that cannot be solved is discarded and leaves the unit at the last communication point; a smaller step may follow. "
     "Of several internal steps the solved ones are told (fmi2LastSuccessfulTime), or kept if early return is allowed (FMI 3.0)"
@@ -65,7 +75,9 @@ class PortMap:
     power = sign * input * output is positive into the component: with sign -1 the one of the pair that sums to zero where
     ports of the domain meet counts out of it.  `step_outputs`: empty where there are none;
     `vector`: the scalars are entries of a vector, also if there is only one.  `node_inputs`, `node_outputs`: per pair
-    the names at the nodes of a step; empty where there are none.  `displacements`: of units of other tools, what the outputs
+    the names at the nodes of a step; empty where there are none.  `impulses`: per pair the names of its impulses, `impulse`: what
+    they leave of the balance; empty without; `linear`: outputs are linear in the states, `why`: not more.  `pair_energies`:
+    energies of the last step.  `displacements`: of units of other tools, what the outputs
     are the rates of; empty where that is not told.  `input_factor` and the others: units of the domain in a unit of the variable.
     """
 
@@ -83,6 +95,11 @@ class PortMap:
     input_factor: float = 1.0
     output_factor: float = 1.0
     displacement_factor: float = 1.0
+    impulses: tuple[tuple[str, ...], ...] = ()
+    impulse: str = ""
+    linear: bool = False
+    why: str = ""
+    pair_energies: tuple[str, ...] = ()
 
     @property
     def input_sign(self) -> float:
@@ -109,10 +126,12 @@ def manifest(unit: Unit) -> bytes:
     step.set("directionalDerivative", DERIVATIVE)
     step.set("failure", FAILURE)
     plan = unit.model.step
-    if unit.node_inputs:
+    if unit.at_nodes:
         step.set("nodes", " ".join(number(c) for c in unit.model.nodes))
         step.set("weights", " ".join(number(b) for b in plan.weights))
         step.set("nodeInputs", NODES)
+        step.set("nodeDerivative", NODE_DERIVATIVE)
+    offers = _add_impulses(step, unit)
     for text in unit.left_out:
         etree.SubElement(root, "LeftOut", what=plain(text))
     energy = etree.SubElement(root, "Energy")
@@ -133,14 +152,35 @@ def manifest(unit: Unit) -> bytes:
         element.set("vector", "false" if port.size is None else "true")
         if port.name in unit.outward:
             element.set("sign", number(-1.0))
+        offer = offers.get(port.name)
+        if offer:
+            element.set("impulse", offer.kind)
+            element.set("linear", "true" if offer.linear else "false")
+            if offer.reason:
+                element.set("why", plain(offer.reason))
         names = zip(port.input_names(), port.output_names(), port.output_names(MEAN), strict=True)
         for j, pair in enumerate(names):
             about: dict[str, str] = dict(zip(("input", "output", "stepOutput"), pair, strict=True))
-            if unit.node_inputs:
+            if unit.at_nodes:
                 about["nodeInputs"] = " ".join(port.node_input_names(plan.k)[j])
                 about["nodeOutputs"] = " ".join(port.node_output_names(plan.k)[j])
+            if offer:
+                about["energyStep"] = pair_energies(port)[j]
+                if offer.kind != "none":
+                    about["impulses"] = " ".join(port.impulse_names()[j])
             etree.SubElement(element, "Pair", about)
     return text_of(root)
+
+
+def _add_impulses(step: Element, unit: Unit) -> dict[str, PortImpulse]:
+    """What the ports of a unit with impulses do with them; empty without."""
+    if unit.kernels is None:
+        return {}
+    names = [n for p in unit.declaration.ports if p.external for n in p.input_names()]
+    step.set("impulses", " ".join(names[j] for j in unit.kernels.forms.pairs))
+    step.set("jump", JUMP)
+    step.set("impulseInputs", IMPULSES)
+    return {p.port: p for p in unit.kernels.forms.ports}
 
 
 def read_ports(root: Element) -> list[PortMap]:
@@ -149,8 +189,9 @@ def read_ports(root: Element) -> list[PortMap]:
     for port in root.findall("Port"):
         pairs = port.findall("Pair")
         inputs, outputs, means = (tuple(p.get(k, "") for p in pairs) for k in ("input", "output", "stepOutput"))
-        at_nodes = [
-            tuple(tuple(p.get(k, "").split()) for p in pairs if p.get(k)) for k in ("nodeInputs", "nodeOutputs")
+        lists = [
+            tuple(tuple(p.get(k, "").split()) for p in pairs if p.get(k))
+            for k in ("nodeInputs", "nodeOutputs", "impulses")
         ]
         about: dict[str, Any] = {attribute: plain(port.get(name, ""), 100) for name, attribute in DOMAIN.items()}
         given: Given = "flow" if port.get("given") == "flow" else "effort"
@@ -165,8 +206,13 @@ def read_ports(root: Element) -> list[PortMap]:
                 means,
                 -1.0 if port.get("sign", "").startswith("-") else 1.0,
                 vector,
-                node_inputs=at_nodes[0],
-                node_outputs=at_nodes[1],
+                node_inputs=lists[0],
+                node_outputs=lists[1],
+                impulses=lists[2],
+                impulse=port.get("impulse", ""),
+                linear=port.get("linear") == "true",
+                why=plain(port.get("why", "")),
+                pair_energies=tuple(p.get("energyStep", "") for p in pairs if p.get("energyStep")),
             )
         )
     return ports
@@ -181,4 +227,6 @@ def read_manifest(root: Element) -> dict[str, Any]:
         "energy": {} if energy is None else {str(k): str(v) for k, v in energy.attrib.items()},
         "nodes": places[0],
         "weights": places[1],
+        "impulses": () if step is None else tuple(step.get("impulses", "").split()),
+        "jump": "" if step is None else plain(step.get("jump", ""), limits.NAME),
     }

@@ -9,14 +9,18 @@ from phfmu.fmu.variables import FMUError
 from phfmu.signals import Quantity, entries, ordered_ports
 
 
-def node_values(model: Model) -> Iterator[Quantity]:
-    """Inputs (nu per node), then outputs; FMUError if a step has one node only."""
-    plan = model.step
-    if plan.k == 1:
+def require_nodes(model: Model) -> None:
+    """FMUError if a step has one node only."""
+    if model.step.k == 1:
         raise FMUError(
             f"{model.name}: a step of order {model.scheme.order} has one node, its inputs are the held ones; inputs at "
             "the nodes need order 4 or 6"
         )
+
+
+def node_values(model: Model) -> Iterator[Quantity]:
+    """Inputs (nu per node), then outputs."""
+    plan = model.step
     free = [(p, first) for p, first in ordered_ports(model.declaration) if p.external]
     for port, first in free:
         nominal = entries(port.nominal, port.n)

@@ -105,10 +105,11 @@ energy, which is rounding only.</p>{_signs(unit)}{_left_out(unit)}
 
 
 def _at_nodes(unit: Unit) -> str:
-    if not unit.node_inputs:
+    if not unit.at_nodes:
         return ""
     places = ", ".join(f"{c:.6g}" for c in unit.model.nodes)
-    return f", or given at its nodes {places} (fractions of the step; what is set last counts)"
+    ends = "; impulses at its start and end stay until they are set again" if unit.kernels else ""
+    return f", or given at its nodes {places} (fractions of the step; what is set last counts){ends}"
 
 
 def _signs(unit: Unit) -> str:

@@ -26,7 +26,7 @@ class PortValues:
     """
 
     def __init__(self, interface: Interface, ports: Sequence[PortMap], name: str):
-        self.name, self.interface = name, interface
+        self.name, self.interface, self.ports = name, interface, tuple(ports)
         self.inputs = [n for p in ports for n in p.inputs]
         self.outputs = [n for p in ports for n in p.outputs]
         means = [n for p in ports for n in p.step_outputs]
@@ -41,12 +41,28 @@ class PortValues:
         self.y_mean = self.group(means, "output") if len(means) == len(self.inputs) else None
         self.u_nodes = self.group(_in_order(ports, "node_inputs"), "input")
         self.y_nodes = self.group(_in_order(ports, "node_outputs"), "output")
+        self.y_nodes_end = self.group([*_in_order(ports, "node_outputs"), *self.outputs], "output")
+        impulses = self._impulses(ports)
+        #: inputs of which impulses are taken; none for ports that are not those of the manifest
+        self.kicked = interface.impulses if impulses else ()
+        self.impulses = self.group(impulses, "input")
+        self.jump = self.group(_triangle(interface.jump, len(self.kicked)), "local variable")
+        energies = [n for p in ports for n in p.pair_energies]
+        self.pair_energies = self.group(energies if len(energies) == len(self.inputs) else [], "local variable")
         self.held = True
         self._require_pairs(ports)
 
     def group(self, names: Sequence[str], what: str) -> References:
         """Buffers for variables of the unit; FMUError names those there are not."""
         return References(self.interface.scalars(tuple(names), what), VERSIONS[self.interface.version])
+
+    def _impulses(self, ports: Sequence[PortMap]) -> list[str]:
+        """Those at the start of a step, then those at its end."""
+        of = dict(zip(self.inputs, (i for p in ports for i in p.impulses or ((),) * len(p.inputs)), strict=True))
+        pairs = [of.get(n, ()) for n in self.interface.impulses]
+        if any(len(p) != 2 for p in pairs):
+            return []
+        return [pair[end] for end in range(2) for pair in pairs]
 
     def _require_pairs(self, ports: Sequence[PortMap]) -> None:
         for p in ports:
@@ -74,10 +90,10 @@ class PortValues:
         """Held inputs (nu)."""
         return self.input_sign * self.u.values
 
-    def energies_at_nodes(self, h: float, y: Array) -> Array:
-        """Energy through each pair (nu) in a step of length h with outputs `y` (k nu) as the unit tells them."""
-        power = (self.u_nodes.values * y).reshape(-1, self.nu) * self.input_sign * self.output_sign
-        return h * np.array(self.interface.weights) @ power
+    def given(self) -> Array:
+        """A copy of what the next step takes: inputs at its nodes (k x nu), or held ones (1 x nu)."""
+        values = self.u.values if self.held else self.u_nodes.values
+        return values.reshape(-1, self.nu) * self.input_sign if self.nu else np.zeros((1, 0))
 
     def take(self, u: ArrayLike) -> None:
         """Inputs (nu) into their buffer."""
@@ -104,10 +120,19 @@ class PortValues:
     def recall(self, memory: Mapping[str, Any]) -> None:
         self.u.values[:], self.u_nodes.values[:], self.held = memory["u"], memory["u_nodes"], memory["held"]
 
+    def of_steps(self) -> set[str]:
+        """What a master exchanges in a step, beside inputs, outputs and means."""
+        return {s.name for r in (self.y_nodes, self.jump, self.pair_energies) for s in r.scalars}
+
     def others(self) -> list[str]:
         """Inputs that belong to no port."""
-        own = {*self.inputs, *(s.name for s in self.u_nodes.scalars)}
+        own = {*self.inputs, *(s.name for s in (*self.u_nodes.scalars, *self.impulses.scalars))}
         return [n for n, v in self.interface.variables.items() if v.causality == "input" and n not in own]
+
+
+def _triangle(name: str, n: int) -> list[str]:
+    """Names of the lower triangle of a matrix, row by row."""
+    return [f"{name}[{i + 1},{j + 1}]" for i in range(n) for j in range(i + 1)]
 
 
 def _in_order(ports: Sequence[PortMap], field: str) -> list[str]:

@@ -14,6 +14,7 @@ from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.archive import Archive, open_archive
 from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.node_exchange import NodeExchange
 from phfmu.fmu.port_values import PortValues
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.saved_states import SavedState, SavedStates
@@ -61,6 +62,8 @@ class FMUInstance:
         self.early_return = early_return
         self._slave = Slave(archive, self.name, early_return)
         self._states = SavedStates(self._slave)
+        #: values at the nodes of a step, impulses, their derivatives: what engines have as methods of their instances
+        self.at_nodes = NodeExchange(self._slave, self._values)
         self._close = weakref.finalize(self, _free, self._states, archive)
         try:
             self._initialise()
@@ -144,17 +147,12 @@ class FMUInstance:
         return np.array(self.interface.nodes)
 
     def set_node_inputs(self, u: ArrayLike) -> None:
-        """Inputs at the k nodes of the next step (k x nu); the next `set_input` holds its values again.
-
-        FMUError if the unit was exported without them.
-        """
-        self._values.take_at_nodes(u)
-        if self.nu:
-            self._slave.set(self._values.u_nodes)
+        """Inputs at the k nodes of the next step (k x nu), until `set_input`; FMUError if the unit has none."""
+        self.at_nodes.set_node_inputs(u)
 
     def node_output(self) -> Array:
-        """Outputs at the k nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
-        return self._slave.get(self._values.y_nodes).reshape(-1, self.nu) * self._values.output_sign
+        """Outputs at the k nodes (k x nu): h sum_i b_i u_i^T y_i is the energy supplied, that of impulses aside."""
+        return self.at_nodes.node_output()
 
     def do_step(self, t: float, h: float) -> float:
         """One communication step over [t, t + h]; the time reached.  StepFailure holds the words of the unit.
@@ -240,8 +238,9 @@ class FMUInstance:
 
     @property
     def names(self) -> list[str]:
-        """Variables that may change during a run: inputs, outputs and local variables."""
-        return [n for n, v in self.interface.variables.items() if v.causality in ("input", "output", "local")]
+        """Variables that may change during a run: inputs, outputs and local variables, but those at the nodes of a step."""
+        left, kinds = self._values.of_steps(), ("input", "output", "local")
+        return [n for n, v in self.interface.variables.items() if v.causality in kinds and n not in left]
 
     def variable(self, name: str) -> Scalar:
         """What the unit says about a variable."""

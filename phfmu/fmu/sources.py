@@ -12,8 +12,10 @@ import fmpy
 
 from phfmu.discretise.model import CONSISTENCY
 from phfmu.engine.codegen import kernel_table
+from phfmu.engine.impulses import PortKernels
 from phfmu.engine.library import runtime_sources
 from phfmu.engine.model import kernels
+from phfmu.engine.port_text import port_text
 from phfmu.engine.tables import c_text
 from phfmu.engine.tangent_text import tangent_text
 from phfmu.fmu.description import Unit
@@ -29,25 +31,28 @@ HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 
 _PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
-#: of the runtime what units have no use for: their ports take no impulses
-ABSENT = ("impulses.c", "impulses.h")
+#: files of units with inputs at the nodes of a step, and of those whose ports take impulses
+NODES, IMPULSES = ("fmu_nodes.c",), ("impulses.c", "impulses.h")
 
 Sources = dict[str, str | Path]
 
 
 def generated(unit: Unit) -> dict[str, str]:
-    """kernels.c and model.c, and tangents.c where there are inputs: the equations, without anything of the interface."""
-    table = kernel_table(kernels(unit.model), unit.model.step.schur)
-    if unit.model.step.nu == 0:
-        return {"kernels.c": table.text, "model.c": c_text(unit.model, table.index, table.token)}
-    model = c_text(unit.model, table.index, table.token, tangents="ph_tangents")
-    return {"kernels.c": table.text, "tangents.c": tangent_text(table, unit.model.step), "model.c": model}
+    """kernels.c and model.c, tangents.c where there are inputs, ports.c with impulses: nothing of the interface."""
+    model = unit.model
+    table = kernel_table(kernels(model), model.step.schur)
+    if model.step.nu == 0:
+        return {"kernels.c": table.text, "model.c": c_text(model, table.index, table.token)}
+    text = c_text(model, table.index, table.token, tangents="ph_tangents")
+    plans = (model.step, model.instant) if unit.kernels else (model.step,)
+    made = {"kernels.c": table.text, "tangents.c": tangent_text(table, *plans), "model.c": text}
+    return made | ({"ports.c": port_text(unit.kernels)} if unit.kernels else {})
 
 
 def token(unit: Unit, equations: dict[str, str]) -> str:
     """Fingerprint of equations, runtime and all descriptions, in the form of a GUID."""
     digest = hashlib.sha256()
-    for name, source in sorted({**fixed(), **equations}.items()):
+    for name, source in sorted({**fixed(unit), **equations}.items()):
         content = source.read_bytes() if isinstance(source, Path) else source.encode()
         digest.update(f"{name} {len(content)}\n".encode() + content)
     digest.update(b"".join(version.description(unit) for version in VERSIONS.values()))
@@ -55,16 +60,16 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
-def fixed() -> Sources:
-    """The hand-written part: name -> path."""
+def fixed(unit: Unit) -> Sources:
+    """The hand-written part of it: name -> path."""
+    absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES)
     layers = {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
-    runtime = {name: path for name, path in runtime_sources().items() if name not in ABSENT}
-    return {**runtime, **layers}
+    return {name: path for name, path in {**runtime_sources(), **layers}.items() if name not in absent}
 
 
 def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
     """All a library with all versions is compiled from, but the headers of the standard."""
-    return {**fixed(), **equations, "interface.c": interface_text(unit, token)}
+    return {**fixed(unit), **equations, "interface.c": interface_text(unit, token)}
 
 
 def of_version(sources: Sources, version: Version, identifier: str) -> Sources:
@@ -83,7 +88,7 @@ def names_text(sources: Sources, identifier: str) -> str:
             text = source.read_text() if isinstance(source, Path) else source
             found.update(re.findall(own, text))
             found.update(re.findall(r"^extern const [^;=]*?(\w+)(?:\[\])?;", text, flags=re.M))
-    found.add("ph_the_model")
+    found.update(("ph_the_model", "ph_the_ports") if "ports.c" in sources else ("ph_the_model",))
     lines = "".join(f"#define {name} {identifier}_{name}\n" for name in sorted(found))
     return f"/* Generated. Names of {identifier}, for programs that several units are linked into. */\n{lines}"
 
@@ -126,13 +131,18 @@ def interface_text(unit: Unit, token: str) -> str:
     if unit.spans:
         sizes = [str(unit.spans[i].size if i in unit.spans else 1) for i in range(len(rows))]
         checks += f"static const int sizes[] = {{\n{_list(sizes)}}};\n"
+    nodes = "    .node_memory = fmu_node_memory,\n    .node_map = fmu_node_map,\n" if unit.at_nodes else ""
+    include = ""
+    if unit.kernels:
+        include, nodes = '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
+        checks += _impulses_text(unit.kernels)
     checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
     return f"""\
 /* Generated. Variables, start checks and names of the equations of {c_comment(unit.name)}. */
 #include <math.h>
 
 #include "fmu.h"
-
+{include}
 extern const ph_model ph_the_model;
 
 static const fmu_variable variables[] = {{
@@ -152,5 +162,17 @@ const fmu_interface fmu_the_interface = {{
     .equations = {equations_name},
     .end_equations = {end_name},
     .jumps = {int(unit.jumps)},
-}};
+{nodes}}};
 """
+
+
+def _impulses_text(kernels: PortKernels) -> str:
+    """The functions of impulses.c."""
+    functions = {n: f"ph_impulses_{n}" for n in ("size", "init", "along")} | {
+        "set": "ph_set_impulses", "values": "ph_impulse_values", "step": "ph_step_impulses", "jump": "ph_jump",
+    }  # fmt: skip
+    members = "".join(f"    .{n} = {f},\n" for n, f in functions.items())
+    return (
+        "extern const ph_ports ph_the_ports;\n"
+        f"static const fmu_impulses impulses = {{\n    .n = {kernels.n},\n    .ports = &ph_the_ports,\n{members}}};\n"
+    )

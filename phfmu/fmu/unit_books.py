@@ -64,7 +64,7 @@ def books(ports: PortValues) -> Books:
 
 
 class Told:
-    """The unit's own ledger, exact; nothing is kept here."""
+    """The unit's own ledger, exact; kept here are the inputs of the last step, at nodes or held."""
 
     estimated = False
     looked: Sequence[str] = ()
@@ -77,11 +77,13 @@ class Told:
 
     def begin(self, slave: Slave) -> None:
         self._slave = slave
+        self._given = self._ports.given()
 
     def look(self) -> Array:
         return np.zeros(0)
 
-    def book(self, h: float, looked: Array) -> None: ...
+    def book(self, h: float, looked: Array) -> None:
+        self._given = self._ports.given()
 
     def means(self) -> Array:
         return self._slave.get(self._means) * self._ports.output_sign
@@ -94,17 +96,21 @@ class Told:
 
     def ledger(self, h: float) -> dict[str, Array]:
         rows, ports = self._slave.get(self._step).copy(), self._ports
-        if ports.held:
-            pairs = h * ports.inputs_now() * self.means()
+        if ports.pair_energies.n:
+            pairs = self._slave.get(ports.pair_energies).copy()
+        elif len(self._given) == 1:
+            pairs = h * self._given[0] * self.means()
         else:
-            pairs = ports.energies_at_nodes(h, self._slave.get(ports.y_nodes))
+            y = self._slave.get(ports.y_nodes).reshape(-1, ports.nu) * ports.output_sign
+            pairs = h * np.array(ports.interface.weights) @ (self._given * y)
         moved = {"moved": rows[3:]} if len(rows) > len(_STEP) else {}
         return {"stored": rows[:1], "dissipated": rows[1:2], "supplied": rows[2:3], "pairs": pairs, **moved}
 
     def memory(self) -> dict[str, Any]:
-        return {}
+        return {"given": self._given}
 
-    def recall(self, memory: Mapping[str, Any]) -> None: ...
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        self._given = memory["given"]
 
 
 class Estimated:

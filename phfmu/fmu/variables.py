@@ -52,8 +52,8 @@ class FMUVariable(Quantity):
 
 #: places of fmu.h; the others are blocks of phfmu.h
 _OF_UNITS = (
-    *("parameter", "tunable", "input", "node_input", "node_output", "gap", "jumped"),
-    *("row_stored", "row_supplied", "row_dissipated", "row_moved"),
+    *("parameter", "tunable", "input", "node_input", "node_output", "impulse", "jump", "gap", "jumped"),
+    *("row_stored", "row_supplied", "row_dissipated", "row_moved", "row_pairs"),
 )
 #: energies, which no input changes before the next step
 _OF_STATE = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL", "FMU_GAP", "FMU_JUMPED")

@@ -228,7 +228,7 @@ WAYS += [("oscillator", "python"), pytest.param("drive", "python", marks=pytest.
 def test_coupled_is_composed(name: str, kinds: str, tmp_path: Path) -> None:
     """Members in Python, compiled, and as units in one network; events fall between the grid points.
 
-    A unit at a bare node takes no impulses: then the composed model does without them too.
+    A unit that is exported without impulses takes none at a bare node: then the composed model does without them too.
     """
     make, stop, step = SCENES[name]
     scene, net = make(), make().system

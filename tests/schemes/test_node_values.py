@@ -318,7 +318,9 @@ def test_wrong_node_inputs_are_refused(units):
             with pytest.raises(ValueError, match="2 x 1 finite inputs"):
                 unit.set_node_inputs(bad)
         unit.do_step(0.0, 0.1)
-        with pytest.raises(FMUError, match=r"'flange.force_node\[1\]' is an input at a node; derivatives"):
+        with pytest.raises(
+            FMUError, match="'flange.velocity_step' is neither an output at a node nor one at the present"
+        ):
             means = unit._slave.references(unit.interface.scalars(["flange.velocity_step"], "variable"))
             unit._slave.derivative(Derivative(means, unit.variable("flange.force_node[1]"), FMI3))
 

@@ -74,7 +74,7 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
         return NULL;
     }
     f = allocate(about, name);
-    if (!f || ph_init(f->in, about->model) != PH_OK) {
+    if (!f || ph_init(f->in, about->model) != PH_OK || (about->node_memory && !about->node_memory(f))) {
         size_t size = ph_size(about->model);
         fmu_refuse(&nobody, "%s (instance of %zu bytes)", size ? "no memory" : ph_status_text(PH_ABI), size);
         free(f);
@@ -90,6 +90,8 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
 }
 
 void fmu_free(fmu *f) {
+    if (f)
+        free(f->nodes.memory);
     free(f);
 }
 
@@ -183,11 +185,16 @@ int fmu_terminate(fmu *f, const char *function) {
 
 int fmu_reset(fmu *f, const char *function) {
     const fmu_phase start = {.mode = FMU_INSTANTIATED};
+    double *s;
+    int n;
     if (fmu_allow(f, function, FMU_ANY))
         return FMU_ERROR;
     f->phase = start;
     f->solved = 0.0;
-    f->step_known = f->end_known = 0;
+    f->step_known = f->end_known = f->nodes.known = 0;
+    s = fmu_impulse_values(f, &n);
+    for (int i = 0; i < n; i++)
+        s[i] = 0.0;
     return ph_reset(f->in) ? fmu_refuse(f, "%s: the start values of the model were refused", function)
                            : FMU_OK;
 }
@@ -226,17 +233,22 @@ static int check_step(const fmu *f, const char *function, double t, double h, in
 /* A step of n internal ones that was refused. Where the importer allows it, the step ends at the last of them
  * that was solved, as a step of that length: a communication point there lets the importer change inputs, or
  * the length of its steps. It is no error; where the rest cannot be solved, the next call discards. Inputs at
- * nodes belong to the whole step, so that it cannot end early. */
+ * nodes and impulses belong to the whole step, so that it cannot end early. */
 static int refuse_step(fmu *f, const char *function, double t, double h, int n, int *early) {
     const ph_report why = *ph_last_report(f->in);
     const double part = h * why.solved / n;
-    if (f->early && early && why.solved > 0 && fmu_held(f, ph_input(f->in)) &&
+    if (f->early && early && why.solved > 0 && fmu_held(f, ph_input(f->in)) && !fmu_kicked(f) &&
         ph_step_parts(f->in, t, part, why.solved) == PH_OK) {
         *early = 1;
         return fmu_step_refused(f, function, FMU_OK, &why);
     }
     f->solved = part;
     return fmu_step_refused(f, function, FMU_DISCARD, &why);
+}
+
+static int step_parts(fmu *f, double t, double h, int n) {
+    const fmu_impulses *impulses = f->about->impulses;
+    return impulses ? impulses->step(f->nodes.impulses, t, h, n) : ph_step_parts(f->in, t, h, n);
 }
 
 int fmu_do_step(fmu *f, const char *function, double t, double h, int *early) {
@@ -249,9 +261,9 @@ int fmu_do_step(fmu *f, const char *function, double t, double h, int *early) {
         return FMU_ERROR;
     count = ph_counts(f->in);
     halved = count[PH_SUBSTEPS];
-    f->step_known = f->end_known = 0;
+    f->step_known = f->end_known = f->nodes.known = 0;
     f->solved = 0.0;
-    status = h <= PH_SLIVER_STEP * f->about->step ? ph_skip(f->in, t + h) : ph_step_parts(f->in, t, h, n);
+    status = h <= PH_SLIVER_STEP * f->about->step ? ph_skip(f->in, t + h) : step_parts(f, t, h, n);
     if (status == PH_ARGUMENT)
         return fmu_solver(f, function, status);
     if (status && refuse_step(f, function, t, h, n, early))

@@ -31,8 +31,13 @@ enum {
     FMU_GAP,
     FMU_JUMPED, /* change of stored energy by tunable parameters since the start */
     FMU_NODE_INPUT,
-    FMU_NODE_OUTPUT
+    FMU_NODE_OUTPUT,
+    FMU_ROW_PAIRS,
+    FMU_IMPULSE, /* at the start of the coming step, then those at its end */
+    FMU_JUMP     /* of all impulses, row-major */
 };
+
+typedef struct fmu fmu;
 
 /* The value is `sign` times the sum of `count` entries of a block from `first` on; the value reference is the
  * place of the variable in its table. */
@@ -58,6 +63,21 @@ typedef struct fmu_range {
     int above;
 } fmu_range;
 
+/* Functions of impulses.c, which only units have whose ports take some. */
+struct ph_ports;
+struct ph_impulses;
+typedef struct fmu_impulses {
+    int n; /* scalar ports with impulses */
+    const struct ph_ports *ports;
+    size_t (*size)(const ph_instance *in, const struct ph_ports *ports);
+    struct ph_impulses *(*init)(void *memory, ph_instance *in, const struct ph_ports *ports);
+    int (*set)(struct ph_impulses *m, const double *s);
+    double *(*values)(struct ph_impulses *m);
+    int (*step)(struct ph_impulses *m, double t, double h, int n);
+    void (*jump)(struct ph_impulses *m, double *s);
+    void (*along)(struct ph_impulses *m, int end, int count, const double *ds, double *dx);
+} fmu_impulses;
+
 /* What is generated for one model, constant. */
 typedef struct fmu_interface {
     const char *token; /* FMU_TOKEN characters */
@@ -71,13 +91,14 @@ typedef struct fmu_interface {
     const char *const *equations;     /* rows of the step, step->nw */
     const char *const *end_equations; /* rows of the end values, instant->nw */
     int jumps;                        /* whether stored energy depends on a tunable parameter */
+    int (*node_memory)(fmu *f);       /* fmu_nodes.c; NULL without inputs at nodes */
+    int (*node_map)(fmu *f);
+    const fmu_impulses *impulses; /* NULL if ports take none */
 } fmu_interface;
 
 #define FMU_TOKEN 38
 
 extern const fmu_interface fmu_the_interface;
-
-typedef struct fmu fmu;
 
 /* Categories of messages, a mask; names in fmu_log.c. */
 enum { FMU_LOG_ERRORS = 1, FMU_LOG_HALVED = 2, FMU_LOG_ALL = 3 };
@@ -103,6 +124,18 @@ typedef struct fmu_books {
 } fmu_books;
 
 #define FMU_NBOOKS 4
+/* Of units with inputs at nodes, in a second block of memory; zero in others. Columns of derivatives are
+ * those of nk*nu inputs at nodes, then of 2n impulses. */
+typedef struct fmu_nodes {
+    void *memory; /* owned */
+    struct ph_impulses *impulses;
+    double *s;    /* 2n: impulses being set */
+    double *jump; /* n*n */
+    int columns;
+    double *du, *ds, *dx;     /* a row for each column: k*nu, n, nx+1+na */
+    double *by_node, *by_end; /* derivatives, a row for each column: k*nu outputs at nodes, nu at the end */
+    int known;                /* whether they belong to the last step */
+} fmu_nodes;
 
 struct fmu {
     const fmu_interface *about;
@@ -121,6 +154,7 @@ struct fmu {
     double *step_map, *end_map; /* nu*nu sensitivities, row-major */
     int step_known, end_known;  /* whether they belong to the present time */
     unsigned *scalars;          /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
+    fmu_nodes nodes;
 };
 
 #if defined(__GNUC__)
@@ -157,10 +191,19 @@ int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double 
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values);
 int fmu_set_parameters(fmu *f, const double *p); /* p (np); books what they make of H; answers a ph_status */
 int fmu_check_ranges(const fmu *f, const char *function);
+/* Impulses of the coming steps and of the last one: 4 fmu_impulses.n values, or none. */
+double *fmu_impulse_values(const fmu *f, int *n);
+int fmu_kicked(const fmu *f);                /* whether the coming steps have impulses */
 int fmu_held(const fmu *f, const double *u); /* u (nu*k): the same at all nodes */
 
+/* fmu_nodes.c. The memory of `nodes`: 0 if there is none. Derivatives of the last step with respect to its
+ * inputs at nodes and its impulses, as `by_node` and `by_end`: a ph_status. */
+int fmu_node_memory(fmu *f);
+int fmu_node_map(fmu *f);
+
 /* fmu_derivative.c. adjoint 0: result (nu) = S seed (nk); 1: result (nk) = S^T seed (nu), where S holds the
- * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk). */
+ * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk): all of these
+ * held over a step, or all at nodes and impulses. */
 int fmu_derivative(fmu *f, const char *function, int adjoint, const unsigned *unknown, size_t nu,
                    const unsigned *known, size_t nk, const double *seed, double *result);
 

@@ -1,5 +1,5 @@
-/* Saved states: the token, the mode, the books and a copy of the model's state, in one block without
- * pointers.
+/* Saved states: the token, the mode, the books, impulses and a copy of the model's state, in one block
+ * without pointers.
  *
  * Serialized states carry a checksum: they come from files, and the model trusts its state. */
 #include <stdlib.h>
@@ -30,17 +30,24 @@ static unsigned long long sum_of(const void *bytes, size_t size) {
                size - sizeof(head));
 }
 
-/* Bytes of the books, which lie between the head and the state of the model. */
+/* Bytes of the books and of the impulses, which lie between the head and the state of the model. */
 static size_t books_size(const fmu *f) {
     return FMU_NBOOKS * sizeof(double) * (size_t)f->about->model->step->ncomp;
 }
 
+static size_t impulses_size(const fmu *f) {
+    return f->about->impulses ? 4 * sizeof(double) * (size_t)f->about->impulses->n : 0;
+}
+
 size_t fmu_state_size(const fmu *f) {
-    return sizeof(saved) + books_size(f) + ph_state_size(f->in);
+    return sizeof(saved) + books_size(f) + impulses_size(f) + ph_state_size(f->in);
 }
 
 int fmu_save(fmu *f, const char *function, void **state) {
     saved *to;
+    char *place;
+    const double *s;
+    int n;
     if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state != NULL))
         return FMU_ERROR;
     if (!*state)
@@ -53,7 +60,11 @@ int fmu_save(fmu *f, const char *function, void **state) {
     to->size = fmu_state_size(f);
     to->phase = f->phase;
     memcpy(to + 1, f->books.start, books_size(f));
-    ph_save(f->in, (char *)(to + 1) + books_size(f));
+    place = (char *)(to + 1) + books_size(f);
+    s = fmu_impulse_values(f, &n);
+    if (n > 0)
+        memcpy(place, s, impulses_size(f));
+    ph_save(f->in, place + impulses_size(f));
     return FMU_OK;
 }
 
@@ -66,20 +77,26 @@ static int check(const fmu *f, const char *function, const saved *from) {
 
 int fmu_restore(fmu *f, const char *function, const void *state) {
     const saved *from = state;
-    int status;
+    const char *place;
+    double *s;
+    int status, n;
     if (fmu_allow(f, function, FMU_ANY))
         return FMU_ERROR;
     if (!from)
         return fmu_refuse(f, "%s: there is no state", function);
     if (check(f, function, from))
         return FMU_ERROR;
-    status = ph_load(f->in, (const char *)(from + 1) + books_size(f));
+    place = (const char *)(from + 1) + books_size(f);
+    status = ph_load(f->in, place + impulses_size(f));
     if (status)
         return fmu_refuse(f, "%s: %s", function, ph_status_text(status));
     memcpy(f->books.start, from + 1, books_size(f));
+    s = fmu_impulse_values(f, &n);
+    if (n > 0)
+        memcpy(s, place, impulses_size(f));
     f->phase = from->phase;
     f->solved = 0.0;
-    f->step_known = f->end_known = 0;
+    f->step_known = f->end_known = f->nodes.known = 0;
     return FMU_OK;
 }
 

@@ -12,6 +12,20 @@ static const fmu_variable *find(const fmu *f, const char *function, unsigned ref
     return NULL;
 }
 
+double *fmu_impulse_values(const fmu *f, int *n) {
+    const fmu_impulses *impulses = f->about->impulses;
+    *n = impulses ? 4 * impulses->n : 0;
+    return impulses ? impulses->values(f->nodes.impulses) : NULL;
+}
+
+int fmu_kicked(const fmu *f) {
+    int n, found = 0;
+    const double *s = fmu_impulse_values(f, &n);
+    for (int i = 0; i < n / 2; i++)
+        found |= s[i] != 0.0;
+    return found;
+}
+
 /* Whether a block is the result of solving at the present time; before the first step means are too. */
 static int solved(const fmu *f, int block) {
     if (block == PH_A || block == PH_Y_STEP || block == FMU_NODE_OUTPUT)
@@ -38,6 +52,12 @@ static const double *block_of(const fmu *f, int block) {
     case FMU_ROW_NUMERICAL:
     case FMU_ROW_MOVED:
         return ph_ledger(f->in, PH_ROW_STORED + block - FMU_ROW_STORED);
+    case FMU_ROW_PAIRS:
+        return ph_ledger(f->in, PH_ROW_PAIRS);
+    case FMU_IMPULSE:
+        return f->about->impulses->values(f->nodes.impulses);
+    case FMU_JUMP:
+        return f->nodes.jump;
     default:
         return ph_signals(f->in) + f->offset[block];
     }
@@ -68,7 +88,7 @@ static double value_of(const fmu *f, const fmu_variable *v) {
 }
 
 int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double *values) {
-    int stale = 0;
+    int stale = 0, jump = 0;
     if (fmu_allow(f, function, FMU_INITIALIZATION | FMU_STEP | FMU_TERMINATED) ||
         fmu_given(f, function, n == 0 || (ref && values)))
         return FMU_ERROR;
@@ -77,12 +97,15 @@ int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double 
         if (!v)
             return FMU_ERROR;
         stale = stale || solved(f, v->block);
+        jump = jump || v->block == FMU_JUMP;
     }
     if (stale) {
         int status = f->phase.mode == FMU_INITIALIZATION ? ph_initialise(f->in) : ph_refresh(f->in);
         if (status)
             return fmu_solver(f, function, status);
     }
+    if (jump)
+        f->about->impulses->jump(f->nodes.impulses, f->nodes.jump);
     for (size_t i = 0; i < n; i++)
         values[i] = value_of(f, &f->about->variables[ref[i]]);
     for (size_t i = 0; i < n; i++) /* sums over components may overflow where their terms do not */
@@ -119,7 +142,8 @@ static int check_set(const fmu *f, const char *function, unsigned ref, double va
         return FMU_ERROR;
     start = v->block == FMU_PARAMETER || (v->block == PH_X && v->first < nx);
     late = !(f->phase.mode & (FMU_INSTANTIATED | FMU_INITIALIZATION));
-    if (!start && v->block != FMU_INPUT && v->block != FMU_NODE_INPUT && v->block != FMU_TUNABLE)
+    if (!start && v->block != FMU_INPUT && v->block != FMU_NODE_INPUT && v->block != FMU_TUNABLE &&
+        v->block != FMU_IMPULSE)
         return fmu_refuse(f, "%s: '%s' is calculated and cannot be set", function, v->name);
     if (start && late)
         return fmu_refuse(f, "%s: '%s' is fixed after initialization", function, v->name);
@@ -133,7 +157,7 @@ static void copy(double *to, const double *from, int n) {
         memcpy(to, from, sizeof(double) * (size_t)n);
 }
 
-/* Where the value of a variable goes; notes what changes: parameters, inputs, states. */
+/* Where the value of a variable goes; notes what changes: parameters, inputs, states, impulses. */
 static double *place_of(fmu *f, const fmu_variable *v, int *changed) {
     switch (v->block) {
     case FMU_PARAMETER:
@@ -144,6 +168,9 @@ static double *place_of(fmu *f, const fmu_variable *v, int *changed) {
     case FMU_NODE_INPUT:
         changed[1] = 1;
         return f->u + v->first;
+    case FMU_IMPULSE:
+        changed[3] = 1;
+        return f->nodes.s + v->first;
     default:
         changed[2] = 1;
         return f->x + v->first;
@@ -188,7 +215,8 @@ int fmu_set_parameters(fmu *f, const double *p) {
 
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values) {
     const ph_plan *plan = f ? f->about->model->step : NULL;
-    int changed[3] = {0};
+    const fmu_impulses *impulses = f ? f->about->impulses : NULL;
+    int changed[4] = {0};
     if (fmu_allow(f, function, FMU_INSTANTIATED | FMU_INITIALIZATION | FMU_STEP) ||
         fmu_given(f, function, n == 0 || (ref && values)))
         return FMU_ERROR;
@@ -198,6 +226,8 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
     copy(f->x, ph_signals(f->in), plan->nx);
     copy(f->u, ph_input(f->in), plan->nu * plan->k);
     copy(f->p, ph_parameters(f->in), plan->np);
+    if (impulses)
+        copy(f->nodes.s, impulses->values(f->nodes.impulses), 2 * impulses->n);
     for (size_t i = 0; i < n; i++) {
         const fmu_variable *v = &f->about->variables[ref[i]];
         double *to = place_of(f, v, changed);
@@ -206,7 +236,7 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
     }
     f->end_known = 0;
     if ((changed[0] && fmu_set_parameters(f, f->p)) || (changed[2] && ph_set_x(f->in, fmu_time(f), f->x)) ||
-        (changed[1] && set_inputs(f)))
+        (changed[1] && set_inputs(f)) || (changed[3] && impulses->set(f->nodes.impulses, f->nodes.s)))
         return fmu_refuse(f, "%s: the values were refused", function);
     return FMU_OK;
 }

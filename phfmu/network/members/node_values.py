@@ -6,7 +6,7 @@ A member that takes none of that takes the mean of its inputs, held over the ste
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,10 @@ from phfmu.gradients.quadrature import Nodes, nodes
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.terms.port_impulses import PortImpulse
+
+if TYPE_CHECKING:
+    from phfmu.fmu.node_exchange import NodeExchange
+    from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]
 
@@ -100,29 +104,40 @@ class NodeValues(Protocol):
     def jump(self) -> Array: ...
 
 
-class EngineNodes:
-    """Of a member that an engine steps by collocation."""
+class UnitOffer:
+    """The offer of a unit, as its manifest says."""
 
-    def __init__(self, member: EngineMember):
-        self.member, self.rule = member, member.model.scheme.nodes
-        scheme = member.model.scheme
-        self.offer: Offer | None = DeclaredOffer(member.name, member.model.declaration) if scheme.impulses else None
+    def __init__(self, name: str, unit: NodeExchange):
+        self.name, self._unit = name, unit
+        self.ports = {p.port: p for p in unit.impulse_ports}
+        self.kicked = unit.kicked
+
+    def jump(self) -> Array:
+        return self._unit.jump()
+
+
+class InstanceNodes:
+    """Of a member whose instance takes them: an engine that steps by collocation, or a unit exported with inputs at nodes."""
+
+    def __init__(self, member: EngineMember | FMUMember, rule: Nodes, offer: Offer | None):
+        self.member, self.rule, self.offer = member, rule, offer
+        self._instance = member.instance if isinstance(member, EngineMember) else member.unit.at_nodes
         self._given: tuple[Array, tuple[Array, Array] | None] = np.zeros((self.rule.k, member.nu)), None
 
     def step(self, U: Array, impulses: tuple[Array, Array] | None, t: float, h: float) -> Array:
-        instance = self.member.instance
+        instance = self._instance
         self._given = U, impulses
         instance.set_node_inputs(U)
         if impulses is not None:
             instance.set_impulses(*impulses)
-        instance.do_step(t, h)
+        self.member.do_step(t, h)
         return instance.node_output()
 
     def sensitivity(
         self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
     ) -> tuple[Array, Array | None]:
         try:
-            found = self.member.instance.node_sensitivity(inputs, impulses=kicked, end=kicked)
+            found = self._instance.node_sensitivity(inputs, impulses=kicked, end=kicked)
         except StepFailure as failure:
             if failure.status is not Status.NO_SENSITIVITY:
                 raise
@@ -130,7 +145,7 @@ class EngineNodes:
         return found.nodes.reshape(self.rule.k * self.member.nu, -1), found.end
 
     def jump(self) -> Array:
-        return self.member.instance.jump()
+        return self._instance.jump()
 
     def _differences(
         self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
@@ -186,7 +201,22 @@ class HeldNodes:
 
 
 def node_values(member: Member) -> NodeValues:
-    """The most that a member offers."""
-    if isinstance(member, EngineMember) and member.model.scheme.node_values:
-        return EngineNodes(member)
+    """The most that a member offers; runs without units do not load their reader."""
+    if isinstance(member, EngineMember) and (scheme := member.model.scheme).node_values:
+        offer = DeclaredOffer(member.name, member.model.declaration) if scheme.impulses else None
+        return InstanceNodes(member, scheme.nodes, offer)
+    if isinstance(member, EngineMember):
+        return HeldNodes(member)
+    from phfmu.network.members.fmu_member import FMUMember
+
+    if isinstance(member, FMUMember) and (rule := _gauss(member.unit.nodes)):
+        return InstanceNodes(
+            member, rule, UnitOffer(member.name, member.unit.at_nodes) if member.unit.at_nodes.kicked else None
+        )
     return HeldNodes(member)
+
+
+def _gauss(places: Array) -> Nodes | None:
+    """The Gauss nodes at these places; None if they are others, or there are none."""
+    k = len(places)
+    return nodes(k) if k and np.allclose(places, nodes(k).c, rtol=0, atol=1e-12) else None

@@ -1,0 +1,221 @@
+"""Coupled members are the composed model to rounding, at every order: stepped by engines, as units of FMI 2.0 and 3.0, mixed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phfmu import (
+    Collocated,
+    Coupled,
+    EngineMember,
+    Monolithic,
+    NativeInstance,
+    Network,
+    Options,
+    PythonInstance,
+    Scene,
+    build_model,
+    export,
+    run,
+)
+from phfmu.cli import main
+from phfmu.components.electrical.rl_line import rl_line
+from phfmu.components.mechanical.translational import mass
+from phfmu.components.scenes.ladder import ladder
+from phfmu.components.scenes.oscillator import oscillator
+from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.two_machine import two_machine
+from phfmu.fmu.reader import FMUInstance
+from phfmu.network.members.fmu_member import FMUMember
+from phfmu.signals import SUM
+from tests.network.test_node_exchange import damped, loaded, quartic_on_cosh
+
+ENGINES = {"python": PythonInstance, "native": NativeInstance}
+UNITS = {"fmi2": "2.0", "fmi3": "3.0"}
+MIXED = "native fmi3 python fmi2"
+KINDS = ("python", "native", "fmi2", "fmi3", MIXED)
+
+
+def rigid() -> Network:
+    """Two masses on one joint: index 2, its rows linear in the velocities."""
+    net = Network("rigid")
+    net.add("a", mass(1.3, k=4.0, d=0.2, q=0.4, v=-0.3))
+    net.add("b", mass(2.0, k=10.0, d=0.1, q=0.1, v=-0.3))
+    net.junction("link", ["a.flange", "b.flange"])
+    return net
+
+
+def row_of_nodes() -> Network:
+    """Machine - bare node - line - bare node - line - grid."""
+    whole: Any = smib().system
+    gen, grid = whole.members["gen"], whole.members["grid"]
+    i, v = [-x for x in _currents(gen)], 2e4
+    net = Network("row")
+    net.add("gen", gen)
+    net.add("near", rl_line(0.01, 2e-4, i=i, v=v))
+    net.add("far", rl_line(0.02, 5e-4, i=i, v=v))
+    net.add("grid", grid)
+    for name, a, b in (
+        ("bus1", "gen.terminal", "near.a"),
+        ("bus2", "near.b", "far.a"),
+        ("bus3", "far.b", "grid.terminal"),
+    ):
+        net.junction(name, [a, b])
+    return net
+
+
+def _currents(gen: Any) -> list[float]:
+    """Of the terminal of a machine at its start."""
+    return NativeInstance(build_model(gen)).signal("y_end")[:3].tolist()
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene with its step and end; the largest sum at the ends of steps [A]; which kinds and orders run by default."""
+
+    make: Callable[[], Scene]
+    step: float
+    stop: float
+    quick: tuple[tuple[str, int], ...] = ()
+    kirchhoff: tuple[str, ...] = ()
+    impulses: bool = True
+
+
+def scene_of(make: Callable[[], Network]) -> Callable[[], Scene]:
+    return lambda: Scene("case", make(), stop=1.0, step=0.1)
+
+
+def torque_step() -> Scene:
+    scene = smib()
+    return replace(scene, events=(replace(scene.events[0], t=3e-3),))
+
+
+CASES = {
+    "oscillator": Case(oscillator, 0.02, 0.4, ((MIXED, 2), ("fmi2", 3))),
+    "nonlinear": Case(scene_of(quartic_on_cosh), 0.1, 1.5, (("fmi3", 2), ("fmi2", 1))),
+    "rigid": Case(scene_of(rigid), 0.05, 0.75, (("fmi3", 1),)),
+    "loaded": Case(scene_of(loaded), 1e-3, 0.015, (("fmi3", 3),)),
+    "damped": Case(scene_of(damped), 0.05, 0.75, (("fmi2", 2),)),
+    "ladder": Case(lambda: ladder(2), 1e-3, 0.015),
+    "smib without": Case(torque_step, 1e-3, 0.008, (), (), False),
+    "smib": Case(torque_step, 1e-3, 0.008, (("fmi2", 1), ("fmi2", 2), ("fmi3", 3), (MIXED, 2)), ("bus1",)),
+    "two_machine": Case(lambda: two_machine(t_fault=4e-4, t_clear=12e-4), 2e-4, 2e-3, ((MIXED, 3),), ("bus1",)),
+    "row": Case(scene_of(row_of_nodes), 1e-3, 0.008, (("fmi3", 2),), ("bus1", "bus2")),
+}
+TABLE = [
+    pytest.param(name, kinds, k, marks=() if (kinds, k) in case.quick else pytest.mark.slow, id=f"{name}-{kinds}-{k}")
+    for name, case in CASES.items()
+    for kinds in KINDS
+    for k in (1, 2, 3)
+    if case.impulses
+    or not {*kinds.split()} & {*UNITS}  # a unit without impulses is exported like that: at k = 1 it is held
+]
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """(member, declaration, k, version, step) -> path of its unit, with inputs at nodes, and impulses where ports take some."""
+    made: dict[Any, dict[str, Path]] = {}
+
+    def get(name: str, declaration: Any, k: int, version: str, step: float, scheme: Any) -> Path:
+        key = (id(declaration), k)
+        if key not in made:
+            model = build_model(replace(declaration, name=name), scheme)
+            kicked = any(p.kind != "none" for p in PythonInstance(model).impulse_ports)
+            folder = tmp_path_factory.mktemp("units")
+            paths = export(model, folder, tuple(UNITS.values()), step=step, node_inputs=k > 1, impulses=kicked)
+            made[key] = {"declaration": declaration} | dict(zip(UNITS.values(), paths, strict=True))  # keeps the id
+        return made[key][version]
+
+    return get
+
+
+@pytest.fixture
+def coupled(units: Any) -> Iterator[Any]:
+    """(network, kinds in turn, k, step) -> members stepped apart."""
+    with ExitStack() as stack:
+
+        def make(net: Network, kinds: str, k: int, step: float, impulses: bool = True) -> Coupled:
+            members: list[Any] = []
+            for (name, d), kind in zip(net.members.items(), cycle(kinds.split()), strict=False):
+                scheme = Collocated(k, impulses=impulses)
+                if kind in UNITS:
+                    path = units(name, d, k, UNITS[kind], step, scheme)
+                    members.append(FMUMember(name, stack.enter_context(FMUInstance(path, name=name))))
+                else:
+                    model = build_model(replace(d, name=name), scheme)
+                    members.append(EngineMember(name, model, ENGINES[kind](model)))
+            return Coupled(net, members)
+
+        yield make
+
+
+def states_differ(declaration: Any, one: Any, two: Any) -> float:
+    """Largest difference of a state over the run relative to its size or nominal value."""
+    worst = 0.0
+    for v in declaration.states:
+        for name, nominal in zip(v.names(), v.nominal, strict=True):
+            a, b = one.column(name), two.column(name)
+            worst = max(worst, float(np.max(np.abs(a - b)) / max(np.max(np.abs(a)), nominal)))
+    return worst
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize(("name", "kinds", "k"), TABLE)
+def test_members_are_the_composed_model(coupled: Any, name: str, kinds: str, k: int) -> None:
+    """Through events; joined currents sum to zero at step ends, and the books close."""
+    case = CASES[name]
+    scene = case.make()
+    net: Any = scene.system
+    options = Options(stop=case.stop, step=case.step, events=scene.events)
+    whole = scene.declaration()
+    model = build_model(whole, Collocated(k, impulses=case.impulses))
+    one = run(Monolithic(model, NativeInstance(model)), options)
+    apart = coupled(net, kinds, k, case.step, case.impulses)
+    two = run(apart, options)
+    assert states_differ(whole, one, two) <= 1e-12
+    for bus in case.kirchhoff:
+        assert max(v for n, v in two.worst.items() if n.startswith(SUM + bus)) <= 1e-9
+    assert two.ledger.summary().closed
+    assert two.iterations <= 6 * two.steps
+    assert apart.coupling.order == 2 * k
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+@pytest.mark.parametrize("scene", ["smib", pytest.param("two_machine", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", [2, 4, pytest.param(6, marks=pytest.mark.slow)])
+def test_a_run_over_units_is_the_composed_run(scene: str, order: int, fmi: str, tmp_path: Path, capsys: Any) -> None:
+    """From the command line; the label says the order, and the table has the columns of a run over an engine."""
+    common = ["run", scene, "--order", str(order), "--stop", "0.006", "--step", "1e-3" if scene == "smib" else "2e-4"]
+    tables = {}
+    for name, how in {
+        "composed": [],
+        "engine": ["--coupling", "newton", "--engine", "native"],
+        "units": ["--coupling", "newton", "--engine", "fmu", "--fmi", fmi],
+    }.items():
+        assert main([*common, *how, "-o", str(tmp_path / f"{name}.csv")]) == 0
+        said = capsys.readouterr().out
+        assert f"order {order}" in said.splitlines()[0] and "inputs held" not in said
+        tables[name] = np.genfromtxt(
+            tmp_path / f"{name}.csv", delimiter=",", names=True, deletechars="", replace_space=""
+        )
+    assert set(tables["engine"].dtype.names) <= set(tables["units"].dtype.names)
+    assert not [n for n in tables["units"].dtype.names if "node" in n or "impulse" in n]
+    shared = [n for n in tables["composed"].dtype.names if "flux" in n or ".I[" in n or n.endswith(("theta", ".p"))]
+    assert len(shared) >= 14
+    size: dict[str, float] = {}  # of the largest entry: dampers carry next to nothing beside the stator
+    for n in shared:
+        group = n.partition("[")[0]
+        size[group] = max(size.get(group, 0.0), float(np.max(np.abs(tables["composed"][n]))))
+    for n in shared:
+        differ = np.max(np.abs(tables["composed"][n] - tables["units"][n]))
+        assert differ <= 1e-12 * size[n.partition("[")[0]], n
