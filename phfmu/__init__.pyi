@@ -55,6 +55,7 @@ from phfmu.gradients.discrete_pair import DiscretePair as DiscretePair
 from phfmu.gradients.discrete_pair import discrete_pair as discrete_pair
 from phfmu.gradients.discrete_pair import inverse_jacobian as inverse_jacobian
 from phfmu.gradients.discrete_pair import with_closed_pair as with_closed_pair
+from phfmu.network.couplings.anderson import Anderson as Anderson
 from phfmu.network.couplings.coupled import Coupled as Coupled
 from phfmu.network.couplings.gauss_seidel import GaussSeidel as GaussSeidel
 from phfmu.network.couplings.jacobi import Jacobi as Jacobi

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.gauss_seidel import GaussSeidel, complete, usual_sequence
 from phfmu.network.couplings.jacobi import Jacobi
@@ -13,6 +14,9 @@ from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import POLICIES
 from phfmu.network.junctions.network import Network
+
+#: couplings that repeat steps
+ITERATED: dict[str, Callable[[Joined], Coupling]] = {Newton.name: newton, Anderson.name: lambda _: Anderson()}
 
 
 @dataclass(frozen=True)
@@ -41,9 +45,10 @@ def named_coupling(
     """
     if sequence is not None and name != GaussSeidel.name:
         raise ValueError(f"a sequence of members ({', '.join(sequence)}) is for {GaussSeidel.name}, not for {name}")
-    if name == Newton.name:
-        wrap = POLICIES[unconverged]
-        return Named(f"{name} coupling", Newton.order, "inputs held", True, lambda joined: wrap(newton(joined)))
+    if name in ITERATED:
+        wrap, make = POLICIES[unconverged], ITERATED[name]
+        at_nodes = name == Newton.name
+        return Named(f"{name} coupling", Newton.order, "inputs held", at_nodes, lambda joined: wrap(make(joined)))
     if unconverged != "raise":
         raise ValueError(f"--unconverged {unconverged} is for couplings that iterate; {name} takes each step once")
     lagged = "outputs of an instant held"

@@ -11,6 +11,7 @@ the matrix regular.  Whatever the iteration leaves is booked at the junctions: s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from operator import itemgetter
 from typing import Any
 
@@ -29,8 +30,11 @@ ROUNDING = 1e-13  # scaled residual that counts as solved
 STAGNATION = 1e-9  # a scaled residual below this that stays is rounding, if the energy is
 SHRINKING = 0.5  # a scaled residual that shrinks to more than this part of the last hardly shrinks: it stalls
 STALLED = 10.0  # times the accepted energy is accepted where it stalls
+STALLS = 3  # times that rows stalled within the energy budget, with a matrix taken after the first, when what is left is rounding
 FLOOR = 16.0  # units of rounding in a row that cannot be told from zero
 ITERATIONS = 30
+
+NEWTON = "interface Newton"
 
 
 @dataclass(frozen=True)
@@ -67,13 +71,12 @@ class Newton:
         for i in range(ITERATIONS):
             if i > 0:
                 joined.restore(step.states)
-            trial = _trial(joined, xi, step)
+            trial = trial_of(joined, xi, step)
             if not np.isfinite(trial.r).all():
-                raise _failure(Status.NOT_FINITE, joined, step, trial, history)
+                raise failed(Status.NOT_FINITE, joined, step, trial, history)
             history.append(float(np.max(trial.scaled(joined), initial=0.0)))
             best = min(best, (history[-1], xi), key=itemgetter(0))
-            accepted_by = _accepted(joined, trial, step.h, history, gain)
-            if accepted_by:
+            if accepted_by := accepted(joined, trial, step.h, history, gain):
                 return Solution(xi, trial.y, i + 1, accepted_by)
             G = [m.sensitivity(step.t, step.h, s) for m, s in zip(joined.members, step.states, strict=True)]
             matrix = joined.matrix(G)
@@ -81,15 +84,16 @@ class Newton:
             try:
                 xi = xi + update(matrix, trial.r)
             except np.linalg.LinAlgError:
-                raise _failure(Status.SINGULAR, joined, step, trial, history) from None
+                raise failed(Status.SINGULAR, joined, step, trial, history) from None
             if not np.isfinite(xi).all():
-                raise _failure(Status.NOT_FINITE, joined, step, trial, history)
+                raise failed(Status.NOT_FINITE, joined, step, trial, history)
         joined.restore(step.states)
-        kept = _trial(joined, best[1], step)
-        raise _failure(Status.NO_CONVERGENCE, joined, step, trial, history).of(Solution(kept.xi, kept.y, ITERATIONS))
+        kept = trial_of(joined, best[1], step)
+        raise failed(Status.NO_CONVERGENCE, joined, step, trial, history).of(Solution(kept.xi, kept.y, ITERATIONS))
 
 
-def _trial(joined: Joined, xi: Array, step: Step) -> Trial:
+def trial_of(joined: Joined, xi: Array, step: Step) -> Trial:
+    """One step of all members under xi, from where they are."""
     y = joined.trial(xi, step.t, step.h)
     return Trial(xi, y, joined.rows(xi, y))
 
@@ -100,7 +104,7 @@ def update(matrix: Array, r: Array) -> Array:
     return np.linalg.solve(matrix * scale[:, None], -r * scale)
 
 
-def _accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain: Array) -> str:
+def accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain: Array) -> str:
     """energy: interface energy below budget, every row at rounding; rounding floor: rows stopped shrinking.
 
     Rows of stiff members that hardly act stop at what a relative change of xi by eps makes of them.
@@ -116,23 +120,35 @@ def _accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain
         return ""
     if history[-1] <= ROUNDING:
         return "energy"
-    return "rounding floor" if stalled and history[-1] <= STAGNATION else ""
+    if stalled and history[-1] <= STAGNATION:
+        return "rounding floor"
+    return "rounding floor" if energy <= ENERGY * in_play and stalls(history) >= STALLS else ""
 
 
-def _failure(status: Status, joined: Joined, step: Step, trial: Trial, history: list[float]) -> Unconverged:
+def stalls(history: list[float]) -> int:
+    """How often the scaled residual hardly shrank, after the first two trials."""
+    return sum(new > SHRINKING * old for old, new in pairwise(history[1:]))
+
+
+def failed(
+    status: Status, joined: Joined, step: Step, trial: Trial, history: list[float], how: str = NEWTON
+) -> Unconverged:
+    """The error of an iteration whose last trial is this one."""
     scaled = np.nan_to_num(trial.scaled(joined), nan=np.inf)
     worst = int(np.argmax(scaled))
     found = Worst(joined.face.names[worst], float(trial.xi[worst]), float(abs(trial.r[worst])))
-    return failure(status, joined, step, found, history)
+    return failure(status, joined, step, found, history, how)
 
 
-def failure(status: Status, joined: Joined, step: Step, worst: Worst, history: list[float]) -> Unconverged:
-    """The error of an interface Newton iteration; history: largest scaled residual of each trial."""
+def failure(
+    status: Status, joined: Joined, step: Step, worst: Worst, history: list[float], how: str = NEWTON
+) -> Unconverged:
+    """The error of an interface iteration; history: largest scaled residual of each trial."""
     last = ", ".join(f"{v:.3g}" for v in history[-3:])
     return Unconverged(
         status, joined.network.name, step.t, step.h,
         equation=f"junction row of {worst.name} = {worst.value:.6g}",
         residual=worst.residual, iterations=len(history),
-        tried=f"interface Newton (last scaled residuals {last}); all members are back at t", joined=True, history=history,
+        tried=f"{how} (last scaled residuals {last}); all members are back at t", joined=True, history=history,
         composable=joined.network.composable,
     )  # fmt: skip

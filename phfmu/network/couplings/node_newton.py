@@ -28,6 +28,7 @@ from phfmu.network.couplings.newton import (
     ITERATIONS,
     ROUNDING,
     SHRINKING,
+    STALLS,
     Newton,
     Worst,
     failure,
@@ -36,8 +37,6 @@ from phfmu.network.couplings.newton import (
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[Any]
-
-STALLS = 3  # times that rows stalled, with a matrix taken after the first, when what is left is rounding
 
 
 @dataclass(frozen=True)
