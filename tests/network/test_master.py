@@ -42,6 +42,7 @@ from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.master_pattern import Pattern, exchanged
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.unconverged import Halving
 
 SAME = 1e-12  # of the size of a column: rounding
 BOOKS = ("stored", "dissipated", "supplied", "pairs")
@@ -51,7 +52,8 @@ class InPython:
     """A coupling that is not one of those that are compiled, and does what it wraps."""
 
     def __init__(self, inner: Coupling):
-        self.name, self.order, self.repeats, self._inner = inner.name, inner.order, inner.repeats, inner
+        self.name, self.order, self._inner = inner.name, inner.order, inner
+        self.repeats, self.closes = inner.repeats, inner.closes
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         return self._inner.solve(joined, last, step)
@@ -204,6 +206,18 @@ def test_steps_before_one_that_fails_are_kept() -> None:
     assert 5 < len(t) < 100 and np.array_equal(t, t2)
     assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()  # the motion is unstable
     assert (failed.time, failed.status, failed.equation) == (failed2.time, failed2.status, failed2.equation)
+
+
+def test_a_policy_for_steps_that_do_not_converge_is_left_to_python() -> None:
+    """Steps are taken in compiled code; one that the iterations allowed there are too few for is not."""
+    net: Any = smib().system
+    stepper = Coupled(net, members(net, 2), lambda joined: Halving(newton(joined)))
+    stepper.check_start()
+    stepper.advance(0.0, 1e-3, 3)
+    assert stepper._master is not None and stepper._master.taken == 3
+    stepper._master.rules.iterations = 1
+    stepper.advance(0.0, 1e-3, 1, 3)
+    assert stepper._master.taken == 3
 
 
 def test_what_is_refused_is_taken_by_the_loop_in_python() -> None:

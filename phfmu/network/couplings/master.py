@@ -22,6 +22,7 @@ from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.master_library import Structures, library
 from phfmu.network.couplings.master_pattern import Exchanged, Pattern, exchanged
 from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution
+from phfmu.network.couplings.unconverged import Accepting, Halving
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.plan.ordering import StructurallySingular
 from phfmu.schemes.impulses import POINTS
@@ -90,7 +91,7 @@ class Master:
         y = np.concatenate([p.member.output() for p in self.found.parts])
         if not isinstance(self.coupling, NodeNewton):
             return Solution(xi, y, trials, accepted_by)
-        return NodeSolution(xi, y, trials, accepted_by, self.found.unpack(self._last), h)
+        return NodeSolution(xi, y, trials, accepted_by, found=self.found.unpack(self._last), h=h)
 
     def _steps(self, members: list[Array], xi: Array, sums: EndSums) -> dict[str, Array]:
         """Fields of `Steps` from what was recorded."""
@@ -179,7 +180,12 @@ class Master:
 
 
 def master(joined: Joined, coupling: Coupling) -> Master | None:
-    """The compiled twin of a coupling; None for couplings, or members, that have none."""
+    """The compiled twin of a coupling; None for couplings, or members, that have none.
+
+    What is done with steps that do not converge is done in Python, with these only.
+    """
+    if isinstance(coupling, Halving | Accepting):
+        coupling = coupling.inner
     if not isinstance(coupling, newton.Newton | NodeNewton):
         return None
     if not all(isinstance(m, EngineMember) and isinstance(m.instance, NativeInstance) for m in joined.members):
