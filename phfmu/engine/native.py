@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.engine.codegen import kernel_table
+from phfmu.engine.compiled import compiled
 from phfmu.engine.handle import Handle
 from phfmu.engine.impulses import Ports
-from phfmu.engine.library import RECORD, Column, Record, build, enums, load, view
+from phfmu.engine.library import RECORD, Column, Record, enums, view
 from phfmu.engine.limits import LIMITS
-from phfmu.engine.model import Model, kernels
+from phfmu.engine.model import Model
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.status import Status, StepFailure
-from phfmu.engine.tables import CTables
 
 if TYPE_CHECKING:
     from phfmu.engine.native_chain import NativeChain
@@ -40,10 +39,8 @@ class NativeInstance:
 
     def __init__(self, model: Model, announce: Callable[[], None] | None = None) -> None:
         self.model = model
-        table = kernel_table(kernels(model), model.step.schur)
-        self.build = build(table, announce)
-        self._tables = CTables(model, table.index, table.token)
-        self._lib = load(self.build.path)
+        made = compiled(model, announce)
+        self.build, self._tables, self._lib = made.build, made.tables, made.lib
         size = self._lib.ph_size(self._tables.pointer)
         if size == 0:
             raise StepFailure(Status.ABI, model.name, model.t0, 0.0)

@@ -15,7 +15,7 @@ from phfmu.plan.plan import Group, Kernel, Plan, Products
 Triplet = tuple[int, int, float, int]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HandMade:
     """A model without declaration."""
 

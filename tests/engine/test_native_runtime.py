@@ -19,7 +19,7 @@ from phfmu.engine.library import load, runtime_sources
 from phfmu.engine.model import kernels
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.status import Status, StepFailure
-from phfmu.engine.tables import c_text, ctypes_structures, stamp
+from phfmu.engine.tables import CTables, c_text, ctypes_structures, stamp
 from tests.engine.hand_made import (
     A2,
     C2,
@@ -273,16 +273,30 @@ def test_parameters_and_reset() -> None:
     assert inst.get_state() == start
 
 
+def test_instances_of_a_model_share_its_library_and_tables_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = oscillator()
+    first = NativeInstance(model)
+    monkeypatch.setattr("phfmu.engine.compiled.kernel_table", None)  # is not made again
+    second = NativeInstance(model)
+    state = second.get_state()
+    first.do_step(0.0, 0.1)
+    assert second.get_state() == state != first.get_state()
+    second.do_step(0.0, 0.1)
+    assert second.get_state() == first.get_state()
+
+
 def test_messages_and_layouts_agree_with_the_header() -> None:
     inst = NativeInstance(oscillator())
     lib = load(inst.build.path)
-    own = [s for s in Status if s is not Status.UNIT]
+    own = [s for s in Status if s not in (Status.UNIT, Status.GROWTH)]
     assert [lib.ph_status_text(i).decode() for i in range(len(own))] == [s.value for s in own]
     assert lib.ph_status_text(len(own)) == b"unknown status"
-    table = ctypes_structures()["ph_model"].from_address(inst._tables.pointer)
-    assert table.stamp == stamp()
-    table.stamp += 1
-    assert lib.ph_size(inst._tables.pointer) == 0
+    table = kernel_table(kernels(inst.model))
+    tables = CTables(inst.model, table.index, table.token)  # its own: instances share theirs
+    given = ctypes_structures()["ph_model"].from_address(tables.pointer)
+    assert given.stamp == stamp()
+    given.stamp += 1
+    assert lib.ph_size(tables.pointer) == 0
 
 
 @pytest.mark.parametrize("compiler", ["zig", "cc"])

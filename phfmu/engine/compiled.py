@@ -1,0 +1,36 @@
+"""Models in compiled code: the library and the tables of each, made once for all its instances."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+from phfmu.engine.codegen import kernel_table
+from phfmu.engine.compile import Build
+from phfmu.engine.library import build, load
+from phfmu.engine.model import Model, kernels
+from phfmu.engine.tables import CTables
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """What instances share and never write to."""
+
+    build: Build
+    tables: CTables
+    lib: ctypes.CDLL
+
+
+_MADE: WeakKeyDictionary[Model, Compiled] = WeakKeyDictionary()
+
+
+def compiled(model: Model, announce: Callable[[], None] | None = None) -> Compiled:
+    """Library and tables of a model; `announce` is called before a compiler runs."""
+    made = _MADE.get(model)
+    if made is None:
+        table = kernel_table(kernels(model), model.step.schur)
+        done = build(table, announce)
+        made = _MADE[model] = Compiled(done, CTables(model, table.index, table.token), load(done.path))
+    return made
