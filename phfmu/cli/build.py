@@ -288,10 +288,12 @@ def _as_fmu(
     folder = tempfile.mkdtemp(prefix="phfmu-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     step = step if args.step is None else args.step
+    tunable = [v.name for v in declaration.parameters if not v.signal]
     versions = (args.fmi or LATEST,)
     (path,) = export(
-        build_model(declaration, scheme), folder, versions, step=step, node_inputs=node_inputs, impulses=impulses
-    )
+        build_model(declaration, scheme), folder, versions, step=step, node_inputs=node_inputs, impulses=impulses,
+        tunable=tunable,
+    )  # fmt: skip
     return FMUInstance(path)
 
 

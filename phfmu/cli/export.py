@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
-    from phfmu.network.scene import Scene
+    from phfmu.fmu.schedule import UnitEvent
+    from phfmu.network.scene import Event
 
 
 def add_parser(verbs: Any) -> None:
@@ -40,23 +42,39 @@ def add_parser(verbs: Any) -> None:
                         help="count the flow of this port (current, force) out of the unit; may be repeated")  # fmt: skip
     parser.add_argument("--platform", action="append", metavar="NAME", help="e.g. x86_64-linux; may be repeated")
     parser.add_argument("--all-platforms", action="store_true", help="linux, windows and darwin, x86_64 and aarch64")
+    parser.add_argument("--tunable", action="append", default=[], metavar="NAME",
+                        help="a parameter that may be set between steps, as those of the scene's events may")  # fmt: skip
+    parser.add_argument("--events", default="outside", choices=("outside", "inside"),
+                        help="outside: the importer sets what the scene's events change; inside: the unit does")  # fmt: skip
     options.add_settings(parser)
     options.add_no_check(parser)
     parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
+    from dataclasses import replace
+
     from phfmu.cli.build import _with_settings
     from phfmu.cli.options import require_sound, scheme_of, settings
+    from phfmu.cli.timeline import started
     from phfmu.discretise.model import build_model
     from phfmu.fmu.export import PLATFORMS, export
+    from phfmu.fmu.schedule import fed_inside
     from phfmu.fmu.version import VERSIONS
     from phfmu.target import scene
 
     s = scene(args.target)
-    system = _with_settings(s.system, settings(args.set))
-    declaration = type(s)(s.name, system, s.stop, s.step).declaration()
+    given = settings(args.set)
+    events, notes = started(s.events, given, s.declaration().settable_names())
+    begun = {e.name: e.value for e in events if e.t <= 0.0}
+    system = _with_settings(_with_settings(s.system, begun), given)
+    declaration = replace(s, system=system).declaration()
     require_sound(args, declaration)
+    inside, left_out = _events(args, [e for e in events if e.t > 0.0], declaration)
+    left_out += [f"{s.restart} damping steps after each event"] if s.restart else []
+    if inside:
+        require_sound(args, declaration, [e for e in events if e.t > 0.0])
+        declaration = fed_inside(declaration, [e.name for e in inside])
     step = args.step if args.step is not None else s.step
     if not step > 0:
         raise ValueError(f"--step {step} s must be positive")
@@ -66,11 +84,13 @@ def call(args: argparse.Namespace) -> int:
     versions = [asked[v] for v in (args.fmi or asked)]
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
     model = build_model(declaration, scheme_of(args, declaration))
-    left_out = _left_out(s, declaration)
     paths = export(model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
                    node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
                    terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward,
-                   impulses=args.impulses)  # fmt: skip
+                   impulses=args.impulses,
+                   tunable=[*args.tunable, *_changed(events, declaration)], events=inside)  # fmt: skip
+    for note in notes:
+        print(f"phfmu: {note}", file=sys.stderr)
     for line in left_out:
         print(f"phfmu: not in the unit: {line}", file=sys.stderr)
     for path in paths:
@@ -83,14 +103,18 @@ def _short(number: str) -> str:
     return number.removesuffix(".0")
 
 
-def _left_out(s: Scene, declaration: PHDAE) -> list[str]:
-    """What a unit has not of the scene: events happen in the importer, damping steps nowhere."""
-    fixed = {n for v in declaration.parameters for n in (v.name, *v.names())}
-    lines = [
-        f"event at t = {e.t:g} s, {e.name} = {e.value:g}: "
-        + ("a parameter, which is fixed in a unit" if e.name in fixed else "set this input at that time")
-        for e in s.events
-    ]
-    if s.restart:
-        lines.append(f"{s.restart} damping steps after each event")
-    return lines
+def _changed(events: Sequence[Event], declaration: PHDAE) -> list[str]:
+    """Parameters that events change."""
+    known = {n for v in declaration.parameters if not v.signal for n in (v.name, *v.names())}
+    return [n for n in dict.fromkeys(e.name for e in events if e.t > 0.0) if n in known]
+
+
+def _events(args: argparse.Namespace, events: Sequence[Event], declaration: PHDAE) -> tuple[list[UnitEvent], list[str]]:
+    """Events for the unit, or a line for each that happens in the importer."""
+    from phfmu.fmu.schedule import UnitEvent
+
+    if args.events == "inside":
+        return [UnitEvent(e.t, e.name, e.value) for e in events], []
+    tunable = set(_changed(events, declaration))
+    what = {True: "set this tunable parameter at that time", False: "set this input at that time"}
+    return [], [f"event at t = {e.t:g} s, {e.name} = {e.value:g}: {what[e.name in tunable]}" for e in events]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from phfmu.words import counted
@@ -24,9 +24,9 @@ def timeline(args: argparse.Namespace, scene: Scene, known: list[str], stop: flo
     """
     from phfmu.cli.options import settings
 
-    events, notes = list(scene.events), []
-    given = _covered(settings(args.set), known)
-    events = _without(events, given, lambda e: e.t <= 0.0, "--set", known, notes)
+    set_here = settings(args.set)
+    events, notes = started(scene.events, set_here, known)
+    given = _covered(set_here, known)
     if not args.input:
         return events, notes
     from phfmu.cli.table import read_inputs
@@ -40,6 +40,12 @@ def timeline(args: argparse.Namespace, scene: Scene, known: list[str], stop: flo
     first = float(rows.time[0])
     events = _without(events, set(rows.names), lambda e: e.t >= first, args.input, known, notes)
     return [*events, *(e for e in rows.events() if e.t <= stop)], notes + _outside(args.input, rows, stop)
+
+
+def started(events: Sequence[Event], given: Iterable[str], known: list[str]) -> tuple[list[Event], list[str]]:
+    """Events less what --set gives at the start, which wins, and a line for each that lost some."""
+    notes: list[str] = []
+    return _without(list(events), _covered(given, known), lambda e: e.t <= 0.0, "--set", known, notes), notes
 
 
 def _covered(names: Iterable[str], known: list[str]) -> set[str]:

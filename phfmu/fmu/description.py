@@ -20,6 +20,7 @@ from phfmu.engine.impulses import PortKernels
 from phfmu.fmu.impulse_values import impulse_values, kernels_of, require_kernels
 from phfmu.fmu.node_values import node_values, require_nodes
 from phfmu.fmu.outward import require_ports, turned
+from phfmu.fmu.schedule import UnitEvent
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
@@ -49,6 +50,7 @@ class Unit:
     constraints are outputs, else local variables.  `terminals`: ports are listed as terminals.  `arrays`: vector ports are arrays
     in FMI 3.0.  `left_out`: what the declaration's scene has and the unit has not, a line each.  `outward`: names of ports whose
     flow counts out of the unit (`outward.py`).  `tunable`: scalar names of parameters that may be set between steps.
+    `events`: what the unit does itself, in order of time, to some of these.
     Errors: TypeError if `model` is none; FMUError for an outward port there is not.
     """
 
@@ -63,6 +65,7 @@ class Unit:
     outward: tuple[str, ...] = ()
     tunable: frozenset[str] = frozenset()
     impulses: bool = False
+    events: tuple[UnitEvent, ...] = ()
 
     def __post_init__(self) -> None:
         require_model(self.model, "Unit")

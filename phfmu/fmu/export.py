@@ -11,6 +11,7 @@ from phfmu.discretise.model import Model, takes_model
 from phfmu.engine.compile import compile, host_target, suffix
 from phfmu.fmu import manifest, package, sources
 from phfmu.fmu.description import Unit, build_description
+from phfmu.fmu.schedule import UnitEvent, in_order
 from phfmu.fmu.terminals import terminals as terminals_of
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS, Version
@@ -44,6 +45,7 @@ def export(
     outward: Sequence[str] = (),
     tunable: Collection[str] = (),
     impulses: bool = False,
+    events: Sequence[UnitEvent] = (),
 ) -> list[Path]:
     """Write `<name>_fmi2.fmu` and `<name>_fmi3.fmu` into `directory`; the paths in the order of `versions` (numbers, or rows as
     in `phfmu.fmu.version`).
@@ -57,7 +59,7 @@ def export(
     `outward`: ports whose flow (the current, the force: what sums to zero at a connection) counts out of the unit, for tools
     that connect variables plainly.
     `tunable`: parameters that may be set between steps, by scalar or vector name; what that makes of stored energy is booked
-    (`energy.events`).
+    (`energy.events`).  `events`: values that parameters take at given times inside the unit (`schedule.py`).
     The same model gives the same bytes.  Errors: TypeError for anything but a model; FMUError, CompilerMissing, CompileError.
     """
     if bad := unwritable(model.declaration):
@@ -70,7 +72,7 @@ def export(
             f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
-    set_later = _scalars(model, tunable)
+    set_later, inside = _scalars(model, [*tunable, *(e.name for e in events)]), in_order(model, events)
     unit = Unit(
         model,
         step,
@@ -83,6 +85,7 @@ def export(
         tuple(outward),
         set_later,
         impulses,
+        inside,
     )
     equations = sources.generated(unit)
     token = sources.token(unit, equations)

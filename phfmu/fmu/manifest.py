@@ -134,6 +134,8 @@ def manifest(unit: Unit) -> bytes:
     offers = _add_impulses(step, unit)
     for text in unit.left_out:
         etree.SubElement(root, "LeftOut", what=plain(text))
+    for e in unit.events:
+        etree.SubElement(root, "Event", time=number(e.t), name=e.name, value=number(e.value))
     energy = etree.SubElement(root, "Energy")
     for what, _, _ in (*LEDGER, *STEP_LEDGER):
         energy.set(ENERGY.get(what, what), total(what))

@@ -137,10 +137,13 @@ connection needs a unit exported with <code>--outward PORT</code>.</p>
 
 
 def _left_out(unit: Unit) -> str:
+    inside = "\n".join(f"<li>t = {e.t:.9g} s: {escape(e.name)} = {e.value:.9g}</li>" for e in unit.events)
+    events = f"\n<p>Events in the unit, which lands on them within a communication step:</p>\n<ul>\n{inside}\n</ul>"
+    events = events if unit.events else ""
     if not unit.left_out:
-        return ""
+        return events
     items = "\n".join(f"<li>{escape(plain(text))}</li>" for text in unit.left_out)
-    return f"\n<p>Of the scene it was exported from, this unit leaves out:</p>\n<ul>\n{items}\n</ul>"
+    return f"{events}\n<p>Of the scene it was exported from, this unit leaves out:</p>\n<ul>\n{items}\n</ul>"
 
 
 def _shown(value: object) -> object:

@@ -125,6 +125,7 @@ def interface_text(unit: Unit, token: str) -> str:
         for i, v in enumerate(unit.variables)
         if v.limit is not None
     ]
+    events = [f"{{{number(e.t)}, {place[e.name]}, {number(e.value)}}}" for e in unit.events]
     equations, equations_name = _strings("equations", model.row_names)
     end_equations, end_name = _strings("end_equations", model.instant_names)
     checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""
@@ -136,6 +137,7 @@ def interface_text(unit: Unit, token: str) -> str:
     if unit.kernels:
         include, nodes = '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
         checks += _impulses_text(unit.kernels)
+    checks += f"static const fmu_event events[] = {{\n{_list(events)}}};\n" if events else ""
     checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
     return f"""\
 /* Generated. Variables, start checks and names of the equations of {c_comment(unit.name)}. */
@@ -162,6 +164,8 @@ const fmu_interface fmu_the_interface = {{
     .equations = {equations_name},
     .end_equations = {end_name},
     .jumps = {int(unit.jumps)},
+    .nevent = {len(events)},
+    .events = {"events" if events else "0"},
 {nodes}}};
 """
 

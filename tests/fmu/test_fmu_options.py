@@ -43,7 +43,7 @@ def test_events_that_are_left_out_are_said_everywhere(
     said = capsys.readouterr()
     lines = [
         "event at t = 0.2 s, flange.force = 3: set this input at that time",
-        "event at t = 0.4 s, k = 90: a parameter, which is fixed in a unit",
+        "event at t = 0.4 s, k = 90: set this tunable parameter at that time",
         "2 damping steps after each event",
     ]
     assert said.err.splitlines() == [f"phfmu: not in the unit: {line}" for line in lines]

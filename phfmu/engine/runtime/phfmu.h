@@ -143,6 +143,12 @@ PH_API int ph_step_parts(ph_instance *in, double t, double h, int n);
  * values at the present time follow the inputs. */
 PH_API int ph_skip(ph_instance *in, double t);
 
+/* Steps one after the other told as one: `kept` (ph_kept_size) has rows, means and energies of what came
+ * before the last step, `part` of the length of both together. */
+PH_API int ph_kept_size(const ph_model *model);
+PH_API void ph_keep(const ph_instance *in, double *kept);
+PH_API void ph_join(ph_instance *in, const double *kept, double part);
+
 /* A column the caller gives: row i goes to data + i*stride; not wanted if data is NULL. */
 typedef struct ph_column {
     double *data;

@@ -7,7 +7,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define SLACK 1e-9 /* a communication step this much longer than n internal ones is still n of them */
 /* The clock of a master: n additions of a step leave up to n eps |t|. It adds at least once a step, and up to
  * TICKS times between two of ours where others step more often; UNITS are the roundings of one product or
  * sum. GAP: part of a step that is missing, not rounding, however many steps there were. */
@@ -86,12 +85,18 @@ fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink,
     f->environment = environment;
     f->phase.mode = FMU_INSTANTIATED;
     ph_layout(about->model, f->offset);
+    if (fmu_events_create(f)) {
+        fmu_free(f);
+        return NULL;
+    }
     return f;
 }
 
 void fmu_free(fmu *f) {
-    if (f)
+    if (f) {
         free(f->nodes.memory);
+        fmu_events_free(f);
+    }
     free(f);
 }
 
@@ -166,7 +171,9 @@ int fmu_leave(fmu *f, const char *function) {
     int status;
     if (fmu_allow(f, function, FMU_INITIALIZATION) || fmu_check_ranges(f, function))
         return FMU_ERROR;
-    status = ph_initialise(f->in);
+    status = fmu_events_until(f, f->phase.start);
+    if (!status)
+        status = ph_initialise(f->in);
     if (status)
         return fmu_solver(f, function, status);
     if (check_starts(f, function))
@@ -209,7 +216,7 @@ static double clock_error(const fmu *f, double t, double h) {
 
 /* n internal steps of equal length, none longer than the declared one. */
 static int check_step(const fmu *f, const char *function, double t, double h, int *n) {
-    const double now = fmu_time(f), parts = ceil(h / f->about->step - SLACK);
+    const double now = fmu_time(f), parts = ceil(h / f->about->step - FMU_SLACK);
     double error;
     if (!isfinite(t) || !isfinite(h) || !(h > 0.0))
         return fmu_refuse(f, "%s: a step of %.9g s from t = %.9g s; it must be positive and finite", function,
@@ -251,6 +258,18 @@ static int step_parts(fmu *f, double t, double h, int n) {
     return impulses ? impulses->step(f->nodes.impulses, t, h, n) : ph_step_parts(f->in, t, h, n);
 }
 
+static int solve_step(fmu *f, const char *function, double t, double h, int n, int *early) {
+    const double slack = clock_error(f, t, h);
+    int status = fmu_events_until(f, t + slack);
+    if (!status && fmu_events_within(f, t + h - slack))
+        return fmu_events_step(f, function, t, h, slack);
+    if (!status)
+        status = h <= PH_SLIVER_STEP * f->about->step ? ph_skip(f->in, t + h) : step_parts(f, t, h, n);
+    if (status == PH_ARGUMENT)
+        return fmu_solver(f, function, status);
+    return status && refuse_step(f, function, t, h, n, early) ? FMU_DISCARD : FMU_OK;
+}
+
 int fmu_do_step(fmu *f, const char *function, double t, double h, int *early) {
     const long long *count;
     long long halved;
@@ -263,11 +282,10 @@ int fmu_do_step(fmu *f, const char *function, double t, double h, int *early) {
     halved = count[PH_SUBSTEPS];
     f->step_known = f->end_known = f->nodes.known = 0;
     f->solved = 0.0;
-    status = h <= PH_SLIVER_STEP * f->about->step ? ph_skip(f->in, t + h) : step_parts(f, t, h, n);
-    if (status == PH_ARGUMENT)
-        return fmu_solver(f, function, status);
-    if (status && refuse_step(f, function, t, h, n, early))
-        return FMU_DISCARD;
+    f->phase.crossed = 0;
+    status = solve_step(f, function, t, h, n, early);
+    if (status)
+        return status;
     f->phase.steps++;
     book(f);
     if (count[PH_SUBSTEPS] > halved)

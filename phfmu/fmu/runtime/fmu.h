@@ -77,6 +77,12 @@ typedef struct fmu_impulses {
     void (*jump)(struct ph_impulses *m, double *s);
     void (*along)(struct ph_impulses *m, int end, int count, const double *ds, double *dx);
 } fmu_impulses;
+/* At `time` a parameter takes `value`. */
+typedef struct fmu_event {
+    double time;
+    int variable; /* value reference */
+    double value;
+} fmu_event;
 
 /* What is generated for one model, constant. */
 typedef struct fmu_interface {
@@ -94,9 +100,12 @@ typedef struct fmu_interface {
     int (*node_memory)(fmu *f);       /* fmu_nodes.c; NULL without inputs at nodes */
     int (*node_map)(fmu *f);
     const fmu_impulses *impulses; /* NULL if ports take none */
+    int nevent;
+    const fmu_event *events; /* nevent, in order of time */
 } fmu_interface;
 
 #define FMU_TOKEN 38
+#define FMU_SLACK 1e-9 /* a communication step this much longer than n internal ones is still n of them */
 
 extern const fmu_interface fmu_the_interface;
 
@@ -112,6 +121,8 @@ typedef struct fmu_phase {
     int stop_defined;
     double start, stop;
     double steps; /* taken since the start */
+    int passed;   /* events that have happened */
+    int crossed;  /* parameters changed in the last step or after it */
 } fmu_phase;
 
 /* The stored energy and what was booked as its change, ncomp each; one stretch of memory. */
@@ -155,6 +166,8 @@ struct fmu {
     int step_known, end_known;  /* whether they belong to the present time */
     unsigned *scalars;          /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
     fmu_nodes nodes;
+    double *kept; /* what of the parts of a step is summed; NULL without events */
+    void *before; /* a saved state; NULL without events */
 };
 
 #if defined(__GNUC__)
@@ -200,6 +213,14 @@ int fmu_held(const fmu *f, const double *u); /* u (nu*k): the same at all nodes 
  * inputs at nodes and its impulses, as `by_node` and `by_end`: a ph_status. */
 int fmu_node_memory(fmu *f);
 int fmu_node_map(fmu *f);
+
+/* fmu_events.c. Without events in the unit nothing is allocated. */
+int fmu_events_create(fmu *f);
+void fmu_events_free(fmu *f);
+int fmu_events_until(fmu *f, double t);          /* makes those happen; answers a ph_status */
+int fmu_events_within(const fmu *f, double end); /* whether one comes before `end` */
+/* A step from t by h in parts; times that differ by less than slack are one. */
+int fmu_events_step(fmu *f, const char *function, double t, double h, double slack);
 
 /* fmu_derivative.c. adjoint 0: result (nu) = S seed (nk); 1: result (nk) = S^T seed (nu), where S holds the
  * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk): all of these

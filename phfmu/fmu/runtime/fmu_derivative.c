@@ -76,9 +76,19 @@ static int check_unknowns(const fmu *f, const char *function, const unsigned *un
     return FMU_OK;
 }
 
+static int same_parameters(const fmu *f, const char *function) {
+    if (!f->phase.crossed)
+        return 1;
+    fmu_refuse(f, "%s: parameters changed in the last step or after it; derivatives of it are not known",
+               function);
+    return 0;
+}
+
 /* The sensitivities of one kind of outputs, solved for once per step. */
 static const double *map_of(fmu *f, const char *function, int block) {
     int status = PH_OK;
+    if (block == PH_Y_STEP && !same_parameters(f, function))
+        return NULL;
     if (block == PH_Y_STEP && !f->step_known) {
         status = ph_sensitivity(f->in, f->step_map);
         f->step_known = status == PH_OK;
@@ -96,6 +106,8 @@ static const double *map_of(fmu *f, const char *function, int block) {
 /* Derivatives of the last step by inputs at nodes and impulses, solved for once. */
 static int node_map(fmu *f, const char *function) {
     int status;
+    if (!same_parameters(f, function))
+        return FMU_ERROR;
     if (f->nodes.known)
         return FMU_OK;
     status = f->about->node_map(f);

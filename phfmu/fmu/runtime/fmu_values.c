@@ -235,6 +235,7 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
             to[node * plan->nu] = v->sign < 0 ? -values[i] : values[i];
     }
     f->end_known = 0;
+    f->phase.crossed |= changed[0] && f->phase.mode == FMU_STEP;
     if ((changed[0] && fmu_set_parameters(f, f->p)) || (changed[2] && ph_set_x(f->in, fmu_time(f), f->x)) ||
         (changed[1] && set_inputs(f)) || (changed[3] && impulses->set(f->nodes.impulses, f->nodes.s)))
         return fmu_refuse(f, "%s: the values were refused", function);

@@ -1,0 +1,87 @@
+/* Events of a scene that are built into the unit: parameters that take values at given times.
+ *
+ * A communication step that an event lies in is taken in parts, which end at it, and told as one: energies
+ * are their sums, means their means. An event at a communication point counts for the step that begins there.
+ */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmu.h"
+
+int fmu_events_create(fmu *f) {
+    if (f->about->nevent == 0)
+        return FMU_OK;
+    f->kept = calloc((size_t)ph_kept_size(f->about->model) + 1, sizeof(double));
+    return f->kept ? fmu_save(f, __func__, &f->before) : FMU_ERROR;
+}
+
+void fmu_events_free(fmu *f) {
+    free(f->kept);
+    free(f->before);
+}
+
+/* The time of the next event, infinite for none. */
+static double next_event(const fmu *f) {
+    return f->phase.passed < f->about->nevent ? f->about->events[f->phase.passed].time : INFINITY;
+}
+
+int fmu_events_until(fmu *f, double t) {
+    const int np = f->about->model->step->np;
+    if (!(next_event(f) <= t))
+        return PH_OK;
+    memcpy(f->p, ph_parameters(f->in), sizeof(double) * (size_t)np);
+    for (; next_event(f) <= t; f->phase.passed++) {
+        const fmu_event *event = &f->about->events[f->phase.passed];
+        f->p[f->about->variables[event->variable].first] = event->value;
+    }
+    return fmu_set_parameters(f, f->p);
+}
+
+/* [t, end] in parts; *reached: where the last one that was solved ends. */
+static int step_parts(fmu *f, double t, double end, double slack, double *reached) {
+    for (*reached = t; *reached < end;) {
+        const double now = *reached;
+        double goal, part;
+        int status = fmu_events_until(f, now + slack);
+        if (status)
+            return status;
+        goal = next_event(f) < end - slack ? next_event(f) : end;
+        part = ceil((goal - now) / f->about->step - FMU_SLACK);
+        status = ph_step_parts(f->in, now, goal - now, part < 1.0 ? 1 : (int)part);
+        if (status)
+            return status;
+        if (now > t)
+            ph_join(f->in, f->kept, (now - t) / (goal - t));
+        f->phase.crossed = now > t;
+        ph_keep(f->in, f->kept);
+        *reached = goal;
+    }
+    return PH_OK;
+}
+
+int fmu_events_within(const fmu *f, double end) {
+    return next_event(f) < end;
+}
+
+int fmu_events_step(fmu *f, const char *function, double t, double h, double slack) {
+    double reached = t;
+    ph_report why;
+    if (!fmu_held(f, ph_input(f->in)) || fmu_kicked(f)) {
+        f->solved = next_event(f) - t;
+        return fmu_say(f, FMU_DISCARD, FMU_LOG_ERRORS,
+                       "%s: inputs at nodes and impulses belong to a whole step, in which there is the event "
+                       "at t = %.9g s; end "
+                       "a step there",
+                       function, next_event(f));
+    }
+    if (fmu_save(f, function, &f->before))
+        return FMU_ERROR;
+    if (step_parts(f, t, t + h, slack, &reached) == PH_OK)
+        return FMU_OK;
+    why = *ph_last_report(f->in);
+    if (fmu_restore(f, function, f->before))
+        return FMU_ERROR;
+    f->solved = reached - t;
+    return fmu_step_refused(f, function, FMU_DISCARD, &why);
+}
