@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .analysis import summarise, verdict
     from .archive import Recovered, metadata, read, recover
-    from .block import Block, Layout, PortKey, make_block
+    from .block import Block, make_block
+    from .booking import Booking, PortKey
     from .events import EventRow
     from .judge import DEFAULT_RTOL, Judge, Violation
     from .ledger import Ledger
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 _HOME = {
     "analysis": ("summarise", "verdict"),
     "archive": ("Recovered", "metadata", "read", "recover"),
-    "block": ("Block", "Layout", "PortKey", "make_block"),
+    "block": ("Block", "make_block"),
+    "booking": ("Booking", "PortKey"),
     "judge": ("DEFAULT_RTOL", "Judge", "Violation"),
     "ledger": ("Ledger",),
     "report": ("audit_table",),
@@ -32,11 +34,11 @@ __all__ = [
     "DEFAULT_RTOL",
     "AuditWriter",
     "Block",
+    "Booking",
     "ComponentSummary",
     "EventRow",
     "Judge",
     "JunctionSummary",
-    "Layout",
     "Ledger",
     "LedgerSummary",
     "NetworkSummary",

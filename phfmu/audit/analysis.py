@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from phfmu.engine.steps import Steps
 
-from .block import ESTIMATED, EXACT, LOOSE, SILENT, Layout, PortKey, make_block
+from .block import make_block
+from .booking import ESTIMATED, EXACT, LOOSE, SILENT, Booking, PortKey
 from .contradictions import Contradictions
 from .judge import DEFAULT_RTOL, Violation
 from .ledger import Ledger
@@ -66,7 +67,7 @@ class _Reader:
         self.ledger = Ledger(rtol=rtol)
         self._interned = interned
         self._waiting: dict[str, Rows] = {}
-        self._layouts: dict[tuple[bytes, ...], Layout] = {}
+        self._bookings: dict[tuple[bytes, ...], Booking] = {}
         self._contradictions = Contradictions(self.ledger, interned)
         self._next: int | None = None
 
@@ -124,7 +125,7 @@ class _Reader:
         return _grouped(rows, steps)
 
     def _book(self, grouped: dict[str, _Grouped]) -> None:
-        """Book runs of steps of one layout between events, in order."""
+        """Book runs of steps of one booking between events, in order."""
         network = grouped["network"].rows
         middle = network.values("t0") + 0.5 * network.values("h")
         edges = {0, network.n, *_changes(grouped)}
@@ -152,12 +153,12 @@ class _Reader:
             self._waiting["event"] = events.take(~due)
 
     def _book_run(self, grouped: dict[str, _Grouped], a: int, b: int) -> None:
-        """Book steps a..b-1, which have one layout, and hold the recorded rows against them."""
+        """Book steps a..b-1, which have one booking, and hold the recorded rows against them."""
         n, tables = b - a, {}
         for kind, g in grouped.items():
             m = int(g.count[a]) if len(g.count) else 0
             tables[kind] = g.rows.take(slice(int(g.first[a]), int(g.first[a]) + n * m)), m
-        layout = self._layout(tables)
+        booking = self._booking(tables)
         network = tables["network"][0]
         rows, c = tables.get("component", (None, 0))
         ports, q = tables.get("port", (None, 0))
@@ -179,18 +180,18 @@ class _Reader:
         lost, gained = (required(rows, name, c, 0.0) for name in ("dissipated", "supplied"))
         pairs, damped, moved = required(ports, "supplied", q), optional("numerical"), optional("moved")
         steps = Steps(H1, stored, lost, gained, pairs, damped, moved)
-        block = make_block(layout, network.step, network.values("t0"), network.values("h"), steps, H0)
+        block = make_block(booking, network.step, network.values("t0"), network.values("h"), steps, H0)
         self._contradictions.hold(self.ledger.take(block), tables)
 
-    def _layout(self, tables: Mapping[str, tuple[Rows, int]]) -> Layout:
+    def _booking(self, tables: Mapping[str, tuple[Rows, int]]) -> Booking:
         """Names of the columns, from the first step."""
         parts = {kind: rows.take(slice(0, m)) for kind, (rows, m) in tables.items() if kind in _STEPPED}
         key = tuple(x.tobytes() for p in parts.values() for x in (*p.names.values(), *_index(p)))
-        if key not in self._layouts:
-            self._layouts[key] = self._new_layout(parts)
-        return self._layouts[key]
+        if key not in self._bookings:
+            self._bookings[key] = self._new_booking(parts)
+        return self._bookings[key]
 
-    def _new_layout(self, parts: Mapping[str, Rows]) -> Layout:
+    def _new_booking(self, parts: Mapping[str, Rows]) -> Booking:
         name = self._interned.name
         keys, components, silent = [], (), set()
         if "port" in parts:
@@ -212,10 +213,10 @@ class _Reader:
                 if claimed == SILENT and component not in owners and not p.values("dH")[i]:
                     silent.add(component)
         loose = "junction" in parts and LOOSE in map(name, parts["junction"].names["quality"])
-        layout = Layout(components, tuple(keys), frozenset(silent), loose)
+        booking = Booking(components, tuple(keys), frozenset(silent), loose)
         if "component" in parts:
             for component, code in zip(components, parts["component"].names["quality"], strict=True):
-                claimed, found = name(code) or EXACT, layout.quality(component)
+                claimed, found = name(code) or EXACT, booking.quality(component)
                 if claimed != found:
                     step = int(parts["component"].step[0])
                     self._contradictions.tell(
@@ -224,7 +225,7 @@ class _Reader:
         if len(set(components)) < len(components):
             step = int(parts["component"].step[0])
             self._contradictions.tell(step, f"step {step} has two rows of one component")
-        return layout
+        return booking
 
 
 def _index(rows: Rows) -> Iterator[NDArray[Any]]:

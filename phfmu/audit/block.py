@@ -1,84 +1,14 @@
-"""Steps as the ledger takes them: what their columns are called, and what follows from them."""
+"""Steps as the ledger takes them, and what follows from them."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from phfmu.engine.steps import Steps, balance
 
+from .booking import Booking
 from .sums import Floats, Ints, across
-
-# how well the energy of a component or port is known
-EXACT = "exact"
-ESTIMATED = "estimated"  # a quadrature, not the step's own
-SILENT = "none"  # a unit that tells nothing
-LOOSE = "loose"  # of junctions: members are coupled once a step, or an iteration was given up; their energy is told, not judged
-
-
-@dataclass(frozen=True, slots=True)
-class PortKey:
-    """One effort/flow pair, one column of `Steps.pairs`; `index` numbers the pairs of a vector port from 1."""
-
-    component: str
-    port: str
-    index: int | None = None
-    junction: str | None = None
-    quality: str = EXACT
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Names of the columns of `Steps`: c components, q scalar ports; the junctions follow from the ports.
-
-    `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
-    `loose`: the coupling does not claim that junctions create no energy.
-    """
-
-    components: tuple[str, ...]
-    ports: tuple[PortKey, ...] = ()
-    silent: frozenset[str] = frozenset()
-    loose: bool = False
-
-    @cached_property
-    def junctions(self) -> dict[str, list[int]]:
-        """Port columns of each junction, in order of first appearance."""
-        members: dict[str, list[int]] = {}
-        for column, port in enumerate(self.ports):
-            if port.junction is not None:
-                members.setdefault(port.junction, []).append(column)
-        return members
-
-    @cached_property
-    def external(self) -> list[tuple[int, float]]:
-        """Port columns through which energy enters the balance, and the sign with which it does."""
-        inside = set(self.components)
-        return [
-            (column, 1.0 if port.component in inside else -1.0)
-            for column, port in enumerate(self.ports)
-            if (port.component in inside) == (port.junction is None)
-        ]
-
-    @cached_property
-    def owners(self) -> Floats:
-        """1 where a port column belongs to a component [q,c]."""
-        table = [[float(port.component == name) for name in self.components] for port in self.ports]
-        return np.array(table).reshape(len(self.ports), len(self.components))
-
-    @cached_property
-    def with_ports(self) -> frozenset[str]:
-        return frozenset(port.component for port in self.ports)
-
-    @cached_property
-    def estimated(self) -> frozenset[str]:
-        return frozenset(port.component for port in self.ports if port.quality == ESTIMATED)
-
-    def quality(self, component: str) -> str:
-        """exact, estimated (a quadrature of its ports' power) or none."""
-        if component in self.silent:
-            return SILENT
-        return ESTIMATED if component in self.estimated else EXACT
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +20,7 @@ class Block:
     the network's row, each [n]. Made by `make_block`.
     """
 
-    layout: Layout
+    booking: Booking
     step: Ints
     t0: Floats
     h: Floats
@@ -105,7 +35,7 @@ class Block:
 
 
 def make_block(
-    layout: Layout, step: ArrayLike, t0: ArrayLike, h: ArrayLike, steps: Steps, H0: ArrayLike | None = None
+    booking: Booking, step: ArrayLike, t0: ArrayLike, h: ArrayLike, steps: Steps, H0: ArrayLike | None = None
 ) -> Block:
     """Copy n steps into a block and derive residuals, junctions and the network balance.
 
@@ -113,7 +43,7 @@ def make_block(
     Errors: ValueError naming the array and both shapes.
     """
     numbers = np.array(step, np.int64, ndmin=1)
-    n, c, q = len(numbers), len(layout.components), len(layout.ports)
+    n, c, q = len(numbers), len(booking.components), len(booking.ports)
     s = _checked(steps, n, c, q)
     with np.errstate(invalid="ignore", over="ignore"):
         starts = s.H - s.stored if H0 is None else _table("H0", H0, (n, c))
@@ -121,14 +51,14 @@ def make_block(
         inside = np.maximum(np.abs(starts), np.abs(s.H)) if s.moved is None else np.abs(s.moved)
         in_play = np.maximum(inside, np.abs(s.stored)) + np.abs(s.supplied) + np.abs(s.dissipated) + np.abs(gone)
         if q:
-            in_play += per_owner(layout, np.abs(s.pairs))
-        members = list(layout.junctions.values())
+            in_play += per_owner(booking, np.abs(s.pairs))
+        members = list(booking.junctions.values())
         created = _stack(n, [across(s.pairs[:, m]) for m in members])
         exchanged = _stack(n, [0.5 * across(np.abs(s.pairs[:, m])) for m in members])
         residual = balance(s.stored, s.dissipated, s.supplied, gone)
         return Block(
-            layout, numbers, _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,)), starts, s, residual,
-            in_play, created, exchanged, _network(layout, s, created),
+            booking, numbers, _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,)), starts, s, residual,
+            in_play, created, exchanged, _network(booking, s, created),
         )  # fmt: skip
 
 
@@ -148,24 +78,24 @@ def _checked(s: Steps, n: int, c: int, q: int) -> Steps:
     )
 
 
-def per_owner(layout: Layout, energy: Floats) -> Floats:
+def per_owner(booking: Booking, energy: Floats) -> Floats:
     """Sum of port columns [n,q] for each component [n,c]."""
     with np.errstate(invalid="ignore", over="ignore"):
-        sums = energy @ layout.owners
+        sums = energy @ booking.owners
         if not np.isfinite(sums).all():  # 0 inf in the product is not a number, for components that have none of it
-            sums = _stack(len(energy), [energy[:, column > 0.0].sum(axis=1) for column in layout.owners.T])
+            sums = _stack(len(energy), [energy[:, column > 0.0].sum(axis=1) for column in booking.owners.T])
     return sums
 
 
-def _network(layout: Layout, s: Steps, created: Floats) -> dict[str, Floats]:
+def _network(booking: Booking, s: Steps, created: Floats) -> dict[str, Floats]:
     """Columns of the network: unexplained = balance of the sums, with the external supply, - junction residuals."""
     columns = {"H": across(s.H), "dH": across(s.stored), "dissipated": across(s.dissipated)}
     if s.numerical is not None:
         columns["numerical"] = across(s.numerical)
-    if layout.external:
-        js, signs = zip(*layout.external, strict=True)
+    if booking.external:
+        js, signs = zip(*booking.external, strict=True)
         columns["external"] = across(s.pairs[:, list(js)] * np.array(signs))
-    if layout.junctions:
+    if booking.junctions:
         columns["junction_residual"] = across(created)
     none = np.zeros(len(s.H))
     left = balance(columns["dH"], columns["dissipated"], columns.get("external", none), columns.get("numerical", 0.0))
@@ -176,7 +106,7 @@ def _network(layout: Layout, s: Steps, created: Floats) -> dict[str, Floats]:
 def _table(name: str, x: ArrayLike, shape: tuple[int, ...]) -> Floats:
     array = np.array(x, np.float64, ndmin=1)
     if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}, expected {shape} (steps, columns of the layout)")
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape} (steps, columns of the booking)")
     return array
 
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import LOOSE, Block
+from .block import Block
+from .booking import LOOSE
 from .events import EventRow
 
 SCHEMA_VERSION = 1
@@ -101,8 +102,8 @@ def event_section(events: Sequence[EventRow], encode: Encode) -> Section:
 
 def block_sections(block: Block, encode: Encode) -> list[Section]:
     """Component, port, junction and network rows of a judged block, without a loop over its steps."""
-    layout, s = block.layout, block.steps
-    names = {"component": list(layout.components), "quality": [layout.quality(name) for name in layout.components]}
+    booking, s = block.booking, block.steps
+    names = {"component": list(booking.components), "quality": [booking.quality(name) for name in booking.components]}
     values = {
         "H0": block.H0,
         "H1": s.H,
@@ -115,15 +116,15 @@ def block_sections(block: Block, encode: Encode) -> list[Section]:
         "moved": s.moved,
     }
     sections = [_repeat(block, "component", names, values, encode)]
-    if layout.ports:
+    if booking.ports:
         keys = ("component", "port", "index", "junction", "quality")
-        names = {name: [getattr(port, name) for port in layout.ports] for name in keys}
+        names = {name: [getattr(port, name) for port in booking.ports] for name in keys}
         sections.append(_repeat(block, "port", names, {"supplied": s.pairs}, encode))
-    if layout.junctions:
+    if booking.junctions:
         values = {"residual": block.junction_residual, "exchanged": block.junction_exchanged}
-        names = {"junction": list(layout.junctions)}
-        if layout.loose:
-            names["quality"] = [LOOSE] * len(layout.junctions)
+        names = {"junction": list(booking.junctions)}
+        if booking.loose:
+            names["quality"] = [LOOSE] * len(booking.junctions)
         sections.append(_repeat(block, "junction", names, values, encode))
     network = {name: column[:, None] for name, column in block.network.items()}
     sections.append(_repeat(block, "network", {}, network, encode))

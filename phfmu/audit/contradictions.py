@@ -25,7 +25,7 @@ class Contradictions:
         size += np.nan_to_num(np.abs(block.steps.pairs), posinf=0.0).sum(axis=1)
         if "component" in tables:
             rows, c = tables["component"]
-            for i, name in enumerate(block.layout.components):
+            for i, name in enumerate(block.booking.components):
                 part = rows.take(slice(i, None, c))
                 self._same(block, f"component {name}", part, "residual", block.residual[:, i], size)
                 self._scale(block, f"component {name}", part, i)
@@ -56,11 +56,11 @@ class Contradictions:
     def _junctions(self, block: Block, table: tuple[Rows, int] | None, size: Floats) -> None:
         step = int(block.step[0])
         named = [] if table is None else [self._name(code) for code in table[0].names["junction"][: table[1]]]
-        if sorted(map(str, named)) != sorted(block.layout.junctions):
-            there, told = ", ".join(map(str, named)) or "none", ", ".join(block.layout.junctions) or "none"
+        if sorted(map(str, named)) != sorted(block.booking.junctions):
+            there, told = ", ".join(map(str, named)) or "none", ", ".join(block.booking.junctions) or "none"
             self.tell(step, f"step {step} has rows of the junctions {there}; by its ports there are {told}")
             return
-        for j, name in enumerate(block.layout.junctions):
+        for j, name in enumerate(block.booking.junctions):
             assert table is not None
             part = table[0].take(slice(named.index(name), None, table[1]))
             self._same(block, f"junction {name}", part, "residual", block.junction_residual[:, j], size)

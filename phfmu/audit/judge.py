@@ -16,7 +16,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import ESTIMATED, EXACT, SILENT, Block, per_owner
+from .block import Block, per_owner
+from .booking import ESTIMATED, EXACT, SILENT
 from .sums import CompensatedSum, Floats, extend, ratio
 
 DEFAULT_RTOL = 1e-11
@@ -108,9 +109,9 @@ class Judge:
 
         Returns DEFAULT_RTOL |residual| / allowed [n,c] with what DEFAULT_RTOL allows: it does not depend on `rtol`.
         """
-        layout, names = block.layout, block.layout.components
+        booking, names = block.booking, block.booking.components
         accounts = [self._account(name, block, i) for i, name in enumerate(names)]
-        judged = np.array([layout.quality(name) == EXACT for name in names], bool)
+        judged = np.array([booking.quality(name) == EXACT for name in names], bool)
         in_play = np.where(np.isfinite(block.in_play), block.in_play, np.nan)
         reach = _running([a.reach for a in accounts], np.maximum(_finite(in_play), _finite(np.abs(stored))))
         with np.errstate(invalid="ignore", over="ignore"):
@@ -121,7 +122,7 @@ class Judge:
             self._mark("balance", names, block.residual, allowed, block, judged)
             self._mark("dissipation", names, np.minimum(block.steps.dissipated, 0.0), allowed, block, judged)
             if names:
-                booked = block.steps.supplied - per_owner(layout, block.steps.pairs)
+                booked = block.steps.supplied - per_owner(booking, block.steps.pairs)
                 self._mark("ports", names, booked, allowed, block, judged)
             self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
             self._joined(block, np.where(judged, allowed, np.abs(block.residual)))
@@ -136,14 +137,14 @@ class Judge:
         if account is None:
             H0 = float(block.H0[0, i])
             account = self.accounts[name] = Account(H0, H0)
-        quality = block.layout.quality(name)
+        quality = block.booking.quality(name)
         if quality != EXACT:
             account.quality = quality
         return account
 
     def _changes(self, accounts: list[Account], block: Block, allowed: Floats, H: Floats) -> None:
         """H from step to step and within each, against what is booked; `H` [n,c]: max(|H0|, |H1|)."""
-        names, H1 = block.layout.components, block.steps.H
+        names, H1 = block.booking.components, block.steps.H
         before = np.empty_like(block.H0)
         before[0] = [a.H_end + a.jumps for a in accounts]
         before[1:] = H1[:-1]
@@ -159,12 +160,12 @@ class Judge:
 
     def _joined(self, block: Block, allowed: Floats) -> None:
         """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for."""
-        names = tuple(block.layout.junctions)
+        names = tuple(block.booking.junctions)
         if names:
             passed = 2.0 * block.junction_exchanged
             reach = _running([self._junctions.get(name, 0.0) for name in names], _finite(passed))
             self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
-            judged = np.full(len(names), not block.layout.loose)
+            judged = np.full(len(names), not block.booking.loose)
             self._mark(
                 "junction", names, block.junction_residual, self.rtol * passed + FLOOR * EPS * reach, block, judged
             )

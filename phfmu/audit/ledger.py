@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from phfmu.engine.steps import Steps
 
-from .block import ESTIMATED, EXACT, LOOSE, Block, Layout, make_block
+from .block import Block, make_block
+from .booking import ESTIMATED, EXACT, LOOSE, Booking
 from .events import EventCount, EventRow
 from .judge import COMPONENT, DEFAULT_RTOL, Judge, Violation, word
 from .sink import Sink
@@ -52,7 +53,7 @@ class Ledger:
 
     def add(
         self,
-        layout: Layout,
+        booking: Booking,
         step: ArrayLike,
         t0: ArrayLike,
         h: ArrayLike,
@@ -60,7 +61,7 @@ class Ledger:
         H0: ArrayLike | None = None,
     ) -> None:
         """Book n accepted steps; shapes and errors as for `make_block`, which copies the arrays."""
-        block = make_block(layout, step, t0, h, steps, H0)
+        block = make_block(booking, step, t0, h, steps, H0)
         if len(block.step) == 0:
             return
         block = self.take(block)
@@ -81,16 +82,16 @@ class Ledger:
 
     def _add_components(self, block: Block) -> Floats:
         """Sum the columns of the components; the sums of the changes of H up to each step [n,c]."""
-        names, s = block.layout.components, block.steps
+        names, s = block.booking.components, block.steps
         for key, table in {"dissipated": s.dissipated, "supplied": s.supplied, "numerical": s.numerical}.items():
             if table is not None:
                 self._sums.extend([(key, name) for name in names], table)
         return self._sums.extend([("stored", name) for name in names], s.stored)
 
     def _add_ports(self, block: Block) -> None:
-        layout = block.layout
+        booking = block.booking
         widths: dict[tuple[str, str], list[int]] = {}
-        for j, port in enumerate(layout.ports):
+        for j, port in enumerate(booking.ports):
             self._ports.setdefault((port.component, port.port), (port.junction, port.quality))
             widths.setdefault((port.component, port.port), []).append(j)
             if port.quality == ESTIMATED and port.junction is not None:
@@ -99,8 +100,8 @@ class Ledger:
             some = {key: js for key, js in widths.items() if len(js) == width}
             pairs = block.steps.pairs[:, list(some.values())]  # steps, ports, pairs
             self._sums.extend([("port", *key) for key in some], pairs.transpose(0, 2, 1).reshape(-1, len(some)))
-        names = list(layout.junctions)
-        self._loose.update(names if layout.loose else ())
+        names = list(booking.junctions)
+        self._loose.update(names if booking.loose else ())
         self._sums.extend([("junction", name) for name in names], block.junction_residual)
         self._sums.extend([("exchanged", name) for name in names], block.junction_exchanged)
         for j, name in enumerate(names):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import counted, shown
 
 from .analysis import summarise
-from .block import ESTIMATED
+from .booking import ESTIMATED
 from .judge import DEFAULT_RTOL, VIOLATED
 from .summary import LedgerSummary, NetworkSummary
 

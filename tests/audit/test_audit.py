@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from phfmu import audit
 from phfmu.audit import (
     AuditWriter,
-    Layout,
+    Booking,
     Ledger,
     LedgerSummary,
     PortKey,
@@ -40,7 +40,7 @@ from phfmu.audit.sums import CompensatedSum
 from phfmu.engine.steps import Steps, balance
 
 # two members on a bus that leaks a little; b's port there has two pairs, and b has a port to the outside
-LAYOUT = Layout(
+BOOKING = Booking(
     ("a", "b"),
     (
         PortKey("a", "p", junction="bus"),
@@ -74,19 +74,19 @@ def run_arrays(n: int, seed: int = 0, leak: float = 1e-3) -> dict[str, np.ndarra
     }
 
 
-def book(ledger: Ledger, layout: Layout, *, step, t0, h, H, dH, H0=None, **columns) -> None:
+def book(ledger: Ledger, booking: Booking, *, step, t0, h, H, dH, H0=None, **columns) -> None:
     """Steps of a ledger; what a run does not have is zero."""
     H = np.array(H, float)
     none = np.zeros_like(H)
-    pairs = columns.pop("port_energy", np.zeros((len(H), len(layout.ports))))
+    pairs = columns.pop("port_energy", np.zeros((len(H), len(booking.ports))))
     columns = {"dissipated": none, "supplied": none} | columns
     steps = Steps(H, np.asarray(dH), pairs=np.asarray(pairs), **{k: np.asarray(v) for k, v in columns.items()})
-    ledger.add(layout, step, t0, h, steps, H0)
+    ledger.add(booking, step, t0, h, steps, H0)
 
 
 def add_blocks(ledger: Ledger, a: dict[str, np.ndarray], size: int) -> None:
     for start in range(0, len(a["step"]), size):
-        book(ledger, LAYOUT, **{name: x[start : start + size] for name, x in a.items()})
+        book(ledger, BOOKING, **{name: x[start : start + size] for name, x in a.items()})
 
 
 def write_run(path: Path, n: int = 50, size: int = 7, leak: float = 1e-3) -> Path:
@@ -101,7 +101,7 @@ def write_run(path: Path, n: int = 50, size: int = 7, leak: float = 1e-3) -> Pat
 def test_books_close_by_the_sign_rule():
     """Exact in binary: residuals, junction, external supply and unexplained follow the definitions."""
     ledger = Ledger()
-    layout = Layout(
+    booking = Booking(
         ("a", "b"), (PortKey("a", "p", junction="bus"), PortKey("b", "p", junction="bus"), PortKey("b", "field"))
     )
     pairs = np.array([[0.75, -0.5, -0.375]])
@@ -109,14 +109,14 @@ def test_books_close_by_the_sign_rule():
         H=np.array([[1.5, 1.0]]), stored=np.array([[0.5, -1.0]]), dissipated=np.array([[0.25, 0.0]]),
         supplied=np.array([[0.75, -0.875]]), pairs=pairs,
     )  # fmt: skip
-    block = make_block(layout, [0], [0.0], 1.0, steps)
+    block = make_block(booking, [0], [0.0], 1.0, steps)
     assert block.residual.tolist() == [[0.0, -0.125]]
     assert block.H0.tolist() == [[1.0, 2.0]]
     network = {name: column[0] for name, column in block.network.items()}
     assert (network["H"], network["dH"], network["dissipated"]) == (2.5, -0.5, 0.25)
     assert (network["external"], network["junction_residual"]) == (-0.375, 0.25)
     assert network["unexplained"] == block.residual.sum()
-    ledger.add(layout, [0], [0.0], 1.0, steps)
+    ledger.add(booking, [0], [0.0], 1.0, steps)
     summary = ledger.summary()
     # in play in b: |H0| = 2, for want of its energies' changes, what it was supplied with, and its ports
     assert summary.components[1].worst_relative == pytest.approx(0.125 / (2.0 + 0.875 + 0.875), rel=0.05)
@@ -128,11 +128,11 @@ def test_books_close_by_the_sign_rule():
 def test_closes_for_a_coupling_that_creates_energy_without_bound():
     """A diverging coupling: the junction shows every joule, nothing is unexplained until numbers overflow."""
     ledger, energy = Ledger(), 1.0
-    layout = Layout(("a",), (PortKey("a", "p", junction="bus"),))
+    booking = Booking(("a",), (PortKey("a", "p", junction="bus"),))
     for k in range(300):
         gain = [[3.0 * energy]]
         book(
-            ledger, layout, step=[k], t0=[0.1 * k], h=0.1, H=[[4.0 * energy]], dH=gain, supplied=gain, port_energy=gain
+            ledger, booking, step=[k], t0=[0.1 * k], h=0.1, H=[[4.0 * energy]], dH=gain, supplied=gain, port_energy=gain
         )
         energy *= 4.0
     summary = ledger.summary()
@@ -143,7 +143,7 @@ def test_closes_for_a_coupling_that_creates_energy_without_bound():
 
 def test_member_without_energies_lies_outside_the_balance():
     """A foreign unit reports ports only; what it takes from the junction leaves through `external`."""
-    layout = Layout(
+    booking = Booking(
         ("own",),
         (
             PortKey("own", "p", junction="link"),
@@ -152,7 +152,9 @@ def test_member_without_energies_lies_outside_the_balance():
         ),
     )
     own, none = np.array([[-1.0]]), np.zeros((1, 1))
-    block = make_block(layout, [0], [0.0], 0.1, Steps(np.array([[4.0]]), own, none, own, np.array([[-1.0, 0.75, 9.0]])))
+    block = make_block(
+        booking, [0], [0.0], 0.1, Steps(np.array([[4.0]]), own, none, own, np.array([[-1.0, 0.75, 9.0]]))
+    )
     assert block.network["junction_residual"][0] == -0.25
     assert block.network["external"][0] == -0.75
     assert block.network["unexplained"][0] == 0.0
@@ -164,9 +166,9 @@ def test_what_a_damping_scheme_loses_is_in_the_balance():
     lost = Steps(
         *(np.array([[x]]) for x in (5.0, -3.0, 1.0, -1.5)), pairs=np.array([[-1.5]]), numerical=np.array([[0.5]])
     )
-    block = make_block(Layout(("a",), (PortKey("a", "p"),)), [0], [0.0], 0.1, lost)
+    block = make_block(Booking(("a",), (PortKey("a", "p"),)), [0], [0.0], 0.1, lost)
     assert block.residual[0, 0] == block.network["unexplained"][0] == 0.0
-    assert make_block(block.layout, [0], [0.0], 0.1, replace(lost, numerical=None)).residual[0, 0] == -0.5
+    assert make_block(block.booking, [0], [0.0], 0.1, replace(lost, numerical=None)).residual[0, 0] == -0.5
 
 
 @given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=200), st.integers(1, 50))
@@ -218,7 +220,7 @@ def test_block_arrays_may_be_reused_by_the_caller(tmp_path: Path):
     arrays = run_arrays(10, leak=0.0)
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        book(ledger, LAYOUT, **arrays)
+        book(ledger, BOOKING, **arrays)
         for array in arrays.values():
             array[...] = 0
     assert verdict(read(tmp_path / "x.parquet")) == []
@@ -229,10 +231,10 @@ def test_block_of_a_wrong_shape_is_refused_with_both_shapes():
     arrays = run_arrays(5)
     arrays["supplied"] = arrays["supplied"][:, :1]
     with pytest.raises(ValueError, match=r"supplied has shape \(5, 1\), expected \(5, 2\)"):
-        book(Ledger(), LAYOUT, **arrays)
+        book(Ledger(), BOOKING, **arrays)
     two = np.zeros((1, 2))
     with pytest.raises(ValueError, match=r"pairs has shape \(1, 2\), expected \(1, 4\)"):
-        Ledger().add(LAYOUT, [0], [0.0], 1.0, Steps(two, two, two, two, two))
+        Ledger().add(BOOKING, [0], [0.0], 1.0, Steps(two, two, two, two, two))
 
 
 def test_blocks_are_cheap(tmp_path: Path):
@@ -252,7 +254,7 @@ def test_log_holds_metadata_and_only_used_columns(tmp_path: Path):
     with AuditWriter(path, {"units": {"a.p": ["V", "A"]}, "model": "sha256:00"}) as sink:
         assert sink.stream == tmp_path / "run.audit.arrows"
         assert sink.stream.exists()
-        book(Ledger(sink), Layout(("a",)), step=[0, 1], t0=[0.0, 0.1], h=0.1, H=[[1.0], [1.0]], dH=[[0.0], [0.0]])
+        book(Ledger(sink), Booking(("a",)), step=[0, 1], t0=[0.0, 0.1], h=0.1, H=[[1.0], [1.0]], dH=[[0.0], [0.0]])
     assert os.listdir(tmp_path) == ["run.audit.parquet"]
     table = read(path)
     assert set(table.column_names) == {
@@ -280,11 +282,11 @@ def test_log_holds_metadata_and_only_used_columns(tmp_path: Path):
 
 
 def test_values_survive_to_the_last_bit(tmp_path: Path):
-    layout = Layout(("a",), (PortKey("a", "p", 2, "bus", "estimated"),))
+    booking = Booking(("a",), (PortKey("a", "p", 2, "bus", "estimated"),))
     columns = {"dissipated": 5e-324, "supplied": -0.1, "numerical": 1 / 3, "moved": 7.0}
     with AuditWriter(tmp_path / "x.parquet") as sink:
         book(
-            Ledger(sink), layout, step=[7], t0=[0.7], h=0.1, H0=[[math.pi]], H=[[-math.e]], dH=[[1e-300]],
+            Ledger(sink), booking, step=[7], t0=[0.7], h=0.1, H0=[[math.pi]], H=[[-math.e]], dH=[[1e-300]],
             port_energy=[[0.1]], **{k: [[v]] for k, v in columns.items()}, iterations=[40000], accepted_by=["energy"],
         )  # fmt: skip
     rows = {r["row"]: r for r in read(tmp_path / "x.parquet").to_pylist()}
@@ -330,7 +332,7 @@ def test_log_survives_an_exception(tmp_path: Path):
 def test_empty_run(tmp_path: Path):
     with AuditWriter(tmp_path / "x.parquet", {"model": "none"}) as sink:
         ledger = Ledger(sink)
-        book(ledger, LAYOUT, **run_arrays(0))
+        book(ledger, BOOKING, **run_arrays(0))
     table = read(tmp_path / "x.parquet")
     assert (table.num_rows, table.column_names) == (0, ["row"])
     assert audit.metadata(table)["model"] == "none"
@@ -349,8 +351,8 @@ def test_torn_stream_gives_back_every_complete_batch(tmp_path: Path, stride: int
         sizes = []
         for k in range(0, 40, 10):
             # new names appear in later batches, so dictionaries grow within the stream
-            layout = replace(LAYOUT, components=("a", f"b{k}"))
-            book(ledger, layout, **{name: x[k : k + 10] for name, x in arrays.items()})
+            booking = replace(BOOKING, components=("a", f"b{k}"))
+            book(ledger, booking, **{name: x[k : k + 10] for name, x in arrays.items()})
             ledger.event(1.0 + k, "input", message=f"after step {k}")
             ledger.flush()
             sizes.append(stream.stat().st_size)
@@ -399,11 +401,11 @@ def test_recover_says_what_is_wrong(tmp_path: Path):
 WRITER = """
 import sys
 import numpy as np
-from phfmu.audit import AuditWriter, Layout, Ledger
+from phfmu.audit import AuditWriter, Booking, Ledger
 from phfmu.engine.steps import Steps
 ledger, k, none = Ledger(AuditWriter(sys.argv[1])), 0, np.zeros((1, 1))
 while True:
-    ledger.add(Layout(("a",)), [k], [0.1 * k], 0.1, Steps(none + 1.0, none, none, none, np.zeros((1, 0))))
+    ledger.add(Booking(("a",)), [k], [0.1 * k], 0.1, Steps(none + 1.0, none, none, none, np.zeros((1, 0))))
     k += 1
     if k == 3000:
         print("ready", flush=True)
@@ -528,12 +530,12 @@ def test_coming_to_rest_is_not_a_violation(tmp_path: Path):
     arrays |= {"dH": np.diff(energy)[:, None], "dissipated": lost[:, None], "moved": -np.diff(energy)[:, None]}
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        book(ledger, Layout(("pendulum",)), **arrays)
+        book(ledger, Booking(("pendulum",)), **arrays)
     assert ledger.summary().closed
     assert ledger.summary() == summarise(tmp_path / "x.parquet")
     arrays["dissipated"][1500] += 1e-11
     broken = Ledger()
-    book(broken, Layout(("pendulum",)), **arrays)
+    book(broken, Booking(("pendulum",)), **arrays)
     assert [v.step for v in broken.summary().violations if v.kind == "balance"] == [1500]
 
 
@@ -575,16 +577,16 @@ def test_energies_that_pass_within_a_component_count(tmp_path: Path):
     small = {"h": 1.0, "H0": [[0.0, 0.0]], "H": [[1e-12, 1e-12]], "dH": [[1e-12, 1e-12]]}
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        book(ledger, Layout(("a", "b")), step=[0], t0=[0.0], **small, moved=[[0.0, 2.0]])
-        book(ledger, Layout(("rest",)), step=[1], t0=[1.0], h=1.0, H=[[0.0]], dH=[[0.0]])
+        book(ledger, Booking(("a", "b")), step=[0], t0=[0.0], **small, moved=[[0.0, 2.0]])
+        book(ledger, Booking(("rest",)), step=[1], t0=[1.0], h=1.0, H=[[0.0]], dH=[[0.0]])
     assert {v.name for v in verdict(read(tmp_path / "x.parquet"))} == {"a"}
 
 
 def test_estimated_ports_are_not_judged(tmp_path: Path):
-    layout = Layout(("a",), (PortKey("a", "p", quality="estimated"),))
+    booking = Booking(("a",), (PortKey("a", "p", quality="estimated"),))
     half = {"supplied": [[0.5]], "port_energy": [[0.5]]}
     with AuditWriter(tmp_path / "x.parquet") as sink:
-        book(Ledger(sink), layout, step=[0], t0=[0.0], h=1.0, H=[[1.0]], dH=[[0.0]], **half)
+        book(Ledger(sink), booking, step=[0], t0=[0.0], h=1.0, H=[[1.0]], dH=[[0.0]], **half)
     table = read(tmp_path / "x.parquet")
     assert verdict(table) == []
     assert "estimated" in audit_table(table) and "closed" not in audit_table(table)
@@ -594,7 +596,7 @@ def test_a_unit_without_ports_and_books_has_no_verdict(tmp_path: Path):
     arrays = {"step": [0], "t0": [0.0], "h": 0.1, "H": [[0.0]], "dH": [[0.0]]}
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        book(ledger, Layout(("foreign",), silent=frozenset({"foreign"})), **arrays)
+        book(ledger, Booking(("foreign",), silent=frozenset({"foreign"})), **arrays)
     summary = ledger.summary()
     assert summary.network is not None
     assert (summary.components[0].verdict, summary.network.verdict) == ("none", "none")
@@ -606,7 +608,7 @@ def test_names_in_a_log_are_text_on_a_terminal():
     """Control characters would move the cursor, and make up rows of the table."""
     ledger = Ledger()
     component = "a\x1b[31m\nb  closed"
-    book(ledger, Layout((component,)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[1.0]])
+    book(ledger, Booking((component,)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[1.0]])
     lines = audit_table(ledger.summary()).splitlines()
     assert all(line.isprintable() for line in lines)
     assert any(line.startswith(r"a\x1b[31m\nb  closed ") and line.endswith("VIOLATED") for line in lines)
@@ -615,7 +617,7 @@ def test_names_in_a_log_are_text_on_a_terminal():
 def test_a_log_without_a_column_of_steps_is_no_log(tmp_path: Path):
     with AuditWriter(tmp_path / "x.parquet") as sink:
         ledger = Ledger(sink)
-        book(ledger, Layout(("a",)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[0.0]])
+        book(ledger, Booking(("a",)), step=[0], t0=[0.0], h=0.1, H=[[0.0]], dH=[[0.0]])
     table = read(tmp_path / "x.parquet").drop_columns(["step"])
     with pytest.raises(ValueError, match="not an audit log: it has no column step"):
         summarise(table)
@@ -625,10 +627,10 @@ def test_energy_that_changes_between_steps_is_reported():
     """An event books what it added before the step that follows it."""
     for booked in (False, True):
         ledger = Ledger()
-        book(ledger, Layout(("a",)), step=[0], t0=[0.0], h=1.0, H=[[1.0]], dH=[[0.0]])
+        book(ledger, Booking(("a",)), step=[0], t0=[0.0], h=1.0, H=[[1.0]], dH=[[0.0]])
         if booked:
             ledger.event(1.0, "impulse", "a", energy_jump=-0.5)
-        book(ledger, Layout(("a",)), step=[1], t0=[1.0], h=1.0, H=[[0.5]], dH=[[0.0]])
+        book(ledger, Booking(("a",)), step=[1], t0=[1.0], h=1.0, H=[[0.5]], dH=[[0.0]])
         assert ("no event books it" in audit_table(ledger.summary())) is not booked
         assert ledger.summary().closed is booked
 
@@ -812,10 +814,10 @@ def test_a_log_that_unpacks_to_too_much_is_refused_before_it_is_read(tmp_path: P
 
 
 def test_steps_of_ports_without_an_index_are_booked_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """The column of indices is empty where no port is a vector: steps of one layout stay one run."""
-    layout = Layout(LAYOUT.components, tuple(replace(p, port=f"p{p.index or 0}", index=None) for p in LAYOUT.ports))
+    """The column of indices is empty where no port is a vector: steps of one booking stay one run."""
+    booking = Booking(BOOKING.components, tuple(replace(p, port=f"p{p.index or 0}", index=None) for p in BOOKING.ports))
     with AuditWriter(tmp_path / "x.parquet") as sink:
-        book(Ledger(sink), layout, **run_arrays(50))
+        book(Ledger(sink), booking, **run_arrays(50))
     runs, booked = [], analysis._Reader._book_run
 
     def counted(self: analysis._Reader, grouped: Any, a: int, b: int) -> None:

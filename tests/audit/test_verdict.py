@@ -11,12 +11,12 @@ import pytest
 
 import phfmu as ph
 from phfmu import PHDAE, Collocated, NativeInstance, Network, Options, PythonInstance, block, build_model, energy, run
-from phfmu.audit import AuditWriter, LedgerSummary, read, summarise
+from phfmu.audit import AuditWriter, Block, EventRow, LedgerSummary, read, summarise
+from phfmu.audit.booking import ESTIMATED, EXACT, Booking, PortKey
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.members.booking import Booking
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.scene import Event
 
@@ -103,8 +103,9 @@ class Unit:
 
     def __init__(self, pairs: Sequence[float], supplied: float, estimated: bool = False):
         self.names: list[str] = []
-        port = (("unit", "shaft", None, None),) if len(pairs) else ()
-        self.booking = Booking(("unit",), port, frozenset({"unit"} if estimated else ()))
+        quality = ESTIMATED if estimated else EXACT
+        port = (PortKey("unit", "shaft", quality=quality),) if len(pairs) else ()
+        self.booking = Booking(("unit",), port, frozenset({"unit"} if estimated and not port else ()))
         self._pairs, self._supplied, self._H = np.array(pairs, float), supplied, 0.0
 
     def settable(self) -> list[str]:
@@ -175,3 +176,38 @@ def test_a_log_tells_how_each_step_was_solved(tmp_path) -> None:
     assert {row["accepted_by"] for row in rows["coupled"]} == {"energy"}
     assert all(1 <= row["iterations"] <= 4 for row in rows["coupled"] + rows["whole"])
     assert "accepted_by" not in rows["whole"][0] and "iterations" not in rows["unit"][0]
+
+
+class Blocks:
+    """A sink that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.blocks: list[Block] = []
+
+    def write_block(self, block: Block) -> None:
+        self.blocks.append(block)
+
+    def write_event(self, event: EventRow) -> None: ...
+
+    def flush(self) -> None: ...
+
+
+def test_members_and_the_audit_have_one_booking() -> None:
+    """What a stepper calls the columns of its steps is what the ledger has: the same object, in no second form."""
+    model = build_model(oscillator(), Collocated(1))
+    net = Network("pair")
+    net.add("m", mass(1.0, q=0.1))
+    net.add("s", spring(40.0, elongation=0.1))
+    net.connect("m.flange", "s.a", name="joint")
+    parts = [EngineMember(n, m, PythonInstance(m)) for n, m in ((n, build_model(d)) for n, d in net.declared.items())]
+    steppers = (Monolithic(model, PythonInstance(model)), Coupled(net, parts), Unit([5.8], 5.8, estimated=True))
+    for stepper in steppers:
+        sink = Blocks()
+        run(stepper, Options(stop=0.1, step=0.01, sink=sink))
+        assert sink.blocks and all(b.booking is stepper.booking for b in sink.blocks)
+    joined, unit = steppers[1].booking, steppers[2].booking
+    assert [(p.component, p.port, p.junction) for p in joined.ports[:2]] == [
+        ("m", "flange", "joint"),
+        ("s", "a", "joint"),
+    ]
+    assert unit.quality("unit") == ESTIMATED

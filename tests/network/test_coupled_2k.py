@@ -184,7 +184,7 @@ def test_of_an_iteration_stopped_early_the_junctions_take_what_rows_and_impulses
 
 
 def _joined_pairs(joined: Joined) -> list[int]:
-    return [i for i, (*_, junction) in enumerate(joined.booking.pairs) if junction]
+    return [i for i, p in enumerate(joined.booking.ports) if p.junction]
 
 
 @pytest.mark.parametrize("stiffness", [1e2, 1e6, 1e10])

@@ -125,4 +125,4 @@ def test_the_books_of_members_stand_side_by_side() -> None:
     assert book["stored"].tolist() == [*own["stored"], *s.ledger()["stored"]]
     assert book["numerical"].tolist() == [0.0, 0.0]
     assert book["moved"].tolist() == [*own["moved"], *abs(s.energies())]
-    assert len(book["pairs"]) == len(joined.booking.pairs)
+    assert len(book["pairs"]) == len(joined.booking.ports)

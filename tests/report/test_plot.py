@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from phfmu.audit import AuditWriter, Layout, Ledger, PortKey, read
+from phfmu.audit import AuditWriter, Booking, Ledger, PortKey, read
 from phfmu.cli import main
 from phfmu.engine.steps import Steps
 from phfmu.report.history import read_history
@@ -208,7 +208,7 @@ def test_power_of_a_vector_port_is_that_of_all_its_pairs(tmp_path: Path) -> None
         energy = np.array([[1.0, 2.0, 4.0], [8.0, 16.0, 32.0]])
         total = energy.sum(axis=1, keepdims=True)
         steps = Steps(np.cumsum(total, axis=0), total, 0.0 * total, total, energy, iterations=np.array([2, 3]))
-        ledger.add(Layout(("box",), keys), [0, 1], [0.0, 0.5], 0.5, steps)
+        ledger.add(Booking(("box",), keys), [0, 1], [0.0, 0.5], 0.5, steps)
     found = opened(tmp_path / "a.parquet").read(["box.p.power"])[0]
     assert found.values.tolist() == [14.0, 112.0] and found.time.tolist() == [0.25, 0.75]
     assert "step_size" not in opened(tmp_path / "a.parquet").names
@@ -307,7 +307,7 @@ def test_a_component_has_its_colour_on_all_axes_and_so_has_its_limit(tmp_path: P
     with AuditWriter(tmp_path / "a.parquet") as sink:
         change, gained = np.array([[1e-9, 1.0]] * 2), np.array([[0.0, 1.0 + 1e-9]] * 2)
         steps = Steps(np.array([[1.0, 2.0]] * 2), change, 0.0 * change, gained, np.array([[1.0, -1.0, 1.0]] * 2))
-        Ledger(sink).add(Layout(("a", "b"), keys), [0, 1], [0.0, 1.0], 1.0, steps)
+        Ledger(sink).add(Booking(("a", "b"), keys), [0, 1], [0.0, 1.0], 1.0, steps)
     found = opened(tmp_path / "a.parquet")
     by_owner: dict[str, set[int]] = {}
     for p in picture(found, pick(["b.*", "a.*", "n.*"], found.names, "a")).panels:

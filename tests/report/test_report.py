@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phfmu.audit import AuditWriter, Layout, Ledger, PortKey, read, summarise
+from phfmu.audit import AuditWriter, Booking, Ledger, PortKey, read, summarise
 from phfmu.cli import main
 from phfmu.engine.steps import Steps
 from phfmu.report.diagram import one_line
@@ -86,7 +86,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             lost, gained = np.array([[0.25, 1.0]]), np.array([[-1.0, 3.25]])
             pairs, damped = np.array([[-4.0, 3.0, 0.25, 3.0]]), np.array([[0.0, 0.125]])
             steps = Steps(start + change, change, lost, gained, pairs, numerical=damped)
-            ledger.add(Layout(("source", "sink"), keys), [k], [float(k)], 1.0, steps, H0=start)
+            ledger.add(Booking(("source", "sink"), keys), [k], [float(k)], 1.0, steps, H0=start)
     return path
 
 
@@ -218,7 +218,7 @@ def test_names_of_a_file_are_text(tmp_path: Path) -> None:
         ledger.event(0.0, "input", None, None, name)
         key = PortKey(name, "p")
         one = np.ones((1, 1))
-        ledger.add(Layout((name,), (key,)), [0], [0.0], 1.0, Steps(one, one, 0.0 * one, one, one))
+        ledger.add(Booking((name,), (key,)), [0], [0.0], 1.0, Steps(one, one, 0.0 * one, one, one))
     page = written([str(tmp_path / "x.parquet")], tmp_path)
     assert "<script>alert" not in page and "&lt;script&gt;alert" in page
     assert main(["plot", str(tmp_path / "x.parquet"), "-o", str(tmp_path / "plot.html")]) == 0

@@ -18,9 +18,9 @@ class Growth:
 
     def __init__(self, joined: Joined):
         self._joined = joined
-        pairs = joined.booking.pairs
-        self._outer = [i for i, (*_, junction) in enumerate(pairs) if junction is None]
-        self._inner = [i for i, (*_, junction) in enumerate(pairs) if junction is not None]
+        ports = joined.booking.ports
+        self._outer = [i for i, p in enumerate(ports) if p.junction is None]
+        self._inner = [i for i, p in enumerate(ports) if p.junction is not None]
         self.known = 0.0
 
     def given(self, H: Array) -> None:

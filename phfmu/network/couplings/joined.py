@@ -8,15 +8,16 @@ conjugate to them, the equations of all junctions are those of the composed mode
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.booking import Booking
 from phfmu.network.junctions.compose import require_members
 from phfmu.network.junctions.interface import interface
 from phfmu.network.junctions.network import Network
-from phfmu.network.members.booking import Booking
 from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
 from phfmu.network.members.stepped_last import SteppedLast
@@ -147,8 +148,9 @@ def _booking(network: Network, members: list[Member]) -> Booking:
     """The audit names of all members; ports that meet are booked at their junction."""
     at = {str(e): j.name for j in network.junctions for e in j.ends}
     components = tuple(c for m in members for c in m.booking.components)
-    pairs = tuple(
-        (c, p, i, at.get(f"{m.name}.{p}") if c == m.name else junction)
-        for m in members for c, p, i, junction in m.booking.pairs
-    )  # fmt: skip
-    return Booking(components, pairs, frozenset(c for m in members for c in m.booking.estimated))
+    ports = tuple(
+        replace(p, junction=at.get(f"{m.name}.{p.port}")) if p.component == m.name else p
+        for m in members
+        for p in m.booking.ports
+    )
+    return Booking(components, ports, frozenset(c for m in members for c in m.booking.silent))

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.booking import Booking
 from phfmu.engine.steps import Steps
-from phfmu.network.members.booking import Booking
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection

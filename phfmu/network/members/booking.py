@@ -2,22 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from phfmu.audit.booking import Booking, PortKey
 from phfmu.discretise.model import Model
 from phfmu.signals import ordered_ports
-
-
-@dataclass(frozen=True)
-class Booking:
-    """What the audit calls the ledger columns: component names, and per pair (component, port, index, junction)."""
-
-    components: tuple[str, ...]
-    pairs: tuple[tuple[str, str, int | None, str | None], ...]
-    #: components whose ledger is a quadrature of port power (foreign FMUs): it closes by construction
-    estimated: frozenset[str] = frozenset()
-    #: whether members are coupled without the claim that junctions create no energy
-    loose: bool = False
 
 
 def booking(model: Model) -> Booking:
@@ -30,5 +17,5 @@ def booking(model: Model) -> Booking:
         short = p.name.removeprefix(p.owner + ".") if p.owner else p.name
         for j in range(p.n):
             index = None if p.size is None else j + 1
-            pairs.append((p.owner or model.name, short, index, at.get(p.name)))
+            pairs.append(PortKey(p.owner or model.name, short, index, at.get(p.name)))
     return Booking(components, tuple(pairs))

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.booking import Booking
 from phfmu.discretise.model import Model
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
-from phfmu.network.members.booking import Booking, booking
+from phfmu.network.members.booking import booking
 from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
@@ -43,7 +45,7 @@ class EngineMember:
         rename = {model.name: name}
         self.booking = Booking(
             tuple(rename.get(c, f"{name}.{c}") for c in own.components),
-            tuple((rename.get(c, f"{name}.{c}"), p, i, j) for c, p, i, j in own.pairs),
+            tuple(replace(p, component=rename.get(p.component, f"{name}.{p.component}")) for p in own.ports),
         )
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.booking import ESTIMATED, EXACT, Booking, PortKey
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.refusal import UnitFailure
-from phfmu.network.members.booking import Booking
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.inputs import places
 from phfmu.signals import ENERGY, port_energy
@@ -26,13 +26,14 @@ def _columns(unit: FMUInstance) -> list[str]:
 
 
 def _booking(unit: FMUInstance, name: str) -> Booking:
-    pairs = []
+    quality = ESTIMATED if unit.estimated else EXACT
+    ports = []
     for p in unit.ports:
         vector = p.vector or len(p.inputs) > 1
-        pairs += [(name, p.name, i + 1 if vector else None, None) for i in range(len(p.inputs))]
+        ports += [PortKey(name, p.name, i + 1 if vector else None, quality=quality) for i in range(len(p.inputs))]
     if _fed_from_inside(unit):
-        pairs.append((name, "inside", None, None))
-    return Booking((name,), tuple(pairs), frozenset({name} if unit.estimated else ()))
+        ports.append(PortKey(name, "inside", quality=quality))
+    return Booking((name,), tuple(ports), frozenset({name} if unit.estimated and not ports else ()))
 
 
 def _fed_from_inside(unit: FMUInstance) -> bool:

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.booking import Booking
 from phfmu.engine.rest_changes import RestChange
-from phfmu.network.members.booking import Booking
 
 Array = NDArray[np.float64]
 

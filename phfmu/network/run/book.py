@@ -13,14 +13,13 @@ from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.couplings.unconverged import HALVED, KEPT
-from phfmu.network.members.booking import Booking
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.scene import Event
 from phfmu.signals import CONSTRAINT
 from phfmu.words import counted
 
 if TYPE_CHECKING:
-    from phfmu.audit import Ledger, PortKey
+    from phfmu.audit import Ledger
     from phfmu.discretise.start import Projection
 
 Array = NDArray[Any]
@@ -30,32 +29,18 @@ class Book:
     """Books the steps of a stepper in a ledger and watches the hidden constraints."""
 
     def __init__(self, stepper: Stepper, ledger: Ledger):
-        from phfmu.audit import Layout
-
-        self.stepper, self.ledger = stepper, ledger
-        b = stepper.booking
-        with_ports = {component for component, *_ in b.pairs}
-        self.layout = Layout(
-            b.components, tuple(self._key(*pair, b) for pair in b.pairs), b.estimated - with_ports, b.loose
-        )
+        self.stepper, self.ledger, self.booking = stepper, ledger, stepper.booking
         self.steps, self.iterations = 0, 0.0
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith(CONSTRAINT)]
         self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
         self._H = np.zeros(0)
         #: component -> time and signals at the end of its step that dissipated least, where that was negative
         self.least: dict[str, tuple[float, Array]] = {}
-        self._least = np.zeros(len(b.components))
+        self._least = np.zeros(len(self.booking.components))
         #: what the events did beside setting values, one line each
         self.notes: list[str] = []
         #: steps that a coupling kept without convergence, and that it halved
         self.given_up: dict[str, int] = dict.fromkeys((KEPT, HALVED), 0)
-
-    @staticmethod
-    def _key(component: str, port: str, index: int | None, junction: str | None, b: Booking) -> PortKey:
-        from phfmu.audit import PortKey
-
-        quality = "estimated" if component in b.estimated else "exact"
-        return PortKey(component, port, index, junction, quality=quality)
 
     def start(self) -> None:
         self._H = self.stepper.energies()
@@ -104,7 +89,7 @@ class Book:
 
     def _changed(self, before: Array, after: Array) -> list[tuple[str | None, float]]:
         """Components whose energy differs, and by how much."""
-        return [(c, float(d)) for c, d in zip(self.layout.components, after - before, strict=True) if d]
+        return [(c, float(d)) for c, d in zip(self.booking.components, after - before, strict=True) if d]
 
     def failed(self, failure: StepFailure) -> None:
         """Book that the run ends here, and bring everything to the file."""
@@ -120,7 +105,7 @@ class Book:
         before = np.vstack([self._H[None], s.H[:-1]])
         self._H = s.H[-1]
         numerical = s.numerical if s.numerical is not None and s.numerical.any() else None
-        self.ledger.add(self.layout, k, t, h, replace(s, numerical=numerical), before)
+        self.ledger.add(self.booking, k, t, h, replace(s, numerical=numerical), before)
         self.steps += n
         self.iterations += s.spent
         self._keep_least(t, h, s)
@@ -133,7 +118,7 @@ class Book:
         for c in np.flatnonzero(least < self._least):
             i = int(np.argmin(s.dissipated[:, c]))
             self._least[c] = least[c]
-            self.least[self.layout.components[c]] = float(t[i] + h[i]), s.signals[i].copy()
+            self.least[self.booking.components[c]] = float(t[i] + h[i]), s.signals[i].copy()
 
     def _keep_given_up(self, t: Array, s: Steps) -> None:
         if s.accepted_by is None:

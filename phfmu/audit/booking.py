@@ -1,0 +1,80 @@
+"""What the audit calls the energies of a run: components, ports and the junctions where these meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .sums import Floats
+
+# how well the energy of a component or port is known
+EXACT = "exact"
+ESTIMATED = "estimated"  # a quadrature, not the step's own
+SILENT = "none"  # a unit that tells nothing
+LOOSE = "loose"  # of junctions: members are coupled once a step, or an iteration was given up; their energy is told, not judged
+
+
+@dataclass(frozen=True, slots=True)
+class PortKey:
+    """One effort/flow pair, one column of `Steps.pairs`; `index` numbers the pairs of a vector port from 1."""
+
+    component: str
+    port: str
+    index: int | None = None
+    junction: str | None = None
+    quality: str = EXACT
+
+
+@dataclass(frozen=True)
+class Booking:
+    """What the columns of `Steps` are booked as: c components, q scalar ports; the junctions follow from the ports.
+
+    `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
+    `loose`: the coupling does not claim that junctions create no energy.
+    """
+
+    components: tuple[str, ...]
+    ports: tuple[PortKey, ...] = ()
+    silent: frozenset[str] = frozenset()
+    loose: bool = False
+
+    @cached_property
+    def junctions(self) -> dict[str, list[int]]:
+        """Port columns of each junction, in order of first appearance."""
+        members: dict[str, list[int]] = {}
+        for column, port in enumerate(self.ports):
+            if port.junction is not None:
+                members.setdefault(port.junction, []).append(column)
+        return members
+
+    @cached_property
+    def external(self) -> list[tuple[int, float]]:
+        """Port columns through which energy enters the balance, and the sign with which it does."""
+        inside = set(self.components)
+        return [
+            (column, 1.0 if port.component in inside else -1.0)
+            for column, port in enumerate(self.ports)
+            if (port.component in inside) == (port.junction is None)
+        ]
+
+    @cached_property
+    def owners(self) -> Floats:
+        """1 where a port column belongs to a component [q,c]."""
+        table = [[float(port.component == name) for name in self.components] for port in self.ports]
+        return np.array(table).reshape(len(self.ports), len(self.components))
+
+    @cached_property
+    def with_ports(self) -> frozenset[str]:
+        return frozenset(port.component for port in self.ports)
+
+    @cached_property
+    def estimated(self) -> frozenset[str]:
+        return frozenset(port.component for port in self.ports if port.quality == ESTIMATED)
+
+    def quality(self, component: str) -> str:
+        """exact, estimated (a quadrature of its ports' power) or none."""
+        if component in self.silent:
+            return SILENT
+        return ESTIMATED if component in self.estimated else EXACT
