@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from phfmu.schemes.scheme import Scheme
 
 
+#: s that a call into a unit in a process of its own may take, unless told
+ISOLATE = 60.0
+
+
 @dataclass(frozen=True)
 class Job:
     """What a command line asks to run; `label`: for the run's head line; `whole`: one composed model, not units or members;
@@ -52,6 +56,7 @@ def job_of(args: argparse.Namespace) -> Job:
         return _fmu_run(args)
     s = scene(args.target)
     s = replace(s, system=_with_settings(s.system, settings(args.set)))
+    s = replace(s, system=_isolated(args, s.system))
     require_sound_scene(args, s)
     tried = _tried(args, s)
     name, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
@@ -60,6 +65,27 @@ def job_of(args: argparse.Namespace) -> Job:
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} is a single component; --coupling {name} needs a network of members")
     return _coupled(args, s, s.system, name, why, {} if name in EXPLICIT else tried)
+
+
+def _isolated(args: argparse.Namespace, system: Any) -> Any:
+    """The system with its units in processes of their own, if that is asked for."""
+    from phfmu.network.junctions.network import Network
+
+    seconds = isolate_of(args)
+    if seconds is None:
+        return system
+    if not isinstance(system, Network) or not system.units:
+        raise ValueError(f"{args.target}: --isolate is for FMUs, and there is none in it")
+    own = {n: replace(file, isolate=seconds) for n, file in system.units.items()}
+    return replace(system, members={n: own.get(n, m) for n, m in system.members.items()})
+
+
+def isolate_of(args: argparse.Namespace) -> float | None:
+    """s that a call into a unit in a process of its own may take; None: units run in this process."""
+    seconds = args.isolate_timeout
+    if seconds is not None and not seconds > 0:
+        raise ValueError(f"--isolate-timeout {seconds:g} s must be positive")
+    return ISOLATE if seconds is None and args.isolate else seconds
 
 
 def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
@@ -305,7 +331,7 @@ def _fmu_run(args: argparse.Namespace) -> Job:
 
     _refuse_compiled_in(args)
     file = unit_file(args.target)
-    unit = FMUInstance(file.path, file.port_maps, starts=settings(args.set))
+    unit = FMUInstance(file.path, file.port_maps, starts=settings(args.set), isolate=isolate_of(args))
     for line in file.left_out:
         print(f"phfmu: {args.target}: {line}", file=sys.stderr)
     return Job(fmu_scene(unit), f"FMI {unit.interface.version}", False, lambda: FMUStepper(unit))

@@ -46,6 +46,10 @@ def add_parser(verbs: Any) -> None:
     options.add_steps(parser)
     options.add_settings(parser)
     options.add_no_check(parser)
+    parser.add_argument("--isolate", action="store_true",
+                        help="FMUs in processes of their own: where one ends or hangs, the run has exit code 3")  # fmt: skip
+    parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",
+                        help="the same, and how long a call into an FMU may take (default 60)")  # fmt: skip
     parser.add_argument("--input", metavar="FILE",
                         help="input and parameter values over time (.csv or .parquet, first column time), held")  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")

@@ -9,6 +9,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from io import BufferedReader, FileIO
 from pathlib import Path, PurePosixPath
@@ -28,6 +29,16 @@ CHUNK = 2**20
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 #: what the standard allows; of other methods a few bytes can become gigabytes in one call
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """What running a unit needs: the folder that its files are in, and the name of the library there."""
+
+    path: Path
+    folder: Path
+    library: str
+    interface: Interface
 
 
 class Archive:
@@ -77,6 +88,11 @@ class Archive:
             for name in wanted:
                 _extract(archive, name, folder / name)
         return folder
+
+    @property
+    def extracted(self) -> Extracted:
+        """What running it needs; this object has to live as long."""
+        return Extracted(self.path, self.folder, self.library, self.interface)
 
 
 _OPEN: WeakValueDictionary[tuple[str, int, int], Archive] = WeakValueDictionary()

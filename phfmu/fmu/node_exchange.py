@@ -13,7 +13,7 @@ from phfmu.engine.node_sensitivity import NodeSensitivity
 from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.interface import Scalar
 from phfmu.fmu.port_values import PortValues
-from phfmu.fmu.slave import Slave
+from phfmu.fmu.slave import AnySlave
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS
@@ -28,7 +28,7 @@ _KINDS: tuple[Impulse, ...] = get_args(Impulse)
 class NodeExchange:
     """Of a unit exported with inputs at nodes; all arguments and results count into the component."""
 
-    def __init__(self, slave: Slave, values: PortValues):
+    def __init__(self, slave: AnySlave, values: PortValues):
         self._slave, self._values, self._face = slave, values, values.interface
         self.name = values.name
         self._known: dict[tuple[bool, str], Derivative] = {}

@@ -18,7 +18,7 @@ from phfmu.fmu.node_exchange import NodeExchange
 from phfmu.fmu.port_values import PortValues
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.saved_states import SavedState, SavedStates
-from phfmu.fmu.slave import Slave
+from phfmu.fmu.slave import AnySlave, Slave
 from phfmu.fmu.unit_books import books
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
@@ -35,7 +35,8 @@ class FMUInstance:
     rule for others (`estimated`).  Power is positive into the component.
 
     `ports`: only for foreign units.  `starts`: values of parameters, states and inputs before the start.
-    `early_return`: `do_step` may end before its end (FMI 3.0), see there.
+    `early_return`: `do_step` may end before its end (FMI 3.0), see there.  `isolate`: the unit has a process of its own, in which
+    a call may take so many s; UnitFailure if that ends, or is late.
     Errors: FMUError; StepFailure for a refused step: units of this package are back at the last accepted one.
     """
 
@@ -49,6 +50,7 @@ class FMUInstance:
         stop: float | None = None,
         name: str | None = None,
         early_return: bool = False,
+        isolate: float | None = None,
     ):
         archive = open_archive(path)
         self.interface: Interface = archive.interface
@@ -60,7 +62,7 @@ class FMUInstance:
         self._starts, self._span = dict(starts or {}), (self.interface.start if start is None else start, stop)
         self._asked: dict[tuple[str, ...], References] = {}
         self.early_return = early_return
-        self._slave = Slave(archive, self.name, early_return)
+        self._slave = _slave(archive, self.name, early_return, isolate)
         self._states = SavedStates(self._slave)
         #: values at the nodes of a step, impulses, their derivatives: what engines have as methods of their instances
         self.at_nodes = NodeExchange(self._slave, self._values)
@@ -290,6 +292,14 @@ class FMUInstance:
         An estimated unit keeps to itself what it dissipates: stored is what was supplied.
         """
         return self._books.ledger(self._h)
+
+
+def _slave(archive: Archive, name: str, early_return: bool, isolate: float | None) -> AnySlave:
+    if isolate is None:
+        return Slave(archive.extracted, name, early_return)
+    from phfmu.fmu.remote_slave import RemoteSlave
+
+    return RemoteSlave(archive.extracted, name, early_return, isolate)
 
 
 def _free(states: SavedStates, archive: Archive) -> None:

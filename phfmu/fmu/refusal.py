@@ -18,9 +18,14 @@ ANSWERS = {
     "part of a step": ("it ended the step before its end, as it was allowed, but the run needs all of it",
                        "make its instance without early_return, or take smaller steps"),
     "early return": ("it ended the step before its end, which it was not allowed", "ask its maker"),
+    "gone": ("it is not there any more", "ask its maker; rows and audit until here are kept"),
+    "hang": ("its process was ended", "allow it more time (--isolate-timeout), or ask its maker"),
     "not finite": ("its value is not a number one can go on with", "look at its inputs and start values, or try a smaller step"),
 }  # fmt: skip
 
+
+#: answers that no call gave: what happened stands for the call
+NOT_GIVEN = ("not finite", "gone", "hang")
 
 #: what `fmu_log.c` says of a refused call: its name, what `ph_status_text` has, the numbers
 _SAID = re.compile(rf"[^:]*: ({'|'.join(re.escape(s.value) for s in Status)})(\. Worst: .*)?", re.DOTALL)
@@ -54,7 +59,7 @@ class UnitFailure(StepFailure):
     def _text(self) -> str:
         meaning, remedy = ANSWERS.get(self.answer, ("no answer of the standard", "ask its maker"))
         at = f"{self.component} at t = {self.time:.9g} s" + (f", h = {self.h:.3g} s" if self.h else "")
-        what = self.function if self.answer == "not finite" else f"{self.function} answers '{self.answer}'"
+        what = self.function if self.answer in NOT_GIVEN else f"{self.function} answers '{self.answer}'"
         return f"{at}: {what}: {meaning}{said(self.words)}. Next: {remedy}."
 
 

@@ -6,7 +6,7 @@ import weakref
 from dataclasses import dataclass
 from typing import Any
 
-from phfmu.fmu.slave import Slave
+from phfmu.fmu.slave import AnySlave
 
 
 @dataclass(eq=False)
@@ -20,7 +20,7 @@ class SavedState:
 class SavedStates:
     """Those of one unit; the unit is freed after them."""
 
-    def __init__(self, slave: Slave):
+    def __init__(self, slave: AnySlave):
         self._slave, self._handles = slave, dict[int, Any]()
 
     def keep(self, handle: Any, memory: dict[str, Any]) -> SavedState:

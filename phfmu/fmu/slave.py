@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
 from phfmu.fmu import exit_guard
-from phfmu.fmu.archive import Archive
+from phfmu.fmu.archive import Extracted
 from phfmu.fmu.interface import Scalar
 from phfmu.fmu.refusal import UnitCallError, said
 from phfmu.fmu.values import Block, Derivative, References
@@ -26,10 +26,32 @@ KEPT, QUOTED, LONGEST = 20, 3, 500
 _ANSWERS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
 
+class AnySlave(Protocol):
+    """What an instance asks of a unit, in this process or in one of its own."""
+
+    words: deque[str]
+    dead: bool
+
+    def references(self, scalars: Sequence[Scalar]) -> References: ...
+    def set(self, r: References) -> None: ...
+    def get(self, r: References) -> Array: ...
+    def enter(self, start: float, stop: float | None) -> None: ...
+    def leave(self) -> None: ...
+    def do_step(self, t: float, h: float) -> float: ...
+    def reset(self) -> None: ...
+    def save(self) -> Any: ...
+    def restore(self, handle: Any) -> None: ...
+    def forget(self, handle: Any) -> None: ...
+    def serialize(self, handle: Any) -> bytes: ...
+    def deserialize(self, data: bytes) -> Any: ...
+    def derivative(self, d: Derivative) -> Array: ...
+    def free(self) -> None: ...
+
+
 class Slave:
     """An instance of a library.  Calls raise UnitCallError with the unit's own words."""
 
-    def __init__(self, archive: Archive, name: str, early_return: bool = False):
+    def __init__(self, archive: Extracted, name: str, early_return: bool = False):
         about = archive.interface
         self._version = VERSIONS[about.version]
         self._names = self._version.code

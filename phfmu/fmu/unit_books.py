@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.fmu.port_values import PortValues
-from phfmu.fmu.slave import Slave
+from phfmu.fmu.slave import AnySlave
 from phfmu.fmu.values import References
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ class Books(Protocol):
     #: the variables that `look` gives
     looked: Sequence[str]
 
-    def begin(self, slave: Slave) -> None: ...
+    def begin(self, slave: AnySlave) -> None: ...
 
     def look(self) -> Array:
         """Outputs that are needed to book a step; they have to be finite."""
@@ -75,7 +75,7 @@ class Told:
         self._stored = ports.group([energy["stored"]], "output")
         self._gap = ports.group([energy["gap"]], "output") if "gap" in energy else None
 
-    def begin(self, slave: Slave) -> None:
+    def begin(self, slave: AnySlave) -> None:
         self._slave = slave
         self._given = self._ports.given()
 
@@ -129,7 +129,7 @@ class Estimated:
         self._rates = ports.rates
         self._y, self._q = slice(0, n), slice(n, None)
 
-    def begin(self, slave: Slave) -> None:
+    def begin(self, slave: AnySlave) -> None:
         self._slave = slave
         self._supplied, self._pairs = np.zeros(self._ports.nu), np.zeros(self._ports.nu)
         self._after = self.look() * self._inward

@@ -24,7 +24,8 @@ from phfmu.words import meant
 class UnitFile:
     """A unit that has been read; `port_maps`: its ports in the names of its variables; `starts`: values before the start.
 
-    `left_out`: lines about what cannot be read, set or joined here.
+    `left_out`: lines about what cannot be read, set or joined here.  `isolate`: it runs in a process of its own, in which a call
+    may take so many s.
     """
 
     path: Path
@@ -32,6 +33,7 @@ class UnitFile:
     port_maps: tuple[PortMap, ...]
     starts: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    isolate: float | None = None
 
     @property
     def name(self) -> str:

@@ -78,6 +78,7 @@ class Derivative:
     """d unknowns / d known, all of type Float64: the arguments of the call, made once."""
 
     def __init__(self, unknowns: References, known: Scalar, version: Version):
+        self.unknowns, self.known = unknowns, known
         found, given = unknowns.blocks[0], Block(known.type, version, [known], [0])
         given.buffer[known.entry] = 1.0
         result = type(found.address)()

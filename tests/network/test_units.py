@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phfmu import Coupled, EngineMember, Network, Options, PythonInstance, build_model
+from phfmu import Coupled, EngineMember, Network, Options, PythonInstance, build_model, export
 from phfmu import run as run_
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
@@ -251,3 +251,106 @@ def test_two_units_that_cannot_take_steps_back_are_stepped_once_each(
     )
     assert main(["run", str(path), "--stop", "0.1", "--coupling", "newton"]) == 0
     assert capsys.readouterr().out.count("it is stepped last") == 2, "asked for"
+
+
+@pytest.fixture(scope="module")
+def isolated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scene of two units, one of them to misbehave."""
+    folder = tmp_path_factory.mktemp("isolated")
+    for version in VERSIONS:
+        foreign.mass(folder / f"pump{version[0]}.fmu", version)
+        (folder / f"pump{version[0]}.ports.toml").write_text(SIDECAR)
+        (folder / f"scene{version[0]}.py").write_text(SCENE.format(name="mixed", pump=f'"pump{version[0]}.fmu"'))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "version, mode, said",
+    [
+        ("2.0", foreign.CRASH, "pump at t = 0.25 s, h = 0.05 s: fmi2DoStep: its process was ended by SIGSEGV"),
+        (
+            "3.0",
+            foreign.HANG,
+            "fmi3DoStep: no answer in 2 s: its process was ended. Next: allow it more time (--isolate-timeout)",
+        ),
+        (
+            "3.0",
+            foreign.LAST_WORDS,
+            "its process ended with exit code 7: it is not there any more; it says: pump speaks at 0.25",
+        ),
+    ],
+)
+def test_a_unit_that_breaks_its_process_ends_the_run_and_no_more(
+    isolated: Path, tmp_path: Path, version: str, mode: int, said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 3 with the name of the member; rows and audit of the accepted steps stay readable."""
+    table, audit = tmp_path / "o.csv", tmp_path / "a.parquet"
+    line = [
+        "run",
+        str(isolated / f"scene{version[0]}.py"),
+        "--step",
+        "0.05",
+        "--set",
+        f"pump.mode={mode}",
+        "--isolate-timeout",
+        "2",
+    ]
+    assert main([*line, "-o", str(table), "--audit", str(audit)]) == 3
+    assert said in " ".join(capfd.readouterr().err.split())
+    rows = np.genfromtxt(table, delimiter=",", names=True, deletechars="")
+    assert rows["time"].tolist() == pytest.approx([0.05 * k for k in range(6)])
+    assert np.isfinite(rows["pump.v"]).all() and np.abs(rows["pump.v"]).max() > 0.1
+    assert main(["audit", str(audit)]) == 0
+    assert "pump" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_an_isolated_unit_gives_the_same_bits_and_its_output_goes_to_stderr(
+    isolated: Path, tmp_path: Path, version: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    line = [
+        "run",
+        str(isolated / f"scene{version[0]}.py"),
+        "--stop",
+        "0.4",
+        "--step",
+        "0.05",
+        "--set",
+        f"pump.mode={foreign.PRINT}",
+    ]
+    tables = [tmp_path / "here.csv", tmp_path / "there.csv"]
+    assert main([*line, "-o", str(tables[0])]) == 0
+    assert "pump speaks at 0.25\n" in capfd.readouterr().out, "in the process of the run it is in the way"
+    assert main([*line, "-o", str(tables[1]), "--isolate"]) == 0
+    said = capfd.readouterr()
+    assert "pump speaks" not in said.out and "pump: pump speaks at 0.25\n" in said.err
+    assert tables[0].read_bytes() == tables[1].read_bytes()
+
+
+def test_what_cannot_be_isolated_is_told(isolated: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "mass", "--isolate"]) == 2
+    assert "mass: --isolate is for FMUs, and there is none in it" in capfd.readouterr().err
+    assert main(["run", str(isolated / "pump2.fmu"), "--isolate-timeout", "0"]) == 2
+    assert "--isolate-timeout 0 s must be positive" in capfd.readouterr().err
+    assert main(["run", str(isolated / "pump2.fmu"), "--isolate", "--set", f"mode={foreign.CRASH}", "--quiet"]) == 3
+    assert "foreign at t = 0.3 s" in capfd.readouterr().err
+    with pytest.raises(FMUError, match="'mode' is of the type Int32, which cannot hold 0.5"):
+        FMUInstance(isolated / "pump3.fmu", starts={"mode": 0.5}, isolate=10.0)
+
+
+def test_states_and_derivatives_of_isolated_units_are_those_of_others(isolated: Path, tmp_path: Path) -> None:
+    (own,) = export(build_model(mass(2.0)), tmp_path, versions=("3.0",), step=0.01)
+    with FMUInstance(own, isolate=30.0) as there, FMUInstance(own) as here:
+        kept = there.get_state()
+        for unit in (there, here):
+            unit.set_input([3.0])
+            unit.do_step(0.0, 0.1)
+        assert there.output() == here.output() and (there.sensitivity() == here.sensitivity()).all()
+        assert there.ledger()["supplied"] == here.ledger()["supplied"] > 0
+        data = there.serialize(there.get_state())
+        there.set_state(kept)
+        assert there.get(["v"])[0] == 0.0
+        there.set_state(there.deserialize(data, kept))
+        assert there.get(["v"]) == here.get(["v"])
+        for _ in range(5):
+            there.get_state()

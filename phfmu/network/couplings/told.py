@@ -47,7 +47,7 @@ def kicked(network: Network) -> set[str]:
 
 def _bare(network: Network, held: list[str]) -> tuple[Interface, Bare]:
     """The columns that carry impulses where members offer what their declarations say."""
-    offers = {n: DeclaredOffer(n, d) for n, d in network.members.items()}
+    offers = {n: DeclaredOffer(n, d) for n, d in network.declared.items()}
     face = interface(network, list(offers.values()))
     places, at = [], 0
     for o in offers.values():
@@ -58,4 +58,4 @@ def _bare(network: Network, held: list[str]) -> tuple[Interface, Bare]:
 
 
 def _held(network: Network) -> list[str]:
-    return [n for n, d in network.members.items() if not default_scheme(d).node_values]
+    return [n for n, d in network.declared.items() if not default_scheme(d).node_values]

@@ -11,6 +11,7 @@ free motion is uniform.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -82,8 +83,14 @@ class SteppedLast:
     def input_places(self, name: str) -> list[int]:
         return self.inner.input_places(name)
 
-    def set_parameter(self, name: str, value: float) -> bool:
+    def set_parameter(self, name: str, value: float) -> str:
         return self.inner.set_parameter(name, value)
+
+    def read_signals(self, names: Sequence[str]) -> Array:
+        return self.inner.read_signals(names)
+
+    def write_signals(self, names: Sequence[str], values: Array) -> None:
+        self.inner.write_signals(names, values)
 
     def start_inputs(self) -> Array:
         return self.inner.start_inputs()

@@ -17,7 +17,7 @@ LAST = "it is stepped last, against a predicted response; what that misses is bo
 
 def made(name: str, file: UnitFile) -> FMUInstance:
     """An instance for a run from t = 0."""
-    return FMUInstance(file.path, file.port_maps, starts=file.starts, start=0.0, name=name)
+    return FMUInstance(file.path, file.port_maps, starts=file.starts, start=0.0, name=name, isolate=file.isolate)
 
 
 def tried(units: Mapping[str, UnitFile], h: float) -> dict[str, Rollback]:
