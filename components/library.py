@@ -33,6 +33,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "flexible_shaft": ("component", _M + "rotational", "torsional spring with damping"),
     "torque_source": ("component", _M + "torque_source", "torque set by a signal"),
     "pi_controller": ("component", _C + "pi_controller", "proportional and integral control: signals, no power"),
+    "bouncing_ball": ("scene", _S + "bouncing_ball", "ball on a hard floor: impacts with restitution, until it rests"),
     "oscillator": ("scene", _S + "oscillator", "two masses and three springs, cut in three"),
     "drive": ("scene", _S + "drive", "DC motor, flexible shaft and load inertia"),
     "speed_control": ("scene", _S + "speed_control", "rotor with PI speed control by signals, load step"),

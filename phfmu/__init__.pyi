@@ -8,6 +8,9 @@ from phfmu.declare.energy import energy as energy
 from phfmu.declare.energy import strain_energy as strain_energy
 from phfmu.declare.error import DeclarationError as DeclarationError
 from phfmu.declare.error import Refusal as Refusal
+from phfmu.declare.event import Guard as Guard
+from phfmu.declare.event import Jump as Jump
+from phfmu.declare.event import StateEvent as StateEvent
 from phfmu.declare.phdae import PHDAE as PHDAE
 from phfmu.declare.phdae import Block as Block
 from phfmu.declare.phdae import Holonomic as Holonomic

@@ -213,6 +213,9 @@ def _observables(model: Model) -> Iterator[Quantity]:
             causality: Causality = "output" if o.signal else "local"
             yield Quantity(name, causality, "observables", place, 1, None, o.unit, description=text)
             place += 1
+    for name in model.declaration.modes:
+        yield Quantity(name, "local", "observables", place, description="mode, set by state events")
+        place += 1
 
 
 def _checks(model: Model) -> Iterator[Quantity]:

@@ -14,7 +14,7 @@ TESTS = Path(__file__).parent
 
 #: from the ground up; a room may import those before it
 ROOMS = (
-    "words", "files", "declare", "terms", "gradients", "plan", "schemes", "schur", "discretise", "engine", "checks",
+    "words", "files", "declare", "terms", "gradients", "plan", "schemes", "schur", "events", "discretise", "engine", "checks",
     "signals", "importers", "audit", "fmu", "network.junctions", "network.scene", "network.members", "network.couplings",
     "network.run", "network.check_scene", "components", "target", "report", "stress", "bench", "cli",
 )  # fmt: skip

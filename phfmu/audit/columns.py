@@ -50,6 +50,7 @@ COLUMNS = {
     "iterations": "i32",  # network: of Newton's method, of a coupling that of its interface
     "accepted_by": "name",  # network: by which test the coupling took the step
     "energy_jump": "f64",  # [J] event
+    "lost": "f64",  # [J] event: by a jump of the states at a guard
     "message": "text",
 }
 
@@ -67,7 +68,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
         *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained"),
         *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained", "iterations", "accepted_by"),
     ),
-    "event": ("kind", "component", "energy_jump", "message"),
+    "event": ("kind", "component", "energy_jump", "lost", "message"),
 }
 
 Encode = Callable[[str, Sequence[str | None]], NDArray[np.int32]]

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class EventRow:
-    """Something outside the steps: input, parameter, reprojection, nonconverged, interrupted; energies in joule."""
+    """Something outside the steps: input, parameter, state, reprojection, nonconverged, interrupted; energies in joule."""
 
     t: float
     kind: str
     component: str | None = None
     energy_jump: float | None = None
     message: str | None = None
+    lost: float | None = None
 
 
 class EventCount:

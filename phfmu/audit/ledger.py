@@ -121,14 +121,18 @@ class Ledger:
         component: str | None = None,
         energy_jump: float | None = None,
         message: str | None = None,
+        lost: float | None = None,
     ) -> None:
-        """Book something between the last step and the next; energy_jump [J] is what it added to the component's H."""
+        """Book something between the last step and the next.
+
+        energy_jump [J]: what it added to the component's H;  lost [J]: what a jump of the states lost there.
+        """
         self._events.add(t, kind, component, message)
         if component is not None and energy_jump is not None:
             self._sums["jumps", component].add(energy_jump)
             self._judge.jump(component, energy_jump)
         if self._sink is not None:
-            self._sink.write_event(EventRow(t, kind, component, energy_jump, message))
+            self._sink.write_event(EventRow(t, kind, component, energy_jump, message, lost))
 
     def contradiction(self, violation: Violation) -> None:
         """Book that rows of a file contradict each other."""

@@ -2,7 +2,8 @@
 
 Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry,
 passivity, costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability
-(equations);  limit (parameters);  dimension, kink, bounded (warnings);  internal (the check itself stopped at an entry).
+(equations);  limit (parameters);  state-event (guards, modes, jumps);  dimension, kink, bounded (warnings);  internal (the
+check itself stopped at an entry).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from phfmu.checks.names import names, nominals, shared_symbols, units
 from phfmu.checks.pieces import continuous, kinks
 from phfmu.checks.ranges import ranges
 from phfmu.checks.sample import Sample
+from phfmu.checks.state_events import state_events
 from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.declare.problem import Problem
@@ -41,6 +43,7 @@ BLOCKING = {
     "mass",
     "velocity",
     "unused",
+    "state-event",
     "internal",
 }
 
@@ -82,7 +85,7 @@ def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem
         closed_pairs,
     ):
         found += _safely(rule, entries, sample)
-    for rule in (unused, velocities):
+    for rule in (unused, velocities, state_events):
         found += _safely(rule, entries)
     if not BLOCKING & {p.rule for p in found}:
         found += _safely(equations, model, scheme)

@@ -111,8 +111,9 @@ class _Check:
             return lambda r, c: (of_unit(e.origin.input_unit), f"input {e.origin.input_names()[r]} is in")
         if e.what == "g":
             return self._wanted_constraint(e)
-        if e.what == "observable":
-            return lambda r, c: (of_unit(e.origin.unit), "it is declared in")
+        if e.what in ("observable", "guard"):
+            unit = e.origin.unit if e.what == "observable" else e.origin.guard.unit
+            return lambda r, c: (of_unit(unit), "it is declared in")
         return None
 
     def _wanted_constraint(self, e: Entry) -> Wanted:

@@ -24,6 +24,7 @@ def names(model: PHDAE) -> list[Problem]:
     once = {v.sx[0].element_hash(): v for v, _ in variables(model)} | {p.u[0].element_hash(): p for p in model.ports}
     declared = [(f"{'port' if isinstance(v, Port) else 'variable'} '{v.name}'", v.name) for v in once.values()]
     declared += [(f"observable '{o.name}'", o.name) for o in model.observables]
+    declared += [(f"guard '{e.guard.name}'", e.guard.name) for e in model.state_events]
     declared += [(f"member '{m}'", m) for m in model.members if m]
     declared += [(f"junction '{j}'", j) for j, _ in model.junctions]
     found = []
@@ -82,6 +83,7 @@ def _owners(model: PHDAE) -> list[Problem]:
     booked += [(f"R block on {', '.join(v.name for v in b.variables)}", b.owner) for b in model.dissipation]
     booked += [(f"port '{p.name}'", p.owner) for p in model.ports]
     booked += [(f"closed-form pair {i + 1}", c.owner) for i, c in enumerate(model.closed)]
+    booked += [(f"jump '{e.guard.name}'", e.jump.owner) for e in model.state_events if e.jump is not None]
     there = ", ".join(f"'{m}'" for m in model.members)
     return [
         Problem("name", entry, f"its owner '{owner}' is not a member", f"use one of the members: {there}")
@@ -119,6 +121,8 @@ def units(model: PHDAE) -> list[Problem]:
         unknown(f"variable '{v.name}'", v.unit)
     for o in model.observables:
         unknown(f"observable '{o.name}'", o.unit)
+    for e in model.state_events:
+        unknown(f"guard '{e.guard.name}'", e.guard.unit)
     for port in model.ports:
         d = port.domain
         pair = (
@@ -146,6 +150,7 @@ def nominals(model: PHDAE) -> list[Problem]:
     """Nominal values are positive and finite."""
     values = [(f"variable '{v.name}'", v.nominal) for v, role in variables(model) if role != "parameters"]
     values += [(f"port '{p.name}'", p.nominal) for p in model.ports]
+    values += [(f"guard '{e.guard.name}'", e.guard.nominal) for e in model.state_events]
     found = []
     for entry, value in values:
         array = np.atleast_1d(np.asarray(value, float))

@@ -17,9 +17,9 @@ from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable, _sx, key, time
 
 #: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
-#: (z2: the given effort of an algebraic variable)
+#: (z2: the given effort of an algebraic variable; L, e: column and restitution of a jump)
 ALLOWED = dict.fromkeys(("H", "E", "z", "C"), "xp") | {"g": "xpt", "source": "pt", "bound": "a"}
-ALLOWED |= dict.fromkeys(("J", "R", "B", "z2", "observable"), "xzaupt")
+ALLOWED |= dict.fromkeys(("J", "R", "B", "z2", "observable", "guard"), "xzaupt") | dict.fromkeys(("L", "e"), "xp")
 _WORDS = {
     "x": "states",
     "z": "costates",
@@ -153,7 +153,17 @@ class Entries:
         return ok
 
     def _rows(self, what: str, label: str, rows: Sequence[Variable | Port]) -> bool:
-        allowed = {"E": "x", "z": "x", "z2": "a", "closed": "x", "correct": "x", "g": "a", "J": "xau", "R": "xau"}
+        allowed = {
+            "E": "x",
+            "z": "x",
+            "z2": "a",
+            "closed": "x",
+            "correct": "x",
+            "g": "a",
+            "J": "xau",
+            "R": "xau",
+            "L": "x",
+        }
         allowed = allowed.get(what, "xa")
         bad = [v for v in rows if self.kind(v) not in tuple(allowed)]
         for v in bad:
@@ -211,6 +221,13 @@ def normal_form(e: Entries) -> None:
     for o in m.observables:
         e.add("observable", f"observable '{o.name}'", o.expr, (max(o.expr.numel(), 1), 1), origin=o)
     _ports(e)
+    for event in m.state_events:
+        e.add("guard", f"guard '{event.guard.name}'", event.guard.expr, (1, 1), origin=event)
+        if event.jump is not None:
+            label = f"jump '{event.guard.name}'"
+            e.add("e", f"{label}: restitution", event.jump.restitution, (1, 1), origin=event)
+            for v, column in event.jump.on.items():
+                e.add("L", f"{label}: column on '{v.name}'", column, (v.n, 1), (v,), event)
     for i, pair in enumerate(m.closed):
         _closed(e, pair, f"closed-form pair {i + 1}")
 

@@ -15,6 +15,7 @@ import casadi as ca
 
 from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.event import StateEvent, renamed
 from phfmu.declare.port import Port, drive
 from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable, _sx, time
@@ -107,6 +108,7 @@ class PHDAE:
     closed:      closed-form discrete gradient pairs for states with E(x)
     z:           variable -> given costate.  States: only checked, z is derived from H and a regular E.  Algebraic
                  variables: their effort z2(x, x2) where it is not the variable itself
+    state_events: guards that steps end on, and what happens there
     members:     owners of the terms of a composed network;  junctions: (name, member ports) it was joined at
     """
 
@@ -123,6 +125,7 @@ class PHDAE:
     closed: tuple[ClosedPair, ...] = ()
     observables: tuple[Observable, ...] = ()
     z: Mapping[Variable, Any] = field(default_factory=dict)
+    state_events: tuple[StateEvent, ...] = ()
     members: tuple[str, ...] = ("",)
     junctions: tuple[tuple[str, tuple[str, ...]], ...] = ()
     description: str = ""
@@ -219,7 +222,14 @@ class PHDAE:
             constraints=tuple(replace(c, multiplier=image(c.multiplier)) for c in self.constraints),
             closed=tuple(replace(c, variables=tuple(map(image, c.variables))) for c in self.closed),
             energies=tuple(replace(e, correct=tuple(map(image, e.correct))) for e in self.energies),
+            state_events=renamed(self.state_events, zip(self.parameters, fields["parameters"], strict=True), image),
         )
+
+    @property
+    def modes(self) -> list[str]:
+        """Scalar parameters that state events set, in the order of the parameters."""
+        found = set().union(*(e.changed for e in self.state_events))
+        return [n for v in self.parameters for n in v.names() if n in found] if found else []
 
     def settable_names(self) -> list[str]:
         """Names that `--set` and events accept."""
@@ -247,6 +257,7 @@ _PARTS: tuple[tuple[str, type, str], ...] = (
     ("constraints", Holonomic, "Holonomic(..)"),
     ("closed", ClosedPair, "ClosedPair(..)"),
     ("observables", Observable, "observable(..)"),
+    ("state_events", StateEvent, "StateEvent(..)"),
 )
 
 

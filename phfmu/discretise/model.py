@@ -17,6 +17,8 @@ from phfmu.declare.variable import Variable
 from phfmu.discretise.instant import instant_plan
 from phfmu.discretise.onestep import step_plan
 from phfmu.discretise.scales import check_scales
+from phfmu.events.event_plan import EventPlan, event_plan
+from phfmu.events.polynomial import Polynomial
 from phfmu.plan.plan import Kernel, Plan
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.scheme import Scheme
@@ -59,6 +61,8 @@ class Model:
     observable_names: tuple[str, ...] = ()
     #: of the constraints that may rest: multiplier, and what the declaration calls it
     hold_names: tuple[str, ...] = ()
+    #: its state events, None without
+    events: EventPlan | None = None
 
     @property
     def kernels(self) -> list[Kernel]:
@@ -96,6 +100,7 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
         checks=tuple(checks), check_scale=check_scales(terms, checks, x0, p0), row_names=tuple(layout.names()),
         instant_names=tuple(instant_layout.names()), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names), hold_names=hold_names(terms) if len(step.hold) else (),
+        events=event_plan(terms, Polynomial(layout, scheme.nodes, scheme.maps(layout))) if declaration.state_events else None,
     )  # fmt: skip
 
 

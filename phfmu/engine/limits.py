@@ -1,4 +1,4 @@
-"""Limits of a step and tests of its solvers, the same in both engines: read from runtime/step_limits.h."""
+"""Limits of a step and tests of its solvers, the same in both engines: read from the headers of the runtime."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 
 
 def _read() -> dict[str, float]:
-    text = (Path(__file__).parent / "runtime" / "step_limits.h").read_text()
+    folder = Path(__file__).parent / "runtime"
+    text = "".join((folder / name).read_text() for name in ("step_limits.h", "event_limits.h"))
     return {name: float(value) for name, value in re.findall(r"^#define PH_(\w+) ([\d.e+-]+)$", text, flags=re.M)}
 
 

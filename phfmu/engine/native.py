@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,12 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.engine.compiled import compiled
 from phfmu.engine.handle import Handle
 from phfmu.engine.impulses import Ports
+from phfmu.engine.landing import landed
 from phfmu.engine.library import RECORD, Column, Record, enums, view
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.model import Model
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.rest_changes import RestChange, named
 from phfmu.engine.status import Status, StepFailure
+from phfmu.events.happened import Landed
 
 if TYPE_CHECKING:
     from phfmu.engine.native_chain import NativeChain
@@ -79,6 +81,11 @@ class NativeInstance:
         """Inputs at the k quadrature nodes of the next step (k x nu)."""
         values = self._array(u, self.model.step.k, self.model.step.nu)
         self._check(self._lib.ph_set_node_inputs(self._in, values.ctypes.data))
+
+    @property
+    def held_input(self) -> Floats:
+        """Inputs (nu) as they were set, held."""
+        return view(self._lib.ph_input(self._in), self.model.step.nu).copy()
 
     @property
     def parameters(self) -> Floats:
@@ -143,6 +150,10 @@ class NativeInstance:
         if status:
             self._check(status)
 
+    def step_exactly(self, t: float, h: float, parts: int = 1) -> None:
+        """`do_step`, however short the step is."""
+        self._check(self._lib.ph_step_exactly(self._in, t, h, parts))
+
     def run(
         self,
         t0: float,
@@ -180,6 +191,12 @@ class NativeInstance:
             failure.recorded = {name: rows[: done.value] for name, rows in result.items()}
             raise
         return result
+
+    def land(
+        self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
+    ) -> Iterator[Landed]:
+        """Steps that end on the zeros of guards too; see `PythonInstance.land`."""
+        return landed(self, t0, h, n, record, first, changed)
 
     @property
     def memory_size(self) -> int:
@@ -314,6 +331,10 @@ class NativeInstance:
             self._step, self._steps = self._kicked_step, self._kicked_step
         elif self._kicked is not None:
             self._kicked.values[:] = 0.0
+
+    def restore(self, state: Any) -> None:
+        """`set_state`; the counts of what the solver did go on, as they always do here."""
+        self.set_state(state)
 
     def _array(self, values: ArrayLike, *shape: int) -> Floats:
         array = np.ascontiguousarray(values, float)

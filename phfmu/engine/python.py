@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.impulses import Kicks, Ports
 from phfmu.engine.inputs import carried
+from phfmu.engine.landing import landed
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.present import Present
@@ -19,6 +20,7 @@ from phfmu.engine.solves import Solves
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.steps import balance
+from phfmu.events.happened import Landed
 from phfmu.terms.port_impulses import PortImpulse
 
 Array = NDArray[Any]
@@ -70,6 +72,12 @@ class PythonInstance:
     def set_state(self, state: State) -> None:
         self._s = state.copy()
 
+    def restore(self, state: Any) -> None:
+        """`set_state`; the counts of what the solver did go on."""
+        counts = self._s.counts
+        self.set_state(state)
+        self._s.counts = counts | {"steps": state.counts["steps"]}
+
     def set_input(self, u: ArrayLike) -> None:
         """Inputs (nu), held over the next steps."""
         self._s.u = np.tile(self._array(u, self.model.step.nu), self.model.step.k)
@@ -87,6 +95,11 @@ class PythonInstance:
     @property
     def parameters(self) -> Array:
         return self._s.p.copy()
+
+    @property
+    def held_input(self) -> Array:
+        """Inputs (nu) as they were set, held."""
+        return self._s.u[: self.model.step.nu].copy()
 
     def set_x(self, t: float, x: ArrayLike) -> None:
         """Place the state; call `initialise` afterwards."""
@@ -149,6 +162,10 @@ class PythonInstance:
         if h != 0 and self._is_sliver(t, h):
             self._skip(t + h)
             return
+        self.step_exactly(t, h, parts)
+
+    def step_exactly(self, t: float, h: float, parts: int = 1) -> None:
+        """`do_step`, however short the step is."""
         self._present.choose_rests(self._s)
         before = self.get_state()
         if h == 0:
@@ -235,6 +252,16 @@ class PythonInstance:
             for name, kept in rows.items():
                 kept.append(now[name].copy())
         return {name: np.array(kept) for name, kept in rows.items()}
+
+    def land(
+        self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
+    ) -> Iterator[Landed]:
+        """Grid steps k = first..first+n-1 from t0 + k h, which end on the zeros of guards too, where state events happen.
+
+        `record` as for `run`, a row for each step taken;  `changed`: parameters or states were set since the last step.
+        StepFailure after what was accepted before: EventRefused for an event that cannot happen.
+        """
+        return landed(self, t0, h, n, record, first, changed)
 
     def _stepped(self, t: float, h: float, parts: int, reads: bool) -> dict[str, Array]:
         """A step and what is recorded of it; one whose end values are read and do not exist is not taken."""

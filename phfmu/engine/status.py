@@ -25,6 +25,7 @@ class Status(Enum):
     ARGUMENT = "an argument is out of range"
     VALUE = "a given value is not finite; it was not taken over"
     NO_SENSITIVITY = "the sensitivity needs a last step of which at most 16 internal steps were halved"
+    EVENT = "a state event cannot happen"
     #: not one of `ph_status`: what only a unit of another tool can answer
     UNIT = "a unit of another tool refused a call"
     #: nor this: what a coupling of members finds

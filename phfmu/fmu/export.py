@@ -72,6 +72,11 @@ def export(
             f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
+    if model.events is not None:
+        raise FMUError(
+            f"{model.name}: has state events ({', '.join(model.events.names[:4])}), which units do not locate yet; run it with "
+            "--engine native or python"
+        )
     set_later, inside = _scalars(model, [*tunable, *(e.name for e in events)]), in_order(model, events)
     unit = Unit(
         model,

@@ -43,6 +43,7 @@ def extract(model: PHDAE, *, joint: bool = False) -> Terms:
     constraints(model, out, locator)
     energies(model, out, locator, diagonal, joint)
     _observables(model, out, locator)
+    _modes(model, out, locator)
     return out.having(hidden_rows(out))
 
 
@@ -54,3 +55,14 @@ def _observables(model: PHDAE, out: Terms, locator: Locator) -> None:
         out.observable_names += o.names()
         out.terms.append(make_term(OBSERVABLE, {"f": ca.vec(o.expr)}, locator, f"observable '{o.name}'", rows=rows))
         first += n
+
+
+def _modes(model: PHDAE, out: Terms, locator: Locator) -> None:
+    """Parameters that state events set are reported, after the observables."""
+    if not model.modes:
+        return
+    symbols = {n: s for v in model.parameters for n, s in zip(v.names(), ca.vertsplit(v.sx), strict=True)}
+    for name in model.modes:
+        rows = [RowAt(Row.OBSERVABLE, len(out.observable_names))]
+        out.observable_names.append(name)
+        out.terms.append(make_term(OBSERVABLE, {"f": symbols[name]}, locator, f"mode '{name}'", rows=rows))

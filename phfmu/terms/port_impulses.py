@@ -75,8 +75,8 @@ class _Search:
         self.a = ca.vertcat(*(v.sx for v in model.algebraics))
         self.owned = {r.index for t in terms.of(ENERGY, JOINT) for r in t.rows}
         self.odd = {r.index for t in terms.of(MASS_BLOCK, CLOSED) for r in t.rows}
-        self.bound = self._constrained()
-        self.mass = self._masses()
+        self.bound = constrained(terms)
+        self.mass = masses(terms)
 
     def forms(self) -> PortForms:
         model, x = self.terms.model, self.terms.model.x
@@ -114,33 +114,6 @@ class _Search:
     def _column(self, pair: int) -> ca.SX:
         """L of one pair: all states."""
         return ca.jacobian(self.y[pair], self.z).T / self.mass
-
-    def _masses(self) -> ca.SX:
-        """The diagonal of E."""
-        out, p = ca.SX.ones(self.terms.n1), ca.vertcat(*(v.sx for v in self.terms.model.parameters))
-        for t in self.terms.of(MASS):
-            local = t.symbols(Value.PARAMETER)
-            m = t.data["m"]
-            out[t.rows[0].index] = (
-                ca.substitute([m], [local], [p[list(t.index[Value.PARAMETER])]])[0] if local.numel() else m
-            )
-        return out
-
-    def _constrained(self) -> dict[int, str]:
-        """State -> hidden constraint that an impulse on it would break."""
-        terms, names = self.terms, self.terms.algebraic_names
-        holonomic = {t.rows[0].index: t for t in terms.of(CONSTRAINT)}
-        out, velocity = {}, velocity_of(terms)
-        for row, t in holonomic.items():
-            for q in t.indices(Value.STATE):
-                out |= {q: names[row], velocity[q]: names[row]}
-        rows = sorted(terms.found(Hidden).rows - holonomic.keys())
-        if rows:
-            z = costates(terms)
-            for row, c in row_expressions(terms, rows, z).items():
-                found = ca.which_depends(c, terms.model.x, 1)
-                out |= {i: names[row] for i, d in enumerate(found) if d}
-        return out
 
     def _unfit(self, pairs: list[int]) -> tuple[str, set[int]]:
         """Why a port takes no impulses ("": it does), and the states it moves."""
@@ -188,3 +161,30 @@ def _offered(name: str, pairs: tuple[int, ...], kinds: list[Impulse], y: ca.SX, 
     if "end" in kinds:
         return PortImpulse(name, "end", pairs, linear, "the stored energy is not quadratic along its impulses")
     return PortImpulse(name, "pair", pairs, linear)
+
+
+def masses(terms: Terms) -> ca.SX:
+    """The diagonal of E (n1), 1 where it is none."""
+    out, p = ca.SX.ones(terms.n1), ca.vertcat(*(v.sx for v in terms.model.parameters))
+    for t in terms.of(MASS):
+        local, m = t.symbols(Value.PARAMETER), t.data["m"]
+        at = t.rows[0].index
+        out[at] = ca.substitute([m], [local], [p[list(t.index[Value.PARAMETER])]])[0] if local.numel() else m
+    return out
+
+
+def constrained(terms: Terms) -> dict[int, str]:
+    """State -> hidden constraint that an impulse on it would break."""
+    names = terms.algebraic_names
+    holonomic = {t.rows[0].index: t for t in terms.of(CONSTRAINT)}
+    out, velocity = {}, velocity_of(terms)
+    for row, t in holonomic.items():
+        for q in t.indices(Value.STATE):
+            out |= {q: names[row], velocity[q]: names[row]}
+    rows = sorted(terms.found(Hidden).rows - holonomic.keys())
+    if rows:
+        z = costates(terms)
+        for row, c in row_expressions(terms, rows, z).items():
+            found = ca.which_depends(c, terms.model.x, 1)
+            out |= {i: names[row] for i, d in enumerate(found) if d}
+    return out

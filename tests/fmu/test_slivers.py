@@ -94,7 +94,11 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=() if n in ("four_particle", "heavy_top", "smib") else pytest.mark.slow) for n in LIBRARY],
+    [
+        pytest.param(n, marks=() if n in ("four_particle", "heavy_top", "smib") else pytest.mark.slow)
+        for n in LIBRARY
+        if n != "bouncing_ball"
+    ],
 )
 def test_units_take_slivers(host: Path, tmp_path: Path, name: str, version: str) -> None:
     found = build(name)

@@ -24,7 +24,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.network.run.dense import Polynomial
+from phfmu.network.run.dense import polynomial_of
 
 ENGINES = (PythonInstance, NativeInstance)
 
@@ -79,7 +79,7 @@ def test_the_rows_at_step_ends_are_those_of_a_run_without(name, engine):
 def test_the_polynomial_ends_where_the_step_ends(engine, order):
     """For the two-level scheme too, whose native steps are solved by the Schur stepper."""
     model = build_model(build("four_particle"), default_scheme(build("four_particle"), order))
-    instance, polynomial = engine(model), Polynomial(model)
+    instance, polynomial = engine(model), polynomial_of(model)
     for k in range(3):
         x = instance.x
         instance.do_step(0.02 * k, 0.02)

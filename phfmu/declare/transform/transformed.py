@@ -23,6 +23,12 @@ from phfmu.declare.variable import key
 
 def transformed(model: PHDAE, T: Maps) -> PHDAE:
     """`model` in the new variables of `T`; see `SystemTransformation`."""
+    if model.state_events:
+        names = ", ".join(f"'{e.guard.name}'" for e in model.state_events[:4])
+        raise DeclarationError(
+            model.name, f"has state events ({names}), whose jumps are along its own variables",
+            "change the variables first, and declare the events in the new ones", "symbol",
+        )  # fmt: skip
     model = velocity_form(model, T)
     change = Change(model, T)
     E = descriptor(change)

@@ -28,7 +28,8 @@
     X(PH_ABI, "model tables and compiled runtime do not belong together")                                    \
     X(PH_ARGUMENT, "an argument is out of range")                                                            \
     X(PH_VALUE, "a given value is not finite; it was not taken over")                                        \
-    X(PH_NO_SENSITIVITY, "the sensitivity needs a last step of which at most 16 internal steps were halved")
+    X(PH_NO_SENSITIVITY, "the sensitivity needs a last step of which at most 16 internal steps were halved") \
+    X(PH_EVENT, "a state event cannot happen")
 
 #define PH_STATUS_NAME(name, text) name,
 typedef enum ph_status { PH_STATUS_LIST(PH_STATUS_NAME) PH_NSTATUS } ph_status;
@@ -139,6 +140,8 @@ PH_API int ph_continue(ph_instance *in, const ph_instance *from);
  * internal step being the last one) is skipped. */
 PH_API int ph_step(ph_instance *in, double t, double h);
 PH_API int ph_step_parts(ph_instance *in, double t, double h, int n);
+/* The same, however short the step is. */
+PH_API int ph_step_exactly(ph_instance *in, double t, double h, int n);
 /* To the time t in a step too short to be one: state, multipliers and step means stay, nothing is booked. The
  * values at the present time follow the inputs. */
 PH_API int ph_skip(ph_instance *in, double t);

@@ -279,13 +279,11 @@ static int whole(ph_instance *in, double t, double h) {
     return PH_OK;
 }
 
-int ph_step_parts(ph_instance *in, double t, double h, int n) {
+static int advance(ph_instance *in, double t, double h, int n) {
     const long long all = in->count[PH_ITERATIONS] + PH_MOST_ITERATIONS + (long long)n * PH_MORE_ITERATIONS;
     int refused = 0;
     if (!isfinite(t + h) || n < 1)
         return PH_ARGUMENT;
-    if (h != 0.0 && ph_is_sliver(in, t, h))
-        return ph_skip(in, t + h);
     if (in->head->placed)
         ph_rest_choose(in);
     allow(in, all);
@@ -320,6 +318,16 @@ int ph_step_parts(ph_instance *in, double t, double h, int n) {
     }
     finish(in, t + h);
     return PH_OK;
+}
+
+int ph_step_parts(ph_instance *in, double t, double h, int n) {
+    if (isfinite(t + h) && n >= 1 && h != 0.0 && ph_is_sliver(in, t, h))
+        return ph_skip(in, t + h);
+    return advance(in, t, h, n);
+}
+
+int ph_step_exactly(ph_instance *in, double t, double h, int n) {
+    return advance(in, t, h, n);
 }
 
 int ph_step(ph_instance *in, double t, double h) {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from phfmu.discretise.model import Model, build_model
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import LEDGER, Steps
+from phfmu.events.happened import Happened
 from phfmu.network.members.booking import booking
 from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import require_consistent
@@ -88,6 +89,19 @@ class Monolithic:
             if len(failure.recorded.get("counts", ())):
                 failure.recorded = {"steps": self._steps(failure.recorded)}
             raise
+
+    def land(
+        self, t0: float, h: float, n: int, first: int = 0, changed: bool = True
+    ) -> Iterator[tuple[Array, Array, Steps | None, Happened | None]]:
+        """Starts and sizes of steps, the steps, and the state events at their end, over grid steps first..first+n-1.
+
+        None for no steps, and for the steps before the end or a failure.  `changed`: something was set since the last step.
+        """
+        for part in self.instance.land(t0, h, n, self._wanted(self.instance), first, changed):
+            happened = part.happened and replace(
+                part.happened, signals=self._columns.pick(part.happened.signals[None])[0]
+            )
+            yield part.t, part.h, self._steps(part.rows) if part.rows else None, happened
 
     @property
     def free_inputs(self) -> Mapping[str, Any]:

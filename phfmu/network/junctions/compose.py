@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE, Observable, skew
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable
@@ -56,6 +57,7 @@ def compose(
         constraints=_all(parts, "constraints"),
         closed=_all(parts, "closed"),
         observables=_all(parts, "observables"),
+        state_events=_all(parts, "state_events"),
         members=_all(parts, "members"),
         junctions=tuple((j.name, tuple(map(str, j.ends))) for j in junctions),
         description=description,
@@ -115,6 +117,7 @@ def _prefixed(prefix: str, model: PHDAE, feed: dict[End, Unknowns]) -> PHDAE:
         constraints=owned(new.constraints),
         closed=owned(new.closed),
         observables=tuple(_renamed(o, prefix) for o in new.observables),
+        state_events=tuple(_event(e, prefix) for e in new.state_events),
         members=tuple(_owner(prefix, m) for m in model.members),
         junctions=(),
     )
@@ -122,3 +125,8 @@ def _prefixed(prefix: str, model: PHDAE, feed: dict[End, Unknowns]) -> PHDAE:
 
 def _renamed(o: Observable, prefix: str) -> Observable:
     return replace(o, name=f"{prefix}.{o.name}")
+
+
+def _event(e: StateEvent, prefix: str) -> StateEvent:
+    guard = replace(e.guard, name=f"{prefix}.{e.guard.name}")
+    return replace(e, guard=guard, jump=e.jump and replace(e.jump, owner=_owner(prefix, e.jump.owner)))

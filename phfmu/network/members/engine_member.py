@@ -28,6 +28,11 @@ class EngineMember:
     saves = True
 
     def __init__(self, name: str, model: Model, instance: Any):
+        if model.events is not None:
+            raise ValueError(
+                f"member '{name}' has state events ({', '.join(model.events.names[:4])}), which are landed on in one composed "
+                "model only; leave out --coupling newton, which composes the network"
+            )
         self.name, self.model, self.instance = name, model, instance
         self._inputs = Inputs(instance, model)
         d = model.declaration

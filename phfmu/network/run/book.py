@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
+from phfmu.events.happened import Happened
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.couplings.unconverged import HALVED, KEPT
 from phfmu.network.members.consistent import InconsistentState
@@ -57,6 +58,16 @@ class Book:
         self._H = now
         if changed:
             self._keep_consistent(e)
+
+    def happened(self, h: Happened, what: str) -> None:
+        """Book state events: what a jump added to the energy of each component, and what it lost."""
+        rows = [(c, float(e), float(x)) for c, e, x in zip(self.booking.components, h.energy, h.lost, strict=True)]
+        changed = [row for row in rows if row[1] or row[2]]
+        for component, energy, lost in changed:
+            self.ledger.event(h.t, "state", component, energy, what, lost)
+        if not changed:
+            self.ledger.event(h.t, "state", message=what)
+        self._H = self._H + h.energy
 
     def inputs(self, changes: Sequence[tuple[int, Event]]) -> None:
         """Book free inputs that changed between steps; they change no energy."""

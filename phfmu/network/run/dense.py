@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.discretise.onestep import step_layout
-from phfmu.plan.unknown import INCREMENT
+from phfmu.events.polynomial import Polynomial
 from phfmu.terms.extract import extract
 
 Array = NDArray[np.float64]
@@ -26,24 +26,11 @@ INSTANT = ("x", "time", "a_end", "y_end", "observables", "H")
 SUMS = ("energy", "supplied", "dissipated", "residual")
 
 
-class Polynomial:
-    """The states within a step of a model as a linear map of its unknowns."""
-
-    def __init__(self, model: Model):
-        scheme = model.scheme
-        layout = step_layout(extract(model.declaration, joint=scheme.joint), scheme)
-        self._nodes, self._nx = scheme.nodes, model.step.nx
-        found = [(u.index, w, u.node) for w, u in enumerate(layout.unknowns) if u.role is INCREMENT]
-        self._state, self._w, self._node = (np.array([f[j] for f in found], int) for j in range(3))
-        self._starts = scheme.maps(layout).jumps
-
-    def __call__(self, x: Array, unknowns: Array, tau: float) -> Array:
-        """States at the fraction tau of a step from x (nx) with the unknowns w (nw)."""
-        weights = self._nodes.integral(tau)[self._node]
-        out = x + np.bincount(self._state, weights * unknowns[self._w], self._nx)
-        for i, w in self._starts:
-            out[i] += unknowns[w]
-        return out
+def polynomial_of(model: Model) -> Polynomial:
+    """The states within a step of a model."""
+    scheme = model.scheme
+    layout = step_layout(extract(model.declaration, joint=scheme.joint), scheme)
+    return Polynomial(layout, scheme.nodes, scheme.maps(layout))
 
 
 class Dense:
@@ -80,7 +67,7 @@ class Dense:
         """The polynomial of the instance's scheme and a second instance with its inputs and parameters."""
         key = id(instance)
         if key not in self._viewers:
-            self._viewers[key] = Polynomial(instance.model), self._kind(instance.model)
+            self._viewers[key] = polynomial_of(instance.model), self._kind(instance.model)
         polynomial, viewer = self._viewers[key]
         viewer.continue_from(instance)
         return polynomial, viewer

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.run.book import Book
+from phfmu.network.run.event_steps import EventSteps
 from phfmu.network.run.march import AdaptiveSteps, FixedSteps, monolithic
 from phfmu.network.run.options import Options
 from phfmu.network.run.result import Result
@@ -35,7 +37,7 @@ def run(stepper: Stepper, options: Options) -> Result:
     _check_events(stepper, options)
     ledger = Ledger(options.sink, options.audit_rtol)
     book, rows = Book(stepper, ledger), Rows(options)
-    march = FixedSteps(stepper, book, options) if options.rtol is None else AdaptiveSteps(stepper, book, options)
+    march = _march(stepper, book, options)
     before, projection = stepper.rest_changes(), None
     t0, stop, close = options.t0, options.stop, 1e-9 * options.step
     try:
@@ -64,6 +66,13 @@ def run(stepper: Stepper, options: Options) -> Result:
         stepper.names, time, values, ledger, book.steps, book.iterations, book.worst(), projection, notes=notes,
         least=book.least, **facts,
     )  # fmt: skip
+
+
+def _march(stepper: Stepper, book: Book, options: Options) -> FixedSteps | AdaptiveSteps | EventSteps:
+    """How the run gets from event to event."""
+    if isinstance(stepper, Monolithic) and stepper.model.events is not None:
+        return EventSteps(stepper, book, options)
+    return FixedSteps(stepper, book, options) if options.rtol is None else AdaptiveSteps(stepper, book, options)
 
 
 def _begin(stepper: Stepper, book: Book, options: Options, events: Sequence[Event], end: float) -> Projection | None:

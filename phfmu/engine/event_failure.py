@@ -1,0 +1,45 @@
+"""State events that are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phfmu.engine.limits import LIMITS
+from phfmu.engine.status import Status, StepFailure
+
+#: why, in the order of `ph_event_reason` in runtime/events.h: what is wrong, and the next move
+REASONS = (
+    (
+        "the jumps of {names} depend on each other (S is singular)",
+        "let one of them act where they meet, events that close a loop have no unique impulse",
+    ),
+    ("{names} would jump with |c| = {value:.6g}, more than its most = {limit:.6g}", "let it jump later, or allow more"),
+    (
+        "the jumps of {names} together gain {value:.6g} J: their restitutions differ",
+        "give events that happen together one restitution",
+    ),
+    (
+        f"{int(LIMITS['MOST_EVENTS'])} events fall into one step, the last {{names}}",
+        "declare where they come to rest (StateEvent(rest=..)), or give a relay a hysteresis",
+    ),
+    (
+        "{names} happens again at the same instant, after each event was tried",
+        "let the guards of its modes exclude each other: `when` of each, and what it sets",
+    ),
+)
+
+
+class EventRefused(StepFailure):
+    """A state event that cannot happen; `guards` are its names, `reason` its place in REASONS."""
+
+    def __init__(self, component: str, t: float, reason: int, guards: Sequence[str], value: float, limit: float):
+        super().__init__(Status.EVENT, component, t, 0.0)
+        self.guards, self.reason, self.value, self.limit = tuple(guards), reason, value, limit
+
+    def _text(self) -> str:
+        what, advice = REASONS[self.reason]
+        names = ", ".join(f"'{g}'" for g in self.guards)
+        return (
+            f"{self.component} at t = {self.time:.9g} s: {what.format(names=names, value=self.value, limit=self.limit)}. "
+            f"Next: {advice}."
+        )

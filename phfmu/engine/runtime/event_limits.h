@@ -1,0 +1,37 @@
+/* Limits of the location of state events; the Python engine reads them from here. */
+#ifndef PH_EVENT_LIMITS_H
+#define PH_EVENT_LIMITS_H
+
+/* Steps taken to land on a zero before there is none (the guard only touches it); so many times more where
+ * the guard is known to change its sign, in which every other one halves what is left after the first so
+ * many. */
+#define PH_LANDING_TRIALS 12
+#define PH_LANDING_BRACKETED 10
+
+/* A zero is landed on when the next change of the length is this many units of rounding of the time. */
+#define PH_LANDED 2
+
+/* A guard is zero below the larger of this part of its nominal value and what so many units of rounding of
+ * the time make of it; others that are as close to zero at an event, by the second part, happen with it. */
+#define PH_GUARD_ZERO 1e-13
+#define PH_GUARD_TOGETHER 1e-10
+#define PH_GUARD_CLOCK 16
+
+/* A guard that is zero at the start and seems to leave the way that counts is looked at on a step so many
+ * times halved, for the polynomial shows its mean rate; then it happens at once. */
+#define PH_LEAVING_HALVINGS 20
+
+/* What is left of a step after an event is no step in so many units of rounding of the time. */
+#define PH_REST_OF_STEP 4
+
+/* Events pile up where one follows itself within this part of the step, or where so many fall into one. */
+#define PH_PILE_UP 1e-6
+#define PH_MOST_EVENTS 100
+
+/* A loss may be negative by this part of the energies that move, rounding. */
+#define PH_LOSS_ROUNDING 1e-12
+
+/* Pivots of S this small against its diagonal: the jumps depend on each other. */
+#define PH_JUMP_DEPENDENT 1e-12
+
+#endif

@@ -1,0 +1,174 @@
+"""State events as tables: guards and jumps as kernels with indices, what arms them, what they set.
+
+Guards are functions of values at an instant: costates are put in as functions of the states, inputs that are fed from inside as
+what feeds them.  So a guard without algebraic variables costs no solve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from phfmu.declare.error import DeclarationError
+from phfmu.declare.event import StateEvent
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.value import Value
+from phfmu.declare.variable import _sx
+from phfmu.events.jump_tables import JumpTables, jump_tables
+from phfmu.events.polynomial import Polynomial
+from phfmu.plan.address import READ, Address, row
+from phfmu.plan.plan import Floats, Group, Ints, Kernel, Powers
+from phfmu.plan.spec import Spec, build
+from phfmu.terms.canonical import Locator, make_term
+from phfmu.terms.located import Row, RowAt
+from phfmu.terms.rows import costate_symbols, costates
+from phfmu.terms.term import Term, TermKind, Terms
+
+GUARD = TermKind("guard")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Per event i the scalar parameters p[ptr[i]:ptr[i+1]] and a value for each."""
+
+    ptr: Ints
+    p: Ints
+    value: Floats
+
+    def of(self, i: int) -> slice:
+        return slice(self.ptr[i], self.ptr[i + 1])
+
+
+@dataclass(frozen=True, eq=False)
+class EventPlan:
+    """n state events of a model, in the order of the declaration.
+
+    names, direction, nominal (n): of the guards;  groups: their kernels (stage 1), with x = [states | t], Y = [a | u] and the
+    guards as rows;  solves: 1 if one reads algebraic variables;  when, sets, rest: see `StateEvent`
+    """
+
+    names: tuple[str, ...]
+    direction: Powers
+    nominal: Floats
+    groups: tuple[Group, ...]
+    solves: int
+    when: Settings
+    sets: Settings
+    rest: Settings
+    jump: JumpTables | None
+    polynomial: Polynomial
+
+    @property
+    def n(self) -> int:
+        return len(self.names)
+
+    @property
+    def kernels(self) -> list[Kernel]:
+        return [g.kernel for g in (*self.groups, *(() if self.jump is None else (self.jump.group,)))]
+
+
+def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan | None:
+    """The state events of a model, None if it has none.  DeclarationError names what does not fit."""
+    model = terms.model
+    events = model.state_events
+    if not events:
+        return None
+    index = {n: i for i, n in enumerate(n for v in model.parameters for n in v.names())}
+    _require_modes(model, index)
+    groups = _guards(terms, events)
+    return EventPlan(
+        tuple(e.guard.name for e in events),
+        np.array([e.guard.direction for e in events], np.int8),
+        np.array([e.guard.nominal for e in events], float),
+        tuple(groups),
+        int(any((g.yi < terms.na).any() for g in groups)),
+        _settings(index, (e.when for e in events)),
+        _settings(index, (e.sets for e in events)),
+        _settings(index, (e.rest for e in events)),
+        jump_tables(terms, events),
+        polynomial,
+    )
+
+
+def _settings(index: Mapping[str, int], values: Iterable[Mapping[str, float]]) -> Settings:
+    listed = list(values)
+    return Settings(
+        np.cumsum([0, *map(len, listed)]).astype(np.int32),
+        np.array([index[n] for v in listed for n in v], np.int32),
+        np.array([x for v in listed for x in v.values()], float),
+    )
+
+
+def _require_modes(model: PHDAE, index: Mapping[str, int]) -> None:
+    """DeclarationError for names that are no scalar parameters, and for modes with energy in them."""
+    for e in model.state_events:
+        for name in sorted(e.named - index.keys()):
+            raise DeclarationError(
+                f"{model.name}: state event '{e.guard.name}'",
+                f"'{name}' is no scalar parameter",
+                f"name one of: {', '.join(list(index)[:12]) or 'none is declared'}",
+                "symbol",
+            )
+    symbols = {n: s for v in model.parameters for n, s in zip(v.names(), ca.vertsplit(v.sx), strict=True)}
+    stored = ca.vertcat(model.hamiltonian, *(ca.vec(ca.SX(_sx(m))) for m in model.E.values()))
+    for name in model.modes:
+        if ca.depends_on(stored, symbols[name]):
+            raise DeclarationError(
+                f"{model.name}: mode '{name}'",
+                "is in the energy or in E, so setting it would change the energy stored",
+                "let events set parameters of J, R or B, and the states jump",
+                "energy",
+            )
+
+
+def _guards(terms: Terms, events: Iterable[StateEvent]) -> list[Group]:
+    """Kernels of the guards; equal ones are instances of one."""
+    locator, found = Locator(terms.model, terms.pairs), list[tuple[Term, Spec]]()
+    specs: dict[tuple, Spec] = {}
+    for i, e in enumerate(events):
+        label = f"guard '{e.guard.name}'"
+        expr = at_instant(terms, ca.SX(_sx(e.guard.expr)), label)
+        if expr.numel() != 1:
+            reason = f"has {expr.numel()} entries"
+            raise DeclarationError(f"{terms.model.name}: {label}", reason, "give one expression a guard", "shape")
+        term = make_term(GUARD, {"f": expr}, locator, label, rows=[RowAt(Row.OBSERVABLE, i)])
+        spec = specs.get(term.key) or specs.setdefault(term.key, _spec(term))
+        found.append((term, spec))
+    return [_table(terms, spec, [t for t, s in found if s is spec]) for spec in specs.values()]
+
+
+def _spec(term: Term) -> Spec:
+    x = ca.vertcat(term.symbols(Value.STATE), term.symbols(Value.TIME))
+    y = [(Address(READ[k], j), s) for k in (Value.ALGEBRAIC, Value.INPUT) for j, s in enumerate(_each(term, k))]
+    return Spec(1, x, term.symbols(Value.PARAMETER), y, [(Address(row), 0, term.data["f"])], report=True)
+
+
+def _each(term: Term, kind: Value) -> list[ca.SX]:
+    """Local symbols of a kind, one by one."""
+    return ca.vertsplit(term.symbols(kind)) if term.indices(kind) else []
+
+
+def _table(terms: Terms, spec: Spec, own: list[Term]) -> Group:
+    """The group of the guards `own`, which share a kernel."""
+    x = [[*t.indices(Value.STATE), *(terms.n1 for _ in t.indices(Value.TIME))] for t in own]
+    y = [[*t.indices(Value.ALGEBRAIC), *(terms.na + u for u in t.indices(Value.INPUT))] for t in own]
+    rows = x, y, [t.indices(Value.PARAMETER) for t in own], [[t.rows[0].index] for t in own]
+    arrays = [np.array(r, np.int32).reshape(len(own), -1) for r in rows]
+    return Group(build(spec), 1, 1, *arrays, power=np.zeros(1, np.int8), owner=np.zeros(len(own), np.int32))
+
+
+def at_instant(terms: Terms, expr: ca.SX, label: str) -> ca.SX:
+    """`expr` with costates as functions of the states, and inputs fed from inside as what feeds them."""
+    model, z = terms.model, costate_symbols(terms.model)
+    for i in terms.solved_costates():
+        if ca.depends_on(expr, z[i]):
+            raise DeclarationError(
+                f"{model.name}: {label}", f"reads the costate of {terms.state_names[i]}, whose E is no constant diagonal",
+                "write it as a function of the states", "symbol",
+            )  # fmt: skip
+    fed = [p for p in terms.pairs if not p.port.external]
+    inside = [ca.SX(p.port.bound[p.j] if p.port.bound is not None else ca.SX(_sx(p.port.source))[p.j]) for p in fed]
+    return ca.substitute([expr], [z, *(p.port.u[p.j] for p in fed)], [costates(terms), *inside])[0]

@@ -1,0 +1,271 @@
+"""State events are landed on: times, states and losses against exact solutions, in both engines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, pi, sin, sqrt
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from phfmu import (
+    PHDAE,
+    Collocated,
+    Guard,
+    Jump,
+    Monolithic,
+    NativeInstance,
+    Options,
+    PythonInstance,
+    StateEvent,
+    StepFailure,
+    build_model,
+    damping,
+    energy,
+    parameter,
+    run,
+    skew,
+    state,
+)
+from phfmu.components.library import build
+from phfmu.engine.event_failure import EventRefused
+
+ENGINES = [PythonInstance, NativeInstance]
+M, K, D, E = 1.3, 7.0, 0.4, 0.8
+OMEGA = sqrt(K / M)
+STOP = 6.0
+
+
+def wall(e: float = E) -> PHDAE:
+    """An oscillator that hits a wall at q = 0; its spring is free at q = -D."""
+    q, p = state("q", unit="m", start=0.7), state("p", unit="kg.m/s", start=0.3)
+    return PHDAE(
+        "wall",
+        states=(q, p),
+        energies=(energy(p**2 / (2 * M)), energy(K / 2 * (q + D) ** 2)),
+        structure=(skew(q, p, 1.0),),
+        state_events=(StateEvent(Guard("wall", q, -1, unit="m"), jump=Jump({p: 1.0}, e)),),
+    )
+
+
+def exact() -> tuple[list[float], float, float]:
+    """Times of the impacts, q and p at the stop."""
+    t, x, v, times = 0.0, 0.7 + D, 0.3 / M, []
+
+    def gap(s: float) -> float:
+        return x * cos(OMEGA * s) + v / OMEGA * sin(OMEGA * s) - D
+
+    while True:
+        grid = np.linspace(1e-9, 2 * pi / OMEGA, 2001)
+        falls = [i for i in range(2000) if gap(grid[i]) > 0 >= gap(grid[i + 1])]
+        s = brentq(gap, grid[falls[0]], grid[falls[0] + 1], xtol=1e-15, rtol=9e-16) if falls else np.inf
+        if t + s > STOP:
+            s = STOP - t
+            return times, gap(s), M * (v * cos(OMEGA * s) - x * OMEGA * sin(OMEGA * s))
+        x, v = D, -E * (v * cos(OMEGA * s) - x * OMEGA * sin(OMEGA * s))
+        t += s
+        times.append(t)
+
+
+@pytest.fixture(scope="module")
+def models() -> dict:
+    return {k: build_model(wall(), Collocated(k)) for k in (1, 2, 3)}
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("k", "n", "time_error"), [(1, 160, 5e-3), (2, 160, 1e-6), (3, 320, 1e-12)])
+def test_order_2k_through_nine_impacts(models, engine, k, n, time_error):
+    times, q, p = exact()
+    assert len(times) == 9
+    errors = []
+    for steps in (n // 2, n):
+        instance = engine(models[k])
+        start = instance.signal("H").sum()
+        parts = list(instance.land(0.0, STOP / steps, steps, record=("stored",)))
+        happened = [part.happened for part in parts if part.happened]
+        assert len(happened) == 9
+        errors.append(np.hypot(instance.x[0] - q, (instance.x[1] - p) / M))
+        lost = sum(h.lost.sum() for h in happened)
+        assert abs(instance.signal("H").sum() - start + lost) <= 1e-14 * start
+        assert max(np.abs(part.rows["stored"]).max() for part in parts if part.rows) <= 1e-14 * start
+        assert max(abs(h.energy.sum() + h.lost.sum()) for h in happened) == 0.0
+    assert np.max(np.abs(np.array([h.t for h in happened]) - times)) <= time_error
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * k, abs=0.2)
+
+
+def test_engines_land_alike(models):
+    native, python = (
+        list(engine(models[2]).land(0.0, 0.05, 120, record=("signals", "stored"))) for engine in (NativeInstance, PythonInstance)
+    )  # fmt: skip
+    assert len(native) == len(python)
+    for a, b in zip(native, python, strict=True):
+        assert a.t == pytest.approx(b.t, abs=1e-13) and a.h == pytest.approx(b.h, abs=1e-13)
+        assert a.rows["signals"] == pytest.approx(b.rows["signals"], abs=1e-12)
+        if a.happened is None or b.happened is None:
+            assert a.happened is b.happened is None
+            continue
+        assert a.happened.events == b.happened.events and a.happened.t == pytest.approx(b.happened.t, abs=1e-13)
+        assert a.happened.lost == pytest.approx(b.happened.lost, rel=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_landing_takes_few_solves(models, engine):
+    """Most 6 an event beyond its trial and its landed step."""
+    for k in (1, 2, 3):
+        instance = engine(models[k])
+        before = instance.counts["solves"]
+        events = sum(part.happened is not None for part in instance.land(0.0, STOP / 160, 160))
+        assert (instance.counts["solves"] - before - 160 - events) / events <= 6
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("cut", [1, 7])
+def test_blocks_of_steps_do_not_matter(models, engine, cut):
+    whole, parts = engine(models[1]), engine(models[1])
+    list(whole.land(0.0, 0.05, 42))
+    for first in range(0, 42, cut):
+        list(parts.land(0.0, 0.05, cut, first=first, changed=first == 0))
+    assert (whole.x == parts.x).all()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("k", [1, 2])
+def test_a_ball_comes_to_rest(engine, k):
+    """The bounces end at t = sqrt(2 h/g) (1 + e)/(1 - e); gravity is constant, so that all times are exact."""
+    scene = build("bouncing_ball")
+    model = build_model(scene.declaration(), Collocated(k))
+    result = run(Monolithic(model, engine(model)), Options(stop=scene.stop, step=scene.step))
+    summary = result.ledger.summary()
+    assert summary.closed
+    end = sqrt(2 / 9.81) * 9
+    flight = result.column("flight")
+    rests = result.time[np.flatnonzero(flight == 0)[0]]
+    assert 0 <= end - rests <= 3e-7  # what is left below 1e-6 of the step
+    assert result.column("q")[-1] == pytest.approx(0, abs=1e-15) and result.column("p")[-1] == 0
+    first = sqrt(2 / 9.81)
+    jumps = np.flatnonzero(np.diff(result.time) == 0)
+    v = np.array([result.column("v")[jumps], result.column("v")[jumps + 1]])
+    assert result.time[jumps[0]] == pytest.approx(first, abs=1e-14)
+    assert v[1, :-1] == pytest.approx(-E * v[0, :-1], rel=1e-14)
+    (ball,) = summary.components
+    assert ball.jumps == pytest.approx(-9.81, rel=1e-14)
+    assert summary.events["state"] == len(jumps)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_start_on_the_guard(engine):
+    """A ball that starts on the floor and falls has its impact at once; one that is thrown up flies first."""
+    scene = build("bouncing_ball")
+    for p, first in ((0.0, 0.0), (-1.0, 0.0), (1.0, 2 / 9.81)):
+        model = build_model(scene.declaration().with_starts({"q": 0.0, "p": p}), Collocated(2))
+        part = next(iter(engine(model).land(0.0, 0.5, 1)))
+        assert part.happened is not None and part.happened.t == pytest.approx(first, abs=1e-14)
+
+
+def oscillator(*events: StateEvent, **more) -> tuple[PHDAE, dict]:
+    q, p = state("q", unit="m", start=1.0), state("p", unit="kg.m/s")
+    s, r = parameter("s", 1.0), parameter("r", 0.0)
+    return PHDAE(
+        "oscillator", states=(q, p), parameters=(s, r), energies=(energy(q**2 / 2), energy(p**2 / 2)),
+        structure=(skew(q, p, 1.0),), **more,
+    ), {"q": q, "p": p, "s": s}  # fmt: skip
+
+
+def fired(declaration: PHDAE, k: int, h: float, n: int, engine=PythonInstance) -> list[float]:
+    parts = engine(build_model(declaration, Collocated(k))).land(0.0, h, n)
+    return [part.happened.t for part in parts if part.happened]
+
+
+@pytest.mark.parametrize(("k", "depth"), [(2, 1e-5), (3, 1e-6)])
+def test_short_dips_are_seen(k, depth):
+    """q = cos t falls below 1 - .. only near its turning points: both crossings lie inside one step."""
+    model, v = oscillator()
+    h = 2 * pi / 48
+    start = replace(v["q"], start=(cos(-10.4 * h),)), replace(v["p"], start=(-sin(-10.4 * h),))
+    dip = Guard("dip", -v["q"] + 1 - depth, 0, unit="m")
+    declaration = replace(model, states=start, state_events=(StateEvent(dip),))
+    found = fired(declaration, k, h, 20)
+    assert len(found) == 2 and found[1] - found[0] == pytest.approx(2 * np.arccos(1 - depth), rel=0.2)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_event_on_a_grid_point_happens_once(engine):
+    q = state("q", start=1.0)
+    s = parameter("s", 1.0)
+    e = StateEvent(Guard("zero", q, -1), when={"s": 1.0}, sets={"s": -1.0})
+    p = state("p", start=1.0)
+    declaration = PHDAE("line", states=(q, p), parameters=(s,), energies=(energy(p**2 / 2), energy(0 * q.sx)),
+                        structure=(skew(q, p, -s.sx),), state_events=(e,))  # fmt: skip
+    instance = engine(build_model(declaration, Collocated(2)))
+    times = [part.happened.t for part in instance.land(0.0, 0.25, 8) if part.happened]
+    assert times == [pytest.approx(1.0, abs=1e-15)]
+    assert instance.x[0] == pytest.approx(1.0, abs=1e-14)  # there and back
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_two_guards_at_one_instant_are_one_event(engine):
+    model, v = oscillator()
+    guards = (Guard(n, c * v["q"], -1, unit="m") for n, c in (("a", 1), ("b", 3)))
+    events = tuple(StateEvent(g, when={"s": 1.0}, sets={"s": 2.0}) for g in guards)
+    parts = engine(build_model(replace(model, state_events=events), Collocated(2))).land(0.0, 0.3, 20)
+    assert [part.happened.events for part in parts if part.happened] == [(0, 1)]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_chatter_and_crowds_are_refused_by_name(engine):
+    model, v = oscillator()
+    g = v["q"] - 0.5
+    off = StateEvent(Guard("off", g, -1), when={"s": 1.0}, sets={"s": 0.0})
+    both = off, StateEvent(Guard("on", g, -1), when={"s": 0.0}, sets={"s": 1.0})
+    beyond = off, StateEvent(Guard("on", g - 0.2, -1), when={"s": 0.0}, sets={"s": 1.0, "r": 1.0})
+    beyond = *beyond, StateEvent(Guard("off again", g - 0.2, -1), when={"s": 1.0, "r": 1.0}, sets={"s": 0.0})
+    for events, says in ((both, "100 events fall into one step"), (beyond, "happens again at the same instant")):
+        with pytest.raises(EventRefused, match=says):
+            list(engine(build_model(replace(model, state_events=events), Collocated(1))).land(0.0, 0.1, 40))
+    scene = build("bouncing_ball").declaration()
+    endless = replace(scene, state_events=tuple(replace(e, rest={}) for e in scene.state_events))
+    instance = engine(build_model(endless, Collocated(2)))
+    with pytest.raises(StepFailure, match="100 events fall into one step, the last 'floor'.*rest"):
+        list(instance.land(0.0, 0.5, 10))
+    assert instance.time < 4.07  # at its last accepted step
+
+
+def clutch(most: float = np.inf) -> PHDAE:
+    """Two discs that a clutch joins for an instant when the first has turned by 1 rad."""
+    J = (2.0, 0.7)
+    phi = state("phi", unit="rad")
+    p = state("p1", unit="kg.m2/s", start=J[0] * 30.0), state("p2", unit="kg.m2/s", start=J[1] * -10.0)
+    s = parameter("s", 0.0)
+    return PHDAE(
+        "clutch",
+        states=(phi, *p),
+        parameters=(s,),
+        energies=tuple(energy(q**2 / (2 * j)) for q, j in zip(p, J, strict=True)) + (energy(0 * phi.sx),),
+        structure=(skew(phi, p[0], 1.0),),
+        dissipation=(damping(p[0], 0.0),),
+        state_events=(
+            StateEvent(Guard("grip", phi.sx - 1.0, 1, unit="rad"), when={"s": 0.0}, sets={"s": 1.0},
+                       jump=Jump({p[0]: 1.0, p[1]: -1.0}, most=most)),
+        ),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_loss_of_a_clutch_is_its_formula(engine):
+    instance = engine(build_model(clutch(), Collocated(2)))
+    before = instance.x[1:].sum()
+    (happened,) = (part.happened for part in instance.land(0.0, 0.02, 5) if part.happened)
+    assert happened.lost.sum() == pytest.approx(2.0 * 0.7 / (2 * 2.7) * 40.0**2, rel=1e-14)
+    assert instance.x[1:].sum() == pytest.approx(before, rel=1e-15)
+    assert instance.x[1] / 2.0 == pytest.approx(instance.x[2] / 0.7, rel=1e-15)
+    assert instance.x[0] == pytest.approx(
+        1.0 + (0.1 - happened.t) * instance.x[1] / 2.0, rel=1e-14
+    )  # unmoved by the jump
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_jump_beyond_its_limit_is_refused(engine):
+    instance = engine(build_model(clutch(most=39.0), Collocated(2)))
+    with pytest.raises(EventRefused, match=r"'grip' would jump with \|c\| = 40, more than its most = 39"):
+        list(instance.land(0.0, 0.02, 5))
