@@ -1,4 +1,4 @@
-"""What a TARGET means: the name of a component or scene of the library, or a function of a file."""
+"""What a TARGET means: the name of a component or scene of the library, a function of a file, or a package of SSP."""
 
 from __future__ import annotations
 
@@ -17,12 +17,20 @@ def is_fmu(target: str) -> bool:
     return target.lower().endswith(".fmu")
 
 
+def is_ssp(target: str) -> bool:
+    return target.lower().endswith((".ssp", ".ssd"))
+
+
 def load(target: str) -> Any:
     """The component (PHDAE), Network or Scene that `target` names; TargetError or KeyError with the remedy."""
     if ".py:" in target or target.endswith(".py"):
         return _from_file(target)
     if is_fmu(target):
         raise TargetError(f"{target} is an FMU; this verb needs a declaration (a library name or file.py:function)")
+    if is_ssp(target):
+        from phfmu.ssp.loading import load as load_ssp
+
+        return load_ssp(target)
     from phfmu.components.library import LIBRARY, build
 
     file = Path(f"{target}.py")

@@ -64,7 +64,7 @@ def job_of(args: argparse.Namespace) -> Job:
         return _monolithic(args, s, s.declaration(), why)
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} is a single component; --coupling {name} needs a network of members")
-    return _coupled(args, s, s.system, name, why, {} if name in EXPLICIT else tried)
+    return _coupled(args, s, s.system, name, [*s.notes, *why], {} if name in EXPLICIT else tried)
 
 
 def _isolated(args: argparse.Namespace, system: Any) -> Any:

@@ -11,15 +11,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.schedule import UnitEvent
-    from phfmu.network.scene import Event
+    from phfmu.network.scene import Event, Scene
 
 
 def add_parser(verbs: Any) -> None:
     from phfmu.cli import options
     from phfmu.cli.codes import TARGET
     from phfmu.fmu.version import VERSIONS
+    from phfmu.ssp.names import VERSIONS as SSP_VERSIONS
 
-    parser = verbs.add_parser("export", help=f"write FMI {' and '.join(VERSIONS)} Co-Simulation FMUs")
+    parser = verbs.add_parser(
+        "export", help=f"write FMI {' and '.join(VERSIONS)} Co-Simulation FMUs, or a package of SSP"
+    )
     parser.add_argument("target", help=TARGET.rsplit(" | ", 1)[0])
     parser.add_argument("-o", "--output", default=".", metavar="DIR", help="folder for the FMUs (default: here)")
     parser.add_argument(
@@ -46,6 +49,8 @@ def add_parser(verbs: Any) -> None:
                         help="a parameter that may be set between steps, as those of the scene's events may")  # fmt: skip
     parser.add_argument("--events", default="outside", choices=("outside", "inside"),
                         help="outside: the importer sets what the scene's events change; inside: the unit does")  # fmt: skip
+    parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
+                        help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
     options.add_settings(parser)
     options.add_no_check(parser)
     parser.set_defaults(call=call)
@@ -64,6 +69,11 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.target import scene
 
     s = scene(args.target)
+    if args.ssp:
+        from phfmu.cli.export_package import export_package
+
+        _require_places(args, s)
+        return export_package(args, s)
     given = settings(args.set)
     events, notes = started(s.events, given, s.declaration().settable_names())
     begun = {e.name: e.value for e in events if e.t <= 0.0}
@@ -75,11 +85,7 @@ def call(args: argparse.Namespace) -> int:
     if inside:
         require_sound(args, declaration, [e for e in events if e.t > 0.0])
         declaration = fed_inside(declaration, [e.name for e in inside])
-    step = args.step if args.step is not None else s.step
-    if not step > 0:
-        raise ValueError(f"--step {step} s must be positive")
-    if Path(args.output).exists() and not Path(args.output).is_dir():
-        raise ValueError(f"-o {args.output} is a file; name a folder for the FMUs")
+    step = _require_places(args, s)
     asked = {_short(n): n for n in VERSIONS}
     versions = [asked[v] for v in (args.fmi or asked)]
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
@@ -96,6 +102,16 @@ def call(args: argparse.Namespace) -> int:
     for path in paths:
         print(path)
     return 0
+
+
+def _require_places(args: argparse.Namespace, s: Scene) -> float:
+    """The step; ValueError for one that is not positive, or a file where the folder should be."""
+    step = args.step if args.step is not None else s.step
+    if not step > 0:
+        raise ValueError(f"--step {step} s must be positive")
+    if Path(args.output).exists() and not Path(args.output).is_dir():
+        raise ValueError(f"-o {args.output} is a file; name a folder for the FMUs")
+    return step
 
 
 def _short(number: str) -> str:

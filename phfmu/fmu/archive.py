@@ -46,12 +46,12 @@ class Archive:
 
     def __init__(self, path: Path):
         self.path = path
-        with _opened(path) as archive:
-            self._names = _checked(archive, path)
+        with opened(path) as archive:
+            self._names = checked(archive, path)
             if "modelDescription.xml" not in self._names:
                 raise FMUError(f"{path}: the archive has no modelDescription.xml, so it is no FMU")
             with archive.open("modelDescription.xml") as description:
-                manifest = _document(archive, MANIFEST, path) if MANIFEST in self._names else None
+                manifest = document(archive, MANIFEST, path) if MANIFEST in self._names else None
                 self.interface: Interface = read_interface(description, manifest, path.name)
         parts = [PurePosixPath(n).parts for n in self._names]
         self.platforms = tuple(sorted({plain(p[1], 50) for p in parts if p[0] == "binaries" and len(p) > 2}))
@@ -74,8 +74,8 @@ class Archive:
         """The document of its terminals, if it has one."""
         if TERMINALS not in self._names:
             return None
-        with _opened(self.path) as archive:
-            return _document(archive, TERMINALS, self.path)
+        with opened(self.path) as archive:
+            return document(archive, TERMINALS, self.path)
 
     @cached_property
     def folder(self) -> Path:
@@ -84,9 +84,9 @@ class Archive:
         self._folder = tempfile.TemporaryDirectory(prefix="phfmu-")
         folder = Path(self._folder.name)
         (folder / "resources").mkdir()
-        with _opened(self.path) as archive:
+        with opened(self.path) as archive:
             for name in wanted:
-                _extract(archive, name, folder / name)
+                extract(archive, name, folder / name)
         return folder
 
     @property
@@ -122,7 +122,7 @@ class _ShortReads(BufferedReader):
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+def opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """The archive; what goes wrong inside is an FMUError with its path."""
     try:
         with _ShortReads(FileIO(str(path))) as file, zipfile.ZipFile(file) as archive:
@@ -135,7 +135,7 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         raise FMUError(f"{path}: not a readable archive ({error}); export or download it again") from error
 
 
-def _checked(archive: zipfile.ZipFile, path: Path) -> frozenset[str]:
+def checked(archive: zipfile.ZipFile, path: Path) -> frozenset[str]:
     """Names of the files; refuses names that leave the folder, links, other packings, and sizes beyond all reason."""
     entries = archive.infolist()
     limits.within(path, len(entries), limits.ENTRIES, "files in the archive")
@@ -162,7 +162,7 @@ def _checked(archive: zipfile.ZipFile, path: Path) -> frozenset[str]:
     return frozenset(names)
 
 
-def _document(archive: zipfile.ZipFile, name: str, path: Path) -> bytes:
+def document(archive: zipfile.ZipFile, name: str, path: Path) -> bytes:
     """A short document as a whole; asked for a number of bytes, zipfile inflates no more, whatever the entry says."""
     size = archive.getinfo(name).file_size
     limits.within(f"{path}/{name}", size, limits.DOCUMENT, "bytes of XML")
@@ -170,7 +170,7 @@ def _document(archive: zipfile.ZipFile, name: str, path: Path) -> bytes:
         return source.read(size)
 
 
-def _extract(archive: zipfile.ZipFile, name: str, target: Path) -> None:
+def extract(archive: zipfile.ZipFile, name: str, target: Path) -> None:
     """One file, piece by piece; zipfile reads no more than the size that was checked."""
     target.parent.mkdir(parents=True, exist_ok=True)
     with archive.open(name) as source, open(target, "wb") as file:

@@ -26,7 +26,8 @@ class Event:
 class Scene:
     """What `phfmu run NAME` runs: stop time and step in seconds, events of the first kind; the grid lands on them.
 
-    `restart`: damping steps after each event, see `phfmu.network.run.restart`.
+    `restart`: damping steps after each event, see `phfmu.network.run.restart`.  `notes`: what of the file that the scene was
+    read from is not in it, a line each.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Scene:
     events: tuple[Event, ...] = ()
     description: str = ""
     restart: int = 0
+    notes: tuple[str, ...] = ()
 
     @property
     def units(self) -> dict[str, UnitFile]:

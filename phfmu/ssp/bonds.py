@@ -1,0 +1,132 @@
+"""Power ports among links: two ports whose variables are connected both ways are joined by a bond.
+
+A unit says which of its variables are conjugate pairs and which way their flow counts (manifest, or a file beside it); the
+factors of the connections say how the ports meet.  With g_e and g_f the factors on effort and flow, both counted into the
+units, the bond creates no power if g_e g_f = -1: equal efforts (kind "0") or equal flows (kind "1").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from phfmu.declare.port import Given
+from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.outward import summed
+from phfmu.ssp.flat import Link
+from phfmu.ssp.structure import SSPError
+
+#: (member, port)
+End = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Bond:
+    """Two ports that are connected both ways; `kind`: of the junction that this makes."""
+
+    a: End
+    b: End
+    kind: str
+
+
+@dataclass(frozen=True)
+class _Pin:
+    """A scalar of a port: its end, entry and map."""
+
+    end: End
+    entry: int
+    port: PortMap
+
+
+def joins_plainly(given: Sequence[Given]) -> bool:
+    """Whether connections of variables can say what a junction does: of two ports each gives what the other takes."""
+    return len(given) == 2 and given[0] != given[1]
+
+
+class Ports:
+    """Ports of all units: which scalar of which port a variable is."""
+
+    def __init__(self, ports: Mapping[str, Sequence[PortMap]]):
+        self.maps = {(m, p.name): p for m, own in ports.items() for p in own}
+        self._inputs: dict[tuple[str, str], _Pin] = {}
+        self._outputs: dict[tuple[str, str], _Pin] = {}
+        for end, p in self.maps.items():
+            for names, table in ((p.inputs, self._inputs), (p.outputs, self._outputs), (p.step_outputs, self._outputs)):
+                table.update({(end[0], n): _Pin(end, i, p) for i, n in enumerate(names)})
+
+    def input(self, link: Link) -> _Pin | None:
+        return self._inputs.get((link.target, link.input))
+
+    def output(self, link: Link) -> _Pin | None:
+        return self._outputs.get((link.source, link.output))
+
+
+def bonds(links: Sequence[Link], ports: Ports) -> tuple[list[Bond], list[Link]]:
+    """The bonds, and the links that are none.  SSPError for bonds that create power or leave pairs of a port open."""
+    ways: dict[tuple[End, End], list[tuple[Link, _Pin, _Pin]]] = {}
+    rest = []
+    for link in links:
+        source, target = ports.output(link), ports.input(link)
+        if source is None or target is None:
+            rest.append(link)
+        else:
+            ways.setdefault((source.end, target.end), []).append((link, source, target))
+    found = []
+    for (a, b), there in ways.items():
+        back = ways.get((b, a))
+        if back is None or a == b:
+            rest += [link for link, _, _ in there]
+        elif a < b:
+            found.append(_bond(a, b, there, back, ports))
+    return found, rest
+
+
+def _bond(
+    a: End, b: End, there: list[tuple[Link, _Pin, _Pin]], back: list[tuple[Link, _Pin, _Pin]], ports: Ports
+) -> Bond:
+    """The two ways between a and b as one bond."""
+    pa, pb = ports.maps[a], ports.maps[b]
+    for way, target in ((there, pb), (back, pa)):
+        entries = sorted(t.entry for _, _, t in way)
+        straight = all(s.entry == t.entry for _, s, t in way)
+        if entries != list(range(len(target.inputs))) or not straight or len(pa.inputs) != len(pb.inputs):
+            raise SSPError(
+                f"{_name(a)} and {_name(b)} are joined by {', '.join(str(w[0]) for w in (*there, *back))}: connect each entry of "
+                f"a port ({len(pa.inputs)} and {len(pb.inputs)} pairs) with the same entry of the other, both ways"
+            )
+    factors = [_factor(way, a, b) for way in (there, back)]
+    # counted into both units
+    into = [factors[0] * pa.output_sign * pb.input_sign, factors[1] * pb.output_sign * pa.input_sign]
+    if into[0] * into[1] != -1.0 or abs(into[0]) != 1.0:
+        raise SSPError(_powered(a, b, there[0][0], back[0][0], pa, pb, factors))
+    effort = into[0] if pa.given == "flow" else into[1]
+    return Bond(a, b, "0" if effort > 0 else "1")
+
+
+def _factor(way: list[tuple[Link, _Pin, _Pin]], a: End, b: End) -> float:
+    found = {link.linear.factor for link, _, _ in way}
+    if len(found) > 1 or any(link.linear.offset for link, _, _ in way):
+        raise SSPError(f"{_name(a)} - {_name(b)}: one factor for all entries and no offset can join ports, not "
+                       f"{', '.join(str(link) for link, _, _ in way)}")  # fmt: skip
+    return found.pop()
+
+
+def _powered(a: End, b: End, there: Link, back: Link, pa: PortMap, pb: PortMap, factors: list[float]) -> str:
+    """Power is created, or a ratio would be needed that no junction has."""
+    if abs(factors[0]) != 1.0 or abs(factors[1]) != 1.0:
+        return (
+            f"{there} and {back}: ports are joined with the factors 1 and -1; for a ratio put a transformer or a gear "
+            "between them, or convert units by their definitions"
+        )
+    counts = ["out of it" if p.sign < 0 else "into it" for p in (pa, pb)]
+    turns = -1 if counts[0] == counts[1] else 1
+    flow, common = (back, there) if pa.given == summed(pa.domain) else (there, back)
+    return (
+        f"{there} and {back} create power: the flow of {_name(a)} counts {counts[0]}, that of {_name(b)} {counts[1]}. "
+        f"{flow.output} -> {flow.input} needs the factor {turns} (LinearTransformation), "
+        f"{common.output} -> {common.input} the factor 1"
+    )
+
+
+def _name(end: End) -> str:
+    return ".".join(end)

@@ -1,0 +1,82 @@
+"""Export of a scene as a package of SSP: each member becomes a unit in it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.discretise.model import build_model
+from phfmu.fmu.export import export
+from phfmu.fmu.unit_file import UnitFile, unit_file
+from phfmu.network.junctions.network import Network
+from phfmu.network.scene import Scene
+from phfmu.schemes.scheme import Scheme
+from phfmu.ssp.flat import identifier
+from phfmu.ssp.names import VERSIONS
+from phfmu.ssp.structure import SSPError
+from phfmu.ssp.writing import Contents, write_package
+from phfmu.words import meant
+
+
+@dataclass(frozen=True)
+class Options:
+    """How units are exported: step, s; FMI version; platforms as in `phfmu.fmu.export`; `schemes`: by member; `outward`:
+    ports (`member.port`) whose flow counts out of their unit."""
+
+    step: float
+    fmi: str = "2.0"
+    platforms: Sequence[str] | None = None
+    schemes: Mapping[str, Scheme] = field(default_factory=dict)
+    outward: Sequence[str] = ()
+
+
+def network_of(scene: Scene) -> Network:
+    """The network of a scene; a single component becomes its only member."""
+    if isinstance(scene.system, Network):
+        return scene.system
+    net = Network(identifier(scene.name), description=scene.description)
+    net.add(identifier(scene.system.name), scene.system)
+    return net
+
+
+def export_ssp(scene: Scene, directory: str | Path, options: Options, version: str = "1.0") -> tuple[Path, list[str]]:
+    """Write `<name>.ssp` of SSP `version`; its path, and lines about what other tools will not find in it.
+
+    Errors: SSPError; FMUError and those of the compiler for a member that cannot be exported.
+    """
+    if version not in VERSIONS:
+        raise SSPError(f"SSP version '{version}'; known: {', '.join(VERSIONS)}")
+    net = network_of(scene)
+    outward = _outward(net, options.outward)
+    path = Path(directory) / f"{net.name}.ssp"
+    with tempfile.TemporaryDirectory(prefix="phfmu-") as folder:
+        units = Network(net.name, junctions=list(net.junctions), description=net.description)
+        for name, member in net.members.items():
+            units.add(name, _unit(name, member, Path(folder), options, outward[name]))
+        lines = write_package(path, Contents(units, scene.stop, options.step, version))
+    events = [f"event at t = {e.t:g} s, {e.name} = {e.value:g}: SSP has no events" for e in scene.events]
+    return path, [*lines, *events]
+
+
+def _outward(net: Network, names: Sequence[str]) -> dict[str, list[str]]:
+    """Member -> its outward ports."""
+    known = [f"{m}.{p.name}" for m, d in net.members.items() for p in d.ports if p.external]
+    for name in names:
+        if name not in known:
+            raise SSPError(f"{net.name} has no port '{name}' that could count outward; {meant(name, known)}")
+    return {m: [n.partition(".")[2] for n in names if n.partition(".")[0] == m] for m in net.members}
+
+
+def _unit(name: str, member: PHDAE | UnitFile, folder: Path, options: Options, outward: list[str]) -> UnitFile:
+    if not isinstance(member, PHDAE):
+        if outward:
+            raise SSPError(f"{name} is a unit already; which way its ports count is fixed in it")
+        return member
+    model = build_model(replace(member, name=name), options.schemes.get(name))
+    (path,) = export(
+        model, folder / name, (options.fmi,), step=options.step, platforms=options.platforms, outward=outward
+    )
+    return unit_file(path)

@@ -1,0 +1,259 @@
+"""A structure without its systems: units by name, their values before the start, and links between their variables.
+
+Connections through connectors of systems are followed to the end; conversions of units and transformations on the way become
+one linear map.  Values at connectors of systems are handed on to what they are connected with.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from phfmu.fmu.words import plain
+from phfmu.ssp.structure import (
+    SINKS,
+    SOURCES,
+    Binding,
+    Component,
+    Connection,
+    Connector,
+    Joint,
+    Linear,
+    SSPError,
+    Structure,
+    System,
+    Unit,
+)
+from phfmu.ssp.units import conversion, named
+from phfmu.words import meant
+
+#: names of elements from the outermost system down to an element
+Path = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Link:
+    """From an output of one unit to an input of another: input = linear(output)."""
+
+    source: str
+    output: str
+    target: str
+    input: str
+    linear: Linear
+
+    def __str__(self) -> str:
+        factor = "" if self.linear == Linear() else f" (times {self.linear.factor:g}, plus {self.linear.offset:g})"
+        return f"{self.source}.{self.output} -> {self.target}.{self.input}{factor}"
+
+
+@dataclass(frozen=True)
+class Value:
+    """Of a variable before the start, in `unit` (None: in that of the variable)."""
+
+    value: float
+    unit: Unit | None
+
+
+@dataclass(frozen=True)
+class Flat:
+    """Units by the name of their member; `values`: member -> variable -> value; `joints`: ends are (member, port)."""
+
+    units: dict[str, Component]
+    links: list[Link]
+    values: dict[str, dict[str, Value]] = field(default_factory=dict)
+    joints: tuple[Joint, ...] = ()
+
+
+def flat(structure: Structure) -> Flat:
+    """SSPError names elements and connectors that there are not, inputs that are fed twice, units that do not fit."""
+    return _Flattening(structure).result()
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A connector of an element, as the system around it sees it: whether it gives or takes a value there."""
+
+    path: Path
+    connector: Connector
+    inside: bool
+
+    @property
+    def gives(self) -> bool:
+        return self.connector.kind in (SINKS if self.inside else SOURCES)
+
+    def __str__(self) -> str:
+        return ".".join((*self.path, self.connector.name))
+
+
+class _Flattening:
+    def __init__(self, structure: Structure):
+        self.structure = structure
+        self.components = dict(_components(structure.system, ()))
+        self.names = _members(self.components)
+        #: what feeds a connector: (path, name) -> (path, name) and the map
+        self.fed: dict[tuple[Path, str], tuple[tuple[Path, str], Linear]] = {}
+        self.values: dict[tuple[Path, str], Value] = {}
+
+    def result(self) -> Flat:
+        self._connect(self.structure.system, ())
+        self._bind(self.structure.system, ())
+        links = []
+        for path, name in list(self.fed):
+            if path in self.names:
+                links += self._followed(path, name)
+        values: dict[str, dict[str, Value]] = {}
+        for (path, name), value in self.values.items():
+            if path in self.names:
+                values.setdefault(self.names[path], {})[name] = value
+        units = {self.names[p]: c for p, c in self.components.items()}
+        return Flat(units, links, values, tuple(self._joints(self.structure.system, ())))
+
+    # -- connections --------------------------------------------------------------------------------------------------
+
+    def _connect(self, system: System, path: Path) -> None:
+        for c in system.connections:
+            a, b = (self._place(system, path, e, n) for e, n in c.ends)
+            if a.gives == b.gives:
+                both = "give a value" if a.gives else "take a value"
+                raise SSPError(f"connection {a} - {b}: both {both} ({a.connector.kind}, {b.connector.kind})")
+            source, target = (a, b) if a.gives else (b, a)
+            key = (target.path, target.connector.name)
+            if key in self.fed:
+                other, name = self.fed[key][0]
+                raise SSPError(f"{target} is fed twice: by {'.'.join((*other, name))} and by {source}")
+            self.fed[key] = ((source.path, source.connector.name), self._linear(c, source, target))
+        for name, element in system.elements.items():
+            if isinstance(element, System):
+                self._connect(element, (*path, name))
+
+    def _place(self, system: System, path: Path, element: str, name: str) -> _Place:
+        if not element:
+            return _Place(path, _connector(system, name, ".".join(path) or system.name), True)
+        if element not in system.elements:
+            where = ".".join(path) or system.name
+            raise SSPError(
+                f"a connection of '{where}' names the element '{element}'; {meant(element, system.elements)}"
+            )
+        return _Place((*path, element), _connector(system.elements[element], name, ".".join((*path, element))), False)
+
+    def _linear(self, c: Connection, source: _Place, target: _Place) -> Linear:
+        """The transformation, after the conversion of units unless it stands for that."""
+        a, b = (self._unit(p.connector) for p in (source, target))
+        if c.suppress:
+            return c.transformation
+        return conversion(a, b, f"connection {source} -> {target}").then(c.transformation)
+
+    def _unit(self, connector: Connector) -> Unit | None:
+        known = self.structure.units.get(connector.unit)
+        return known if known is not None else named(connector.unit)
+
+    def _followed(self, path: Path, name: str) -> Iterator[Link]:
+        """The link that ends at a variable of a unit; none where it begins at a connector of a system that nothing feeds."""
+        at, linear, seen = (path, name), Linear(), set[tuple[Path, str]]()
+        while at in self.fed:
+            if at in seen:
+                raise SSPError(f"connections go round in a circle at {'.'.join((*at[0], at[1]))}")
+            seen.add(at)
+            at, step = self.fed[at]
+            linear = step.then(linear)
+            if at[0] in self.names:
+                yield Link(self.names[at[0]], at[1], self.names[path], name, linear)
+                return
+        if at in self.values:
+            given = self.values[at]
+            self.values[path, name] = Value(linear(given.value), None)
+
+    # -- values -------------------------------------------------------------------------------------------------------
+
+    def _bind(self, system: System, path: Path) -> None:
+        """Those of outer systems count more, of one element those of the last binding."""
+        for name, element in system.elements.items():
+            if isinstance(element, System):
+                self._bind(element, (*path, name))
+            else:
+                for key, value in _bound(element.bindings).items():
+                    self.values[(*path, name), key] = value
+        for key, value in _bound(system.bindings).items():
+            for place, connector in _named_by(system, path, key):
+                self.values[place] = value if connector is None else self._at(value, connector)
+
+    def _at(self, value: Value, connector: Connector) -> Value:
+        """The value in the unit of a connector of a system."""
+        linear = conversion(value.unit, self._unit(connector), f"the value of '{connector.name}'")
+        return Value(linear(value.value), None)
+
+    # -- junctions ----------------------------------------------------------------------------------------------------
+
+    def _joints(self, system: System, path: Path) -> Iterator[Joint]:
+        for j in system.joints:
+            ends = []
+            for element, port in j.ends:
+                if (*path, element) not in self.names:
+                    units = [n for n, e in system.elements.items() if isinstance(e, Component)]
+                    raise SSPError(
+                        f"the annotated junction '{j.name}' names the unit '{element}'; {meant(element, units)}"
+                    )
+                ends.append((self.names[*path, element], port))
+            yield Joint(identifier("_".join((*path, j.name))), j.kind, tuple(ends))
+        for name, element in system.elements.items():
+            if isinstance(element, System):
+                yield from self._joints(element, (*path, name))
+
+
+def _components(system: System, path: Path) -> Iterator[tuple[Path, Component]]:
+    for name, element in system.elements.items():
+        if isinstance(element, System):
+            yield from _components(element, (*path, name))
+        else:
+            yield (*path, name), element
+
+
+def _members(components: Mapping[Path, Component]) -> dict[Path, str]:
+    """Path -> name of the member, an identifier."""
+    names: dict[Path, str] = {}
+    for path in components:
+        name = identifier("_".join(path))
+        if name in names.values():
+            other = next(p for p, n in names.items() if n == name)
+            raise SSPError(f"{'.'.join(other)} and {'.'.join(path)} would both be called '{name}' here; rename one")
+        names[path] = name
+    return names
+
+
+def identifier(text: str) -> str:
+    """The text as a name of a member, junction or network."""
+    name = re.sub(r"\W", "_", text, flags=re.ASCII)
+    return name if name and not name[0].isdigit() else f"m_{name}"
+
+
+def _connector(element: Component | System, name: str, where: str) -> Connector:
+    found = element.connectors.get(name)
+    if found is None:
+        raise SSPError(f"'{where}' has no connector '{plain(name, 200)}'; {meant(name, element.connectors)}")
+    if found.kind not in (*SINKS, *SOURCES):
+        raise SSPError(
+            f"'{where}.{name}' is of the kind '{plain(found.kind, 50)}', whose direction is open; say input or output"
+        )
+    return found
+
+
+def _bound(bindings: tuple[Binding, ...]) -> dict[str, Value]:
+    out: dict[str, Value] = {}
+    for b in bindings:
+        out |= {n: Value(v, b.units.get(n)) for n, v in b.values.items()}
+    return out
+
+
+def _named_by(system: System, path: Path, name: str) -> Iterator[tuple[tuple[Path, str], Connector | None]]:
+    """All that a hierarchical name stands for: a connector, and what is behind the name of an element and a dot."""
+    if name in system.connectors:
+        yield (path, name), system.connectors[name]
+    for element, inner in system.elements.items():
+        rest = name.removeprefix(f"{element}.")
+        if rest == name:
+            continue
+        if isinstance(inner, System):
+            yield from _named_by(inner, (*path, element), rest)
+        else:
+            yield ((*path, element), rest), None

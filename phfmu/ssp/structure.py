@@ -1,0 +1,124 @@
+"""What a System Structure Description says, in its own words (names of fields are those of the standard)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+#: kinds of connectors that give a value to what is connected with them, seen from inside their element
+SOURCES = ("output", "calculatedParameter", "constant", "local")
+SINKS = ("input", "parameter", "structuralParameter")
+
+
+class SSPError(ValueError):
+    """A package cannot be read or written; names the file, the entry and the remedy."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """target = factor * source + offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def then(self, other: Linear) -> Linear:
+        """First this one, then the other."""
+        return Linear(other.factor * self.factor, other.factor * self.offset + other.offset)
+
+    def __call__(self, value: float) -> float:
+        return self.factor * value + self.offset
+
+
+@dataclass(frozen=True)
+class Unit:
+    """SI value = factor * value + offset, in the product of the base units to `exponents` (BASE of `phfmu.declare.units`)."""
+
+    name: str
+    factor: float
+    offset: float
+    exponents: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Connector:
+    """`kind`: input, output, parameter, ..; `type`: Real, Float64, Integer, ..; `unit`: name in the units of its file."""
+
+    name: str
+    kind: str
+    type: str = "Real"
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Between connectors of elements, or (element "") of the system itself; `suppress`: no conversion of units."""
+
+    start_element: str
+    start_connector: str
+    end_element: str
+    end_connector: str
+    transformation: Linear = Linear()
+    suppress: bool = False
+
+    @property
+    def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """(element, connector) of both."""
+        return (self.start_element, self.start_connector), (self.end_element, self.end_connector)
+
+
+@dataclass(frozen=True)
+class Binding:
+    """Values by name: those of a parameter set after prefix and mapping; `units`: of those that tell theirs."""
+
+    values: Mapping[str, float]
+    units: Mapping[str, Unit] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A junction of power ports, told by the annotation: kind "0" or "1", ends (element, port)."""
+
+    name: str
+    kind: str
+    ends: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Component:
+    """A unit; `source`: its file in the package."""
+
+    name: str
+    source: str
+    connectors: Mapping[str, Connector] = field(default_factory=dict)
+    bindings: tuple[Binding, ...] = ()
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class System:
+    """Elements (components and systems) in their order, and what connects them."""
+
+    name: str
+    elements: Mapping[str, Component | System] = field(default_factory=dict)
+    connections: tuple[Connection, ...] = ()
+    connectors: Mapping[str, Connector] = field(default_factory=dict)
+    bindings: tuple[Binding, ...] = ()
+    joints: tuple[Joint, ...] = ()
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A package: its system, `units` by name, default experiment; `step`, s, is told by the annotation only.
+
+    `notes`: what was not read or checked, a line each.
+    """
+
+    version: str
+    name: str
+    system: System
+    units: Mapping[str, Unit] = field(default_factory=dict)
+    start: float = 0.0
+    stop: float | None = None
+    step: float | None = None
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,74 @@
+"""Units of SSP: definitions read and written, and what lies between values in two of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import isclose, isfinite
+
+from phfmu.declare.units import BASE, UnitError, parse_unit
+from phfmu.fmu.words import plain
+from phfmu.fmu.xml import Element, etree, number
+from phfmu.ssp.names import tag
+from phfmu.ssp.structure import Linear, SSPError, Unit
+
+
+def read_units(root: Element, kind: str) -> dict[str, Unit]:
+    """Units of a document (`kind`: ssd, ssv) by name."""
+    listed = root.find(tag(kind, "Units"))
+    return {u.get("name", ""): _read(u) for u in (() if listed is None else listed)}
+
+
+def _read(element: Element) -> Unit:
+    base, name = element.find(tag("ssc", "BaseUnit")), plain(element.get("name", ""), 100)
+    factor, offset = float(base.get("factor", "1")), float(base.get("offset", "0"))
+    if not (isfinite(factor) and factor > 0 and isfinite(offset)):
+        raise SSPError(
+            f"unit '{name}' has the factor {factor:g} and the offset {offset:g}; they must be finite, factors positive"
+        )
+    return Unit(name, factor, offset, tuple(int(base.get(b, "0")) for b in BASE))
+
+
+def named(text: str) -> Unit | None:
+    """What a unit text of this package or of an FMU is; None where it is no unit or cannot be read."""
+    if not text or text == "1":
+        return None
+    try:
+        found = parse_unit(text)
+    except UnitError:
+        return None
+    return Unit(text, found.factor, 0.0, found.exponents)
+
+
+def write_units(parent: Element, kind: str, texts: Iterable[str]) -> None:
+    """`Units` with the definitions of the units in use; nothing without any."""
+    wanted = sorted({t for t in texts if named(t) is not None})
+    if not wanted:
+        return
+    listed = etree.SubElement(parent, tag(kind, "Units"))
+    for text in wanted:
+        unit = parse_unit(text)
+        base = etree.SubElement(etree.SubElement(listed, tag("ssc", "Unit"), name=text), tag("ssc", "BaseUnit"))
+        for symbol, exponent in zip(BASE, unit.exponents, strict=True):
+            if exponent:
+                base.set(symbol, str(exponent))
+        if unit.factor != 1.0:
+            base.set("factor", number(unit.factor))
+
+
+def conversion(a: Unit | None, b: Unit | None, what: str) -> Linear:
+    """From values in a to values in b, `what` in words; nothing where one is not told.  rad counts as 1.
+
+    SSPError if they are not of one kind.
+    """
+    if a is None or b is None:
+        return Linear()
+    if a.exponents[:-1] != b.exponents[:-1]:
+        raise SSPError(f"{what}: unit mismatch: '{a.name}' ({_base(a)}) cannot become '{b.name}' ({_base(b)})")
+    if isclose(a.factor, b.factor, rel_tol=1e-12) and a.offset == b.offset:
+        return Linear()
+    return Linear(a.factor / b.factor, (a.offset - b.offset) / b.factor)
+
+
+def _base(unit: Unit) -> str:
+    parts = [f"{b}{e if e != 1 else ''}" for b, e in zip(BASE, unit.exponents, strict=True) if e]
+    return ".".join(parts) or "1"

@@ -1,0 +1,163 @@
+"""Writing a network of units as a package of SSP.
+
+Ports that fit plainly are connected variable by variable, with the factor -1 where flows meet that both count inward, so that any
+importer joins them; our annotation names all junctions, also those of several ports, which connections cannot say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from phfmu.fmu.description import generation_date, generation_tool
+from phfmu.fmu.interface import Scalar
+from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.package import write
+from phfmu.fmu.port_tables import ENDING
+from phfmu.fmu.unit_file import UnitFile
+from phfmu.fmu.words import plain
+from phfmu.fmu.xml import Element, etree, number, text_of
+from phfmu.network.junctions.junction import Junction
+from phfmu.network.junctions.network import Network
+from phfmu.ssp.bonds import joins_plainly
+from phfmu.ssp.names import NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
+from phfmu.ssp.sidecar import sidecar_text
+from phfmu.ssp.units import write_units
+
+#: name of all parameter sets: some importers apply one set by its name
+VALUES = "parameters"
+#: types of variables -> types of SSP 1.0
+_TYPES = {"Float64": "Real", "Float32": "Real", "Boolean": "Boolean", "Enumeration": "Integer"}
+_KINDS = ("input", "output", "parameter")
+
+
+@dataclass(frozen=True)
+class Contents:
+    """A network whose members are all units, and its run; `version`: of SSP.  Times in s."""
+
+    network: Network
+    stop: float
+    step: float
+    version: str = "1.0"
+
+
+def write_package(path: Path, contents: Contents) -> list[str]:
+    """The archive; lines about junctions that other tools will not see."""
+    units = contents.network.units
+    files = {STRUCTURE: structure(contents)}
+    for name, unit in units.items():
+        files[f"resources/{name}.fmu"] = unit.path.read_bytes()
+        if unit.port_maps != unit.interface.ports:
+            files[f"resources/{name}{ENDING}"] = sidecar_text(unit.port_maps).encode()
+        if values := _values(unit):
+            files[f"resources/{name}.ssv"] = parameter_set(values, unit, contents.version)
+    write(path, files)
+    return [
+        f"junction {j.name} ({', '.join(map(str, j.ends))}): only in the annotation {PORTS}, which other tools do not read; "
+        "plain connections cannot say it"
+        for j in contents.network.junctions
+        if not joins_plainly([contents.network.port_of(e).given for e in j.ends])
+    ]
+
+
+def structure(contents: Contents) -> bytes:
+    """SystemStructure.ssd."""
+    network, units = contents.network, contents.network.units
+    root = _root("ssd", contents.version, name=network.name)
+    system = etree.SubElement(root, tag("ssd", "System"), name=network.name)
+    if network.description:
+        system.set("description", plain(network.description))
+    elements = etree.SubElement(system, tag("ssd", "Elements"))
+    for name, unit in units.items():
+        _component(elements, name, unit, contents.version)
+    links = [link for j in network.junctions for link in _links(network, j)]
+    if links:
+        listed = etree.SubElement(system, tag("ssd", "Connections"))
+        for (a, out), (b, into), factor in links:
+            ends = {"startElement": a, "startConnector": out, "endElement": b, "endConnector": into}
+            connection = etree.SubElement(listed, tag("ssd", "Connection"), ends)
+            if factor != 1.0:
+                etree.SubElement(connection, tag("ssc", "LinearTransformation"), factor=number(factor))
+    _annotate(system, contents)
+    write_units(root, "ssd", {v.unit for u in units.values() for v in _connected(u)})
+    experiment = {"startTime": number(0.0), "stopTime": number(contents.stop)}
+    etree.SubElement(root, tag("ssd", "DefaultExperiment"), experiment)
+    return text_of(root)
+
+
+def parameter_set(values: Mapping[str, float], unit: UnitFile, version: str) -> bytes:
+    """An .ssv with values before the start."""
+    root = _root("ssv", version, name=VALUES)
+    listed = etree.SubElement(root, tag("ssv", "Parameters"))
+    for name, value in values.items():
+        element = etree.SubElement(etree.SubElement(listed, tag("ssv", "Parameter"), name=name), tag("ssv", "Real"))
+        element.set("value", number(value))
+        text = unit.interface.variables[name].unit
+        if text != "1":
+            element.set("unit", text)
+    write_units(root, "ssv", {unit.interface.variables[n].unit for n in values})
+    return text_of(root)
+
+
+def _links(network: Network, junction: Junction) -> Iterator[tuple[tuple[str, str], tuple[str, str], float]]:
+    """(member, output), (member, input), factor: both ways, entry by entry."""
+    if not joins_plainly([network.port_of(e).given for e in junction.ends]):
+        return
+    (a, pa), (b, pb) = ((e.member, _map(network, e.member, e.port)) for e in junction.ends)
+    for one, p, other, q in ((a, pa, b, pb), (b, pb, a, pa)):
+        turns = (q.given == "flow") if junction.kind == "0" else (q.given == "effort")
+        factor = (-1.0 if turns else 1.0) * p.output_sign * q.input_sign
+        for out, into in zip(p.outputs, q.inputs, strict=True):
+            yield (one, out), (other, into), factor
+
+
+def _map(network: Network, member: str, port: str) -> PortMap:
+    return next(p for p in network.units[member].port_maps if p.name == port)
+
+
+def _root(kind: str, version: str, **attributes: str) -> Element:
+    used = {k: v for k, v in NAMESPACES.items() if k in (kind, "ssc")}
+    root = etree.Element(tag(kind, ROOTS[kind]), nsmap=used, version=version, **attributes)
+    root.set("generationTool", generation_tool())
+    if date := generation_date():
+        root.set("generationDateAndTime", date)
+    return root
+
+
+def _component(parent: Element, name: str, unit: UnitFile, version: str) -> None:
+    component = etree.SubElement(parent, tag("ssd", "Component"), name=name, source=f"resources/{name}.fmu")
+    if unit.description:
+        component.set("description", plain(unit.description))
+    listed = etree.SubElement(component, tag("ssd", "Connectors"))
+    for v in _connected(unit):
+        connector = etree.SubElement(listed, tag("ssd", "Connector"), name=v.name, kind=v.causality)
+        own = v.type if unit.interface.version != "2.0" and version == "2.0" else _TYPES.get(v.type, "Integer")
+        type_ = etree.SubElement(connector, tag("ssc", own))
+        if v.unit != "1" and own in ("Real", "Float64", "Float32"):
+            type_.set("unit", v.unit)
+    if _values(unit):
+        bindings = etree.SubElement(component, tag("ssd", "ParameterBindings"))
+        etree.SubElement(bindings, tag("ssd", "ParameterBinding"), source=f"resources/{name}.ssv")
+
+
+def _connected(unit: UnitFile) -> list[Scalar]:
+    """What becomes a connector."""
+    return [v for v in unit.interface.variables.values() if v.causality in _KINDS]
+
+
+def _values(unit: UnitFile) -> dict[str, float]:
+    """Parameters, and what else was set before the start."""
+    variables = unit.interface.variables
+    own = {n: v.start for n, v in variables.items() if v.causality == "parameter" and v.start is not None}
+    return own | dict(unit.starts)
+
+
+def _annotate(system: Element, contents: Contents) -> None:
+    listed = etree.SubElement(system, tag("ssd", "Annotations"))
+    annotation = etree.SubElement(listed, tag("ssc", "Annotation"), type=PORTS)
+    network = etree.SubElement(annotation, f"{{{PORTS}}}Network", nsmap={"ports": PORTS}, step=number(contents.step))
+    for j in contents.network.junctions:
+        junction = etree.SubElement(network, f"{{{PORTS}}}Junction", name=j.name, kind=j.kind)
+        for e in j.ends:
+            etree.SubElement(junction, f"{{{PORTS}}}End", element=e.member, port=e.port)

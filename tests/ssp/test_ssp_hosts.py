@@ -1,0 +1,82 @@
+"""Packages in another master: ecos (FMI 2.0 and 3.0) steps them explicitly and gets an explicit run's numbers.
+
+It comes with `pip install phfmu[hosts]`; it runs in a process of its own, because it is a C++ library.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phfmu.cli import main
+from tests.ssp.packages import pack, unpacked
+
+pytestmark = pytest.mark.slow
+H, N = 1e-3, 200
+NAMES = ("mass1.q", "mass2.q", "spring12.e", "mass1.flange.velocity", "spring12.a.force", "mass2.energy.residual")
+
+ECOS = """
+import ctypes, json, sys
+from importlib.metadata import PackageNotFoundError, files
+try:
+    found = [f for f in files("tbb") if f.name == "libtbb.so.12"]
+    ctypes.CDLL(str(found[0].locate()), mode=ctypes.RTLD_GLOBAL)
+except (PackageNotFoundError, IndexError):
+    pass  # the system may have it
+try:
+    from ecospy import EcosSimulation
+except OSError as error:
+    sys.exit(f"cannot load: {error}")
+path, h, n, names = json.loads(sys.argv[1])
+simulation = EcosSimulation(ssp_path=path, step_size=h)
+simulation.init(parameter_set="parameters")
+simulation.step(n)
+print("RESULT", json.dumps([simulation.get_real(name.replace(".", "::", 1)) for name in names]))
+"""
+
+
+def run_elsewhere(script: str, *task: object) -> list[float]:
+    done = subprocess.run([sys.executable, "-c", script, json.dumps(task)], capture_output=True, text=True, timeout=120)
+    if "cannot load" in done.stderr:
+        pytest.skip(done.stderr.strip())
+    assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
+    (line,) = [t for t in done.stdout.splitlines() if t.startswith("RESULT ")]
+    return json.loads(line.removeprefix("RESULT "))
+
+
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_ecos_gets_the_numbers_of_an_explicit_run(tmp_path: Path, fmi: str) -> None:
+    """Parameters of the package count: the spring has another stiffness inside its unit."""
+    if find_spec("ecospy") is None:
+        pytest.skip("ecospy is not installed (pip install phfmu[hosts])")
+    assert main(["export", "oscillator", "--ssp", "--fmi", fmi, "--step", str(H), "-o", str(tmp_path)]) == 0
+    files = unpacked(tmp_path / "oscillator.ssp")
+    stiffer = re.sub(rb'value="157[.0-9]*"', b'value="170.0"', files["resources/spring12.ssv"])
+    assert stiffer != files["resources/spring12.ssv"]
+    path, table = pack(tmp_path / "stiffer.ssp", files | {"resources/spring12.ssv": stiffer}), tmp_path / "rows.csv"
+    found = run_elsewhere(ECOS, str(path), H, N, NAMES)
+    line = [
+        "run",
+        str(path),
+        "--coupling",
+        "jacobi",
+        "--step",
+        str(H),
+        "--stop",
+        str(N * H),
+        "-o",
+        str(table),
+        "--quiet",
+    ]
+    assert main(line) == 0
+    rows = np.genfromtxt(table, delimiter=",", names=True, deletechars="")
+    expected = [rows[name][-1] for name in NAMES]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    assert abs(found[0]) < 0.9 and abs(found[1]) > 1e-3
