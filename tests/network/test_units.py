@@ -354,3 +354,23 @@ def test_states_and_derivatives_of_isolated_units_are_those_of_others(isolated: 
         assert there.get(["v"]) == here.get(["v"])
         for _ in range(5):
             there.get_state()
+
+
+def test_a_network_of_units_only_that_cannot_take_steps_back(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One mass pushes another: what the predictions miss is told, not judged; steps without iteration do not fit a rigid joint."""
+    foreign.mass(folder / "pump.fmu", "3.0", saves=False)
+    path = folder / "units.py"
+    path.write_text(
+        "from phfmu import Network, Scene\n\ndef units():\n    net = Network('units')\n    net.add('a', 'pump.fmu')\n"
+        "    net.add('b', 'pump.fmu')\n    net.junction('j', ['a.flange', 'b.flange'])\n"
+        "    return Scene('units', net, stop=1.0, step=0.01)\n"
+    )
+    assert main(["run", str(path), "--set", "a.k=30", "--set", "a.q=0.1", "-o", str(folder / "o.csv")]) == 0
+    said = capsys.readouterr().out
+    assert "coupling newton: units cannot be composed; a, b are stepped last" in said
+    assert "loose" in next(line for line in said.splitlines() if line.startswith("j "))
+    rows = np.genfromtxt(folder / "o.csv", delimiter=",", names=True, deletechars="")
+    exact = -0.1 * np.sqrt(15.0) * np.sin(np.sqrt(15.0) * rows["time"])  # both masses of 1 on the spring of 30
+    assert np.abs(rows["a.v"] - exact).max() < 5e-3 and np.abs(rows["b.v"] - exact).max() < 5e-3
+    assert main(["run", str(path), "--set", "a.k=30", "--set", "a.q=0.1", "--coupling", "gauss-seidel"]) == 2
+    assert "no output gives a.flange.force" in capsys.readouterr().err

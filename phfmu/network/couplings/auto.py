@@ -20,17 +20,28 @@ def choose(network: Network, fmus: bool = False, stuck: Mapping[str, str] | None
     """One model where all members are declared; else steps are repeated, where units can go back, or taken once.
 
     `fmus`: some declared members are to be stepped as exported units.  `stuck`: units that cannot go back and what is wrong with
-    them, default those that say so.  One of them is stepped last against a predicted response; of more, predictions would meet.
+    them, default those that say so.  One of them is stepped last against a predicted response; with more, predictions would meet,
+    so all members step once where outputs of an instant tell what their junctions need.
     """
     units = network.units
     if not units and not fmus:
         return Choice("monolithic", "all members are declared, so they are stepped as one model")
     if stuck is None:
         stuck = {name: "cannot save its state" for name, unit in units.items() if not unit.interface.saves}
-    if len(stuck) > 1:
+    if len(stuck) > 1 and _given_by_outputs(network):
         why = "; ".join(f"{name} {words}" for name, words in stuck.items())
         return Choice("gauss-seidel", f"{why}, so no step can be repeated; junctions make energy, which is told")
     if stuck:
-        return Choice("newton", f"all members but {', '.join(stuck)} can repeat a step")
+        last = f"{', '.join(stuck)} {'are' if len(stuck) > 1 else 'is'} stepped last"
+        return Choice("newton", f"units cannot be composed; {last}, other members can repeat a step")
     named = ", ".join(units) or "some members"
     return Choice("newton", f"{named} cannot be composed, and all members can repeat a step")
+
+
+def _given_by_outputs(network: Network) -> bool:
+    """Whether at each junction one output gives the common variable, and the other ports take it."""
+    for j in network.junctions:
+        shared = "effort" if j.kind == "0" else "flow"
+        if sum(network.port_of(e).given != shared for e in j.ends) != 1:
+            return False
+    return True

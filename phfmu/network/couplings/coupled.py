@@ -44,10 +44,11 @@ class Coupled:
     ):
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
-        self._growth = None if self.coupling.closes else Growth(self.joined)
+        closes = self.coupling.closes and not self.joined.put_off
+        self._growth = None if closes else Growth(self.joined)
         face = self.joined.face
         self.last = Solution(face.start.copy(), np.zeros(len(face.P)))
-        self.booking = replace(self.joined.booking, loose=not self.coupling.closes)
+        self.booking = replace(self.joined.booking, loose=not closes)
         self._signals = HeldSignals(network, members)
         self._sums = EndSums(self.joined)
         self.names = [*self.joined.names, *face.names, *self._sums.names]

@@ -14,14 +14,18 @@ LIMIT = 1e6  # times the energy at the start with what was supplied since
 
 
 class Growth:
-    """Energies of the start and through free ports since, as absolute values; `LIMIT` times that is beyond any physics."""
+    """Energies of the start and through free ports since, as absolute values; `LIMIT` times that is beyond any physics.
+
+    Units whose energy is estimated count from zero: what they gave at most is what they had, or have from inside.
+    """
 
     def __init__(self, joined: Joined):
         self._joined = joined
         ports = joined.booking.ports
         self._outer = [i for i, p in enumerate(ports) if p.junction is None]
         self._inner = [i for i, p in enumerate(ports) if p.junction is not None]
-        self.known = 0.0
+        self._estimated = [c in joined.booking.estimated for c in joined.booking.components]
+        self.known, self._had = 0.0, 0.0
 
     def given(self, H: Array) -> None:
         """Energies at the start, or what an event changed in them."""
@@ -31,11 +35,13 @@ class Growth:
         """After a step from t with energies H and energy through `pairs`; StepFailure where they have run away."""
         known = self.known + float(np.abs(pairs[self._outer]).sum())
         total = float(np.abs(H).sum())
-        if not total <= LIMIT * known:
+        self._had = max(self._had, float(-H[self._estimated].clip(max=0.0).sum()))
+        known_here = known + self._had
+        if not total <= LIMIT * known_here and (known_here or not any(self._estimated)):
             made = float(pairs[self._inner].sum())
             raise StepFailure(
                 Status.GROWTH, self._joined.network.name, t, h, joined=True, composable=self._joined.network.composable,
-                tried=f"energy {total:.3g} J, {known:.3g} J at the start and supplied since; in this step the junctions "
+                tried=f"energy {total:.3g} J, {known_here:.3g} J at the start and supplied since; in this step the junctions "
                 f"supplied {made:.3g} J",
             )  # fmt: skip
         self.known = known

@@ -33,7 +33,8 @@ class Joined:
         require_members(network.name, network.members)
         self.network, self.members = network, members
         self.face = interface(network, members)
-        self._last = [m for m in members if isinstance(m, SteppedLast)]
+        #: members whose steps are put off until `finish`
+        self.put_off = [m for m in members if isinstance(m, SteppedLast)]
         self.booking = _booking(network, members)
         self.names = [f"{m.name}.{n}" for m in members for n in m.names]
         ends = np.cumsum([0, *(m.nu for m in members)]).tolist()
@@ -64,7 +65,7 @@ class Joined:
 
     def finish(self) -> None:
         """Members that were put off take the step that the others took."""
-        for m in self._last:
+        for m in self.put_off:
             m.finish()
 
     def rows(self, xi: Array, y: Array) -> Array:

@@ -59,6 +59,7 @@ class Halving:
         joined.restore(step.states)
         h = step.h / 2
         one = self._part(joined, last, Step(step.t, h, step.states), left - 1)
+        joined.finish()
         book = added(joined.ledger(), one.earlier)
         two = self._part(joined, one, Step(step.t + h, h, joined.states()), left - 1)
         return replace(
