@@ -42,10 +42,9 @@ def _of_model(target: str) -> tuple[list[str], int, int]:
     from phfmu.target import scene
 
     chosen = scene(target)
-    declaration = chosen.declaration()
     problems = check_scene(chosen, strict=True)
     errors = sum(p.severity == "error" for p in problems)
-    if declaration.constraints and not errors:
+    if not errors and not chosen.units and (declaration := chosen.declaration()).constraints:
         _print_rank(declaration)
     return [str(p) for p in problems], errors, len(problems) - errors
 

@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     from phfmu.declare.parameter_limits import Limit
     from phfmu.declare.phdae import PHDAE
     from phfmu.declare.variable import Variable
+    from phfmu.network.junctions.network import Network
+    from phfmu.network.scene import Scene
 
 
 def add_parser(verbs: Any) -> None:
@@ -20,7 +22,6 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from phfmu.declare.parameter_limits import limits
     from phfmu.network.junctions.network import Network
     from phfmu.target import is_fmu, scene
 
@@ -30,11 +31,11 @@ def call(args: argparse.Namespace) -> int:
         print(fmu_info(args.target), end="")
         return 0
     s = scene(args.target)
+    if s.units and isinstance(s.system, Network):
+        _print_apart(s, s.system)
+        return 0
     d = s.declaration()
-    print(f"{d.name}: {s.description or d.description}")
-    print(f"run: stop {s.stop:g} s, step {s.step:g} s, {len(s.events)} event{'s' if len(s.events) != 1 else ''}")
-    for e in s.events:
-        print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
+    _print_run(s, d.name, s.description or d.description)
     if d.members != ("",):
         print(f"members: {', '.join(d.members)}")
     words = {}
@@ -52,6 +53,40 @@ def call(args: argparse.Namespace) -> int:
     for name, ends in d.junctions:
         apart = f"; newton: {words[name]}" if name in words else ""
         print(f"junction {name}: {', '.join(ends)}; {kinds[name]}{apart}")
+    _print_declaration(d, args.target)
+    return 0
+
+
+def _print_run(s: Scene, name: str, description: str) -> None:
+    print(f"{name}: {description}")
+    print(f"run: stop {s.stop:g} s, step {s.step:g} s, {len(s.events)} event{'s' if len(s.events) != 1 else ''}")
+    for e in s.events:
+        print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
+
+
+def _print_apart(s: Scene, network: Network) -> None:
+    """A network with units, which is no one model."""
+    from phfmu.fmu.inspect import port_lines
+
+    _print_run(s, s.name, s.description or network.description)
+    print(f"members: {', '.join(network.members)}")
+    print("order: at most 2, units take held inputs")
+    for wire in network.wires:
+        print(f"signal {wire}")
+    for j in network.junctions:
+        print(f"junction {j.name}: {', '.join(map(str, j.ends))}; common {'effort' if j.kind == '0' else 'flow'}")
+    for name, file in network.units.items():
+        print(f"\n{name}: {file.path}, FMI {file.interface.version}, {file.description}".rstrip(", "))
+        print("\n".join([*port_lines(file.port_maps), *file.left_out]))
+    for name, declaration in network.declared.items():
+        print(f"\n{name}: {declaration.description}")
+        _print_declaration(declaration, name)
+
+
+def _print_declaration(d: PHDAE, target: str) -> None:
+    """States, parameters, ports, constraints and observables."""
+    from phfmu.declare.parameter_limits import limits
+
     limit = limits(d)
     signals = tuple(v for v in d.parameters if v.signal)
     fixed = tuple(v for v in d.parameters if not v.signal)
@@ -72,13 +107,12 @@ def call(args: argparse.Namespace) -> int:
         names = f"{p.name}.{p.domain.effort if p.given == 'effort' else p.domain.flow}{size}"
         print(f"  {p.name:<28} {p.domain.name:<14} input {names} [{p.input_unit}] ({how}), output [{p.output_unit}]")
     if d.constraints:
-        print(_rank(d, args.target))
+        print(_rank(d, target))
     if d.observables:
         print("observables:")
     for o in d.observables:
         size = f"[1..{o.expr.numel()}]" if o.expr.numel() > 1 else ""
         print(f"  {o.name + size:<28} {o.unit:<12} {o.description}".rstrip())
-    return 0
 
 
 def _rank(declaration: PHDAE, target: str) -> str:

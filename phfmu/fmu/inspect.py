@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import fmpy
 
 from phfmu.fmu.archive import Archive, open_archive
+from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.outward import summed
+from phfmu.fmu.unit_file import unit_file
 from phfmu.fmu.variables import FMUError
 
 
 def fmu_info(path: str | Path) -> str:
     """Text: version, ports with their pairs, variables with units and starts.  FMUError if it cannot be read."""
-    archive = open_archive(path)
+    archive, file = open_archive(path), unit_file(path)
     face = archive.interface
     lines = [f"{face.name}: {face.description}".rstrip(": "), f"FMI {face.version} for Co-Simulation"]
     lines.append(f"libraries for: {', '.join(archive.platforms) or 'no platform'}{_here(archive)}")
@@ -25,12 +28,7 @@ def fmu_info(path: str | Path) -> str:
     lines.append(f"energy ledger: {'exact, in the unit' if face.energy else 'none; port work can be estimated'}")
     if face.step is not None:
         lines.append(f"suggested step {face.step:g} s" + (f", stop {face.stop:g} s" if face.stop is not None else ""))
-    if face.ports:
-        lines.append("ports (power positive into the component):")
-    for p in face.ports:
-        sense = f"; {getattr(p.domain, summed(p.domain))} positive out of the component" if p.sign < 0 else ""
-        pairs = f"input {', '.join(p.inputs)}; output {', '.join(p.outputs)}"
-        lines.append(f"  {p.name:<24} {p.domain.name:<14} {pairs}{sense}")
+    lines += port_lines(file.port_maps)
     for causality in ("parameter", "input", "output", "local"):
         chosen = [v for v in face.variables.values() if v.causality == causality]
         if chosen:
@@ -39,9 +37,19 @@ def fmu_info(path: str | Path) -> str:
             start = "" if v.start is None else f"{v.start:g}"
             kind = v.unit if v.type == "Float64" else v.type
             lines.append(f"  {v.name:<32} {kind:<12} {start:<16} {v.description}".rstrip())
-    if face.left_out:
-        lines.append(f"left out, cannot be read or set here: {face.left_out}")
+    lines += file.left_out
     return "\n".join(lines) + "\n"
+
+
+def port_lines(ports: Sequence[PortMap]) -> list[str]:
+    """The ports with their pairs."""
+    lines = ["ports (power positive into the component):"] if ports else []
+    for p in ports:
+        sense = f"; {getattr(p.domain, summed(p.domain))} positive out of the component" if p.sign < 0 else ""
+        pairs = f"input {', '.join(p.inputs)}; output {', '.join(p.outputs)}"
+        work = "" if p.step_outputs else f"; work by {', '.join(p.displacements) or 'the trapezoidal rule'}"
+        lines.append(f"  {p.name:<24} {p.domain.name:<14} {pairs}{sense}{work}")
+    return lines
 
 
 def _here(archive: Archive) -> str:

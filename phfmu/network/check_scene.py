@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from difflib import get_close_matches
 
 import numpy as np
@@ -11,16 +12,28 @@ from phfmu.checks.check import check
 from phfmu.checks.run_values import check_values
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
+from phfmu.network.junctions.network import Network
 from phfmu.network.scene import Scene
 
 
 def check_scene(scene: Scene, *, strict: bool = False) -> list[Problem]:
     """Problems of the declaration as `check` tells them, of stop and step, and of the events and what they set."""
+    if scene.units and isinstance(scene.system, Network):
+        return _check_apart(scene, scene.system, strict)
     declaration = scene.declaration()
     found = [*check(declaration, strict=strict), *_times(scene), *_events(scene, declaration)]
     if any(p.severity == "error" for p in found):
         return found
     return found + check_values(declaration, events=[e for e in scene.events if e.t < scene.stop])
+
+
+def _check_apart(scene: Scene, network: Network, strict: bool) -> list[Problem]:
+    """A network with units: its declared members one by one; what events may set of units, these tell when they run."""
+    found = list(_times(scene))
+    for name, declaration in network.declared.items():
+        problems = [*check(declaration, strict=strict), *check_values(declaration)]
+        found += [replace(p, entry=f"{name}: {p.entry}") for p in problems]
+    return found
 
 
 def _times(scene: Scene) -> Iterator[Problem]:

@@ -357,7 +357,7 @@ def test_states_and_derivatives_of_isolated_units_are_those_of_others(isolated: 
 
 
 def test_a_network_of_units_only_that_cannot_take_steps_back(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One mass pushes another: what the predictions miss is told, not judged; steps without iteration do not fit a rigid joint."""
+    """One mass pushes another: what predictions miss is told, not judged; explicit couplings do not fit a rigid joint."""
     foreign.mass(folder / "pump.fmu", "3.0", saves=False)
     path = folder / "units.py"
     path.write_text(
@@ -374,3 +374,23 @@ def test_a_network_of_units_only_that_cannot_take_steps_back(folder: Path, capsy
     assert np.abs(rows["a.v"] - exact).max() < 5e-3 and np.abs(rows["b.v"] - exact).max() < 5e-3
     assert main(["run", str(path), "--set", "a.k=30", "--set", "a.q=0.1", "--coupling", "gauss-seidel"]) == 2
     assert "no output gives a.flange.force" in capsys.readouterr().err
+
+
+def test_info_and_check_know_scenes_with_units(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    foreign.mass(folder / "pump.fmu", "3.0")
+    path = scene(folder)
+    (folder / "pump.ports.toml").write_text(SIDECAR + 'displacement = "q"\n')
+    assert main(["info", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "members: pump, cart, spring" in said and "junction a: pump.flange, spring.a; common flow" in said
+    assert (
+        "translational  input F; output v; work by q" in said and "String: 1 (label)" in said and "cart: mass" in said
+    )
+    assert main(["info", str(folder / "pump.fmu")]) == 0
+    assert "translational  input F; output v; work by q" in capsys.readouterr().out
+    assert main(["check", str(path)]) == 0
+    path.write_text(path.read_text().replace("mass(2.0", "mass(-2.0"))
+    assert main(["check", str(path)]) == 1
+    assert "cart: " in (said := capsys.readouterr().out) and "-2" in said
+    assert main(["export", str(path)]) == 2
+    assert "mixed: pump is an FMU, which cannot be composed" in capsys.readouterr().err
