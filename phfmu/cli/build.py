@@ -10,6 +10,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from phfmu.cli.options import require_sound, scheme_of, settings
+from phfmu.cli.stepping import Stepping, asked_apart, engines_asked, parts_asked
 from phfmu.network.couplings.coupling_names import EXPLICIT
 from phfmu.target import is_fmu, scene
 from phfmu.words import meant
@@ -50,7 +51,7 @@ def job_of(args: argparse.Namespace) -> Job:
     """The scene, with its settings checked, and how it is stepped."""
     from phfmu.network.junctions.network import Network
 
-    if args.fmi is not None and args.engine != "fmu":
+    if args.fmi is not None and args.engine != "fmu" and not any(m.endswith("=fmu") for m in args.member):
         raise ValueError(f"--fmi {args.fmi} says what --engine fmu exports; add --engine fmu, or leave out --fmi")
     if is_fmu(args.target):
         return _fmu_run(args)
@@ -60,6 +61,8 @@ def job_of(args: argparse.Namespace) -> Job:
     require_sound_scene(args, s)
     tried = _tried(args, s)
     name, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
+    if asked_apart(args) and (name == "monolithic" or not isinstance(s.system, Network)):
+        raise ValueError(f"{args.target}: --member and --parts are for members of a network that are stepped apart")
     if name == "monolithic":
         return _monolithic(args, s, s.declaration(), why)
     if not isinstance(s.system, Network):
@@ -106,7 +109,7 @@ def _coupling(args: argparse.Namespace, s: Scene, stuck: Mapping[str, str]) -> t
         return args.coupling, []
     if not isinstance(s.system, Network):
         return "monolithic", []
-    found = choose(s.system, stuck=stuck)
+    found = choose(s.system, asked_apart(args), stuck)
     silent = args.coupling is None and found.name == "monolithic"
     return found.name, [] if silent else [f"coupling {found.name}: {found.why}"]
 
@@ -124,10 +127,10 @@ def require_sound_scene(args: argparse.Namespace, s: Scene, events: Sequence[Eve
     return None
 
 
-def engine_of(args: argparse.Namespace) -> str:
+def engine_of(engine: str) -> str:
     """`auto` resolved: native if a compiler is found, else python, which is said on stderr."""
-    if args.engine != "auto":
-        return args.engine
+    if engine != "auto":
+        return engine
     from phfmu.engine.compile import CompilerMissing, require_compiler
 
     try:
@@ -199,7 +202,7 @@ def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf
     gradient = "" if schemes[0].gradient in ("per-term", "nodal") else f", {schemes[0].gradient}"
     own = min(s.order for s in schemes)
     why = f" (members of order {own}, {held})" if own > most else ""
-    return f"{names}, order {min(most, own)}{why}{gradient}, {engine} engine, {coupling}"
+    return f"{names}, order {min(most, own)}{why}{gradient}, {engine}, {coupling}"
 
 
 def _most(coupling: Named, schemes: Iterable[Scheme], signals: bool) -> float:
@@ -223,7 +226,7 @@ def _order_lost(asked: int | None, coupling: Named, most: float) -> list[str]:
 
 
 def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]) -> Job:
-    scheme, engine = scheme_of(args, declaration), engine_of(args)
+    scheme, engine = scheme_of(args, declaration), engine_of(args.engine)
 
     def build() -> Stepper:
         from phfmu.discretise.model import build_model
@@ -232,11 +235,11 @@ def _monolithic(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: lis
         if engine == "fmu":
             from phfmu.network.couplings.unit import FMUStepper
 
-            return FMUStepper(_as_fmu(declaration, scheme, args, s.step))
+            return FMUStepper(_as_fmu(declaration, scheme, args.fmi, s.step if args.step is None else args.step))
         model = build_model(declaration, scheme)
         return Monolithic(model, instance_of(model, engine))
 
-    return Job(s, _label([scheme], engine, "monolithic"), engine != "fmu", build, why)
+    return Job(s, _label([scheme], f"{engine} engine", "monolithic"), engine != "fmu", build, why)
 
 
 def _coupled(
@@ -244,14 +247,17 @@ def _coupled(
 ) -> Job:
     from phfmu.network.couplings.named import named_coupling
 
-    engine, sequence = engine_of(args), args.sequence and [name.strip() for name in args.sequence.split(",")]
+    sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
     coupling = named_coupling(name, network, sequence, args.unconverged)
     schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
 
+    own_engines = {member: engine_of(e) for member, e in engines_asked(args, network).items()}
+    stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, network))
     step = s.step if args.step is None else args.step
     notes = list(why)
 
-    kicked = _kicked(network) if engine == "fmu" and coupling.nodes else set()
+    some_fmu = "fmu" in map(stepping.engine_of, schemes)
+    kicked = _kicked(network) if some_fmu and coupling.nodes else set()
 
     def member(name: str, declaration: PHDAE | UnitFile) -> Member:
         from phfmu.declare.phdae import PHDAE
@@ -263,13 +269,14 @@ def _coupled(
             made, lines = unit_member(name, declaration, step, tried.get(name))
             notes.extend(lines)
             return made
-        own = replace(declaration, name=name)
-        if engine == "fmu":
+        own, parts = replace(declaration, name=name), stepping.parts_of(name)
+        if stepping.engine_of(name) == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
 
-            return FMUMember(name, _as_fmu(own, schemes[name], args, s.step, *_exchanged(schemes[name], name, kicked)))
+            extra = _exchanged(schemes[name], name, kicked)
+            return FMUMember(name, _as_fmu(own, schemes[name], args.fmi, step / parts, *extra))
         model = build_model(own, schemes[name])
-        return EngineMember(name, model, instance_of(model, engine))
+        return EngineMember(name, model, instance_of(model, stepping.engine_of(name)), parts)
 
     def build() -> Stepper:
         from phfmu.network.couplings.coupled import Coupled
@@ -277,7 +284,7 @@ def _coupled(
         return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling.make)
 
     most = coupling.order if network.units else _most(coupling, schemes.values(), bool(network.wires))
-    label = _label(list(schemes.values()), engine, coupling.words, most, coupling.held)
+    label = _label(list(schemes.values()), stepping.words, coupling.words, most, coupling.held)
     notes += _order_lost(args.order, coupling, most)
     return Job(s, label, False, build, notes)
 
@@ -296,7 +303,7 @@ def _exchanged(scheme: Scheme, name: str, kicked: set[str]) -> tuple[bool, bool]
 def _as_fmu(
     declaration: PHDAE,
     scheme: Any,
-    args: argparse.Namespace,
+    fmi: str | None,
     step: float,
     node_inputs: bool = False,
     impulses: bool = False,
@@ -313,9 +320,8 @@ def _as_fmu(
 
     folder = tempfile.mkdtemp(prefix="phfmu-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    step = step if args.step is None else args.step
     tunable = [v.name for v in declaration.parameters if not v.signal]
-    versions = (args.fmi or LATEST,)
+    versions = (fmi or LATEST,)
     (path,) = export(
         build_model(declaration, scheme), folder, versions, step=step, node_inputs=node_inputs, impulses=impulses,
         tunable=tunable,
@@ -339,6 +345,10 @@ def _fmu_run(args: argparse.Namespace) -> Job:
 
 def _refuse_compiled_in(args: argparse.Namespace) -> None:
     """ValueError for options that an FMU has compiled in."""
+    if asked_apart(args):
+        raise ValueError(
+            f"{args.target}: --member and --parts are for members of a network; an FMU has none to choose for"
+        )
     usual = {"order": (None, 2), "scheme": ("auto",), "gradient": ("per-term",), "closure": (None,),
              "engine": ("auto", "fmu"), "coupling": (None, "auto", "monolithic")}  # fmt: skip
     for option, values in usual.items():

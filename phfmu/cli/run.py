@@ -22,7 +22,7 @@ NOTES = 12
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.cli import options
+    from phfmu.cli import options, stepping
     from phfmu.cli.codes import TARGET
     from phfmu.fmu.version import LATEST, VERSIONS
     from phfmu.network.couplings.coupling_names import COUPLINGS
@@ -32,8 +32,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
     parser.add_argument("--step", type=float, help="communication step in s (default: the scene's; none with --rtol)")
     options.add_scheme(parser)
-    parser.add_argument("--engine", default="auto", choices=("auto", "python", "native", "fmu"),
+    parser.add_argument("--engine", default="auto", choices=stepping.ENGINES,
                         help="auto: native if a C compiler is there, else python")  # fmt: skip
+    stepping.add_stepping(parser)
     parser.add_argument("--fmi", choices=tuple(VERSIONS), help=f"FMI version of --engine fmu (default {LATEST})")
     parser.add_argument("--coupling", choices=tuple(COUPLINGS),
                         help="; ".join(f"{name}: {line}" for name, line in COUPLINGS.items()) + " (default: auto)")  # fmt: skip

@@ -36,30 +36,23 @@ def mixed(folder: Path, version: str, saves: bool) -> Path:
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_a_unit_that_cannot_go_back_is_stepped_once(
+def test_a_unit_that_cannot_go_back_is_stepped_last(
     version: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without a word from the user; the motion is that of the coupling that repeats steps, up to its order."""
+    """Without a word from the user; on request once, with the others; the motion is that of repeated steps, up to the order."""
     table = tmp_path / "rows.csv"
     ends = []
-    for saves, words in (
-        (False, "coupling gauss-seidel: pump cannot save its state"),
-        (True, "coupling newton: pump cannot be"),
+    for saves, more, words, loose in (
+        (True, (), "coupling newton: pump cannot be composed", False),
+        (False, (), "coupling newton: units cannot be composed; pump is stepped last", True),
+        (False, ("--coupling", "gauss-seidel"), "gauss-seidel coupling (pump, cart, spring)", True),
     ):
         path = mixed(tmp_path, version, saves)
-        assert main(["run", str(path), "-o", str(table)]) == 0
+        assert main(["run", str(path), "-o", str(table), *more]) == 0
         out = capsys.readouterr().out
-        assert words in out and ("loose" in out) is not saves
+        assert words in out and ("loose" in out) is loose
         ends.append(np.genfromtxt(table, delimiter=",", names=True, deletechars="")["cart.q"])
-    assert 1e-6 < abs(ends[0] - ends[1]).max() < 0.02
-
-
-def test_steps_of_a_unit_that_cannot_go_back_are_not_repeated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = mixed(tmp_path, "3.0", saves=False)
-    assert main(["run", str(path), "--coupling", "newton"]) == 2
-    assert "cannot save its state" in capsys.readouterr().err
+    assert 1e-6 < abs(ends[2] - ends[0]).max() < 0.02
 
 
 def test_declared_members_are_one_model_and_that_is_said_on_request(capsys: pytest.CaptureFixture[str]) -> None:

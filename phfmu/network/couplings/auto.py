@@ -16,15 +16,15 @@ class Choice:
     why: str
 
 
-def choose(network: Network, fmus: bool = False, stuck: Mapping[str, str] | None = None) -> Choice:
+def choose(network: Network, apart: bool = False, stuck: Mapping[str, str] | None = None) -> Choice:
     """One model where all members are declared; else steps are repeated, where units can go back, or taken once.
 
-    `fmus`: some declared members are to be stepped as exported units.  `stuck`: units that cannot go back and what is wrong with
+    `apart`: declared members are to be stepped in ways of their own.  `stuck`: units that cannot go back and what is wrong with
     them, default those that say so.  One of them is stepped last against a predicted response; with more, predictions would meet,
     so all members step once where outputs of an instant tell what their junctions need.
     """
     units = network.units
-    if not units and not fmus:
+    if not units and not apart:
         return Choice("monolithic", "all members are declared, so they are stepped as one model")
     if stuck is None:
         stuck = {name: "cannot save its state" for name, unit in units.items() if not unit.interface.saves}
@@ -34,8 +34,8 @@ def choose(network: Network, fmus: bool = False, stuck: Mapping[str, str] | None
     if stuck:
         last = f"{', '.join(stuck)} {'are' if len(stuck) > 1 else 'is'} stepped last"
         return Choice("newton", f"units cannot be composed; {last}, other members can repeat a step")
-    named = ", ".join(units) or "some members"
-    return Choice("newton", f"{named} cannot be composed, and all members can repeat a step")
+    why = f"{', '.join(units)} cannot be composed" if units else "members have engines or steps of their own"
+    return Choice("newton", f"{why}, and all members can repeat a step")
 
 
 def _given_by_outputs(network: Network) -> bool:

@@ -56,7 +56,9 @@ class Coupled:
     @cached_property
     def _master(self) -> Master | None:
         """The steps in compiled code, where there are such."""
-        if self.joined.network.wires or not all(isinstance(m, EngineMember) for m in self.joined.members):
+        if self.joined.network.wires or not all(
+            isinstance(m, EngineMember) and m.parts == 1 for m in self.joined.members
+        ):
             return None
         from phfmu.network.couplings.master import master
 

@@ -23,17 +23,17 @@ Array = NDArray[np.float64]
 
 
 class EngineMember:
-    """A member stepped by a Python or native instance of its model."""
+    """A member stepped by a Python or native instance of its model, in `parts` equal internal steps per step."""
 
     saves = True
 
-    def __init__(self, name: str, model: Model, instance: Any):
+    def __init__(self, name: str, model: Model, instance: Any, parts: int = 1):
         if model.events is not None:
             raise ValueError(
                 f"member '{name}' has state events ({', '.join(model.events.names[:4])}), which are landed on in one composed "
                 "model only; leave out --coupling newton, which composes the network"
             )
-        self.name, self.model, self.instance = name, model, instance
+        self.name, self.model, self.instance, self.parts = name, model, instance, parts
         self._inputs = Inputs(instance, model)
         d = model.declaration
         free = [p for p in d.ports if p.external]
@@ -80,7 +80,7 @@ class EngineMember:
         self.instance.set_input(u)
 
     def do_step(self, t: float, h: float) -> None:
-        self.instance.do_step(t, h)
+        self.instance.do_step(t, h, self.parts)
 
     def output(self) -> Array:
         return self.instance.output()

@@ -1,0 +1,85 @@
+"""How the declared members of a network are stepped: each with an engine of its own, in internal steps of its own."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from phfmu.words import meant
+
+if TYPE_CHECKING:
+    from phfmu.network.junctions.network import Network
+
+ENGINES = ("auto", "python", "native", "fmu")
+
+
+def add_stepping(parser: argparse.ArgumentParser) -> None:
+    """--member, --parts."""
+    parser.add_argument("--member", action="append", default=[], metavar="NAME=ENGINE",
+                        help="the engine of one member of a network that is stepped apart; may be repeated")  # fmt: skip
+    parser.add_argument("--parts", action="append", default=[], metavar="NAME=N",
+                        help="internal steps that a member takes in each communication step; may be repeated")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """engines, parts: by member, where they differ from `engine` and 1."""
+
+    engine: str
+    engines: Mapping[str, str]
+    parts: Mapping[str, int]
+
+    def engine_of(self, name: str) -> str:
+        return self.engines.get(name, self.engine)
+
+    def parts_of(self, name: str) -> int:
+        return self.parts.get(name, 1)
+
+    @property
+    def words(self) -> str:
+        """For the head line of a run."""
+        said = [f"{name}: {engine}" for name, engine in self.engines.items() if engine != self.engine]
+        said += [f"{name}: {n} steps in each" for name, n in self.parts.items() if n > 1]
+        return f"{self.engine} engine" + (f" ({', '.join(said)})" if said else "")
+
+
+def asked_apart(args: argparse.Namespace) -> bool:
+    """Whether members are to be stepped in ways of their own, so that they cannot be one model."""
+    return bool(args.member or args.parts)
+
+
+def engines_asked(args: argparse.Namespace, network: Network) -> dict[str, str]:
+    """--member; ValueError for what is no member or engine."""
+    found = _pairs(args.member, "--member", "ENGINE", network)
+    for name, engine in found.items():
+        if engine not in ENGINES:
+            raise ValueError(f"--member {name}={engine}: no such engine; {meant(engine, ENGINES)}")
+    return found
+
+
+def parts_asked(args: argparse.Namespace, network: Network) -> dict[str, int]:
+    """--parts; ValueError for what is no member or positive number."""
+    out = {}
+    for name, text in _pairs(args.parts, "--parts", "N", network).items():
+        if not (text.isdecimal() and int(text) > 0):
+            raise ValueError(f"--parts {name}={text}: expected a number of internal steps from 1")
+        out[name] = int(text)
+    return out
+
+
+def _pairs(items: list[str], option: str, what: str, network: Network) -> dict[str, str]:
+    out: dict[str, str] = {}
+    for item in items:
+        name, sign, value = (part.strip() for part in item.partition("="))
+        if not sign or not value:
+            raise ValueError(f"{option} {item}: expected NAME={what}")
+        if name in network.units:
+            raise ValueError(f"{option} {item}: {name} is an FMU, whose method is compiled in")
+        if name not in network.members:
+            raise ValueError(f"{option} {item}: {network.name} has no member '{name}'; {meant(name, network.members)}")
+        if name in out:
+            raise ValueError(f"{option} {item}: there is {option} {name}={out[name]} already")
+        out[name] = value
+    return out
