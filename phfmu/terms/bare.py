@@ -9,8 +9,9 @@ The row of such a node, c(x) = -L(x)^T z = 0, contains no algebraic variable (in
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import casadi as ca
@@ -23,6 +24,8 @@ from phfmu.terms.rows import costate_symbols, costates, row_expressions
 from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, Term, TermKind, Terms
 
 Remedy = Literal["pair", "projection", "none"]
+#: smallest over largest eigenvalue of an inductance matrix that counts as singular
+SINGULAR = 1e-12
 #: the impulses of a bare node on the states of a member
 IMPULSE = TermKind("impulse")
 
@@ -35,6 +38,23 @@ class BareNode:
     name: str
     remedy: Remedy
     reason: str = ""
+
+
+def remedy(linear: bool, unfit: str, S: Callable[[], np.ndarray], bent: Callable[[], str]) -> tuple[Remedy, str] | None:
+    """What is done about rows that S couples, composed or of members stepped apart, and why not more; None: nothing is needed.
+
+    linear: all rows are linear in the state and stay at their start;  unfit: why no impulse may act;  S: inductance matrix;
+    bent: why H is not quadratic along the impulses.  The last two are asked for where they matter.
+    """
+    if linear:
+        return None
+    if unfit:
+        return "none", unfit
+    values = np.linalg.eigvalsh(S())
+    if not values[0] > SINGULAR * values[-1]:
+        return "none", "its inductance matrix is singular (isolated neutral)"
+    reason = bent()
+    return ("projection", reason) if reason else ("pair", "")
 
 
 def bare_nodes(terms: Terms) -> list[BareNode]:
@@ -64,11 +84,14 @@ class Finder:
         self.states = {r: set(self.L[r].sparsity().get_triplet()[1]) for r in rows}
         self.owner = {r.index: t.owner for t in terms.of(ENERGY, JOINT, CLOSED) for r in t.rows}
         linear = self._linear(L, rows)
+        names = [n for v in model.algebraics for n in v.names()]
         for cluster in self._clusters(rows):
-            if not linear.issuperset(cluster):
-                remedy, reason = self._remedy(cluster)
-                names = [n for v in model.algebraics for n in v.names()]
-                self.nodes += [BareNode(r, names[r], remedy, reason) for r in cluster]
+            at, psi = [self.place[r] for r in cluster], ca.vertcat(*(self.x[i] for i in self._states(cluster)))
+            S = self.S[at, at]
+            bent = partial(self._bent, S, psi)
+            found = remedy(linear.issuperset(cluster), self._unfit(cluster), partial(self._at_start, S), bent)
+            if found is not None:
+                self.nodes += [BareNode(r, names[r], *found) for r in cluster]
 
     def _linear(self, L: ca.SX, rows: list[int]) -> set[int]:
         """Rows whose c is linear in the state."""
@@ -85,29 +108,29 @@ class Finder:
     def _states(self, cluster: list[int]) -> list[int]:
         return sorted(set().union(*(self.states[r] for r in cluster)))
 
-    def _remedy(self, cluster: list[int]) -> tuple[Remedy, str]:
+    def _unfit(self, cluster: list[int]) -> str:
+        """Why no impulse may act at these rows ("": some may)."""
         model, states = self.terms.model, self._states(cluster)
         names = [n for v in model.states for n in v.names()]
         nodes = [n for v in model.algebraics for n in v.names()]
         for i in states:
             if i in self._special:
-                return "none", f"the row of {names[i]} has E other than identity"
+                return f"the row of {names[i]} has E other than identity"
             if i not in self.owner:
-                return "none", f"{names[i]} stores no energy"
+                return f"{names[i]} stores no energy"
         psi = ca.vertcat(*(self.x[i] for i in states))
         algebraics = ca.vertcat(*(v.sx for v in model.algebraics))
         for r in cluster:
             if ca.depends_on(self.expr[r], algebraics) or ca.depends_on(self.L[r], self.z):
-                return "none", f"the row of {nodes[r]} contains other algebraic variables"
+                return f"the row of {nodes[r]} contains other algebraic variables"
             if depends(self.L[r], psi):
-                return "none", f"the coefficients of {nodes[r]} depend on the states they act on"
-        at = [self.place[r] for r in cluster]
-        values = np.linalg.eigvalsh(self._at_start(self.S[at, at]))
-        if not values[0] > 1e-12 * values[-1]:
-            return "none", "its inductance matrix is singular (isolated neutral)"
-        if depends(self.S[at, at], psi):
-            return "projection", "the stored energy is not quadratic in the states of its branches (saturation)"
-        return "pair", ""
+                return f"the coefficients of {nodes[r]} depend on the states they act on"
+        return ""
+
+    def _bent(self, S: ca.SX, psi: ca.SX) -> str:
+        return (
+            "the stored energy is not quadratic in the states of its branches (saturation)" if depends(S, psi) else ""
+        )
 
     @cached_property
     def _special(self) -> set[int]:

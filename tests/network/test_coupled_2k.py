@@ -34,6 +34,7 @@ from phfmu import (
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
+from phfmu.engine.status import Status
 from phfmu.network.couplings.coupling import Step
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
@@ -211,9 +212,20 @@ def test_a_step_that_fails_brings_impulses_and_unknowns_back() -> None:
     stepper.advance(0.0, 1e-3, 2)
     before, last = [m.instance.get_state() for m in own], stepper.last
     H = stepper.energies()
+    step, trials = own[1].do_step, []
+
+    def fails(t: float, h: float) -> None:
+        """The second trial, after the others have stepped."""
+        step(t, h)
+        trials.append(t)
+        if len(trials) == 2:
+            raise StepFailure(Status.NO_CONVERGENCE, "line", t, h)
+
+    own[1].do_step = fails
     with pytest.raises(StepFailure):
-        stepper.advance(2e-3, 1e6, 1)
-    assert stepper.last is last and np.array_equal(stepper.energies(), H)
+        stepper.advance(2e-3, 1e-3, 1)
+    own[1].do_step = step
+    assert len(trials) == 2 and stepper.last is last and np.array_equal(stepper.energies(), H)
     for m, s in zip(own, before, strict=True):
         assert np.array_equal(m.instance.get_state().x, s.x) and np.array_equal(
             m.instance.get_state().impulses, s.impulses

@@ -1,13 +1,14 @@
 """Which common variables of coupled members carry impulses: bare nodes, all of whose ports take pairs of them.
 
 With S = sum_j P_j^T S_j P_j over the members (A/(V s)), variables that S couples are a cluster: they share branches. Of a cluster
-all carry impulses or none does.
+all carry impulses or none does, by the rule of composed models (`terms/bare.py`); where that projects, members apart do without.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +17,21 @@ from scipy.sparse.csgraph import connected_components
 from phfmu.network.junctions.interface import Interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.node_values import Offer
+from phfmu.terms.bare import remedy
 
 Array = NDArray[np.float64]
-
-SINGULAR = 1e-12  # smallest over largest eigenvalue of S, as for composed models
 
 
 @dataclass(frozen=True)
 class Bare:
-    """columns: those with impulses;  why: bare junction without -> the reason ("": its sum is linear and stays at its start)."""
+    """columns: those with impulses;  why: bare junction without -> the reason ("": its sum is linear and stays at its start).
+
+    offered: columns of all junctions whose ports take impulses.
+    """
 
     columns: tuple[int, ...]
     why: dict[str, str]
+    offered: tuple[int, ...] = ()
 
 
 def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Sequence[Offer | None]) -> Bare:
@@ -47,8 +51,8 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
         linear[j.name] = all(e.linear for e in ends if e is not None)
         odd = [f"{end}: {e.reason}" for end, e in zip(j.ends, ends, strict=True) if e is not None and e.kind != "pair"]
         refused[j.name] = "; ".join(odd)
-    if all(linear.values()):
-        return Bare((), dict.fromkeys(linear, ""))
+    if all(linear.values()):  # the common case, which needs no matrix
+        return Bare((), dict.fromkeys(linear, ""), tuple(columns))
     S = np.zeros((len(columns),) * 2)
     for o, place in zip(offers, inputs, strict=True):
         if o is not None and (Q := face.P[place][o.kicked][:, columns]).any():
@@ -57,18 +61,18 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
     taken, why = list[int](), {}
     for part in _clusters(S):
         names = list(dict.fromkeys(at[columns[i]] for i in part))
-        if all(linear[n] for n in names):
-            why |= dict.fromkeys(names, "")
-            continue
-        reason = "; ".join(filter(None, (refused[n] for n in names)))
-        values = np.linalg.eigvalsh(S[np.ix_(part, part)])
-        if not reason and not values[0] > SINGULAR * values[-1]:
-            reason = "its inductance matrix is singular (isolated neutral)"
-        if reason:
-            why |= dict.fromkeys(names, reason)
-        else:
+        bent = "; ".join(filter(None, (refused[n] for n in names)))
+        found = remedy(all(linear[n] for n in names), "", partial(_part, S, part), partial(str, bent))
+        kind, reason = found or ("none", "")
+        if kind == "pair":
             taken += [columns[i] for i in part]
-    return Bare(tuple(sorted(taken)), why)
+        else:
+            why |= dict.fromkeys(names, reason)
+    return Bare(tuple(sorted(taken)), why, tuple(columns))
+
+
+def _part(S: Array, part: NDArray[np.intp]) -> Array:
+    return S[np.ix_(part, part)]
 
 
 def _clusters(S: Array) -> list[NDArray[np.intp]]:

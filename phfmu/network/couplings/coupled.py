@@ -26,6 +26,7 @@ from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 
 if TYPE_CHECKING:
+    from phfmu.discretise.start import Projection
     from phfmu.network.couplings.master import Master
 
 Array = NDArray[Any]
@@ -101,9 +102,19 @@ class Coupled:
         self._sums.require_zero(self.last.xi)
         self.last = replace(self.last, y=self.joined.end_outputs())
 
-    def project_start(self, t0: float, kept: Sequence[str] = ()) -> None:
-        """Members know their own constraints only; ValueError tells how to start."""
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection:
+        """Joined flows (efforts) of states made zero by an impulse at their nodes; what has moved.
+
+        Members know their own constraints only: ValueError tells how to start where units meet, and of `kept` states.
+        """
+        from phfmu.network.couplings.exchange import Exchange
+        from phfmu.network.couplings.impulsive_start import movable, moved_start
+
         network = self.joined.network
+        if not kept and movable(exchange := Exchange(self.joined)):
+            found = moved_start(exchange, t0)
+            self.last = Solution(self.last.xi, self.last.y)
+            return found
         instead = "use --coupling monolithic" if network.composable else "start its units where the junctions hold"
         raise ValueError(f"{network.name}: a coupled network cannot be projected at t = {t0:g} s; {instead}")
 

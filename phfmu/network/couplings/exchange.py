@@ -42,7 +42,10 @@ class Share:
 
 
 class Exchange:
-    """Unknowns xi (N): of each column of the interface its k_J values; `bare`: columns with impulses."""
+    """Unknowns xi (N): of each column of the interface its k_J values; `bare`: columns with impulses.
+
+    `offered`: columns of all junctions whose ports take impulses.
+    """
 
     def __init__(self, joined: Joined):
         self.joined, face = joined, joined.face
@@ -54,7 +57,9 @@ class Exchange:
         self.weights = np.concatenate([nodes(k).b for k in self.k]) if len(self.k) else np.zeros(0)
         same = self.at_node[:, None] == self.at_node
         self.C = face.C[np.ix_(self.columns, self.columns)] * same
-        self.bare = list(bare(joined.network, face, joined.places, [v.offer for v in parts]).columns)
+        offers = [v.offer for v in parts]
+        found = bare(joined.network, face, joined.places, offers)
+        self.bare, self.offered = list(found.columns), list(found.offered)
         #: (-1)^k_J per bare column
         self.signs = (-1.0) ** self.k[self.bare]
         self.shares = [self._share(v, place) for v, place in zip(parts, joined.places, strict=True)]

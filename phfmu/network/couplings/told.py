@@ -22,18 +22,17 @@ def order_told(network: Network) -> str:
 
 
 def exchanged(network: Network) -> dict[str, str]:
-    """Junction -> what its members exchange with --coupling newton."""
+    """Junction -> what its members exchange with --coupling newton, and which order follows where nothing is missing."""
     held = _held(network)
     face, found = _bare(network, held)
     out = {}
     for j in network.junctions:
         own = face.sums[j.name]
-        values = "one held value" if any(e.member in held for e in j.ends) else "k values"
-        if own.start in found.columns:
-            values += " and a pair of impulses"
-        elif why := found.why.get(j.name):
-            values += f", no impulses ({why})"
-        out[j.name] = values
+        one = any(e.member in held for e in j.ends)
+        values, order = ("one held value", "2") if one else ("k values", "2k")
+        pair = " and a pair of impulses" if own.start in found.columns else ""
+        why = "" if pair else found.why.get(j.name)
+        out[j.name] = f"{values}, no impulses ({why})" if why else f"{values}{pair}, order {order}"
     return out
 
 

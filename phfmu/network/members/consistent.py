@@ -11,7 +11,7 @@ from phfmu.declare.problem import Problem
 from phfmu.discretise.model import CONSISTENCY, Model
 
 PROJECT = "let the run move the start onto it with --project (energy change booked)"
-#: members know their own constraints only, so a coupled network cannot be projected
+#: members know their own constraints only; stepped apart they are moved at nodes of states, by impulses
 MONOLITHIC = f"compose the network (--coupling monolithic) and {PROJECT}"
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
 from phfmu.discretise.model import Model
+from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.members.booking import booking
@@ -78,6 +79,13 @@ class EngineMember:
     def set_input(self, u: Array) -> None:
         self._inputs.u = u.copy()
         self.instance.set_input(u)
+
+    def shift(self, s: Array, t: float) -> None:
+        """Moves the states as an impulse s at the ports that take some does, for a start at time t."""
+        kernels, x = port_kernels(self.model.declaration), self.instance.x
+        x[list(kernels.forms.states)] += np.array(kernels.shift(x, self.instance.parameters, s)[0]).ravel()
+        self.instance.set_x(t, x)
+        self.instance.initialise()
 
     def do_step(self, t: float, h: float) -> None:
         self.instance.do_step(t, h, self.parts)
