@@ -14,12 +14,11 @@ from phfmu.engine.compiled import compiled
 from phfmu.engine.handle import Handle
 from phfmu.engine.impulses import Ports
 from phfmu.engine.landing import landed
-from phfmu.engine.library import RECORD, Column, Record, enums, view
-from phfmu.engine.limits import LIMITS
+from phfmu.engine.library import RECORD, Column, Record, view
 from phfmu.engine.model import Model
+from phfmu.engine.native_readings import NativeReadings
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
-from phfmu.engine.rest_changes import RestChange, named
-from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.status import StepFailure
 from phfmu.events.happened import Landed
 
 if TYPE_CHECKING:
@@ -27,11 +26,10 @@ if TYPE_CHECKING:
     from phfmu.engine.native_impulses import NativeImpulses
     from phfmu.terms.port_impulses import PortImpulse
 
-STATUS = tuple(Status)
 Floats = NDArray[np.float64]
 
 
-class NativeInstance:
+class NativeInstance(NativeReadings):
     """A model in compiled code, the twin of `PythonInstance`: one memory block, one C call a step.
 
     Inputs u (nu) are held over a step, or given at its k quadrature nodes.  `output()` gives step-conjugate
@@ -40,25 +38,9 @@ class NativeInstance:
     """
 
     def __init__(self, model: Model, announce: Callable[[], None] | None = None) -> None:
-        self.model = model
-        made = compiled(model, announce)
-        self.build, self._tables, self._lib = made.build, made.tables, made.lib
-        size = self._lib.ph_size(self._tables.pointer)
-        if size == 0:
-            raise StepFailure(Status.ABI, model.name, model.t0, 0.0)
-        self._memory = np.zeros(size // 8 + 1)
-        self._in = self._memory.ctypes.data
-        self._check(self._lib.ph_init(self._in, self._tables.pointer))
-        names = enums()["ph_block"]
-        offset = (ctypes.c_int * (len(names) + 1))()
-        self._lib.ph_layout(self._tables.pointer, offset)
-        #: place of each block in a row of recorded signals
-        self.layout = {n if n != "h" else "H": slice(offset[i], offset[i + 1]) for i, n in enumerate(names)}
-        self._table = view(self._lib.ph_signals(self._in), offset[len(names)])
-        self._state_size = self._lib.ph_state_size(self._in)
+        super().__init__(model, compiled(model, announce))
         self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
         self._kicked: NativeImpulses | None = None
-        self._means = self._table[self.layout["y_step"]][: model.step.nu]
         self.initialise()
 
     def reset(self) -> None:
@@ -203,61 +185,6 @@ class NativeInstance:
         """Bytes of the instance's block and of the tables it points to."""
         return self._memory.nbytes + self._tables.size
 
-    @property
-    def time(self) -> float:
-        return float(self._table[self.model.step.nx])
-
-    @property
-    def x(self) -> Floats:
-        return self._table[self.layout["x"]].copy()
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """What the solver did since the instance was made: steps, iterations, restarts, substeps, ..."""
-        names = enums()["ph_count"]
-        values = view(self._lib.ph_counts(self._in), len(names), np.int64)
-        return {n: int(v) for n, v in zip(names, values, strict=True)}
-
-    @property
-    def rest_changes(self) -> list[RestChange]:
-        """Which redundant constraints rest instead of which others, the last changes since the start."""
-        n, kept = ctypes.c_int(), int(LIMITS["KEPT_CHANGES"])
-        ring = self._lib.ph_rest_changes(self._in, n)
-        found = ((i, ring[i % kept]) for i in range(max(0, n.value - kept), n.value))
-        return named(((i + 1, c.time, c.rests, c.needed) for i, c in found), self.model.hold_names)
-
-    def output(self) -> Floats:
-        """Step-conjugate means of the external pairs (nu)."""
-        return self._means.copy()
-
-    def node_output(self) -> Floats:
-        """Outputs at the k quadrature nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
-        plan = self.model.step
-        values = view(self._lib.ph_node_outputs(self._in), plan.k * plan.nq).reshape(plan.k, plan.nq)
-        return values[:, : plan.nu].copy()
-
-    def ledger(self) -> dict[str, Floats]:
-        """Of the last communication step: stored, dissipated, supplied, numerical, moved per component, pairs [J]."""
-        names, plan = enums()["ph_row"], self.model.step
-        sizes = {name: plan.nq if name == "pairs" else plan.ncomp for name in names}
-        return {n: view(self._lib.ph_ledger(self._in, i), sizes[n]).copy() for i, n in enumerate(names)}
-
-    @property
-    def unknowns(self) -> Floats:
-        """w of the last solve: see `Plan`."""
-        return view(self._lib.ph_unknowns(self._in), self.model.step.nw).copy()
-
-    def signals(self) -> dict[str, Floats]:
-        """All values by block: x, time, a, y_step, energy, ..., a_end, y_end, observables, H."""
-        self._check(self._lib.ph_refresh(self._in))
-        return {name: self._table[place].copy() for name, place in self.layout.items()}
-
-    def signal(self, block: str) -> Floats:
-        """One block; those that hold at the present time (from a_end on) are solved for if out of date."""
-        if self.layout[block].start >= self.layout["a_end"].start:
-            self._check(self._lib.ph_refresh(self._in))
-        return self._table[self.layout[block]].copy()
-
     def sensitivity(self, end: bool = False) -> Floats:
         """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu): implicit function theorem.
 
@@ -341,22 +268,3 @@ class NativeInstance:
         if array.shape != shape:
             raise ValueError(f"{self.model.name}: expected values of shape {shape}, got {array.shape}")
         return array
-
-    def _check(self, code: int) -> None:
-        """Raises what a status other than PH_OK means."""
-        if code == 0:
-            return
-        status, name = STATUS[code], self.model.name
-        if status in (Status.ABI, Status.ARGUMENT, Status.VALUE, Status.NO_SENSITIVITY):
-            raise StepFailure(status, name, self.time, 0.0)
-        r = self._lib.ph_last_report(self._in).contents
-        names = self.model.instant_names if r.instant else self.model.row_names
-        index = r.row if r.row >= 0 else r.column
-        equation = names[index] if 0 <= index < len(names) else (f"row {index}" if index >= 0 else "")
-        tried = "two starts, " + (
-            "line search" if r.instant else f"shorter steps, line search and {2 ** int(LIMITS['DEPTH'])} substeps"
-        )
-        raise StepFailure(
-            status, name, r.time, r.h, equation=equation, residual=r.residual, floor=r.floor,
-            update=r.update, iterations=r.iterations, spent=r.spent, tried=tried,
-        )  # fmt: skip

@@ -192,6 +192,11 @@ static inline void ph_clear(double *values, int n) {
  * are set too. */
 size_t ph_lay_out(ph_instance *in, char *memory);
 int ph_finite(const double *values, int n);
+int ph_weigh(ph_instance *in, double h);
+void ph_accept(ph_instance *in, double h, double from, double weight);
+void ph_begin_step(ph_instance *in, double h);
+void ph_finish_step(ph_instance *in, double t);
+void ph_clear_ledger(ph_instance *in);
 int ph_is_sliver(const ph_instance *in, double t, double h);
 void ph_resample(ph_instance *in, double from, double length, double *u);
 void ph_inputs_at(ph_instance *in, double theta, double *u);
