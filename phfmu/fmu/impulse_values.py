@@ -19,7 +19,7 @@ JUMP = "impulse.jump"
 
 def kernels_of(model: Model) -> PortKernels | None:
     """The impulses of a model's ports; None if its scheme or its ports take none."""
-    if not getattr(model.scheme, "impulses", False) or model.step.nu == 0:
+    if not model.scheme.impulses or model.step.nu == 0:
         return None
     found = port_kernels(model.declaration)
     return found if found.n else None
