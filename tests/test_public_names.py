@@ -84,9 +84,9 @@ def test_every_package_is_listed_for_the_wheel() -> None:
 
 def test_both_engines_take_the_same() -> None:
     """PythonInstance has the methods of NativeInstance; names and types of arguments agree."""
-    for name, method in vars(phfmu.NativeInstance).items():
-        if not name.startswith("_") and name != "set_state" and callable(method):  # a saved state is opaque
-            other = vars(phfmu.PythonInstance).get(name)
+    for name, method in inspect.getmembers(phfmu.NativeInstance, callable):
+        if not name.startswith("_") and name != "set_state":  # a saved state is opaque
+            other = getattr(phfmu.PythonInstance, name, None)
             assert other is not None, name
             own, theirs = ([str(p) for p in inspect.signature(m).parameters.values()] for m in (method, other))
             theirs = [p.replace("PythonInstance", "NativeInstance") for p in theirs]

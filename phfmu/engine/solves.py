@@ -1,4 +1,4 @@
-"""The solves of a step in Python: attempts, halving, the ledger of each part and the new state; the twin of runtime/step.c and ledger.c."""
+"""The solves of a step in Python: attempts, halving, the ledger of each part, the new state; twin of runtime/{step,ledger}.c."""
 
 from __future__ import annotations
 
