@@ -215,8 +215,8 @@ class FMUInstance:
         """A complete copy; stepping after `set_state` gives the same bits.  FMUError if there is none."""
         if not self.interface.saves:
             raise FMUError(
-                f"{self.name}: the unit cannot save its state, which --coupling newton needs because it repeats steps; run it "
-                "alone, or export it with saved states (canGetAndSetFMUstate)"
+                f"{self.name}: the unit cannot save its state, which couplings need that repeat steps; step it last "
+                "(phfmu.network.members.unit_member), take --coupling gauss-seidel, or export it with saved states"
             )
         memory = {"time": self.time, "h": self._h, "values": self._values.memory(), "books": self._books.memory()}
         return self._states.keep(self._slave.save(), memory)

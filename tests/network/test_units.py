@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -267,7 +268,7 @@ def isolated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "version, mode, said",
     [
-        ("2.0", foreign.CRASH, "pump at t = 0.25 s, h = 0.05 s: fmi2DoStep: its process was ended by SIGSEGV"),
+        ("2.0", foreign.CRASH, "pump at t = 0.25 s, h = 0.05 s: fmi2DoStep: its process "),
         (
             "3.0",
             foreign.HANG,
@@ -296,7 +297,8 @@ def test_a_unit_that_breaks_its_process_ends_the_run_and_no_more(
         "2",
     ]
     assert main([*line, "-o", str(table), "--audit", str(audit)]) == 3
-    assert said in " ".join(capfd.readouterr().err.split())
+    found = " ".join(capfd.readouterr().err.split())
+    assert said in found and ("was ended by SIGSEGV" in found or mode != foreign.CRASH or sys.platform == "win32")
     rows = np.genfromtxt(table, delimiter=",", names=True, deletechars="")
     assert rows["time"].tolist() == pytest.approx([0.05 * k for k in range(6)])
     assert np.isfinite(rows["pump.v"]).all() and np.abs(rows["pump.v"]).max() > 0.1
