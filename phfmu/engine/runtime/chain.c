@@ -11,7 +11,18 @@
 
 #include "system.h"
 
-/* target += the tangents of one group along dx and chain.dy. */
+enum { RESIDUALS, OUTPUTS }; /* which rows are wanted */
+
+/* Whether the group has a part in the outputs. */
+static int has_outputs(const ph_group *g, int nw) {
+    for (int i = 0; i < g->n * g->no; i++)
+        if (g->oi[i] >= nw)
+            return 1;
+    return 0;
+}
+
+/* target += the tangents of one group along dx and chain.dy; an instance along which nothing moves has none.
+ */
 static void group_along(ph_instance *in, const ph_system *s, const ph_group *g, const double *dx,
                         double *target) {
     const ph_tangent *tangent = &in->model->tangents[g->kernel];
@@ -21,14 +32,21 @@ static void group_along(ph_instance *in, const ph_system *s, const ph_group *g, 
     if (!tangent->function)
         return;
     for (int i = 0; i < g->n; i++) {
+        int moves = 0;
         for (int j = 0; j < g->nx; j++) {
-            x[j] = s->x[g->xi[i * g->nx + j]];
             ex[j] = dx[g->xi[i * g->nx + j]];
+            moves |= ex[j] != 0.0;
         }
         for (int j = 0; j < g->ny; j++) {
-            y[j] = s->y[g->yi[i * g->ny + j]];
             ey[j] = c->dy[g->yi[i * g->ny + j]];
+            moves |= ey[j] != 0.0;
         }
+        if (!moves)
+            continue;
+        for (int j = 0; j < g->nx; j++)
+            x[j] = s->x[g->xi[i * g->nx + j]];
+        for (int j = 0; j < g->ny; j++)
+            y[j] = s->y[g->yi[i * g->ny + j]];
         for (int j = 0; j < g->np; j++)
             p[j] = s->p[g->pi[i * g->np + j]];
         c->arg[0] = x;
@@ -43,9 +61,9 @@ static void group_along(ph_instance *in, const ph_system *s, const ph_group *g, 
     }
 }
 
-/* chain.dr = change of all rows of s along dx (nx+1+na) and chain.dy, whose Z part is filled in; rows at
- * rest: 0. */
-static void along(ph_instance *in, const ph_system *s, const double *dx) {
+/* chain.dr = change of the wanted rows of s along dx (nx+1+na) and chain.dy, whose Z part is filled in; rows
+ * at rest: 0. Others are not all there. */
+static void along(ph_instance *in, const ph_system *s, const double *dx, int wanted) {
     const ph_plan *p = s->plan;
     const ph_chain *c = &in->chain;
     int i = 0;
@@ -56,7 +74,8 @@ static void along(ph_instance *in, const ph_system *s, const double *dx) {
     for (int l = 0; l < p->nconst; l++)
         c->dr[p->const_row[l]] += s->constants[l] * c->dy[p->const_src[l]];
     for (; i < p->ngroup; i++)
-        group_along(in, s, &p->groups[i], dx, c->dr);
+        if (wanted == RESIDUALS ? !p->groups[i].late : has_outputs(&p->groups[i], p->nw))
+            group_along(in, s, &p->groups[i], dx, c->dr);
     for (int h = 0; h < p->nhold; h++)
         for (int l = p->hold_ptr[h]; s->rests[h] == PH_RESTS && l < p->hold_ptr[h + 1]; l++)
             c->dr[p->hold_row[l]] = 0.0;
@@ -94,18 +113,19 @@ static void old_inputs(ph_instance *in, double from, double length, double *u) {
     in->head->held = held;
 }
 
-/* chain.dr along dx and the inputs in chain.dy, with the unknowns, which go into chain.dy, following. */
+/* Outputs of chain.dr along dx and the inputs in chain.dy, with the unknowns, which go into chain.dy,
+ * following. */
 static void follow(ph_instance *in, ph_system *s, const double *dx) {
     const ph_plan *p = s->plan;
     const ph_chain *c = &in->chain;
     if (p->nw > 0) {
-        along(in, s, dx);
+        along(in, s, dx, RESIDUALS);
         memcpy(s->rhs, c->dr, sizeof(double) * (size_t)p->nw);
         ph_solve_refined(s);
     }
     for (int l = 0; l < p->nw; l++)
         c->dy[l] = -s->dw[l];
-    along(in, s, dx);
+    along(in, s, dx, OUTPUTS);
 }
 
 /* The linearisation at the Y of the system. */
