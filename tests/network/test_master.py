@@ -143,12 +143,21 @@ def test_held_values_too(k: int) -> None:
     """The rules of `Newton`, which takes one value a step of members of any order."""
     net: Any = smib().system
     one, two = (s.advance(0.0, 1e-4, 8) for s in both(net, k, lambda _: Newton()))
-    assert one.iterations is not None and one.accepted_by is not None
-    assert one.iterations.tolist() == np.array(two.iterations).tolist()
-    assert one.accepted_by.tolist() == np.array(two.accepted_by).tolist()
+    assert one.iterations is not None
+    assert np.abs(one.iterations - np.array(two.iterations)).max() <= 1  # rounding decides whether one more is needed
     scale = np.abs(two.H).sum()
     assert np.abs(one.H - two.H).max() <= SAME * scale
     assert all(np.abs(getattr(one, b) - getattr(two, b)).max() <= SAME * scale for b in BOOKS)
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_steps_start_from_what_the_last_ones_missed(k: int) -> None:
+    """A third trial is not needed any more once three steps are known: smib turns by 4.5 degrees a step."""
+    net: Any = smib().system
+    stepper = Coupled(net, members(net, k))
+    stepper.check_start()
+    iterations = stepper.advance(0.0, 2.5e-4, 40).iterations
+    assert iterations is not None and iterations[5:].mean() <= 2.2 < 3.0 <= iterations[0]
 
 
 def test_blocks_of_any_length_give_the_same_bits() -> None:

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.steps import Steps
-from phfmu.network.couplings import newton, node_newton
+from phfmu.network.couplings import newton
 from phfmu.network.couplings.coupling import Coupling, Solution
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.master_library import Structures, library
 from phfmu.network.couplings.master_pattern import Exchanged, Pattern, exchanged
-from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution
+from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknowns
 from phfmu.network.couplings.unconverged import Accepting, Halving
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.plan.ordering import StructurallySingular
@@ -44,6 +44,7 @@ class Master:
         self._inputs: list[Array] = []
         self._shares = [self._share(i) for i in range(len(found.parts))]
         self._z, self._last = np.zeros(found.size), np.zeros(found.size)
+        self._missed = [np.zeros(found.size) for _ in range(2)]
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
         self.taken, self.rules = 0, self._memory.fill("ph_rules", self._rules())
         self._array = self._memory.array(self._shares)
@@ -79,9 +80,12 @@ class Master:
             self._z[:] = last.xi
             return 0
         if isinstance(last, NodeSolution) and last.found is not None and last.h == h:
-            self._last[:] = e.pack(last.found)
+            self._last[:] = e.pack(last.found.flat)
+            self._struct.known = len(last.missed)
+            for to, missed in zip(self._missed, last.missed, strict=False):
+                to[:] = e.pack(missed)
             return 1
-        self._z[:] = e.pack(self.coupling.start(last, h))
+        self._z[:] = e.pack(self.coupling.start(last, h).flat)
         return 0
 
     def _solution(self, xi: Array, trials: int, accepted_by: str, h: float) -> Solution:
@@ -91,7 +95,10 @@ class Master:
         y = np.concatenate([p.member.output() for p in self.found.parts])
         if not isinstance(self.coupling, NodeNewton):
             return Solution(xi, y, trials, accepted_by)
-        return NodeSolution(xi, y, trials, accepted_by, found=self.found.unpack(self._last), h=h)
+        z, unpack = self.found.unpack(self._last), self.found.unpack
+        found = Unknowns(z[: self.found.nodes], z[self.found.nodes :].reshape(2, -1))
+        missed = tuple(unpack(m) for m in self._missed[: self._struct.known])
+        return NodeSolution(xi, y, trials, accepted_by, found=found, h=h, missed=missed)
 
     def _steps(self, members: list[Array], xi: Array, sums: EndSums) -> dict[str, Array]:
         """Fields of `Steps` from what was recorded."""
@@ -152,7 +159,7 @@ class Master:
     def _rules(self) -> dict[str, Any]:
         return {
             "held": not isinstance(self.coupling, NodeNewton), "iterations": newton.ITERATIONS,
-            "stalls": node_newton.STALLS, "energy": newton.ENERGY, "rounding": newton.ROUNDING,
+            "stalls": newton.STALLS, "energy": newton.ENERGY, "rounding": newton.ROUNDING,
             "stagnation": newton.STAGNATION, "shrinking": newton.SHRINKING, "stalled": newton.STALLED,
             "floor": newton.FLOOR,
         }  # fmt: skip
@@ -161,7 +168,7 @@ class Master:
         e, p, n = self.found, self._pattern, self.found.size
         square = int(e.square[-1])
         angles = (2 * np.arange(POINTS) + 1) * np.pi / (4 * POINTS)
-        work = {name: np.zeros(n) for name in ("rows", "size", "move", "scale")}
+        work = {name: np.zeros(n) for name in ("rows", "size", "move", "scale", "plain")}
         work |= {name: np.zeros(square) for name in ("S0", "S1", "mixed", "T")}
         work |= {name: np.zeros(len(e.bare)) for name in ("moved", "sums")}
         work |= {name: np.zeros(len(p.rowind)) for name in ("a", "scaled")}
@@ -175,7 +182,8 @@ class Master:
             "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
             "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
-            "found": self._last, "lu": lu, "xi": None, "trials": None, "accepted": None,
+            "found": self._last, "missed": self._missed[0], "missed_before": self._missed[1], "known": 0,
+            "lu": lu, "xi": None, "trials": None, "accepted": None,
         }  # fmt: skip
 
 

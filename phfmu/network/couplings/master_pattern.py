@@ -15,7 +15,7 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.exchange import Share
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.node_newton import NodeNewton, Unknowns
+from phfmu.network.couplings.node_newton import NodeNewton
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.node_values import HeldNodes
 from phfmu.plan.ordering import elimination_order
@@ -93,13 +93,16 @@ class Exchanged:
         plans = [p.instance.model.step for p in self.parts]
         return [p.signals + 5 * plan.ncomp + plan.nq for p, plan in zip(self.parts, plans, strict=True)]
 
-    def pack(self, z: Unknowns) -> Array:
-        return np.concatenate([z.xi, z.m[0][self.place], z.m[1][self.place]])
+    def pack(self, z: Array) -> Array:
+        """Unknowns as the exchange has them -> as they stand here."""
+        m = z[self.nodes :].reshape(2, -1)
+        return np.concatenate([z[: self.nodes], m[0][self.place], m[1][self.place]])
 
-    def unpack(self, z: Array) -> Unknowns:
+    def unpack(self, z: Array) -> Array:
+        """And back."""
         m = np.empty((2, len(self.bare)))
         m[:, self.place] = z[self.nodes :].reshape(2, -1)
-        return Unknowns(z[: self.nodes].copy(), m)
+        return np.concatenate([z[: self.nodes], *m])
 
 
 def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:

@@ -11,14 +11,15 @@ the step; also where the iteration stops early.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import Status
+from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
@@ -46,6 +47,11 @@ class Unknowns:
     xi: Array
     m: Array
 
+    @property
+    def flat(self) -> Array:
+        """All of them (N + 2 bare)."""
+        return np.concatenate([self.xi, *self.m])
+
     def moved(self, d: Array) -> Unknowns:
         n = len(self.xi)
         return Unknowns(self.xi + d[:n], self.m + d[n:].reshape(2, -1))
@@ -53,10 +59,14 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class NodeSolution(Solution):
-    """A solution with what the next step starts from: its unknowns and its size."""
+    """A solution with what the next step starts from: its unknowns and its size.
+
+    `missed`: what the continuation of the step before it missed of it, and of the step before that, as far as known.
+    """
 
     found: Unknowns | None = None
     h: float = 0.0
+    missed: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -96,7 +106,23 @@ class NodeNewton:
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
-        z, before = self.start(last, step.h), self.before()
+        plain = self.start(last, step.h)
+        before = last if isinstance(last, NodeSolution) and last.found is not None and last.h == step.h else None
+        missed = before.missed if before else ()
+        try:
+            solution = self._solve(joined, plain.moved(forecast(missed)) if missed else plain, step)
+        except StepFailure:
+            if not missed:
+                raise
+            joined.restore(step.states)
+            solution = self._solve(joined, plain, step)
+        if before is None or solution.found is None:
+            return solution
+        return replace(solution, missed=(solution.found.flat - plain.flat, *missed[:1]))
+
+    def _solve(self, joined: Joined, z: Unknowns, step: Step) -> NodeSolution:
+        """From the unknowns z."""
+        before = self.before()
         history: list[float] = []
         best = np.inf, z
         matrix, stalls, taken = None, 0, 0
@@ -127,7 +153,7 @@ class NodeNewton:
         raise given_up.of(self._solution(best[1], step.h, ITERATIONS, ""))
 
     def start(self, last: Solution, h: float) -> Unknowns:
-        """The polynomials of the step before, and its impulses if it was as long; after an event its means."""
+        """The continuation: polynomials of the step before, and its impulses if it was as long; after an event its means."""
         e = self.exchange
         nothing = np.zeros((2, len(e.bare)))
         if not isinstance(last, NodeSolution) or last.found is None or last.h == 0:
@@ -219,6 +245,11 @@ class NodeNewton:
         residual = abs(np.concatenate([trial.rows, trial.ends])[worst])
         found = Worst(e.joined.face.names[column] + where, float(value), float(residual))
         return failure(status, e.joined, step, found, history)
+
+
+def forecast(missed: Sequence[Array]) -> Array:
+    """What a continuation will miss: the line through what the last two did, or what the last one did."""
+    return missed[0] if len(missed) == 1 else 2 * missed[0] - missed[1]
 
 
 def _accepted(trial: Trial, history: list[float], floor: bool, stalls: int) -> str:

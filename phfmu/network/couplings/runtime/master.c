@@ -188,7 +188,9 @@ static ph_accepted accepted_held(ph_master *m, trial *now, const progress *p) {
         return PH_NOT_YET;
     if (now->scaled <= rules->rounding)
         return PH_BY_ENERGY;
-    return p->stalled && now->scaled <= rules->stagnation ? PH_BY_FLOOR : PH_NOT_YET;
+    if (p->stalled && now->scaled <= rules->stagnation)
+        return PH_BY_FLOOR;
+    return p->stalls >= rules->stalls && within(m, now, 1.0) ? PH_BY_FLOOR : PH_NOT_YET;
 }
 
 /* The rules of node_newton.py. */
@@ -281,11 +283,31 @@ static int solve(ph_master *m, double t, double h, int *trials, ph_accepted *by)
     return PH_NO_CONVERGENCE;
 }
 
+/* z = the continuation of the last step, with the line through what that missed in the last two. */
 static void go_ahead(ph_master *m) {
-    memcpy(m->z, m->found, bytes(m->nxi + 2 * m->nbare));
-    ph_clear(m->z, m->nxi);
+    const int all = m->nxi + 2 * m->nbare;
+    memcpy(m->plain, m->found, bytes(all));
+    ph_clear(m->plain, m->nxi);
     for (int e = 0; e < m->nahead; e++)
-        m->z[m->ahead_to[e]] += m->ahead[e] * m->found[m->ahead_from[e]];
+        m->plain[m->ahead_to[e]] += m->ahead[e] * m->found[m->ahead_from[e]];
+    for (int i = 0; i < all; i++) {
+        m->z[i] = m->plain[i];
+        if (m->known == 1)
+            m->z[i] += m->missed[i];
+        else if (m->known == 2)
+            m->z[i] += 2.0 * m->missed[i] - m->missed_before[i];
+    }
+}
+
+/* z is what was found; ahead: it was begun from the continuation. */
+static void keep(ph_master *m, int ahead) {
+    const int all = m->nxi + 2 * m->nbare;
+    for (int i = 0; i < all && ahead; i++) {
+        m->missed_before[i] = m->missed[i];
+        m->missed[i] = m->z[i] - m->plain[i];
+    }
+    m->known = ahead ? (m->known > 0 ? 2 : 1) : 0;
+    memcpy(m->found, m->z, bytes(all));
 }
 
 static void record(ph_master *m, double h, int row) {
@@ -317,7 +339,7 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
         }
         m->accepted[done] = by;
         record(m, h, done);
-        memcpy(m->found, m->z, bytes(m->nxi + 2 * m->nbare));
+        keep(m, done || next);
         memcpy(m->sums, m->rows + m->nxi, bytes(m->nbare));
         swap = m->S0;
         m->S0 = m->S1;

@@ -117,6 +117,7 @@ typedef struct ph_master {
     int nahead;
     int nnz;
     int capacity;
+    int known;              /* how many of missed and missed_before are known */
     int points;             /* of the rule for the root of impulses */
     const double *cosines;  /* points: cos^2 t_l */
     const double *weights;  /* nxi */
@@ -141,6 +142,9 @@ typedef struct ph_master {
     const int *prefer;      /* nz */
     double *z;              /* nz: work, as all below, but for found and the factors */
     double *found;          /* nz: of the last accepted step */
+    double *missed;         /* nz: what the continuation missed of that step */
+    double *missed_before;  /* nz: and of the one before */
+    double *plain;          /* nz: the continuation */
     double *rows;           /* nz */
     double *size;           /* nz */
     double *move;           /* nz */
