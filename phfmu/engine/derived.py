@@ -10,6 +10,8 @@ import numpy as np
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
+from phfmu.events.event_plan import EventPlan
+from phfmu.events.roots import fit
 from phfmu.plan.plan import Floats, Group, Ints, Kernel, Plan, Powers, Products
 from phfmu.schur.lane_groups import KINDS, LaneGroup, in_order
 from phfmu.schur.stepper import SchurStepper
@@ -107,9 +109,9 @@ def update_runs(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _group_values(g: Group, plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
+def group_values(g: Group, nw: int, index: Callable[[Kernel], int]) -> dict[str, Any]:
     k = g.kernel
-    late = g.stage == 1 and bool(np.all(np.asarray(g.oi) >= plan.nw))
+    late = g.stage == 1 and bool(np.all(np.asarray(g.oi) >= nw))
     sizes = {name: getattr(k, name) for name in ("nx", "ny", "np", "no", "nj")}
     return sizes | {"late": int(late), "kernel": index(k)}
 
@@ -158,7 +160,7 @@ def plan_values(plan: Plan, index: Callable[[Kernel], int]) -> dict[str, Any]:
             "nmean": len(plan.mean_a),
             "nwork": len(plan.work_pair),
             "lucap": capacity(plan),
-            "groups": [(g, _group_values(g, plan, index)) for g in groups],
+            "groups": [(g, group_values(g, plan.nw, index)) for g in groups],
         }
     )
 
@@ -174,4 +176,27 @@ def schur_sizes(schur: SchurStepper) -> dict[str, Any]:
         "ngroup": len(schur.groups),
         "nload": len(schur.load_dof),
         "ntile": len(schur.tile.dof) - 1,
+    }
+
+
+def event_values(plan: EventPlan) -> dict[str, Any]:
+    """Sizes, the jumps, and the matrices of the fit at its points."""
+    found, polynomial, jump = fit(plan.polynomial.nodes.k), plan.polynomial, plan.jump
+    tables = {
+        f"jump_{name}": () if jump is None else getattr(jump, name) for name in ("moved", "component", "owner", "most")
+    }
+    return {
+        **tables,
+        "jump_of": np.full(plan.n, -1) if jump is None else jump.of,
+        "ngroup": len(plan.groups),
+        "npoint": len(found.tau),
+        "nincrement": len(polynomial.w),
+        "nstart": len(polynomial.start_w),
+        "njump": 0 if jump is None else jump.n,
+        "nmoved": len(tables["jump_moved"]),
+        "ncomponent": len(tables["jump_component"]),
+        "fit_tau": found.tau,
+        "fit_weights": np.array([polynomial.nodes.integral(float(t)) for t in found.tau]),
+        "fit_whole": found.whole,
+        "fit_divided": found.divided,
     }

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.codegen import KernelTable
 from phfmu.engine.compile import Build, compile, host_flags
+from phfmu.engine.model import Model
 from phfmu.engine.tables import RUNTIME
 
 #: what `run` can record: the whole signal table, parts of it, and ledger rows and counters of each step
@@ -32,6 +33,13 @@ RECORD: tuple[str, ...] = (
     "energy",
     "counts",
 )
+
+
+def record_widths(model: Model, signals: int) -> dict[str, int]:
+    """Length of a row of each; `signals`: of the signal table."""
+    plan = model.step
+    width = dict.fromkeys(RECORD, plan.ncomp) | dict.fromkeys(("y_step", "pairs"), plan.nq)
+    return width | {"unknowns": plan.nw, "signals": signals, "x": plan.nx, "a": plan.na, "counts": 2}
 
 
 class Report(ctypes.Structure):
@@ -61,6 +69,26 @@ class RestChange(ctypes.Structure):
     """ph_rest_change."""
 
     _fields_ = [("time", ctypes.c_double), ("rests", ctypes.c_int), ("needed", ctypes.c_int)]
+
+
+class LandedRows(ctypes.Structure):
+    """ph_landed."""
+
+    _fields_ = [
+        *((n, ctypes.c_int) for n in ("steps_room", "events_room", "steps", "events", "done")),
+        *((n, ctypes.c_void_p) for n in ("t", "h", "event_t", "event_step", "event_fired")),
+        *((n, ctypes.c_void_p) for n in ("event_energy", "event_lost", "event_signals")),
+    ]
+
+
+class EventRefusal(ctypes.Structure):
+    """ph_event_refusal."""
+
+    _fields_ = [
+        ("reason", ctypes.c_int),
+        *((n, ctypes.c_double) for n in ("t", "value", "limit")),
+        ("fired", ctypes.c_void_p),
+    ]
 
 
 class Directions(ctypes.Structure):
@@ -108,6 +136,11 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_step": (integer, [pointer, real, real]),
         "ph_step_parts": (integer, [pointer, real, real, integer]),
         "ph_step_exactly": (integer, [pointer, real, real, integer]),
+        "ph_landing_size": (ctypes.c_size_t, [pointer, pointer]),
+        "ph_landing_init": (pointer, [pointer, pointer, pointer]),
+        "ph_land_from": (None, [pointer, real, real, integer, integer, integer]),
+        "ph_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows)]),
+        "ph_land_refusal": (ctypes.POINTER(EventRefusal), [pointer]),
         "ph_run": (integer, [pointer, real, real, integer, ctypes.POINTER(Record), ctypes.POINTER(integer)]),
         "ph_layout": (None, [pointer, ctypes.POINTER(integer)]),
         "ph_signals": (pointer, [pointer]),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.events.event_plan import EventPlan
 from phfmu.plan.plan import Kernel, Plan
 
 Floats = NDArray[np.float64]
@@ -30,6 +31,8 @@ class Model(Protocol):
     @property
     def instant(self) -> Plan: ...
     @property
+    def events(self) -> EventPlan | None: ...
+    @property
     def x0(self) -> Floats: ...
     @property
     def a0(self) -> Floats: ...
@@ -48,5 +51,6 @@ class Model(Protocol):
 
 
 def kernels(model: Model) -> list[Kernel]:
-    """Kernels of both plans in order of appearance; an object may appear more than once."""
-    return [g.kernel for plan in (model.step, model.instant) for g in plan.groups]
+    """Kernels of both plans, then of the state events, in order of appearance; an object may appear more than once."""
+    more = [] if model.events is None else model.events.kernels
+    return [*(g.kernel for plan in (model.step, model.instant) for g in plan.groups), *more]

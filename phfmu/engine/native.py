@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.engine.compiled import compiled
 from phfmu.engine.handle import Handle
 from phfmu.engine.impulses import Ports
-from phfmu.engine.landing import landed
-from phfmu.engine.library import RECORD, Column, Record, view
+from phfmu.engine.library import Column, Record, record_widths, view
 from phfmu.engine.model import Model
 from phfmu.engine.native_readings import NativeReadings
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
@@ -24,6 +23,7 @@ from phfmu.events.happened import Landed
 if TYPE_CHECKING:
     from phfmu.engine.native_chain import NativeChain
     from phfmu.engine.native_impulses import NativeImpulses
+    from phfmu.engine.native_landing import NativeLanding
     from phfmu.terms.port_impulses import PortImpulse
 
 Floats = NDArray[np.float64]
@@ -41,6 +41,7 @@ class NativeInstance(NativeReadings):
         super().__init__(model, compiled(model, announce))
         self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
         self._kicked: NativeImpulses | None = None
+        self._landing: NativeLanding | None = None
         self.initialise()
 
     def reset(self) -> None:
@@ -155,9 +156,7 @@ class NativeInstance(NativeReadings):
         if self._kicked is not None:
             self._ports.require_none(self._kicked.values[:2])
             self._kicked.values[2:] = 0.0
-        plan = self.model.step
-        width = dict.fromkeys(RECORD, plan.ncomp) | dict.fromkeys(("y_step", "pairs"), plan.nq)
-        width |= {"unknowns": plan.nw, "signals": len(self._table), "x": plan.nx, "a": plan.na, "counts": 2}
+        plan, width = self.model.step, record_widths(self.model, len(self._table))
         result = {name: np.full((n, width[name]), np.nan) for name in record}
         request = Record(parts=parts, first=first)
         for name, array in result.items():
@@ -177,8 +176,12 @@ class NativeInstance(NativeReadings):
     def land(
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
     ) -> Iterator[Landed]:
-        """Steps that end on the zeros of guards too; see `PythonInstance.land`."""
-        return landed(self, t0, h, n, record, first, changed)
+        """Steps that end on the zeros of guards too, in compiled code; see `PythonInstance.land`."""
+        from phfmu.engine.native_landing import NativeLanding
+
+        if self._landing is None:
+            self._landing = NativeLanding(self.model, self._lib, self._in, self._tables.events, len(self._table))
+        return self._landing.over(t0, h, n, record, first, changed, self._check)
 
     @property
     def memory_size(self) -> int:

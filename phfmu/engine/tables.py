@@ -17,15 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.derived import lane_groups, plan_values, schur_sizes
+from phfmu.engine.derived import event_values, group_values, lane_groups, plan_values, schur_sizes
 from phfmu.engine.model import Model
+from phfmu.events.event_plan import EventPlan
 from phfmu.plan.plan import Kernel, Plan
 from phfmu.schur.stepper import SchurStepper
 
 RUNTIME = Path(__file__).parent / "runtime"
 SCALARS = {"int": ctypes.c_int, "double": ctypes.c_double, "uint64_t": ctypes.c_uint64}
 ARRAYS = {"int": np.int32, "double": np.float64, "signed char": np.int8}
-STRUCTS = ("ph_elimination", "ph_lane_group", "ph_schur", "ph_group", "ph_plan", "ph_model")
+STRUCTS = ("ph_elimination", "ph_lane_group", "ph_schur", "ph_group", "ph_plan", "ph_model", "ph_events")
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,8 @@ class Field:
 
 @lru_cache(maxsize=1)
 def structures() -> dict[str, tuple[Field, ...]]:
-    """Members of the structures of plan.h and schur.h, in order."""
-    return declared("".join((RUNTIME / name).read_text() for name in ("schur/schur.h", "plan.h")), STRUCTS)
+    """Members of the structures of plan.h, schur.h and events.h, in order."""
+    return declared("".join((RUNTIME / name).read_text() for name in ("schur/schur.h", "plan.h", "events.h")), STRUCTS)
 
 
 def declared(header: str, names: Sequence[str]) -> dict[str, tuple[Field, ...]]:
@@ -111,6 +112,8 @@ class CTables:
         derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
         self._model = self._fill("ph_model", model, derived)
         self.pointer = ctypes.addressof(self._model)
+        #: of the state events, None without
+        self.events = None if model.events is None else self._events(model.events)
 
     @property
     def size(self) -> int:
@@ -125,6 +128,17 @@ class CTables:
         schur = None if plan.schur is None else self._schur(plan.schur)
         struct = self._fill("ph_plan", plan, derived | {"groups": ctypes.addressof(array), "schur": schur})
         return ctypes.addressof(struct)
+
+    def _events(self, plan: EventPlan) -> int:
+        """All rows of guards and jumps are reports."""
+        groups = [*plan.groups, *(() if plan.jump is None else (plan.jump.group,))]
+        rows = [self._fill("ph_group", g, group_values(g, 0, self._index)) for g in groups]
+        array = (ctypes_structures()["ph_group"] * len(rows))(*rows)
+        self._keep.append(array)
+        at, size = ctypes.addressof(array), ctypes.sizeof(ctypes_structures()["ph_group"])
+        derived = event_values(plan) | {"groups": at}
+        derived["jump"] = None if plan.jump is None else at + size * len(plan.groups)
+        return ctypes.addressof(self._fill("ph_events", plan, derived))
 
     def _schur(self, schur: SchurStepper) -> int:
         rows = [self._fill("ph_lane_group", g, values) for g, values in lane_groups(schur)]

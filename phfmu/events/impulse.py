@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: a pivot of S this small against its diagonal: the jumps depend on each other
-DEPENDENT = 1e-12
-
 
 @dataclass(frozen=True)
 class Columns:
@@ -26,13 +23,13 @@ class Columns:
         return Columns(self.L[:, which], self.c[:, which], self.S[np.ix_(which, which)], self.e[which])
 
 
-def impulses(S: Array, goal: Array) -> Array | None:
-    """m = S^-1 goal by Cholesky's method; None where the columns depend on each other."""
+def impulses(S: Array, goal: Array, least: float) -> Array | None:
+    """m = S^-1 goal by Cholesky's method; None where a pivot is below `least` of its diagonal: columns depend on each other."""
     n = len(goal)
     factor, m = np.zeros_like(S), goal.copy()
     for j in range(n):
         pivot = S[j, j] - factor[j, :j] @ factor[j, :j]
-        if not pivot > DEPENDENT * S[j, j]:
+        if not pivot > least * S[j, j]:
             return None
         factor[j, j] = np.sqrt(pivot)
         for i in range(j + 1, n):

@@ -11,15 +11,18 @@ from scipy.optimize import brentq
 
 from phfmu import (
     PHDAE,
+    TRANSLATIONAL,
     Collocated,
     Guard,
     Jump,
     Monolithic,
     NativeInstance,
     Options,
+    Port,
     PythonInstance,
     StateEvent,
     StepFailure,
+    algebraic,
     build_model,
     damping,
     energy,
@@ -27,6 +30,7 @@ from phfmu import (
     run,
     skew,
     state,
+    time,
 )
 from phfmu.components.library import build
 from phfmu.engine.event_failure import EventRefused
@@ -269,3 +273,50 @@ def test_a_jump_beyond_its_limit_is_refused(engine):
     instance = engine(build_model(clutch(most=39.0), Collocated(2)))
     with pytest.raises(EventRefused, match=r"'grip' would jump with \|c\| = 40, more than its most = 39"):
         list(instance.land(0.0, 0.02, 5))
+
+
+def test_compiled_landing_goes_on_where_its_room_ended(monkeypatch):
+    """Many impacts in few steps with room for one event and one row more than grid steps, and with much: the same bits."""
+    from phfmu.engine import native_landing
+
+    scene = build("bouncing_ball")
+    model = build_model(scene.declaration(), Collocated(2))
+    found = []
+    for steps, events in ((1, 1), (500, 500)):
+        monkeypatch.setattr(native_landing, "STEPS", steps)
+        monkeypatch.setattr(native_landing, "EVENTS", events)
+        parts = list(NativeInstance(model).land(0.0, 0.5, 10, record=("x",)))
+        found.append([(p.t.tolist(), p.h.tolist(), p.rows["x"].tolist() if p.rows else []) for p in parts])
+        assert sum(part.happened is not None for part in parts) > 60
+    steps = [[x for part in run for x in zip(*part, strict=True)] for run in found]
+    assert steps[0] == steps[1] and len(steps[0]) > 60
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_guards_of_algebraic_variables(engine):
+    """The voltage over a resistor in series is an algebraic variable; it is solved for within the step too."""
+    flux, v = state("flux", unit="Wb", start=1.0), algebraic("v", unit="V")
+    s = parameter("s", 1.0)
+    decay = PHDAE(
+        "decay", states=(flux,), algebraics=(v,), parameters=(s,), energies=(energy(flux**2 / 2),),
+        structure=(skew(flux, v, -1.0),), dissipation=(damping(v, 1.0),),
+        state_events=(StateEvent(Guard("half", v.sx - 0.5, -1, unit="V"), when={"s": 1.0}, sets={"s": 0.0}),),
+    )  # fmt: skip
+    (happened,) = (p.happened for p in engine(build_model(decay, Collocated(3))).land(0.0, 0.02, 50) if p.happened)
+    assert happened.t == pytest.approx(np.log(2), abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_guards_of_time_and_of_inputs(engine):
+    q, p = state("q", start=0.0), state("p", start=0.0)
+    force = Port("force", TRANSLATIONAL, "effort", {p: 1.0}, start=2.0)
+    s = parameter("s", (1.0, 1.0), 2)
+    events = (
+        StateEvent(Guard("clock", time - 0.3137, 1, unit="s"), when={"s[1]": 1.0}, sets={"s[1]": 0.0}),
+        StateEvent(Guard("work", force.u * q.sx - 0.32, 1), when={"s[2]": 1.0}, sets={"s[2]": 0.0}),
+    )
+    body = PHDAE("body", states=(q, p), parameters=(s,), energies=(energy(p**2 / 2), energy(0 * q.sx)),
+                 structure=(skew(q, p, 1.0),), ports=(force,), state_events=events)  # fmt: skip
+    found = [p.happened for p in engine(build_model(body, Collocated(2))).land(0.0, 0.125, 8) if p.happened]
+    assert [h.events for h in found] == [(0,), (1,)]
+    assert [h.t for h in found] == [pytest.approx(0.3137, abs=1e-15), pytest.approx(0.4, abs=1e-14)]  # q = t^2

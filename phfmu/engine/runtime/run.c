@@ -8,7 +8,7 @@ static void put(const ph_column *column, int row, const double *from, int n) {
         memcpy(column->data + row * column->stride, from, sizeof(double) * (size_t)n);
 }
 
-static void write_row(ph_instance *in, const ph_record *r, int row) {
+void ph_write_row(ph_instance *in, const ph_record *r, int row) {
     const ph_plan *p = in->step.plan;
     const int *offset = in->offset;
     put(&r->signals, row, in->table, offset[PH_NBLOCK]);
@@ -53,7 +53,7 @@ int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record,
             in->count[PH_FAILED]++;
             return status;
         }
-        write_row(in, r, *done);
+        ph_write_row(in, r, *done);
     }
     return PH_OK;
 }

@@ -197,6 +197,7 @@ void ph_accept(ph_instance *in, double h, double from, double weight);
 void ph_begin_step(ph_instance *in, double h);
 void ph_finish_step(ph_instance *in, double t);
 void ph_clear_ledger(ph_instance *in);
+void ph_write_row(ph_instance *in, const ph_record *r, int row);
 int ph_is_sliver(const ph_instance *in, double t, double h);
 void ph_resample(ph_instance *in, double from, double length, double *u);
 void ph_inputs_at(ph_instance *in, double theta, double *u);

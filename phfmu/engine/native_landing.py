@@ -1,0 +1,85 @@
+"""Steps with state events in compiled code: rows and events of many steps a call."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.event_failure import EventRefused
+from phfmu.engine.library import Column, LandedRows, Record, record_widths, view
+from phfmu.engine.model import Model
+from phfmu.engine.status import Status
+from phfmu.events.happened import Happened, Landed
+
+Floats = NDArray[np.float64]
+
+#: rows and events written between two returns, beyond the grid steps asked for
+STEPS, EVENTS = 64, 128
+
+
+class NativeLanding:
+    """The landing of the instance at address `instance` of the library `lib`; `width`: of its signal table."""
+
+    def __init__(self, model: Model, lib: ctypes.CDLL, instance: int, events: int | None, width: int):
+        if events is None or model.events is None:
+            raise ValueError(f"{model.name} has no state events: use run")
+        self._model, self._plan, self._lib, self._width = model, model.events, lib, width
+        self._memory = np.zeros(lib.ph_landing_size(instance, events) // 8 + 1)
+        self._in = lib.ph_landing_init(self._memory.ctypes.data, instance, events)
+
+    def over(
+        self,
+        t0: float,
+        h: float,
+        n: int,
+        record: Iterable[str],
+        first: int,
+        changed: bool,
+        check: Callable[[int], None],
+    ) -> Iterator[Landed]:
+        """Grid steps first..first+n-1; `check` raises what a status means."""
+        widths = record_widths(self._model, self._width)
+        rows = {name: np.full((n + STEPS, widths[name]), np.nan) for name in record}
+        request = Record(parts=1)
+        for name, array in rows.items():
+            setattr(request, name, Column(array.ctypes.data, array.shape[1]))
+        ncomp = self._model.step.ncomp
+        t, size, when = np.zeros(n + STEPS), np.zeros(n + STEPS), np.zeros(EVENTS)
+        step, fired = np.zeros(EVENTS, np.int32), np.zeros((EVENTS, self._plan.n), np.int8)
+        energy, lost = np.zeros((2, EVENTS, ncomp))
+        signals = np.zeros((EVENTS, self._width))
+        arrays = (t, size, when, step, fired, energy, lost, signals)
+        out = LandedRows(n + STEPS, EVENTS, 0, 0, 0, *(a.ctypes.data for a in arrays))
+        self._lib.ph_land_from(self._in, t0, h, first, n, int(changed))
+        while not out.done:
+            status = self._lib.ph_land(self._in, request, out)
+            begin = 0
+            for i in range(out.events):
+                who, parts = fired[i], (energy[i].copy(), lost[i].copy(), signals[i].copy())
+                happened = Happened(float(when[i]), _numbers(who > 0), _numbers(who > 1), *parts)
+                yield _landed(t, size, rows, begin, int(step[i]), happened)
+                begin = int(step[i])
+            if begin < out.steps:
+                yield _landed(t, size, rows, begin, out.steps, None)
+            if status:
+                self._refuse(status)
+                check(status)
+
+    def _refuse(self, status: int) -> None:
+        if tuple(Status)[status] is not Status.EVENT:
+            return
+        r = self._lib.ph_land_refusal(self._in).contents
+        names = [self._plan.names[i] for i in np.flatnonzero(view(r.fired, self._plan.n, np.int8))]
+        raise EventRefused(self._model.name, r.t, r.reason, names, r.value, r.limit)
+
+
+def _numbers(flags: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(int(i) for i in np.flatnonzero(flags))
+
+
+def _landed(t: Floats, h: Floats, rows: dict[str, Floats], begin: int, end: int, happened: Happened | None) -> Landed:
+    part = {name: array[begin:end].copy() for name, array in rows.items()} if end > begin else {}
+    return Landed(t[begin:end].copy(), h[begin:end].copy(), part, happened)

@@ -1,0 +1,102 @@
+/* State events of an instance: steps that end on the zeros of guards, jumps of the states.
+ *
+ * The twin of engine/landing.py, whose words are used here; docs/understand/events.md has the rules. Nothing
+ * of an instance knows of it. */
+#ifndef PH_EVENTS_H
+#define PH_EVENTS_H
+
+#include "event_limits.h"
+#include "phfmu.h"
+
+#define PH_MOST_POINTS 16
+
+/* Mirror of EventPlan; all tables are constant. Rows of the guards are their numbers, their x is [states |
+ * time], their Y [algebraic variables | inputs]. */
+typedef struct ph_events {
+    int n;                         /* state events, with a guard each */
+    int ngroup;                    /* groups of guard kernels */
+    int solves;                    /* 1: a guard reads algebraic variables */
+    int npoint;                    /* 2k+2 points of the fit */
+    int nincrement, nstart;        /* entries of the polynomial */
+    int njump, nmoved, ncomponent; /* jumps, the states they move, the components whose energy they change */
+    const ph_group *groups;        /* ngroup */
+    const ph_group *jump;          /* c by component | L by column | S | e of all jumps; NULL: none */
+    const signed char *direction;  /* n */
+    const double *nominal;         /* n */
+    const int *when_ptr;           /* n+1: armed while the parameters have these values */
+    const int *when_p;
+    const double *when_value;
+    const int *sets_ptr; /* n+1: what it sets */
+    const int *sets_p;
+    const double *sets_value;
+    const int *rest_ptr; /* n+1: what it sets besides where events pile up */
+    const int *rest_p;
+    const double *rest_value;
+    const int *jump_of;                /* n: its jump, or -1 */
+    const int *jump_moved;             /* nmoved */
+    const int *jump_component;         /* ncomponent */
+    const int *jump_owner;             /* njump: component that the loss is booked at */
+    const double *jump_most;           /* njump: largest |c| */
+    const int *polynomial_state;       /* nincrement: each increment with its state, */
+    const int *polynomial_w;           /* its place among the unknowns */
+    const int *polynomial_node;        /* and its node */
+    const int *polynomial_start_state; /* nstart: impulses at the start of a step */
+    const int *polynomial_start_w;
+    const double *fit_tau;     /* npoint */
+    const double *fit_weights; /* npoint*k: integrals of the Lagrange basis up to tau */
+    const double *fit_whole;   /* npoint*npoint: values at tau to Bernstein coefficients */
+    const double *fit_divided; /* (npoint-1)^2: the same of values / tau behind 0 */
+} ph_events;
+
+/* What steps and events are written to; the caller's, with room for so many. */
+typedef struct ph_landed {
+    int steps_room, events_room;
+    int steps, events;        /* written by the last call */
+    int done;                 /* 1: all grid steps are taken */
+    double *t;                /* steps: starts */
+    double *h;                /* steps: sizes */
+    double *event_t;          /* events */
+    int *event_step;          /* events: steps written before it */
+    signed char *event_fired; /* events*n: 1 = happened, 2 = and came to rest */
+    double *event_energy;     /* events*ncomp: by a jump */
+    double *event_lost;       /* events*ncomp */
+    double *event_signals;    /* events*length of the signal table: after it */
+} ph_landed;
+
+/* Why PH_EVENT, in the order of REASONS in event_failure.py. */
+typedef enum ph_event_reason {
+    PH_REFUSED_DEPENDENT,
+    PH_REFUSED_MOST,
+    PH_REFUSED_GAIN,
+    PH_REFUSED_PILE,
+    PH_REFUSED_AGAIN
+} ph_event_reason;
+
+typedef struct ph_event_refusal {
+    int reason;
+    double t, value, limit;
+    const signed char *fired; /* n */
+} ph_event_refusal;
+
+typedef struct ph_landing ph_landing;
+
+/* Bytes for the landing of an instance; memory: so many, aligned for double, owned by the caller. */
+PH_API size_t ph_landing_size(const ph_instance *in, const ph_events *events);
+PH_API ph_landing *ph_landing_init(void *memory, ph_instance *in, const ph_events *events);
+/* Grid steps first..first+n-1 from t0 + k h are to be taken; changed: values were set since the last step. */
+PH_API void ph_land_from(ph_landing *l, double t0, double h, int first, int n, int changed);
+/* Takes them, until all are taken or there is no more room; again goes on. record: a row a step. After a
+ * status other than PH_OK the instance is at the last step written. */
+PH_API int ph_land(ph_landing *l, const ph_record *record, ph_landed *out);
+PH_API const ph_event_refusal *ph_land_refusal(const ph_landing *l);
+
+/* event_roots.c: b, Bernstein coefficients of degree n. */
+typedef struct ph_crossing {
+    double tau, slope;
+} ph_crossing;
+
+double ph_bernstein(const double *b, int n, double t);
+double ph_bernstein_slope(const double *b, int n, double t, int from_zero);
+int ph_first_crossing(const double *b, int n, int direction, int from_zero, ph_crossing *at);
+
+#endif
