@@ -5,7 +5,8 @@
  * `x` (input array [2] of 3.0).
  *
  * A mass on a spring, stepped exactly under a held force: 20 `F` (input), 21 `v`, 22 `q` (outputs), 23 `m`,
- * 24 `k` (parameters), 25 `H` (its energy).  27 `forgets` (integer): a saved state has 1: not q, 2: nothing.
+ * 24 `k` (parameters), 25 `H` (its energy).  27 `forgets` (integer): a saved state has 1: not q, 2: nothing;
+ * 3: it cannot be saved.
  */
 #include <math.h>
 #include <signal.h>
@@ -126,6 +127,8 @@ static int *whole(unit *m, unsigned r) {
 }
 
 static int save(const unit *m, void **state) {
+    if (m->forgets == 3)
+        return 3;
     if (!*state)
         *state = malloc(sizeof(unit));
     memcpy(*state, m, sizeof(unit));
@@ -347,29 +350,29 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
 ABSENT(fmi2CancelStep)
 ABSENT(fmi2DeSerializeFMUstate)
 ABSENT(fmi2GetDirectionalDerivative)
-ABSENT(fmi2GetIntegerStatus) ABSENT(fmi2GetRealOutputDerivatives) ABSENT(fmi2GetStatus) ABSENT(
-    fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate)
-    ABSENT(fmi2SerializedFMUstateSize) ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(
-        fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState)
-        ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode) ABSENT(
-            fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates)
-            ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative) ABSENT(fmi3GetBinary) ABSENT(
-                fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(fmi3GetContinuousStates)
-                ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetInt16)
-                    ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction) ABSENT(
-                        fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
-                        ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies)
-                            ABSENT(fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(
-                                fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16)
-                                ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(
-                                    fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
-                                    ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
-                                        ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary) ABSENT(
-                                            fmi3SetClock) ABSENT(fmi3SetContinuousStates) ABSENT(fmi3SetInt16)
-                                            ABSENT(fmi3SetInt8) ABSENT(fmi3SetIntervalDecimal)
-                                                ABSENT(fmi3SetIntervalFraction) ABSENT(fmi3SetShiftDecimal)
-                                                    ABSENT(fmi3SetShiftFraction) ABSENT(fmi3SetString)
-                                                        ABSENT(fmi3SetTime) ABSENT(fmi3SetUInt16)
-                                                            ABSENT(fmi3SetUInt32) ABSENT(fmi3SetUInt64)
-                                                                ABSENT(fmi3SetUInt8)
+ABSENT(fmi2GetIntegerStatus)
+ABSENT(fmi2GetRealOutputDerivatives) ABSENT(fmi2GetStatus) ABSENT(fmi2GetString) ABSENT(
+    fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate) ABSENT(fmi2SerializedFMUstateSize)
+    ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(fmi3ActivateModelPartition) ABSENT(
+        fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState) ABSENT(fmi3EnterConfigurationMode)
+        ABSENT(fmi3EnterContinuousTimeMode) ABSENT(fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(
+            fmi3EvaluateDiscreteStates) ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative)
+            ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(
+                fmi3GetContinuousStates) ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators)
+                ABSENT(fmi3GetInt16) ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(
+                    fmi3GetIntervalFraction) ABSENT(fmi3GetNominalsOfContinuousStates)
+                    ABSENT(fmi3GetNumberOfContinuousStates) ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(
+                        fmi3GetNumberOfVariableDependencies) ABSENT(fmi3GetOutputDerivatives)
+                        ABSENT(fmi3GetShiftDecimal) ABSENT(fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(
+                            fmi3GetUInt16) ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8)
+                            ABSENT(fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
+                                ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
+                                    ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary)
+                                        ABSENT(fmi3SetClock) ABSENT(fmi3SetContinuousStates)
+                                            ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8)
+                                                ABSENT(fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
+                                                    ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
+                                                        ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
+                                                            ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
+                                                                ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
                                                                     ABSENT(fmi3UpdateDiscreteStates)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.refusal import UnitCallError
 
 Array = NDArray[np.float64]
 
@@ -44,12 +45,15 @@ def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
             return np.concatenate([unit.get(names), unit.output()])
 
         unit.do_step(t, h)
-        state = unit.get_state()
-        moved = _moved(unit, u)
-        first = after(moved)
-        for inputs in (u, moved):
-            unit.set_state(state)
-            again = after(inputs)
+        moved, first, again = _moved(unit, u), np.zeros(0), np.zeros(0)
+        try:
+            state = unit.get_state()
+            first = after(moved)
+            for inputs in (u, moved):
+                unit.set_state(state)
+                again = after(inputs)
+        except UnitCallError as error:
+            return Rollback(False, f"does not restore its state: {error}")
         return _judged([*names, *(f"mean of {n}" for n in unit.outputs)], first, again)
 
 

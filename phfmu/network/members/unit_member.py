@@ -30,9 +30,9 @@ def unit_member(name: str, file: UnitFile, h: float, found: Rollback | None = No
 
     found: what a trial gave; a unit that cannot take steps back is stepped last.  None where no step is taken back.
     """
-    notes, member = [f"{name}: {line}" for line in file.left_out], FMUMember(name, made(name, file))
-    if found is None or not found.words:
-        return member, notes
-    if found.works:
-        return member, [*notes, f"{name}: {found.words}"]
-    return SteppedLast(member, h, response(partial(made, name, file), h)), [*notes, f"{name}: {found.words}; {LAST}"]
+    notes = [f"{name}: {line}" for line in file.left_out]
+    if found is None or found.works:
+        return FMUMember(name, made(name, file)), [*notes, *(f"{name}: {w}" for w in (found and found.words,) if w)]
+    # before the member: some libraries have one instance at a time
+    answer = response(partial(made, name, file), h)
+    return SteppedLast(FMUMember(name, made(name, file)), h, answer), [*notes, f"{name}: {found.words}; {LAST}"]
