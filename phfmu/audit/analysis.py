@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from .ledger import Ledger
 from .reading import Batches, Interned, Rows
 from .summary import LedgerSummary
 from .sums import Floats
+from .window import Window, judged_by
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -36,15 +37,26 @@ def verdict(source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_R
     return summarise(source, rtol).violations
 
 
-def summarise(source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_RTOL) -> LedgerSummary:
+def summarise(
+    source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_RTOL, window: Window | None = None
+) -> LedgerSummary:
     """The ledger of an audit table or log file, as `Ledger.summary` gives it at the end of the run.
 
     Nothing derived is taken from the rows: residuals, junctions, the network and its sums are computed again, and rows
     that say otherwise are violations of the kind `file`. One pass; memory does not grow with the log.
+    `window`: sums are those of the steps and events within it; the verdict is that of the whole log, which is read twice then.
     Errors: ValueError for what is not an audit log, or would unpack to far more than phfmu writes.
     """
+    whole = Batches(source)
+    judged = _summed(whole, rtol, whole.interned)
+    if window is None:
+        return judged
     batches = Batches(source)
-    reader = _Reader(batches.interned, rtol)
+    return judged_by(_summed((window.of(batch) for batch in batches), rtol, batches.interned), judged)
+
+
+def _summed(batches: Iterable[Mapping[str, Rows]], rtol: float, interned: Interned) -> LedgerSummary:
+    reader = _Reader(interned, rtol)
     for batch in batches:
         reader.take(batch)
     reader.finish()

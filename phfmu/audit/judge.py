@@ -125,7 +125,7 @@ class Judge:
                 booked = block.steps.supplied - per_owner(booking, block.steps.pairs)
                 self._mark("ports", names, booked, allowed, block, judged)
             self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
-            self._joined(block, np.where(judged, allowed, np.abs(block.residual)))
+            self._joined(block, np.where(judged, allowed, np.abs(block.residual)), reach)
         found = ratio(block.residual, allowed)
         for i, account in enumerate(accounts):
             account.reach = float(reach[-1, i])
@@ -158,17 +158,21 @@ class Judge:
             account.allowed += float(allowed[:, i].sum())
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
 
-    def _joined(self, block: Block, allowed: Floats) -> None:
-        """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for."""
+    def _joined(self, block: Block, allowed: Floats, played: Floats) -> None:
+        """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for.
+
+        A junction sums what its members round in their own energies, however little passes through it; `played` [n,c].
+        """
         names = tuple(block.booking.junctions)
         if names:
             passed = 2.0 * block.junction_exchanged
             reach = _running([self._junctions.get(name, 0.0) for name in names], _finite(passed))
             self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
-            self._mark(
-                "junction", names, block.junction_residual, self.rtol * passed + FLOOR * EPS * reach, block, judged
-            )
+            permitted = self.rtol * passed + FLOOR * EPS * reach
+            for j, columns in enumerate(block.booking.joined_components):
+                permitted[:, j] += ULPS * EPS * played[:, columns].sum(axis=1)
+            self._mark("junction", names, block.junction_residual, permitted, block, judged)
         rounding = ULPS * EPS * np.abs(block.steps.pairs).sum(axis=1)
         permitted = (allowed.sum(axis=1) + rounding)[:, None]
         self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)

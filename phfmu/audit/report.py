@@ -1,15 +1,18 @@
-"""Where the energy went, as text."""
+"""Where the energy went, as text and as CSV."""
 
+import csv
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from phfmu.words import counted, shown
 
+from .alarms import Alarms, alarms
 from .analysis import summarise
-from .booking import ESTIMATED
+from .events import EventRow
 from .judge import DEFAULT_RTOL, VIOLATED
-from .summary import LedgerSummary, NetworkSummary
+from .sheets import JOULE, Column, Scale, Sheet, sheets
+from .summary import LedgerSummary
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -22,12 +25,17 @@ def audit_table(
     *,
     width: int = 120,
     color: bool = False,
+    by: Sequence[str] = (),
+    scale: Scale = JOULE,
+    events: Sequence[EventRow] = (),
+    levels: Alarms | None = None,
 ) -> str:
-    """Text of where the energy went, from an audit table or a ledger's summary; energies in joule.
+    """Text of where the energy went, from an audit table or a ledger's summary.
 
     Components (start, end, stored, dissipated, supplied, largest residual as a part of what is allowed, verdict), ports,
     junctions, network, what does not close, events; columns and tables that the run has nothing for are left out.
-    `rtol` judges a table; a summary is judged.
+    `rtol` judges a table; a summary is judged.  `by`: kinds of tables to show, none: all.  `scale`: of energies, J by default.
+    `events`: those to be listed.  `levels`: what to warn of.
     """
     from rich.console import Console
 
@@ -41,7 +49,7 @@ def audit_table(
         markup=False,  # names may hold brackets
         emoji=False,
     )
-    for part in _parts(summary):
+    for part in _parts(summary, by, scale, events, levels):
         if not isinstance(part, str):
             console.print()
         console.print(part, soft_wrap=isinstance(part, str))
@@ -49,88 +57,67 @@ def audit_table(
     return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()) + "\n"
 
 
-def _parts(summary: LedgerSummary) -> Iterator[Any]:
+def audit_csv(summary: LedgerSummary, kind: str, scale: Scale = JOULE, events: Sequence[EventRow] = ()) -> str:
+    """One kind of table (component, port, junction, event) as CSV, with all digits; the header row has the unit of energies."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    for sheet in sheets(summary, events):
+        if sheet.title == kind:
+            writer.writerow(f"{c.header} [{scale.label}]" if c.kind == "energy" else c.header for c in sheet.columns)
+            writer.writerows(
+                [
+                    scale.of(v) if c.kind == "energy" and v is not None else v
+                    for c, v in zip(sheet.columns, row, strict=True)
+                ]
+                for row in sheet.rows
+            )
+    return out.getvalue()
+
+
+def _parts(
+    summary: LedgerSummary, by: Sequence[str], scale: Scale, events: Sequence[EventRow], levels: Alarms | None
+) -> Iterator[Any]:
     if not summary.steps:
         yield "no steps: nothing was stored, dissipated or supplied"
     else:
         span = f"{counted(summary.steps, 'step')} from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"
-        yield f"Energy in joule, positive into the component; {span}"
-    if summary.components:
-        yield _filled_table("component", summary.components, _component_columns(summary))
-    if summary.ports:
-        joined = any(port.junction for port in summary.ports)
-        columns: dict[str, Callable[[Any], str]] = {"supplied": lambda p: _joule(p.supplied)}
-        if joined:
-            columns["junction"] = lambda p: p.junction or "(external)"
-        if any(port.quality == ESTIMATED for port in summary.ports):
-            columns["quality"] = lambda p: p.quality
-        yield _filled_table("port", summary.ports, columns, name=lambda p: f"{p.component}.{p.port}")
-    if summary.junctions:
-        columns = {
-            "residual": lambda j: _joule(j.residual),
-            "worst step": lambda j: _joule(j.worst_residual),
-            "exchanged": lambda j: _joule(j.exchanged),
-            "verdict": lambda j: j.verdict,
-        }
-        yield _filled_table("junction", summary.junctions, columns)
-    if summary.network is not None:
-        yield _network_table(summary.network)
+        unit = {"J": "joule"}.get(scale.unit, scale.unit)
+        if scale.whole is not None:
+            unit = f"percent of {scale.whole:.4g} J, which came in or was there"
+        yield f"Energy in {unit}, positive into the component; {span}"
+    for sheet in sheets(summary, events):
+        if not by or sheet.title in by:
+            yield _drawn(sheet, scale)
     if summary.violations:
         yield _table(
             f"{VIOLATED}: what does not close; allowed: {summary.rtol:.1e} of the energies in play, and rounding"
         )
         yield from (shown(str(v)) for v in summary.violations)
+    if levels is not None:
+        yield from (shown(line) for line in alarms(summary, levels))
     if summary.events:
         yield "events: " + ", ".join(f"{count} {shown(kind)}" for kind, count in summary.events.items())
 
 
-def _component_columns(summary: LedgerSummary) -> dict[str, Callable[[Any], str]]:
-    columns: dict[str, Callable[[Any], str]] = {
-        "H start": lambda c: _joule(c.H_start),
-        "H end": lambda c: _joule(c.H_end),
-        "stored": lambda c: _joule(c.stored),
-    }
-    for name in ("dissipated", "numerical", "supplied", "jumps"):
-        if any(getattr(component, name) is not None for component in summary.components):
-            columns[name] = lambda c, name=name: _joule(getattr(c, name))
-    columns["worst"] = lambda c: f"{c.worst_ratio:.1e}"
-    columns["verdict"] = lambda c: c.verdict
-    return columns
-
-
-def _filled_table(
-    title: str,
-    rows: list[Any],
-    columns: dict[str, Callable[[Any], str]],
-    name: Callable[[Any], str] | None = None,
-) -> "Table":
-    table = _table(title)
-    words = {"verdict", "quality", "junction"}
-    for header in columns:
-        table.add_column(header, justify="left" if header in words else "right", no_wrap=header != "junction")
-    for row in rows:
-        first = name(row) if name else getattr(row, title)
-        table.add_row(*(shown(text) for text in (first, *(cell(row) for cell in columns.values()))))
+def _drawn(sheet: Sheet, scale: Scale) -> "Table":
+    first, *others = sheet.columns
+    table = _table(first.header)
+    for c in others:
+        table.add_column(
+            c.header, justify="left" if c.kind == "word" else "right", no_wrap=c.header not in ("junction", "message")
+        )
+    for row in sheet.rows:
+        table.add_row(*(shown(_cell(c, v, scale)) for c, v in zip(sheet.columns, row, strict=True)))
     return table
 
 
-def _network_table(network: NetworkSummary) -> "Table":
-    table = _table("network")
-    table.add_column("energy", justify="right", no_wrap=True)
-    table.add_column("verdict")
-    rows = {
-        "stored": network.stored,
-        "dissipated": network.dissipated,
-        "lost by the scheme": network.numerical,
-        "supplied from outside": network.external,
-        "created by the junctions": network.junction_residual,
-        "unexplained": network.unexplained,
-        "unexplained, worst step": network.worst_unexplained,
-    }
-    for label, value in rows.items():
-        if value is not None:
-            table.add_row(label, _joule(value), network.verdict if label == "unexplained" else "")
-    return table
+def _cell(column: Column, value: Any, scale: Scale) -> str:
+    if value is None:
+        return ""
+    if column.kind == "energy":
+        number = scale.of(value)
+        return f"{number:.3e}" if scale.label == "J" else f"{number:.4g}"
+    return f"{value:.1e}" if column.kind == "ratio" else f"{value:.6g}" if column.kind == "time" else str(value)
 
 
 def _table(title: str) -> "Table":
@@ -142,7 +129,3 @@ def _table(title: str) -> "Table":
     table = Table(box=rule, show_edge=False, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column(title, overflow="fold", min_width=10)
     return table
-
-
-def _joule(value: float | None) -> str:
-    return "" if value is None else f"{value:.3e}"

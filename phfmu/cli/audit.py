@@ -3,23 +3,44 @@
 from __future__ import annotations
 
 import argparse
+from math import inf
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from phfmu.words import shown
 
+if TYPE_CHECKING:
+    from phfmu.audit.window import Window
+
 
 def add_parser(verbs: Any) -> None:
+    from phfmu.audit.sheets import KINDS, UNITS
+
     parser = verbs.add_parser("audit", help="table of where the energy went; exit 4 if something does not close")
     parser.add_argument("file", help="X.parquet or X.arrows; or 'recover X.arrows' after a crash", nargs="+")
     parser.add_argument(
         "--rtol", type=float, default=1e-11, help="allowed step residual relative to the energy in play"
     )
+    parser.add_argument("--window", metavar="A:B", help="sums of the steps from A to B s only; A or B may be left out")
+    parser.add_argument("--by", choices=KINDS, help="one table only; event: all events, one by one")
+    parser.add_argument(
+        "--unit", default="J", choices=(*UNITS, "auto"), help="of the energies (default J; auto: what fits)"
+    )
+    parser.add_argument("--percent", action="store_true", help="energies as parts of what came in, or was there")
+    parser.add_argument("--export", choices=("csv",), help="the table of --by as CSV, with all digits, instead of text")
+    parser.add_argument("--alarm", type=float, default=0.1, metavar="PART",
+                        help="warn of steps that miss more than this part of what is allowed (default 0.1)")  # fmt: skip
+    parser.add_argument("--alarm-junction", type=float, default=1e-6, metavar="PART",
+                        help="warn of junctions that created more than this part of what passed (default 1e-6)")  # fmt: skip
     parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table, recover, summarise
+    from phfmu.audit.alarms import Alarms
+    from phfmu.audit.report import audit_csv
+    from phfmu.audit.sheets import Scale, fitting, whole
+    from phfmu.audit.window import event_rows
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.network.run.options import ledger_tolerance
 
@@ -32,9 +53,36 @@ def call(args: argparse.Namespace) -> int:
         return FINE
     if len(args.file) != 1:
         raise ValueError("audit takes one file, or: audit recover FILE")
-    summary = summarise(_existing(args.file[0]), args.rtol)
-    print(audit_table(summary), end="")
+    if args.export and not args.by:
+        raise ValueError(
+            f"--export {args.export} writes one table; say which with --by component, port, junction or event"
+        )
+    window, levels, path = _window(args.window), Alarms(args.alarm, args.alarm_junction), _existing(args.file[0])
+    summary = summarise(path, args.rtol, window)
+    unit = fitting(summary) if args.unit == "auto" else args.unit
+    scale = Scale(unit, (whole(summary) or None) if args.percent else None)
+    events = list(event_rows(str(path), window)) if args.by == "event" else []
+    if args.export:
+        print(audit_csv(summary, args.by, scale, events), end="")
+    else:
+        print(audit_table(summary, by=[args.by] if args.by else [], scale=scale, events=events, levels=levels), end="")
     return FINE if summary.closed else LEDGER
+
+
+def _window(text: str | None) -> Window | None:
+    from phfmu.audit.window import Window
+
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    try:
+        ends = [float(t) if t.strip() else d for t, d in ((first, -inf), (last, inf))]
+    except ValueError:
+        colon = ""
+        ends = []
+    if not colon:
+        raise ValueError(f"--window {text}: expected A:B in s, e.g. 0.5:1.5, 0.5: or :1.5")
+    return Window(*ends)
 
 
 def _left(path: Path) -> str:

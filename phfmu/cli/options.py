@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -69,6 +70,16 @@ def add_steps(parser: argparse.ArgumentParser) -> None:
                         help="write N interpolated rows within each step too, marked in the column `interpolated`")  # fmt: skip
 
 
+def audit_file(args: argparse.Namespace) -> str | None:
+    """The file that --audit asks for, if it does."""
+    if args.audit in ("none", "summary"):
+        return None
+    if args.audit != "full":
+        return args.audit
+    path, _, function = args.target.partition(":")
+    return f"{function or Path(path).stem}.audit.parquet"
+
+
 def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
     """The options of a run that its events and outputs are still to be added to; the scene's restarts need one composed model."""
     from phfmu.network.run.options import Options
@@ -81,7 +92,7 @@ def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
         given["landing"] = args.step
     return Options(
         stop=stop, step=step, rtol=args.rtol, restart=restart, dense=args.dense, project=args.project, kept=tuple(args.keep),
-        audit_rtol=args.audit_rtol, **{name: value for name, value in given.items() if value is not None},
+        audit_rtol=args.audit_rtol, audited=args.audit != "none", **{name: value for name, value in given.items() if value is not None},
     )  # fmt: skip
 
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phfmu.cli.options import audit_file
+
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
     from phfmu.cli.table import TableWriter
@@ -26,7 +28,8 @@ class Outputs:
     """
 
     def __init__(self, args: argparse.Namespace):
-        self._shown = {"-o": args.output, "--audit": args.audit, "--plot": args.plot}
+        audit = audit_file(args)
+        self._shown = {"-o": args.output, "--audit": audit, "--plot": args.plot}
         self._table_path = self._audit_path = None
         self.table: TableWriter | None = None
         self.sink: AuditWriter | None = None
@@ -41,11 +44,11 @@ class Outputs:
 
             check_table(args.output)
             self._table_path = Path(args.output).absolute()
-        if args.audit:
+        if audit:
             from phfmu.audit.archive import require_free
 
-            require_free(args.audit, f"--audit {args.audit}")
-            self._audit_path = Path(args.audit).absolute()
+            require_free(audit, f"--audit {audit}")
+            self._audit_path = Path(audit).absolute()
         if args.plot:
             from phfmu.report.draw import check_picture
 

@@ -54,7 +54,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--input", metavar="FILE",
                         help="input and parameter values over time (.csv or .parquet, first column time), held")  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
-    parser.add_argument("--audit", metavar="FILE", help="energy ledger per step, FILE.parquet")
+    parser.add_argument("--audit", metavar="none|summary|full|FILE", default="summary",
+                        help="energy ledger: none; sums, printed (default); a file per step, FILE.parquet or "
+                             "(full) TARGET.audit.parquet")  # fmt: skip
     parser.add_argument("--plot", metavar="FILE", help="picture of the run, X.png or X.html (see: phfmu plot)")
     parser.add_argument(
         "--audit-rtol", type=float, default=1e-11, help="allowed residual of a step relative to the energies in play"
@@ -93,7 +95,8 @@ def call(args: argparse.Namespace) -> int:
     if not args.quiet:
         _print_run(args, label, result, chosen, report.seconds - outputs.seconds)
         _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
-        print(audit_table(summary), end="")
+        if chosen.audited:
+            print(audit_table(summary), end="")
     if not summary.closed:
         places = dict.fromkeys(v.name for v in summary.violations)
         print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
@@ -142,8 +145,10 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, chosen: Opt
         print(f"results: {args.output}")
     if args.plot:
         print(f"picture: {args.plot}")
-    if args.audit:
-        print(f"audit: {args.audit} (print with: phfmu audit {args.audit})")
+    from phfmu.cli.options import audit_file
+
+    if audit := audit_file(args):
+        print(f"audit: {audit} (print with: phfmu audit {audit})")
 
 
 def _print_notes(notes: list[str]) -> None:

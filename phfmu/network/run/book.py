@@ -21,6 +21,7 @@ from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger
+    from phfmu.audit.unbooked import Unbooked
     from phfmu.discretise.start import Projection
 
 Array = NDArray[Any]
@@ -29,7 +30,7 @@ Array = NDArray[Any]
 class Book:
     """Books the steps of a stepper in a ledger and watches the hidden constraints."""
 
-    def __init__(self, stepper: Stepper, ledger: Ledger):
+    def __init__(self, stepper: Stepper, ledger: Ledger | Unbooked):
         self.stepper, self.ledger, self.booking = stepper, ledger, stepper.booking
         self.steps, self.iterations = 0, 0.0
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith(CONSTRAINT)]

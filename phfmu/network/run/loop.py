@@ -33,9 +33,10 @@ def run(stepper: Stepper, options: Options) -> Result:
     fit; ToleranceMissed
     """
     from phfmu.audit import Ledger
+    from phfmu.audit.unbooked import Unbooked
 
     _check_events(stepper, options)
-    ledger = Ledger(options.sink, options.audit_rtol)
+    ledger = Ledger(options.sink, options.audit_rtol) if options.audited else Unbooked()
     book, rows = Book(stepper, ledger), Rows(options)
     march = _march(stepper, book, options)
     before, projection = stepper.rest_changes(), None

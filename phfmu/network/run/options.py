@@ -27,6 +27,7 @@ class Options:
     dense:  rows within each step, interpolated (see `dense.py`)
     project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
     kept:  states that the projection leaves as they are
+    audited:  whether a ledger is kept and judged
     audit_rtol:  allowed residual of the ledger, relative to the energies in play
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
     keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
@@ -48,6 +49,7 @@ class Options:
     dense: int | None = None
     project: bool = False
     kept: Sequence[str] = ()
+    audited: bool = True
     audit_rtol: float = 1e-11
     sink: Any = None
     keep: Keep | None = None
@@ -65,6 +67,8 @@ class Options:
             raise ValueError(f"--dense {self.dense}: expected a number of rows per step from 1")
         if self.kept and not self.project:
             raise ValueError(f"--keep {self.kept[0]} says what a projection leaves alone; add --project")
+        if self.sink is not None and not self.audited:
+            raise ValueError("an audit file needs a ledger: leave out --audit none")
         ledger_tolerance(self.audit_rtol, "--audit-rtol")
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from phfmu.audit import Ledger
+    from phfmu.audit.unbooked import Unbooked
     from phfmu.discretise.start import Projection
 
 Array = NDArray[Any]
@@ -21,7 +22,7 @@ class Result:
     names: list[str]
     time: Array
     values: Array
-    ledger: Ledger
+    ledger: Ledger | Unbooked
     steps: int
     iterations: float
     worst: dict[str, float] = field(default_factory=dict)

@@ -1,0 +1,165 @@
+"""The tables of a ledger as data: one sheet for components, ports, junctions, events and the network.
+
+Columns and sheets that a run has nothing for are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .booking import ESTIMATED
+from .events import EventRow
+from .summary import LedgerSummary
+
+#: units an audit may be read in, in J
+UNITS = {
+    "J": 1.0,
+    "kJ": 1e3,
+    "MJ": 1e6,
+    "GJ": 1e9,
+    "TJ": 1e12,
+    "mJ": 1e-3,
+    "uJ": 1e-6,
+    "Wh": 3.6e3,
+    "kWh": 3.6e6,
+    "MWh": 3.6e9,
+}
+KINDS = ("component", "port", "junction", "event")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A header, the value of an entry, and whether it is an energy (J), another number or a word."""
+
+    header: str
+    value: Callable[[Any], Any]
+    kind: str = "energy"
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Rows of values under columns; the first is the name of the row."""
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How energies are written: in `unit`, or as a part of `whole` (J) in percent."""
+
+    unit: str = "J"
+    whole: float | None = None
+
+    def of(self, joule: float) -> float:
+        return joule / UNITS[self.unit] if self.whole is None else 100.0 * joule / self.whole
+
+    @property
+    def label(self) -> str:
+        return self.unit if self.whole is None else "%"
+
+
+JOULE = Scale()
+
+
+def fitting(summary: LedgerSummary) -> str:
+    """The unit in which the largest energy of the ledger is from 1 to 1000."""
+    size = max(
+        (abs(v) for c in summary.components for v in (c.H_start, c.H_end, c.supplied, c.dissipated)), default=0.0
+    )
+    steps = ("uJ", "mJ", "J", "kJ", "MJ", "GJ", "TJ")
+    return next((u for u in reversed(steps) if math.isfinite(size) and size >= UNITS[u]), "J" if not size else steps[0])
+
+
+def whole(summary: LedgerSummary) -> float:
+    """What 100 % is: the energy that came in from outside, or what was stored at the start if that is more."""
+    into = sum(p.supplied for p in summary.ports if p.junction is None and p.supplied > 0.0)
+    return max(into, sum(abs(c.H_start) for c in summary.components))
+
+
+def sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> Iterator[Sheet]:
+    """All sheets of a summary; `events`: those to be listed."""
+    made = (_components(summary), _ports(summary), _junctions(summary), _network(summary), _events(events))
+    yield from (sheet for sheet in made if sheet is not None)
+
+
+def _sheet(title: str, columns: Sequence[Column], entries: Sequence[Any]) -> Sheet | None:
+    if not entries:
+        return None
+    return Sheet(title, tuple(columns), tuple(tuple(c.value(e) for c in columns) for e in entries))
+
+
+def _components(summary: LedgerSummary) -> Sheet | None:
+    columns = [
+        Column("component", lambda c: c.component, "name"),
+        Column("H start", lambda c: c.H_start),
+        Column("H end", lambda c: c.H_end),
+        Column("stored", lambda c: c.stored),
+    ]
+    for name in ("dissipated", "numerical", "supplied", "jumps"):
+        if any(getattr(c, name) for c in summary.components):
+            columns.append(Column(name, lambda c, name=name: getattr(c, name)))
+    columns += [Column("worst", lambda c: c.worst_ratio, "ratio"), Column("verdict", lambda c: c.verdict, "word")]
+    return _sheet("component", columns, summary.components)
+
+
+def _ports(summary: LedgerSummary) -> Sheet | None:
+    columns = [
+        Column("port", lambda p: f"{p.component}.{p.port}", "name"),
+        Column("supplied", lambda p: p.supplied),
+    ]
+    if any(p.junction for p in summary.ports):
+        columns.append(Column("junction", lambda p: p.junction or "(external)", "word"))
+    if any(p.quality == ESTIMATED for p in summary.ports):
+        columns.append(Column("quality", lambda p: p.quality, "word"))
+    return _sheet("port", columns, summary.ports)
+
+
+def _junctions(summary: LedgerSummary) -> Sheet | None:
+    columns = [
+        Column("junction", lambda j: j.junction, "name"),
+        Column("residual", lambda j: j.residual),
+        Column("worst step", lambda j: j.worst_residual),
+        Column("exchanged", lambda j: j.exchanged),
+        Column("verdict", lambda j: j.verdict, "word"),
+    ]
+    return _sheet("junction", columns, summary.junctions)
+
+
+def _network(summary: LedgerSummary) -> Sheet | None:
+    network = summary.network
+    if network is None:
+        return None
+    jumps = [c.jumps for c in summary.components if c.jumps]
+    guessed = [p.supplied for p in summary.ports if p.quality == ESTIMATED]
+    values = {
+        "stored": network.stored,
+        "dissipated": network.dissipated,
+        "lost by the scheme": network.numerical,
+        "brought by events": math.fsum(jumps) if jumps else None,
+        "supplied from outside": network.external,
+        "supplied through estimated ports": math.fsum(guessed) if guessed else None,
+        "created by the junctions": network.junction_residual,
+        "unexplained": network.unexplained,
+        "unexplained, worst step": network.worst_unexplained,
+    }
+    columns = (
+        Column("network", lambda e: e[0], "name"),
+        Column("energy", lambda e: e[1]),
+        Column("verdict", lambda e: network.verdict if e[0] == "unexplained" else "", "word"),
+    )
+    return _sheet("network", columns, [(k, v) for k, v in values.items() if v is not None])
+
+
+def _events(events: Sequence[EventRow]) -> Sheet | None:
+    columns = [Column("event", lambda e: e.kind, "name"), Column("t [s]", lambda e: e.t, "time")]
+    if any(e.component for e in events):
+        columns.append(Column("component", lambda e: e.component or "", "word"))
+    if any(e.energy_jump for e in events):
+        columns.append(Column("jump", lambda e: e.energy_jump))
+    columns.append(Column("message", lambda e: e.message or "", "word"))
+    return _sheet("event", columns, events)

@@ -1,0 +1,18 @@
+"""No ledger: the place of one in runs that keep none."""
+
+from typing import Any
+
+from .summary import LedgerSummary
+
+
+class Unbooked:
+    """Takes what a `Ledger` takes and keeps nothing; its summary is that of no steps."""
+
+    def add(self, *block: Any) -> None: ...
+
+    def event(self, *row: Any, **more: Any) -> None: ...
+
+    def flush(self) -> None: ...
+
+    def summary(self) -> LedgerSummary:
+        return LedgerSummary()

@@ -1,0 +1,75 @@
+"""A part of a log in time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .events import EventRow
+from .reading import Batches, Rows
+from .summary import LedgerSummary
+
+#: of a step: ends that differ by less are one
+CLOSE = 1e-6
+
+
+@dataclass(frozen=True)
+class Window:
+    """Steps that lie in [start, end], and events at these times, in s."""
+
+    start: float = -math.inf
+    end: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.start < self.end:
+            raise ValueError(f"window {self.start:g}:{self.end:g} s: the start must be before the end")
+
+    def of(self, batch: Mapping[str, Rows]) -> dict[str, Rows]:
+        """The rows within, without the columns that depend on what came before."""
+        found = {}
+        for kind, rows in batch.items():
+            t0 = rows.values("t0")
+            h = np.zeros(rows.n) if kind == "event" else rows.values("h")
+            kept = rows.take((t0 >= self.start - CLOSE * h) & (t0 + h <= self.end + CLOSE * h))
+            for name, (values, there) in kept.numbers.items():
+                if name.startswith("cum_") or name == "residual_rel":
+                    kept.numbers[name] = values, np.zeros_like(there)
+                if name == "moved":  # is held against residual_rel, in the whole log
+                    kept.numbers[name] = values, np.zeros_like(there)
+            if kept.n:
+                found[kind] = kept
+        return found
+
+
+def judged_by(part: LedgerSummary, whole: LedgerSummary) -> LedgerSummary:
+    """The sums of a part with the verdict on the whole, which knows all that was in play."""
+    words = {c.component: c for c in whole.components}
+    joined = {j.junction: j.verdict for j in whole.junctions}
+    network = part.network and whole.network and replace(part.network, verdict=whole.network.verdict)
+    return replace(
+        part,
+        components=[
+            replace(c, verdict=words[c.component].verdict, worst_ratio=words[c.component].worst_ratio)
+            for c in part.components
+        ],
+        junctions=[replace(j, verdict=joined[j.junction]) for j in part.junctions],
+        network=network,
+        violations=whole.violations,
+    )
+
+
+def event_rows(source: str, window: Window | None = None) -> Iterator[EventRow]:
+    """The events of a log, in order, within a window."""
+    batches = Batches(source)
+    name = batches.interned.name
+    for batch in batches:
+        rows = (batch if window is None else window.of(batch)).get("event")
+        if rows is None:
+            continue
+        jump, there = rows.numbers["energy_jump"]
+        for i, t in enumerate(rows.values("t0").tolist()):
+            kind, component, message = (name(rows.names[k][i]) for k in ("kind", "component", "message"))
+            yield EventRow(t, kind or "", component, float(jump[i]) if there[i] else None, message)
