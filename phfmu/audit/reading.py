@@ -98,7 +98,7 @@ _NEEDED = {
     "port": ("supplied", "index", "component", "port", "junction", "quality"),
     "junction": ("junction", "quality", "residual", "exchanged"),
     "network": tuple(name for name in FIELDS["network"] if name not in ("iterations", "accepted_by")),
-    "event": ("energy_jump", "kind", "component", "message"),
+    "event": ("energy_jump", "lost", "kind", "component", "message"),
 }
 _COMMON = ("row", "step", "t0", "h")
 _TEXTS = tuple(name for name, kind in COLUMNS.items() if kind in ("name", "text"))

@@ -161,5 +161,7 @@ def _events(events: Sequence[EventRow]) -> Sheet | None:
         columns.append(Column("component", lambda e: e.component or "", "word"))
     if any(e.energy_jump for e in events):
         columns.append(Column("jump", lambda e: e.energy_jump))
+    if any(e.lost for e in events):
+        columns.append(Column("lost", lambda e: e.lost))
     columns.append(Column("message", lambda e: e.message or "", "word"))
     return _sheet("event", columns, events)

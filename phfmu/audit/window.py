@@ -69,7 +69,8 @@ def event_rows(source: str, window: Window | None = None) -> Iterator[EventRow]:
         rows = (batch if window is None else window.of(batch)).get("event")
         if rows is None:
             continue
-        jump, there = rows.numbers["energy_jump"]
+        energies = [rows.numbers[k] for k in ("energy_jump", "lost")]
         for i, t in enumerate(rows.values("t0").tolist()):
             kind, component, message = (name(rows.names[k][i]) for k in ("kind", "component", "message"))
-            yield EventRow(t, kind or "", component, float(jump[i]) if there[i] else None, message)
+            jump, lost = (float(values[i]) if there[i] else None for values, there in energies)
+            yield EventRow(t, kind or "", component, jump, message, lost)
