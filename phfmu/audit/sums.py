@@ -63,8 +63,13 @@ def _running(x: Floats, high: ArrayLike, low: ArrayLike) -> tuple[Floats, Floats
 def _error(before: Floats, x: Floats, after: Floats) -> Floats:
     """What the addition after = before + x has rounded off."""
     part = after - before
-    error = (before - (after - part)) + (x - part)
-    return error if np.isfinite(error).all() else np.where(np.isfinite(error), error, 0.0)
+    error = after - part
+    np.subtract(before, error, out=error)
+    np.subtract(x, part, out=part)
+    error += part
+    if not np.isfinite(error.sum()):  # of one that is not; a sum that overflows is looked at once more
+        error[~np.isfinite(error)] = 0.0
+    return error
 
 
 class Sums:

@@ -24,14 +24,16 @@ class Columns:
         self._known: dict[tuple[str, ...], list[tuple[str, slice]]] = {}
         self._blocks = list(layout)
         entries = [place[q.block] + q.first + np.arange(q.count) for q in chosen]
-        self._gather = np.concatenate(entries) if entries else np.zeros(0, int)
-        self._starts = np.cumsum([0, *(q.count for q in chosen)])[:-1]
+        self._first = np.array([own[0] for own in entries], int)
+        #: columns that are sums of several entries
+        self._sums = [(i, own) for i, own in enumerate(entries) if len(own) > 1]
 
     def pick(self, signals: Array) -> Array:
         """Rows of signals -> rows of columns."""
-        if not self.names:
-            return np.zeros((len(signals), 0))
-        return np.add.reduceat(signals[:, self._gather], self._starts, axis=1)
+        rows = signals[:, self._first]
+        for i, own in self._sums:
+            rows[:, i] = np.add.reduce(signals[:, own], axis=1)
+        return rows
 
     def some(self, instance: Any, names: tuple[str, ...]) -> Array:
         """A few columns at the present time, from the blocks they are in."""
