@@ -163,6 +163,7 @@ class FMUInstance:
         before one that cannot be solved.  Outputs and ledger are those of the step up to there; go on from it.
         """
         try:
+            self._books.ahead()
             reached = self._slave.do_step(t, h)
             looked = self._books.look()
         except UnitCallError as error:

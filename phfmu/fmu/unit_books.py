@@ -28,6 +28,10 @@ class Books(Protocol):
 
     def begin(self, slave: AnySlave) -> None: ...
 
+    def ahead(self) -> None:
+        """Before a step, whose inputs are set."""
+        ...
+
     def look(self) -> Array:
         """Outputs that are needed to book a step; they have to be finite."""
         ...
@@ -79,6 +83,8 @@ class Told:
         self._slave = slave
         self._given = self._ports.given()
 
+    def ahead(self) -> None: ...
+
     def look(self) -> Array:
         return np.zeros(0)
 
@@ -114,7 +120,8 @@ class Told:
 
 
 class Estimated:
-    """By the change of displacements, whose rates the outputs are: u (q1 - q0) is what held inputs supply; else by the trapezoid.
+    """By the change of displacements, whose rates the outputs are: u (q1 - q0) is what held inputs supply; else by the
+    trapezoid of the outputs under its inputs.
 
     What the unit dissipates it keeps to itself: stored is what was supplied.
     """
@@ -134,6 +141,10 @@ class Estimated:
         self._supplied, self._pairs = np.zeros(self._ports.nu), np.zeros(self._ports.nu)
         self._after = self.look() * self._inward
         self._means = self._after[self._y]
+
+    def ahead(self) -> None:
+        """Outputs at the start of a step are those under its own inputs, as far as the unit follows these at once."""
+        self._after = self.look() * self._inward
 
     def look(self) -> Array:
         return self._slave.get(self._seen).copy()

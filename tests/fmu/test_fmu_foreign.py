@@ -222,3 +222,20 @@ def test_declared_types_units_and_aliases_are_read(tmp_path: Path, version: str)
     table = tmp_path / "o.csv"
     assert main(["run", str(path), "-o", str(table)]) == 0
     assert {"y", "y2"} <= set(table.read_text().splitlines()[0].split(","))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_outputs_that_follow_inputs_at_once_are_averaged_under_the_inputs_of_the_step(
+    units: dict[str, Path], version: str
+) -> None:
+    """y = 2 u + t with u held: the mean over a step is 2 u + t + h / 2, whatever u was before."""
+    with FMUInstance(units[version], PORT) as unit:
+        supplied = 0.0
+        for k, u in enumerate((3.0, -1.0, 5.0)):
+            unit.set_input([u])
+            unit.do_step(0.1 * k, 0.1)
+            mean = 2 * u + 0.1 * (k + 0.5)
+            supplied += 0.1 * u * mean
+            assert unit.output()[0] == pytest.approx(mean, rel=1e-14)
+            assert unit.ledger()["supplied"][0] == pytest.approx(0.1 * u * mean, rel=1e-14)
+        assert unit.energies()[0] == pytest.approx(supplied, rel=1e-14)
