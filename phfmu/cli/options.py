@@ -62,6 +62,9 @@ def add_steps(parser: argparse.ArgumentParser) -> None:
     """--rtol, --atol, --min-step, --max-step, --restart, --dense."""
     parser.add_argument("--rtol", type=float, help="adapt the step: allowed error of a step relative to each state")
     parser.add_argument("--atol", type=float, help="the same relative to each state's nominal value (default: --rtol)")
+    parser.add_argument("--ecco", type=float, metavar="TOL",
+                        help="adapt the step of gauss-seidel and jacobi: allowed energy that a junction makes in a step, "
+                        "relative to what passes through it and 1 J")  # fmt: skip
     parser.add_argument("--min-step", type=float, help="smallest adaptive step in s (default: none)")
     parser.add_argument("--max-step", type=float, help="largest adaptive step in s (default: none)")
     parser.add_argument("--restart", type=int, metavar="N",
@@ -87,7 +90,7 @@ def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
     stop = scene.stop if args.stop is None else args.stop
     step = scene.step if args.step is None else args.step
     restart = args.restart if args.restart is not None else scene.restart if whole else 0
-    given = {"atol": args.atol, "min_step": args.min_step, "max_step": args.max_step}
+    given = {"ecco": args.ecco, "atol": args.atol, "min_step": args.min_step, "max_step": args.max_step}
     if args.rtol is not None and args.step:
         given["landing"] = args.step
     return Options(

@@ -124,8 +124,9 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, chosen: Opt
     its = f", {result.iterations / result.steps:.2f} iterations a step" if result.iterations else ""  # units tell none
     sizes = (
         f"step {chosen.step:g} s"
-        if args.rtol is None
-        else f"rtol {args.rtol:g}, steps {result.smallest:.3g} to {result.largest:.3g} s"
+        if not chosen.adaptive
+        else f"{f'rtol {args.rtol:g}' if chosen.ecco is None else f'ecco {chosen.ecco:g}'}, steps {result.smallest:.3g} to "
+        f"{result.largest:.3g} s"
     )
     print(f"{args.target}: {label}; {sizes} to {chosen.stop:g} s: {counted(result.steps, 'step')}{its}, "
           f"{seconds:.3g} s")  # fmt: skip

@@ -173,3 +173,17 @@ def test_the_command_line(said: Said, tmp_path: Path) -> None:
     assert code == 2 and "is for gauss-seidel" in text
     code, text = said("run", "oscillator", "--coupling", "jacobi", "--order", "4", "--stop", "0.1")
     assert code == 0 and "--order 4 is that of the members" in text and "order 1" in text
+
+
+def test_steps_follow_the_energy_of_junctions_on_the_command_line(said: Said) -> None:
+    short = ("run", "oscillator", "--coupling", "gauss-seidel", "--stop", "0.1")
+    code, text = said(*short, "--ecco", "0.1", "--max-step", "0.02")
+    assert code == 0 and "ecco 0.1, steps" in text
+    for wrong, words in (
+        (("run", "oscillator", "--ecco", "0.1"), "add --coupling gauss-seidel or jacobi"),
+        ((*short, "--ecco", "0.1", "--rtol", "1e-3"), "leave out --rtol"),
+        ((*short, "--ecco", "-1"), "expected a positive tolerance"),
+        ((*short, "--ecco", "1", "--min-step", "1", "--max-step", "0.1"), "expected 0 <= min <= max"),
+    ):
+        code, text = said(*wrong)
+        assert code == 2 and words in text, wrong

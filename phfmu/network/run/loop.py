@@ -73,7 +73,7 @@ def _march(stepper: Stepper, book: Book, options: Options) -> FixedSteps | Adapt
     """How the run gets from event to event."""
     if isinstance(stepper, Monolithic) and stepper.model.events is not None:
         return EventSteps(stepper, book, options)
-    return FixedSteps(stepper, book, options) if options.rtol is None else AdaptiveSteps(stepper, book, options)
+    return AdaptiveSteps(stepper, book, options) if options.adaptive else FixedSteps(stepper, book, options)
 
 
 def _begin(stepper: Stepper, book: Book, options: Options, events: Sequence[Event], end: float) -> Projection | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ from phfmu.network.run.options import Options
 from phfmu.network.run.rows import Row
 from phfmu.network.run.stretches import Stretch
 from phfmu.network.scene import Event
+
+if TYPE_CHECKING:
+    from phfmu.network.run.adaptive import Adaptive
+    from phfmu.network.run.ecco import Ecco
 
 Array = NDArray[Any]
 Rows = Iterator[Row]
@@ -142,15 +146,8 @@ class AdaptiveSteps:
     """Steps that keep a tolerance; multiples of `landing` after each event are landed on."""
 
     def __init__(self, stepper: Stepper, book: Book, options: Options):
-        from phfmu.network.run.adaptive import Adaptive
-        from phfmu.network.run.restart import require_fit
-
         self.book, self.restart, self.landing = book, options.restart, options.landing
-        whole = monolithic(stepper, "--rtol")
-        if self.restart:
-            require_fit(whole)
-        assert options.rtol is not None
-        self.adaptive = Adaptive(whole, options, options.rtol)
+        self.adaptive = _sized(stepper, options)
         self._restarted, self._wanted = 0, 0
         self._pace = Pace()
 
@@ -206,6 +203,22 @@ class AdaptiveSteps:
         steps, t = Steps.joined(rows), np.array(times)
         self.book.add(t[:-1], np.diff(t), steps)
         return _rows(t[:-1], t[1:], steps)
+
+
+def _sized(stepper: Stepper, options: Options) -> Adaptive | Ecco:
+    """Steps of the size that the options ask for."""
+    if options.ecco is not None:
+        from phfmu.network.run.ecco import Ecco
+
+        return Ecco(stepper, options, options.ecco)
+    from phfmu.network.run.adaptive import Adaptive
+    from phfmu.network.run.restart import require_fit
+
+    whole = monolithic(stepper, "--rtol")
+    if options.restart:
+        require_fit(whole)
+    assert options.rtol is not None
+    return Adaptive(whole, options, options.rtol)
 
 
 def _number(numbered: tuple[int, Event]) -> int:

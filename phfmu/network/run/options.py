@@ -23,6 +23,7 @@ class Options:
     events:  values that parameters and free inputs take; the grid of steps starts anew at each
     rtol:  steps are as long as |error| <= rtol |x| + atol nominal allows in each of them (atol: as rtol); then `step` is the
         first trial, steps are within [min_step, max_step], multiples of `landing` after t0 and each event are landed on
+    ecco:  tolerance of steps that follow the energy of junctions (see `ecco.py`), within [min_step, max_step]
     restart:  damping steps (Radau IIA) after each event
     dense:  rows within each step, interpolated (see `dense.py`)
     project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
@@ -41,6 +42,7 @@ class Options:
     t0: float = 0.0
     events: Sequence[Event] = ()
     rtol: float | None = None
+    ecco: float | None = None
     atol: float | None = None
     min_step: float = 0.0
     max_step: float = inf
@@ -54,6 +56,11 @@ class Options:
     sink: Any = None
     keep: Keep | None = None
     progress: Callable[[float], None] | None = None
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the step changes by itself."""
+        return self.rtol is not None or self.ecco is not None
 
     def __post_init__(self) -> None:
         _times(self)
@@ -84,7 +91,12 @@ def _times(o: Options) -> None:
 
 
 def _tolerances(o: Options) -> None:
-    if o.rtol is None:
+    if o.ecco is not None:
+        if o.rtol is not None or o.atol is not None or o.restart:
+            raise ValueError("--ecco sizes steps by the energy of junctions; leave out --rtol, --atol and --restart")
+        if not 0 < o.ecco < inf:
+            raise ValueError(f"--ecco {o.ecco}: expected a positive tolerance, e.g. 1e-3")
+    elif o.rtol is None:
         for name, given in (
             ("atol", o.atol is not None),
             ("min-step", o.min_step != 0),
@@ -93,9 +105,10 @@ def _tolerances(o: Options) -> None:
             if given:
                 raise ValueError(f"--{name} is for adaptive steps; give --rtol too, or leave it out")
         return
-    for name, value in (("--rtol", o.rtol), ("--atol", o.rtol if o.atol is None else o.atol)):
-        if not 1e-13 <= value < 1:
-            raise ValueError(f"{name} {value}: expected a number from 1e-13 to below 1, e.g. 1e-6")
+    else:
+        for name, value in (("--rtol", o.rtol), ("--atol", o.rtol if o.atol is None else o.atol)):
+            if not 1e-13 <= value < 1:
+                raise ValueError(f"{name} {value}: expected a number from 1e-13 to below 1, e.g. 1e-6")
     if not 0 <= o.min_step <= o.max_step or not o.max_step > 0:
         raise ValueError(f"--min-step {o.min_step} s and --max-step {o.max_step} s: expected 0 <= min <= max")
 
