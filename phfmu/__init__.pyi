@@ -78,6 +78,9 @@ from phfmu.schemes.midpoint import Midpoint as Midpoint
 from phfmu.schemes.radau import Radau as Radau
 from phfmu.schemes.semi_explicit import SemiExplicit as SemiExplicit
 from phfmu.schemes.two_level import TwoLevel as TwoLevel
+from phfmu.sweeps.design import Design as Design
+from phfmu.sweeps.design import grid as grid
+from phfmu.sweeps.runs import sweep as sweep
 from phfmu.terms.rank import ConstraintRank as ConstraintRank
 from phfmu.terms.rank import constraint_rank as constraint_rank
 from phfmu.words import meant as meant

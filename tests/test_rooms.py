@@ -16,7 +16,7 @@ TESTS = Path(__file__).parent
 ROOMS = (
     "words", "files", "declare", "terms", "gradients", "plan", "schemes", "schur", "events", "discretise", "engine", "checks",
     "signals", "importers", "audit", "fmu", "network.junctions", "network.scene", "network.members", "network.couplings",
-    "network.run", "network.check_scene", "ssp", "components", "target", "report", "stress", "bench", "cli",
+    "network.run", "network.check_scene", "ssp", "components", "target", "report", "sweeps", "stress", "bench", "cli",
 )  # fmt: skip
 
 

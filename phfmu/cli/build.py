@@ -70,6 +70,20 @@ def job_of(args: argparse.Namespace) -> Job:
     return _coupled(args, s, s.system, name, [*s.notes, *why], {} if name in EXPLICIT else tried)
 
 
+def composed(args: argparse.Namespace) -> Scene:
+    """The scene of a verb that takes one composed model, with its settings; ValueError if there are units in it."""
+    if is_fmu(args.target):
+        raise ValueError(
+            f"{args.target} is a unit; phfmu {args.verb} takes what is declared: a name of the library or file.py:function"
+        )
+    s = scene(args.target)
+    if s.units:
+        raise ValueError(
+            f"{args.target} has units in it ({', '.join(s.units)}); phfmu {args.verb} takes what is declared"
+        )
+    return replace(s, system=_with_settings(s.system, settings(args.set)))
+
+
 def _isolated(args: argparse.Namespace, system: Any) -> Any:
     """The system with its units in processes of their own, if that is asked for."""
     from phfmu.network.junctions.network import Network

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 class Handle:
     """Library and addresses, those of the instance, which must outlive who uses them.
 
-    kicked: its impulses if there are any yet;  impulses, tangents: makes them, and compiles for it what they need
+    kicked: its impulses if there are any yet;  check: raises what a status means;  impulses, tangents: makes them, and
+    compiles for it what they need
     """
 
     lib: ctypes.CDLL
@@ -25,5 +26,6 @@ class Handle:
     signals: int
     node_outputs: int
     kicked: NativeImpulses | None
+    check: Callable[[int], None]
     impulses: Callable[[], NativeImpulses]
     tangents: Callable[[], NativeChain]

@@ -242,7 +242,9 @@ class NativeInstance(NativeReadings):
         """For compiled code that steps the instance itself."""
         lib, at = self._lib, self._in
         places = lib.ph_signals(at), lib.ph_node_outputs(at)
-        return Handle(lib, at, self._state_size, *places, self._kicked, lambda: self._kicks, lambda: self._chain)
+        return Handle(
+            lib, at, self._state_size, *places, self._kicked, self._check, lambda: self._kicks, lambda: self._chain
+        )
 
     def get_state(self) -> bytes:
         """A complete opaque copy; after `set_state`, in any instance of the model, the same bits follow."""

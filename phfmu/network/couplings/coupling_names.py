@@ -11,3 +11,6 @@ COUPLINGS = {
 
 #: those that take no step back
 EXPLICIT = ("gauss-seidel", "jacobi")
+
+#: `Solution.accepted_by` of steps that did not converge and were kept, or taken in parts
+KEPT, HALVED = "unconverged", "halved"

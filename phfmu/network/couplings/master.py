@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.steps import Steps
+from phfmu.engine.structures import Structures
 from phfmu.network.couplings import newton
 from phfmu.network.couplings.coupling import Coupling, Solution
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.master_library import Structures, library
+from phfmu.network.couplings.master_library import HEADER, library
 from phfmu.network.couplings.master_pattern import Exchanged, Pattern, exchanged
 from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknowns
 from phfmu.network.couplings.unconverged import Accepting, Halving
@@ -39,7 +40,7 @@ class Master:
 
     def __init__(self, joined: Joined, coupling: Coupling, found: Exchanged):
         self.joined, self.coupling, self.found = joined, coupling, found
-        self._pattern, self._memory = Pattern(found), Structures()
+        self._pattern, self._memory = Pattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs: list[Array] = []
         self._shares = [self._share(i) for i in range(len(found.parts))]

@@ -13,10 +13,9 @@ import numpy as np
 
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
+from phfmu.network.couplings.coupling_names import HALVED, KEPT
 from phfmu.network.couplings.joined import Joined
 
-#: `Solution.accepted_by` of steps that were kept or divided
-KEPT, HALVED = "unconverged", "halved"
 HALVINGS = 10  # times that a step is halved
 
 

@@ -41,6 +41,11 @@ class Columns:
             self._known[names] = [self._place(n) for n in names]
         return np.array([float(instance.signal(block)[place].sum()) for block, place in self._known[names]])
 
+    def place(self, name: str) -> tuple[int, int]:
+        """First entry and number of the entries of a row of signals whose sum a column is."""
+        i = self.names.index(name)
+        return int(self._gather[self._starts[i]]), self._chosen[i].count
+
     def _place(self, name: str) -> tuple[str, slice]:
         q = next(q for q in self._chosen if q.name == name)
         return q.block, slice(q.first, q.first + q.count)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.events.happened import Happened
+from phfmu.network.couplings.coupling_names import HALVED, KEPT
 from phfmu.network.couplings.stepper import Stepper
-from phfmu.network.couplings.unconverged import HALVED, KEPT
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.scene import Event
 from phfmu.signals import CONSTRAINT

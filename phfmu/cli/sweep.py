@@ -1,0 +1,186 @@
+"""phfmu sweep: many runs of a target that differ in some values, and a table of what is measured of each."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from phfmu.words import counted
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pyarrow as pa
+
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.sweeps.design import Design
+
+#: failed runs whose reasons are printed
+FAILURES = 5
+
+
+def add_parser(verbs: Any) -> None:
+    from phfmu.cli import options
+    from phfmu.cli.codes import TARGET
+    from phfmu.sweeps.words import FORMS, KINDS
+
+    parser = verbs.add_parser("sweep", help="many runs with other values; one table of measures")
+    parser.add_argument("target", help=TARGET)
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--vary", action="append", default=[], metavar="AXIS",
+                      help=f"{FORMS}: of a parameter, a state's start or an input; several: all combinations")  # fmt: skip
+    what.add_argument("--table", metavar="FILE", help="one run a row: .csv or .parquet, its columns are the names")
+    parser.add_argument("--measure", action="append", default=[], metavar="KIND(SIGNAL)", required=True,
+                        help="; ".join(f"{name}: {line}" for name, line in KINDS.items())
+                        + "; a pattern such as max(*.w) means one for each signal; may be repeated")  # fmt: skip
+    parser.add_argument("-o", "--output", metavar="FILE", help="table of the runs, FILE.parquet")
+    parser.add_argument("--resume", action="store_true", help="go on with a sweep of the same command that ended early")
+    parser.add_argument("--jobs", type=int, metavar="N",
+                        help="threads (default: one per core); the results do not depend on their number")  # fmt: skip
+    parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
+    parser.add_argument("--step", type=float, help="step in s (default: the scene's)")
+    parser.add_argument("--engine", default="auto", choices=("auto", "python", "native"),
+                        help="auto: native if a C compiler is there, else python")  # fmt: skip
+    options.add_scheme(parser)
+    options.add_steps(parser)
+    options.add_settings(parser)
+    options.add_no_check(parser)
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.set_defaults(call=call, dense=None, project=False, keep=[], audit_rtol=1e-11)
+
+
+def call(args: argparse.Namespace) -> int:
+    from time import perf_counter
+
+    from phfmu.cli import options
+    from phfmu.cli.build import composed, engine_of
+    from phfmu.cli.codes import FINE, LEDGER, NO_CONVERGENCE
+    from phfmu.sweeps import design
+    from phfmu.sweeps.runs import sweep
+
+    if args.dense is not None:
+        raise ValueError("--dense is for the rows of one run; leave it out of a sweep")
+    if args.jobs is not None and args.jobs < 1:
+        raise ValueError(f"--jobs {args.jobs}: expected a number from 1")
+    file = _file(args)
+    scene = composed(args)
+    runs = design.table(args.table) if args.table else design.axes(args.vary)
+    declaration = scene.declaration()
+    _require_sound(args, declaration, runs)
+    begun = perf_counter()
+    with _Progress(len(runs.rows), args.quiet) as bar:
+        table = sweep(
+            scene, runs, args.measure, options=options.of_run(args, scene, whole=True), engine=engine_of(args.engine),
+            scheme=options.scheme_of(args, declaration), jobs=args.jobs, file=file, resume=args.resume, progress=bar,
+        )  # fmt: skip
+    errors = table["error"].to_pylist()
+    failed, worst = sum(map(bool, errors)), max((v for v in table["ledger"].to_pylist() if v is not None), default=0.0)
+    if not args.quiet:
+        _print(args, runs, table, failed, worst, perf_counter() - begun)
+    if failed == len(runs.rows):
+        return NO_CONVERGENCE
+    return LEDGER if worst > 1 else FINE
+
+
+def _file(args: argparse.Namespace) -> Path | None:
+    """Where the table goes; ValueError for what cannot be written, before any run."""
+    from pathlib import Path
+
+    if args.output is None:
+        if args.resume:
+            raise ValueError("--resume goes on with the table of -o FILE.parquet; name it")
+        return None
+    path = Path(args.output)
+    if path.suffix != ".parquet":
+        raise ValueError(f"-o {args.output}: expected FILE.parquet")
+    if not path.parent.is_dir():
+        raise ValueError(f"-o {args.output}: there is no folder {path.parent}")
+    return path
+
+
+def _require_sound(args: argparse.Namespace, declaration: PHDAE, runs: Design) -> None:
+    """ValueError with the problems of the least and the greatest value that each parameter takes."""
+    from phfmu.cli import options
+    from phfmu.network.scene import Event
+
+    options.require_sound(args, declaration)
+    ends = [(n, v) for n, column in zip(runs.names, runs.rows.T, strict=True) for v in (column.min(), column.max())]
+    options.require_sound(args, declaration, [Event(0.0, name, float(v)) for name, v in ends])
+
+
+def _print(args: argparse.Namespace, runs: Design, table: pa.Table, failed: int, worst: float, seconds: float) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    n = len(runs.rows)
+    print(
+        f"{args.target}: {counted(n, 'run')} of {counted(sum(table['steps'].to_pylist()), 'step')} in all, {seconds:.3g} s"
+    )
+    view = Table(box=box.SIMPLE)
+    for title in ("measure", "least", "at", "greatest", "at"):
+        view.add_column(title, justify="left" if title in ("measure", "at") else "right")
+    for name in table.column_names[len(runs.names) : -3]:
+        values = [(v, i) for i, v in enumerate(table[name].to_pylist()) if v is not None]
+        if values:
+            ends = [(f"{v:.6g}", _run(runs, i)) for v, i in (min(values), max(values))]
+            view.add_row(name, *ends[0], *ends[1])
+    Console(width=None if _terminal() else 200).print(view)
+    for text, count in _reasons(table)[:FAILURES] if failed else ():
+        print(f"{counted(count, 'run')} failed: {text}")
+    print(
+        f"energy balance: worst step misses {worst:.2g} of what is allowed ({'closed' if worst <= 1 else 'VIOLATED'})"
+    )
+    if args.output:
+        print(f"table: {args.output}")
+
+
+def _terminal() -> bool:
+    import sys
+
+    return sys.stdout.isatty()
+
+
+def _run(runs: Design, i: int) -> str:
+    """The run with what varies, e.g. `k13 = 40, m[1] = 2`."""
+    return ", ".join(f"{name} = {v:.6g}" for name, v in zip(runs.names, runs.rows[i], strict=True))
+
+
+def _reasons(table: pa.Table) -> list[tuple[str, int]]:
+    """Why runs failed and how many did so, the most frequent first; numbers aside, the first words tell."""
+    from collections import Counter
+
+    first: dict[str, str] = {}
+    found: Counter[str] = Counter()
+    for error in filter(None, table["error"].to_pylist()):
+        key = error.partition(" at t")[0].partition(":")[0]
+        found[first.setdefault(key, error)] += 1
+    return found.most_common()
+
+
+class _Progress:
+    """A progress bar on a terminal, nothing in a pipe."""
+
+    def __init__(self, total: int, quiet: bool):
+        import sys
+
+        self._bar: Any = None
+        if sys.stderr.isatty() and not quiet:
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._bar = Progress(console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("runs", total=total)
+
+    def __enter__(self) -> _Progress:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __call__(self, done: int) -> None:
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done)
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()

@@ -1,0 +1,51 @@
+"""Runs by the run loop, for what the compiled one does not take: the Python engine, adaptive and damped steps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.status import StepFailure
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.members.consistent import InconsistentState
+from phfmu.network.run.loop import run
+from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.places import INPUT, PARAMETER, STATE, Places
+from phfmu.sweeps.task import Task
+
+
+class GeneralRuns:
+    """One instance that takes one run after the other."""
+
+    def __init__(self, task: Task, engine: type):
+        self._task, self._instance, places = task, engine(task.model), Places(task.model)
+        self._places = [(p, j) for j, name in enumerate(task.names) for p in places.of(name)]
+        self._free = [(name, j) for j, name in enumerate(task.names) if places.of(name)[0].kind == INPUT]
+
+    def take(self, rows: NDArray[Any]) -> Outcome:
+        """Runs with these values (n x names)."""
+        return Outcome.joined([self._one(row) for row in np.asarray(rows, float)])
+
+    def _one(self, row: NDArray[Any]) -> Outcome:
+        task, model = self._task, self._task.model
+        values = {PARAMETER: model.p0.copy(), STATE: model.x0.copy(), INPUT: model.u0.copy()}
+        for p, column in self._places:
+            values[p.kind][p.index] = row[column]
+        try:
+            i = self._instance
+            i.reset()
+            i.set_parameters(values[PARAMETER])
+            i.set_x(task.options.t0, values[STATE])
+            i.set_input(values[INPUT])
+            i.initialise()
+            stepper = Monolithic(model, i)
+            for name, value in ((n, row[j]) for n, j in self._free):
+                stepper.set_value(name, value)
+            found = run(stepper, task.options)
+        except (StepFailure, InconsistentState) as error:
+            return Outcome(np.full((1, len(task.measures)), np.nan), np.zeros(1, int), np.zeros(1), (str(error),))
+        told = [m.of(found.time, found.column(m.signal)) for m in task.measures]
+        worst = max((abs(c.worst_ratio) for c in found.ledger.summary().components), default=0.0)
+        return Outcome(np.array([told]).reshape(1, -1), np.array([found.steps]), np.array([worst]), ("",))

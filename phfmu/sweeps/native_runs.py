@@ -1,0 +1,133 @@
+"""Runs in compiled code: one call takes many, and only what is measured is worked out."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.discretise.model import CONSISTENCY
+from phfmu.engine.compile import compile, host_flags
+from phfmu.engine.library import enums, runtime_sources
+from phfmu.engine.native import NativeInstance
+from phfmu.engine.status import StepFailure
+from phfmu.engine.structures import Header, Structures
+from phfmu.network.members.columns import Columns
+from phfmu.network.members.consistent import InconsistentState, require_consistent
+from phfmu.network.run.loop import segments
+from phfmu.network.run.march import pieces
+from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.places import INPUT, PARAMETER, Places
+from phfmu.sweeps.task import Task
+from phfmu.sweeps.words import KINDS
+
+RUNTIME = Path(__file__).parent / "runtime"
+#: kind of structure -> the field of `ph_runs` that lists them
+LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measure": "measures"}
+HEADER = Header(RUNTIME / "runs.h", (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"), "ph_runs_calls")
+#: rows of the ledger in the order of runs.c
+ROWS = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
+
+
+def fits(task: Task) -> bool:
+    """Whether the compiled loop takes these runs: equal steps without damping, a projected start or state events."""
+    o = task.options
+    return o.rtol is None and not o.restart and not o.project and not task.model.declaration.state_events
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    """The same for every model; CompilerMissing, CompileError."""
+    headers = {n: p for n, p in runtime_sources().items() if n.endswith(".h")}
+    lib = ctypes.CDLL(str(compile(headers | {p.name: p for p in RUNTIME.iterdir()}, flags=host_flags()).path))
+    pointer, integer = ctypes.c_void_p, ctypes.c_int
+    lib.ph_runs_take.restype = integer
+    lib.ph_runs_take.argtypes = [pointer, pointer, integer, integer, pointer, pointer, ctypes.POINTER(integer)]
+    return lib
+
+
+class NativeRuns:
+    """One instance that takes one run after the other; another thread needs another one."""
+
+    def __init__(self, task: Task):
+        self._model, self._width, self._count = task.model, len(task.names), len(task.measures)
+        self._instance = NativeInstance(task.model)
+        self._memory = Structures(HEADER)
+        self._lib = _library()
+        self._struct = self._memory.fill("ph_runs", self._values(task))
+
+    def take(self, rows: NDArray[Any]) -> Outcome:
+        """Runs with these values (n x names)."""
+        rows, n = np.ascontiguousarray(rows, float), len(rows)
+        values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
+        begun, done = 0, ctypes.c_int()
+        while begun < n:
+            code = self._lib.ph_runs_take(
+                ctypes.addressof(self._struct), rows[begun:].ctypes.data, self._width, n - begun,
+                values[begun:].ctypes.data, facts[begun:].ctypes.data, done,
+            )  # fmt: skip
+            begun += done.value
+            if code:
+                errors[begun] = self._why(code)
+                begun += 1
+        return Outcome(values, facts[:, 0].astype(int), facts[:, 1].copy(), tuple(errors))
+
+    def _why(self, code: int) -> str:
+        try:
+            if code < 0:
+                require_consistent(self._model, self._instance)
+            self._instance.handle.check(code)
+        except (StepFailure, InconsistentState) as error:
+            return str(error)
+        raise AssertionError(code)
+
+    def _values(self, task: Task) -> dict[str, Any]:
+        model, plan, layout, o = task.model, task.model.step, self._instance.layout, task.options
+        memory, columns = self._memory, Columns(model, layout)
+        measured = [(m.kind, *columns.place(m.signal)) for m in task.measures]
+        ends = layout["a_end"].start
+        places, kinds = Places(model), list(KINDS)
+        listed = {
+            "place": [
+                {"kind": p.kind, "index": p.index, "column": j} for j, n in enumerate(task.names) for p in places.of(n)
+            ],
+            "measure": [{"kind": kinds.index(k), "first": first, "count": count} for k, first, count in measured],
+            **_schedule(task, places),
+        }
+        lists = {
+            LISTS[kind]: memory.array([memory.fill(f"ph_runs_{kind}", v) for v in rows])
+            for kind, rows in listed.items()
+        }
+        work = {"p": plan.np, "x": plan.nx, "u": plan.nu, "reach": plan.ncomp, "change": plan.ncomp}
+        work |= dict.fromkeys(("value", "held", "time"), len(measured))
+        found = layout["observables"]
+        return {
+            "calls": memory.calls(self._instance.handle.lib), "in": self._instance.handle.instance,
+            **{n: getattr(plan, n) for n in ("np", "nx", "nu", "nq", "ncomp")},
+            **{f"n{kind}": len(rows) for kind, rows in listed.items()},
+            "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": layout["H"].start,
+            "refresh": any(first >= ends for _, first, _ in measured),
+            "t0": o.t0, "length": o.stop - o.t0, "rtol": o.audit_rtol,
+            "p0": model.p0, "x0": model.x0, "u0": model.u0, "tolerance": CONSISTENCY * np.asarray(model.check_scale),
+            "owner": plan.pair_owner, "row": [enums()["ph_row"].index(n) for n in ROWS],
+            **lists, **{name: np.zeros(size) for name, size in work.items()},
+        }  # fmt: skip
+
+
+def _schedule(task: Task, places: Places) -> dict[str, list[dict[str, Any]]]:
+    """Stretches of equal steps, and what the events at their starts set."""
+    o = task.options
+    stretches, changes = [], []
+    for start, end, here in segments(o.t0, o.stop, o.events, 1e-9 * o.step):
+        begun = len(changes)
+        for e in here:
+            for p in places.of(e.name, (PARAMETER, INPUT)):
+                changes.append({"kind": p.kind, "index": p.index, "value": e.value})
+        for t, h, n in pieces(start, end, o.step):
+            stretches.append({"t": t, "h": h, "n": n, "change": begun, "until": len(changes)})
+            begun = len(changes)
+    return {"stretch": stretches, "change": changes}

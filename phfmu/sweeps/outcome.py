@@ -1,0 +1,28 @@
+"""What is known of runs that were made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """n runs: measures (n x measures; nan of a run that failed), steps (n), by how much of what is allowed the ledger of a run
+    misses in its worst step (n; above 1 it is violated), and why a run failed ("" if it did not).
+    """
+
+    values: NDArray[Any]
+    steps: NDArray[Any]
+    ledger: NDArray[Any]
+    errors: tuple[str, ...]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Outcome]) -> Outcome:
+        """Runs after runs."""
+        values, steps, ledger = (np.concatenate([getattr(p, n) for p in parts]) for n in ("values", "steps", "ledger"))
+        return cls(values, steps, ledger, tuple(e for p in parts for e in p.errors))

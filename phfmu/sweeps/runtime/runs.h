@@ -1,0 +1,96 @@
+#ifndef PH_RUNS_H
+#define PH_RUNS_H
+
+#include "phfmu.h"
+#include <stddef.h>
+
+/* Beside those of ph_status: the start violates a hidden constraint. */
+#define PH_RUNS_INCONSISTENT -1
+
+/* Functions of the library of the model. */
+typedef struct ph_runs_calls {
+    int (*reset)(ph_instance *);
+    int (*set_parameters)(ph_instance *, const double *);
+    int (*set_x)(ph_instance *, double, const double *);
+    int (*set_input)(ph_instance *, const double *);
+    int (*initialise)(ph_instance *);
+    int (*step)(ph_instance *, double, double);
+    int (*refresh)(ph_instance *);
+    const double *(*signals)(ph_instance *);
+    const double *(*ledger)(const ph_instance *, int);
+} ph_runs_calls;
+
+/* Where the value of a column goes. */
+typedef struct ph_runs_place {
+    int kind;
+    int index;
+    int column;
+} ph_runs_place;
+
+/* What an event sets. */
+typedef struct ph_runs_change {
+    int kind;
+    int index;
+    double value;
+} ph_runs_change;
+
+/* n steps from t, after the changes from `change` to `until`. */
+typedef struct ph_runs_stretch {
+    double t;
+    double h;
+    int n;
+    int change;
+    int until;
+} ph_runs_stretch;
+
+/* Sum of `count` signals from `first` on. */
+typedef struct ph_runs_measure {
+    int kind;
+    int first;
+    int count;
+} ph_runs_measure;
+
+typedef struct ph_runs {
+    const ph_runs_calls *calls;
+    ph_instance *in;
+    int np;
+    int nx;
+    int nu;
+    int nq;
+    int ncomp;
+    int nplace;
+    int nstretch;
+    int nmeasure;
+    int ncheck;
+    int check;   /* first of the checked signals */
+    int energy;  /* first of the stored energies among the signals */
+    int refresh; /* whether values of the present time are measured */
+    double t0;
+    double length;
+    double rtol;
+    const double *p0;
+    const double *x0;
+    const double *u0;
+    const double *tolerance; /* ncheck */
+    const int *owner;        /* nq: component of each pair */
+    const int *row;          /* 6: ledger rows stored, dissipated, supplied, numerical, moved, pairs */
+    const ph_runs_place *places;
+    const ph_runs_stretch *stretches;
+    const ph_runs_change *changes;
+    const ph_runs_measure *measures;
+    double *p;      /* np, what the instance has */
+    double *x;      /* nx */
+    double *u;      /* nu */
+    double *value;  /* nmeasure, as are the next two: sums and extremes, */
+    double *held;   /* the last value, */
+    double *time;   /* the time of the extreme */
+    double *reach;  /* ncomp: most energy in play so far */
+    double *change; /* ncomp: of the stored energy since the start */
+} ph_runs;
+
+/* Runs of n rows of values; per run the measures, and the steps and the worst ratio of what the ledger misses
+ * to what is allowed. Ends at the first run that fails: its status, *done runs are told. */
+PH_API int ph_runs_take(const ph_runs *s, const double *rows, int width, int n, double *out, double *facts,
+                        int *done);
+
+#endif

@@ -1,0 +1,20 @@
+"""What all runs of a sweep have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from phfmu.discretise.model import Model
+from phfmu.network.run.options import Options
+from phfmu.sweeps.measures import Measure
+
+
+@dataclass(frozen=True)
+class Task:
+    """Runs of `model` that differ in the values of `names` and are told by `measures`."""
+
+    model: Model
+    names: tuple[str, ...]
+    measures: Sequence[Measure]
+    options: Options
