@@ -46,7 +46,7 @@ def _of_model(target: str) -> tuple[list[str], int, int]:
     errors = sum(p.severity == "error" for p in problems)
     if not errors and not chosen.units and (declaration := chosen.declaration()).constraints:
         _print_rank(declaration)
-    return [str(p) for p in problems], errors, len(problems) - errors
+    return [*map(str, problems), *chosen.notes], errors, len(problems) - errors + len(chosen.notes)
 
 
 def _count(n: int, word: str) -> str:

@@ -78,9 +78,13 @@ def _print_apart(s: Scene, network: Network) -> None:
     for name, file in network.units.items():
         print(f"\n{name}: {file.path}, FMI {file.interface.version}, {file.description}".rstrip(", "))
         print("\n".join([*port_lines(file.port_maps), *file.left_out]))
+        if file.starts:
+            print(f"set: {', '.join(f'{n} = {v:g}' for n, v in file.starts.items())}")
     for name, declaration in network.declared.items():
         print(f"\n{name}: {declaration.description}")
         _print_declaration(declaration, name)
+    for note in s.notes:
+        print(f"note: {note}")
 
 
 def _print_declaration(d: PHDAE, target: str) -> None:

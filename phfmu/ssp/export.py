@@ -53,9 +53,9 @@ def export_ssp(scene: Scene, directory: str | Path, options: Options, version: s
     outward = _outward(net, options.outward)
     path = Path(directory) / f"{net.name}.ssp"
     with tempfile.TemporaryDirectory(prefix="phfmu-") as folder:
-        units = Network(net.name, junctions=list(net.junctions), description=net.description)
-        for name, member in net.members.items():
-            units.add(name, _unit(name, member, Path(folder), options, outward[name]))
+        units = replace(net, members={})
+        for name in net.members:
+            units.add(name, _unit(net, name, Path(folder), options, outward[name]))
         lines = write_package(path, Contents(units, scene.stop, options.step, version))
     events = [f"event at t = {e.t:g} s, {e.name} = {e.value:g}: SSP has no events" for e in scene.events]
     return path, [*lines, *events]
@@ -70,12 +70,16 @@ def _outward(net: Network, names: Sequence[str]) -> dict[str, list[str]]:
     return {m: [n.partition(".")[2] for n in names if n.partition(".")[0] == m] for m in net.members}
 
 
-def _unit(name: str, member: PHDAE | UnitFile, folder: Path, options: Options, outward: list[str]) -> UnitFile:
+def _unit(net: Network, name: str, folder: Path, options: Options, outward: list[str]) -> UnitFile:
+    """A member as a unit; observables that others read are outputs of it."""
+    member = net.members[name]
     if not isinstance(member, PHDAE):
         if outward:
             raise SSPError(f"{name} is a unit already; which way its ports count is fixed in it")
         return member
-    model = build_model(replace(member, name=name), options.schemes.get(name))
+    heard = {w.output.partition("[")[0] for w in net.wires if w.source == name}
+    told = tuple(replace(o, signal=o.signal or o.name in heard) for o in member.observables)
+    model = build_model(replace(member, name=name, observables=told), options.schemes.get(name))
     (path,) = export(
         model, folder / name, (options.fmi,), step=options.step, platforms=options.platforms, outward=outward
     )

@@ -107,6 +107,7 @@ class _Flattening:
             if path in self.names:
                 values.setdefault(self.names[path], {})[name] = value
         units = {self.names[p]: c for p, c in self.components.items()}
+        links += self._signals(self.structure.system, ())
         return Flat(units, links, values, tuple(self._joints(self.structure.system, ())))
 
     # -- connections --------------------------------------------------------------------------------------------------
@@ -187,18 +188,26 @@ class _Flattening:
 
     def _joints(self, system: System, path: Path) -> Iterator[Joint]:
         for j in system.joints:
-            ends = []
-            for element, port in j.ends:
-                if (*path, element) not in self.names:
-                    units = [n for n, e in system.elements.items() if isinstance(e, Component)]
-                    raise SSPError(
-                        f"the annotated junction '{j.name}' names the unit '{element}'; {meant(element, units)}"
-                    )
-                ends.append((self.names[*path, element], port))
-            yield Joint(identifier("_".join((*path, j.name))), j.kind, tuple(ends))
+            ends = tuple((self._named(system, path, e, f"junction '{j.name}'"), port) for e, port in j.ends)
+            yield Joint(identifier("_".join((*path, j.name))), j.kind, ends)
         for name, element in system.elements.items():
             if isinstance(element, System):
                 yield from self._joints(element, (*path, name))
+
+    def _signals(self, system: System, path: Path) -> Iterator[Link]:
+        for s in system.signals:
+            a, b = (self._named(system, path, e, f"signal {n}") for e, n in (s.source, s.target))
+            yield Link(a, s.source[1], b, s.target[1], s.transformation)
+        for name, element in system.elements.items():
+            if isinstance(element, System):
+                yield from self._signals(element, (*path, name))
+
+    def _named(self, system: System, path: Path, element: str, what: str) -> str:
+        """The member that an annotation of a system calls by the name of its element."""
+        if (*path, element) not in self.names:
+            units = [n for n, e in system.elements.items() if isinstance(e, Component)]
+            raise SSPError(f"the annotated {what} names the unit '{element}'; {meant(element, units)}")
+        return self.names[*path, element]
 
 
 def _components(system: System, path: Path) -> Iterator[tuple[Path, Component]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -10,8 +11,10 @@ from phfmu.declare.port import Port
 from phfmu.fmu.unit_file import UnitFile, unit_file
 from phfmu.network.junctions.junction import Kind
 from phfmu.network.junctions.network import Network
+from phfmu.network.junctions.wires import Wire, in_order
 from phfmu.network.scene import Scene
 from phfmu.ssp.bonds import Bond, End, Ports, bonds, joins_plainly
+from phfmu.ssp.derived import derived_ports
 from phfmu.ssp.flat import Link, Value, flat, identifier
 from phfmu.ssp.package import Package
 from phfmu.ssp.reading import read_structure
@@ -41,12 +44,15 @@ def _load(structure: Structure, package: Package) -> Scene:
     units = {name: _unit(c, structure, package) for name, c in whole.units.items()}
     if not units:
         raise SSPError("the system has no components; add a Component whose source is an FMU")
-    found, rest = bonds(whole.links, Ports({n: u.port_maps for n, u in units.items()}))
+    told, lines = derived_ports(whole.links, {n: u.port_maps for n, u in units.items()})
+    units = {n: replace(u, port_maps=told[n]) for n, u in units.items()}
+    found, rest = bonds(whole.links, Ports(told))
+    notes += lines
     net = Network(identifier(structure.system.name or structure.name), description=structure.system.description)
     for name, unit in units.items():
         net.add(name, _with_values(name, unit, whole.values.get(name, {}), notes))
     _join(net, whole.joints, found)
-    _wire(rest)
+    _wire(net, rest)
     steps = [u.interface.step for u in units.values() if u.interface.step]
     if structure.start:
         notes.append(f"the run starts at t = 0 instead of {structure.start:g} s")
@@ -129,10 +135,21 @@ def _dotted(end: End) -> str:
     return ".".join(end)
 
 
-def _wire(links: Sequence[Link]) -> None:
-    """Connections that are no power ports."""
-    if links:
-        raise SSPError(
-            f"{'; '.join(map(str, links[:4]))}: no bond of two power ports. Tell the ports of units that have no manifest in a "
-            "file beside them (pump.ports.toml for pump.fmu), and connect both variables of each pair"
-        )
+def _wire(net: Network, links: Sequence[Link]) -> None:
+    """Connections that are no power ports: signals."""
+    wires = []
+    for link in links:
+        source, target = net.units[link.source], net.units[link.target]
+        output, given = (u.interface.variables.get(n) for u, n in ((source, link.output), (target, link.input)))
+        if output is None or given is None:
+            raise SSPError(f"{link}: there is no such {'output' if output is None else 'input'}")
+        if given.causality != "input":
+            raise SSPError(f"{link}: {link.target}.{link.input} is {given.causality}; connect outputs with inputs")
+        port = next((p for p in target.port_maps if link.input in p.inputs), None)
+        if port is not None:
+            raise SSPError(
+                f"{link}: {link.input} belongs to the power port {link.target}.{port.name}. Connect {', '.join(port.outputs)} "
+                f"back to a port of {link.source} too, or leave the port free and drive it with --input"
+            )
+        wires.append(Wire(link.source, link.output, link.target, link.input, link.linear.factor, link.linear.offset))
+    net.wires = in_order(net.members, wires)

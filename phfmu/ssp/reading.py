@@ -18,6 +18,7 @@ from phfmu.ssp.structure import (
     Connector,
     Joint,
     Linear,
+    Signal,
     SSPError,
     Structure,
     System,
@@ -82,7 +83,8 @@ class _Reader:
             tuple(self.connection(c) for c in _children(element, "Connections")),
             self.connectors(element, name),
             bindings(element, self.source),
-            tuple(self.joint(j) for n in _annotations(element, "Network") for j in n),
+            tuple(self.joint(j) for n in _annotations(element, "Network") for j in n.findall(f"{{{PORTS}}}Junction")),
+            tuple(self.signal(s) for n in _annotations(element, "Network") for s in n.findall(f"{{{PORTS}}}Signal")),
             plain(element.get("description", "")),
         )
 
@@ -141,6 +143,11 @@ class _Reader:
             raise SSPError(f"{self.where}: the annotation {PORTS} has a junction '{name}' of kind '{plain(kind)}' with "
                            f"{len(ends)} ends; expected a name, kind 0 or 1, and two ends at least")  # fmt: skip
         return Joint(name, kind, ends)
+
+    def signal(self, element: Element) -> Signal:
+        names = [plain(element.get(k, "")) for k in ("source", "output", "target", "input")]
+        linear = Linear(*(self._number(element.get(k, d), k) for k, d in (("factor", "1"), ("offset", "0"))))
+        return Signal((names[0], names[1]), (names[2], names[3]), linear)
 
     def _number(self, text: str, what: str) -> float:
         try:

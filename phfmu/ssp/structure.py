@@ -84,6 +84,15 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Signal:
+    """A connection told by the annotation, because its source is no output: (element, variable) of both ends."""
+
+    source: tuple[str, str]
+    target: tuple[str, str]
+    transformation: Linear = Linear()
+
+
+@dataclass(frozen=True)
 class Component:
     """A unit; `source`: its file in the package."""
 
@@ -104,6 +113,7 @@ class System:
     connectors: Mapping[str, Connector] = field(default_factory=dict)
     bindings: tuple[Binding, ...] = ()
     joints: tuple[Joint, ...] = ()
+    signals: tuple[Signal, ...] = ()
     description: str = ""
 
 

@@ -20,6 +20,7 @@ from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
 from phfmu.network.junctions.junction import Junction
 from phfmu.network.junctions.network import Network
+from phfmu.network.junctions.wires import Wire
 from phfmu.ssp.bonds import joins_plainly
 from phfmu.ssp.names import NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
 from phfmu.ssp.sidecar import sidecar_text
@@ -43,7 +44,7 @@ class Contents:
 
 
 def write_package(path: Path, contents: Contents) -> list[str]:
-    """The archive; lines about junctions that other tools will not see."""
+    """The archive; lines about junctions and signals that other tools will not see."""
     units = contents.network.units
     files = {STRUCTURE: structure(contents)}
     for name, unit in units.items():
@@ -53,11 +54,15 @@ def write_package(path: Path, contents: Contents) -> list[str]:
         if values := _values(unit):
             files[f"resources/{name}.ssv"] = parameter_set(values, unit, contents.version)
     write(path, files)
-    return [
-        f"junction {j.name} ({', '.join(map(str, j.ends))}): only in the annotation {PORTS}, which other tools do not read; "
-        "plain connections cannot say it"
+    hidden = [f"signal {w}" for w in contents.network.wires if not _is_output(units, w)]
+    hidden += [
+        f"junction {j.name} ({', '.join(map(str, j.ends))})"
         for j in contents.network.junctions
         if not joins_plainly([contents.network.port_of(e).given for e in j.ends])
+    ]
+    return [
+        f"{what}: only in the annotation {PORTS}, which other tools do not read; plain connections cannot say it"
+        for what in hidden
     ]
 
 
@@ -72,13 +77,15 @@ def structure(contents: Contents) -> bytes:
     for name, unit in units.items():
         _component(elements, name, unit, contents.version)
     links = [link for j in network.junctions for link in _links(network, j)]
+    links += [w for w in network.wires if _is_output(units, w)]
     if links:
         listed = etree.SubElement(system, tag("ssd", "Connections"))
-        for (a, out), (b, into), factor in links:
-            ends = {"startElement": a, "startConnector": out, "endElement": b, "endConnector": into}
+        for w in links:
+            ends = {"startElement": w.source, "startConnector": w.output}
+            ends |= {"endElement": w.target, "endConnector": w.input}
             connection = etree.SubElement(listed, tag("ssd", "Connection"), ends)
-            if factor != 1.0:
-                etree.SubElement(connection, tag("ssc", "LinearTransformation"), factor=number(factor))
+            if told := _linear(w):
+                etree.SubElement(connection, tag("ssc", "LinearTransformation"), told)
     _annotate(system, contents)
     write_units(root, "ssd", {v.unit for u in units.values() for v in _connected(u)})
     experiment = {"startTime": number(0.0), "stopTime": number(contents.stop)}
@@ -100,8 +107,19 @@ def parameter_set(values: Mapping[str, float], unit: UnitFile, version: str) -> 
     return text_of(root)
 
 
-def _links(network: Network, junction: Junction) -> Iterator[tuple[tuple[str, str], tuple[str, str], float]]:
-    """(member, output), (member, input), factor: both ways, entry by entry."""
+def _is_output(units: Mapping[str, UnitFile], wire: Wire) -> bool:
+    """Whether a signal begins at an output, as connections do."""
+    return units[wire.source].interface.variables[wire.output].causality == "output"
+
+
+def _linear(wire: Wire) -> dict[str, str]:
+    """Attributes of the transformation, those that are not usual."""
+    told = {"factor": (wire.factor, 1.0), "offset": (wire.offset, 0.0)}
+    return {name: number(value) for name, (value, usual) in told.items() if value != usual}
+
+
+def _links(network: Network, junction: Junction) -> Iterator[Wire]:
+    """The connections of a junction, both ways, entry by entry."""
     if not joins_plainly([network.port_of(e).given for e in junction.ends]):
         return
     (a, pa), (b, pb) = ((e.member, _map(network, e.member, e.port)) for e in junction.ends)
@@ -109,7 +127,7 @@ def _links(network: Network, junction: Junction) -> Iterator[tuple[tuple[str, st
         turns = (q.given == "flow") if junction.kind == "0" else (q.given == "effort")
         factor = (-1.0 if turns else 1.0) * p.output_sign * q.input_sign
         for out, into in zip(p.outputs, q.inputs, strict=True):
-            yield (one, out), (other, into), factor
+            yield Wire(one, out, other, into, factor)
 
 
 def _map(network: Network, member: str, port: str) -> PortMap:
@@ -161,3 +179,7 @@ def _annotate(system: Element, contents: Contents) -> None:
         junction = etree.SubElement(network, f"{{{PORTS}}}Junction", name=j.name, kind=j.kind)
         for e in j.ends:
             etree.SubElement(junction, f"{{{PORTS}}}End", element=e.member, port=e.port)
+    for w in contents.network.wires:
+        if not _is_output(contents.network.units, w):
+            ends = {"source": w.source, "output": w.output, "target": w.target, "input": w.input}
+            etree.SubElement(network, f"{{{PORTS}}}Signal", ends | _linear(w))

@@ -71,6 +71,35 @@ def apart(k: int, h: float, engine: Any = PythonInstance, folder: Any = None, ve
     return run(Coupled(scene.system, members), Options(stop=STOP, step=h, events=scene.events))
 
 
+def scaled(factor: float, offset: float) -> Network:
+    """The loop with a controller in other units: command = factor * its command + offset, and the gains that undo it."""
+    whole = speed_control(0.8 / factor, 8.0 / factor).system
+    assert isinstance(whole, Network)
+    net = Network("scaled", members=dict(whole.members), junctions=list(whole.junctions))
+    d, speed = 0.01, 100.0
+    x = (d * speed - offset) / 8.0
+    net.members["controller"] = net.members["controller"].with_starts({"x": x})
+    net.signal("rotor.w", "controller.measured")
+    net.signal("controller.command", "actuator.torque", factor=factor, offset=offset)
+    return net
+
+
+def test_signals_are_scaled_and_shifted_composed_and_apart() -> None:
+    events = speed_control().events
+    options = Options(stop=STOP, step=5e-3, events=events)
+    net = scaled(-2.0, 0.3)
+    one = build_model(net.compose())
+    whole = run(Monolithic(one, PythonInstance(one)), options)
+    np.testing.assert_allclose(whole.column("rotor.w"), composed(1, 5e-3).column("rotor.w"), rtol=1e-12)
+    members = []
+    for name, part in net.declared.items():
+        model = build_model(replace(part, name=name))
+        members.append(EngineMember(name, model, PythonInstance(model)))
+    parts = run(Coupled(net, members), options)
+    np.testing.assert_allclose(parts.column("rotor.w"), apart(1, 5e-3).column("rotor.w"), rtol=1e-12)
+    assert "(times -2) (plus 0.3)" in str(net.wires[1])
+
+
 def test_a_composed_loop_has_the_order_of_its_scheme() -> None:
     for k, ratio in ((1, 4.0), (2, 16.0)):
         coarse, fine = (composed(k, h).column("rotor.w")[-1] - exact(STOP) for h in (1e-2, 5e-3))

@@ -235,7 +235,7 @@ BAD = {
               "a.force -> flange.force needs the factor -1"),
     "ratio": (joined(PLAIN[0], connection(FORCE, "cart:flange.force", linear(-2))),
               "ports are joined with the factors 1 and -1"),
-    "one way": (joined(PLAIN[0]), "cart.flange.velocity -> coil.a.velocity: no bond of two power ports"),
+    "one way": (joined(PLAIN[0]), "a.velocity belongs to the power port coil.a. Connect a.force back to a port of cart too"),
     "mapping": (joined(connection(SPEED, "coil:a.velocity", MAP)), "BooleanMappingTransformation, which is not read"),
     "names": (system(component("a b", "mass", MASS), component("a_b", "mass", MASS)), "would both be called 'a_b'"),
     "same": (system(*BOTH[:1], *BOTH[:1]), "two elements of the system 'pair' are called 'cart'"),

@@ -166,6 +166,19 @@ def test_ports_of_a_foreign_unit_go_along(compiler: None, tmp_path: Path) -> Non
     assert np.abs(found["pump.v"]).max() > 0.1
 
 
+def test_info_and_check_tell_what_is_in_a_package(written: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(written["1.0"])]) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "oscillator: two masses and three springs", "stop 1 s, step 0.01 s", "FMI 2.0, mass with optional spring",
+        "translational  input flange.force; output", "junction left: mass1.flange, spring12.a; common flow",
+        "set: k = 157.914",
+    ):  # fmt: skip
+        assert words in said
+    assert main(["check", str(written["1.0"])]) == 0
+    assert "no problems" in capsys.readouterr().out
+
+
 def test_options_that_do_not_go_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = ["export", "oscillator", "--ssp", "-o", str(tmp_path)]
     for more, words in (

@@ -43,6 +43,7 @@ class HeldSignals:
         self._hops = [self._hop(numbers) for numbers in _stages(network.wires)]
         self._all = self._hop(range(len(self.wires))).write
         self._low, self._high = _limits(network)
+        self._factor, self._offset = (np.array([getattr(w, n) for w in self.wires]) for n in ("factor", "offset"))
         self._now = np.zeros(len(self.wires))
         self._before: Array | None = None
         self._last = 0.0
@@ -56,7 +57,7 @@ class HeldSignals:
         """Outputs at the present time, and with them all inputs, which are now what the network says."""
         for hop in self._hops:
             for member, names, places in hop.read:
-                self._now[places] = member.read_signals(names)
+                self._now[places] = self._factor[places] * member.read_signals(names) + self._offset[places]
             self._write(hop.write, self._now)
 
     def forget(self) -> None:

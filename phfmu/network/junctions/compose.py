@@ -71,6 +71,7 @@ def _wired(members: Mapping[str, PHDAE], wires: Sequence[Wire]) -> dict[str, PHD
     for w in wires:
         found = outputs(members[w.source])[w.output.partition("[")[0]]
         expr = ca.substitute(found.expr[found.names.index(w.output)], symbols, exprs)
+        expr = expr if (w.factor, w.offset) == (1.0, 0.0) else w.factor * expr + w.offset
         (symbol,) = signal_symbols(members[w.target], [w.input])
         symbols, exprs = ca.vertcat(symbols, symbol), ca.vertcat(exprs, expr)
         values.setdefault(w.target, {})[w.input] = expr

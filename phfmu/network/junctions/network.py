@@ -8,7 +8,7 @@ With power positive into every component the powers of the joined ports add to z
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -104,15 +104,16 @@ class Network:
         self._check_fit(ends)
         return self._join(Junction(name, kind or self._default_kind(self._port(ends[0])), ends))
 
-    def signal(self, source: str, target: str) -> None:
+    def signal(self, source: str, target: str, *, factor: float = 1.0, offset: float = 0.0) -> None:
         """Feed the signal input `member.name` from an observable, state or port output `member.name`: a value, no power.
 
+        input = factor output + offset, both in one unit.
         Composed, the input is the output at every instant; members stepped apart hold it over a step, at its value in the
         middle as the two steps before foretell it (order 2).
         Errors: ConnectionError for names and units that do not fit, an input that is fed already or that H depends on, and
         loops of outputs that depend on each other at once.
         """
-        new = wires_between(self.members, source, target)
+        new = [replace(w, factor=factor, offset=offset) for w in wires_between(self.members, source, target)]
         for wire in new:
             fed = [w for w in self.wires if (w.target, w.input) == (wire.target, wire.input)]
             if fed:

@@ -27,15 +27,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Wire:
-    """From scalar `output` of member `source` to scalar `input` of member `target`."""
+    """From scalar `output` of member `source` to scalar `input` of member `target`: input = factor output + offset."""
 
     source: str
     output: str
     target: str
     input: str
+    factor: float = 1.0
+    offset: float = 0.0
 
     def __str__(self) -> str:
-        return f"{self.source}.{self.output} -> {self.target}.{self.input}"
+        scale = f" (times {self.factor:g})" if self.factor != 1.0 else ""
+        shift = f" (plus {self.offset:g})" if self.offset else ""
+        return f"{self.source}.{self.output} -> {self.target}.{self.input}{scale}{shift}"
 
 
 @dataclass(frozen=True)
@@ -153,21 +157,14 @@ def signal_symbols(model: PHDAE, names: Sequence[str]) -> list[ca.SX]:
 def in_order(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire]) -> list[Wire]:
     """Wires so that each comes after those its output depends on at once; ConnectionError names a loop of them.
 
-    Of a unit that is not known; its outputs count as those of states.
+    Of a unit that is not known: its outputs come after its inputs where that makes no loop, else they count as those of states.
     """
-    sorter: TopologicalSorter[int] = TopologicalSorter()
-    for i, wire in enumerate(wires):
-        fed = [j for j, other in enumerate(wires) if other.target == wire.source]
-        model, name = members[wire.source], wire.output.partition("[")[0]
-        if not isinstance(model, PHDAE):
-            sorter.add(i)
-            continue
-        out = outputs(model)[name]
-        expr = out.expr[out.names.index(wire.output)]
-        through = read_by(expr, signal_symbols(model, [wires[j].input for j in fed]))
-        sorter.add(i, *(fed[k] for k in through))
     try:
-        return [wires[i] for i in sorter.static_order()]
+        return [wires[i] for i in _sorted(members, wires, units_pass=True)]
+    except CycleError:
+        pass
+    try:
+        return [wires[i] for i in _sorted(members, wires, units_pass=False)]
     except CycleError as error:
         cycle = [str(wires[i]) for i in error.args[1][:-1]]
         raise ConnectionError(
@@ -175,3 +172,19 @@ def in_order(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire]) -> 
             f"{', '.join(cycle)}: each depends on the one before at once",
             "put a state into one of the members (a filter, an integrator, an actuator with a time constant)",
         ) from None
+
+
+def _sorted(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire], units_pass: bool) -> list[int]:
+    """Numbers of the wires in order; `units_pass`: outputs of units depend on all their inputs.  CycleError."""
+    sorter: TopologicalSorter[int] = TopologicalSorter()
+    for i, wire in enumerate(wires):
+        fed = [j for j, other in enumerate(wires) if other.target == wire.source]
+        model, name = members[wire.source], wire.output.partition("[")[0]
+        if not isinstance(model, PHDAE):
+            sorter.add(i, *(fed if units_pass else ()))
+            continue
+        out = outputs(model)[name]
+        expr = out.expr[out.names.index(wire.output)]
+        through = read_by(expr, signal_symbols(model, [wires[j].input for j in fed]))
+        sorter.add(i, *(fed[k] for k in through))
+    return list(sorter.static_order())
