@@ -207,6 +207,13 @@ def bound(name: str) -> str:
     return system(*BOTH, more=binding(inside=values))
 
 
+ROUND = system(
+    component("coil", "spring", SPRING),
+    f'<ssd:System name="axle">{connectors((("i", "input", "m/s"), ("o", "output", "m/s")))}'
+    f"<ssd:Connections>{connection('i', 'o')}</ssd:Connections></ssd:System>",
+    connections=(connection("axle:o", "axle:i"), connection("axle:o", "coil:a.velocity")),
+)
+INSIDE = '<ssd:ParameterBindings><ssd:ParameterBinding source="a.ssv" sourceBase="component"/></ssd:ParameterBindings>'
 FORCE, SPEED = "coil:a.force", "cart:flange.velocity"
 MAP = (
     '<ssc:BooleanMappingTransformation><ssc:MapEntry source="true" target="false"/></ssc:BooleanMappingTransformation>'
@@ -246,6 +253,8 @@ BAD = {
     "package in a package": (elsewhere('source="other.ssp" type="application/x-ssp-package"'),
                              "component 'cart' is application/x-ssp-package"),
     "binding": (system(*BOTH, more=binding("nothing.ssv")), "'nothing.ssv', which is not in it"),
+    "circle": (ROUND, "connections go round in a circle at axle."),
+    "inside": (system(*BOTH, more=INSIDE), "'a.ssv' is inside a component, which is not read"),
     "calculated": (bound("cart.energy.stored"), "cart.energy.stored is calculated"),
 }  # fmt: skip
 

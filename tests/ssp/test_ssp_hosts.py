@@ -1,6 +1,6 @@
-"""Packages in another master: ecos (FMI 2.0 and 3.0) steps them explicitly and gets an explicit run's numbers.
+"""Packages in other masters: ecos (FMI 2.0, 3.0) and libcosim (FMI 2.0) step them explicitly and get an explicit run's numbers.
 
-It comes with `pip install phfmu[hosts]`; it runs in a process of its own, because it is a C++ library.
+They come with `pip install phfmu[hosts]`; they run in a process of their own, because they are C++ libraries.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from phfmu.cli import main
+from phfmu.ssp.loading import load
 from tests.ssp.packages import pack, unpacked
 
 pytestmark = pytest.mark.slow
@@ -34,12 +35,37 @@ try:
     from ecospy import EcosSimulation
 except OSError as error:
     sys.exit(f"cannot load: {error}")
-path, h, n, names = json.loads(sys.argv[1])
+path, h, n, names, _ = json.loads(sys.argv[1])
 simulation = EcosSimulation(ssp_path=path, step_size=h)
 simulation.init(parameter_set="parameters")
 simulation.step(n)
 print("RESULT", json.dumps([simulation.get_real(name.replace(".", "::", 1)) for name in names]))
 """
+
+#: takes an unpacked package
+COSIM = """
+import json, os, sys, tempfile, zipfile
+try:
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+except OSError as error:
+    sys.exit(f"cannot load: {error}")
+path, h, n, names, refs = json.loads(sys.argv[1])
+with tempfile.TemporaryDirectory() as folder:
+    zipfile.ZipFile(path).extractall(folder)
+    execution = CosimExecution.from_ssp_file(ssp_path=folder, step_size=round(h * 1e9))
+    observer = CosimObserver.create_last_value()
+    execution.add_observer(observer=observer)
+    execution.step(step_count=n)
+    found = []
+    for name in names:
+        slave = execution.slave_index_from_instance_name(name.partition(".")[0])
+        found += observer.last_real_values(slave_index=slave, variable_references=[refs[name]])
+    print("RESULT", json.dumps(found), flush=True)
+    os._exit(0)  # its units hold files of the folder
+"""
+
+HOSTS = {"ecos": (ECOS, "ecospy", ("2", "3")), "libcosim": (COSIM, "libcosimpy", ("2",))}
 
 
 def run_elsewhere(script: str, *task: object) -> list[float]:
@@ -51,17 +77,20 @@ def run_elsewhere(script: str, *task: object) -> list[float]:
     return json.loads(line.removeprefix("RESULT "))
 
 
-@pytest.mark.parametrize("fmi", ["2", "3"])
-def test_ecos_gets_the_numbers_of_an_explicit_run(tmp_path: Path, fmi: str) -> None:
+@pytest.mark.parametrize(("host", "fmi"), [(h, v) for h, (_, _, versions) in HOSTS.items() for v in versions])
+def test_other_masters_get_the_numbers_of_an_explicit_run(tmp_path: Path, host: str, fmi: str) -> None:
     """Parameters of the package count: the spring has another stiffness inside its unit."""
-    if find_spec("ecospy") is None:
-        pytest.skip("ecospy is not installed (pip install phfmu[hosts])")
+    script, module, _ = HOSTS[host]
+    if find_spec(module) is None:
+        pytest.skip(f"{module} is not installed (pip install phfmu[hosts])")
     assert main(["export", "oscillator", "--ssp", "--fmi", fmi, "--step", str(H), "-o", str(tmp_path)]) == 0
     files = unpacked(tmp_path / "oscillator.ssp")
     stiffer = re.sub(rb'value="157[.0-9]*"', b'value="170.0"', files["resources/spring12.ssv"])
     assert stiffer != files["resources/spring12.ssv"]
     path, table = pack(tmp_path / "stiffer.ssp", files | {"resources/spring12.ssv": stiffer}), tmp_path / "rows.csv"
-    found = run_elsewhere(ECOS, str(path), H, N, NAMES)
+    units = load(path).system.units
+    refs = {n: units[n.partition(".")[0]].interface.variables[n.partition(".")[2]].reference for n in NAMES}
+    found = run_elsewhere(script, str(path), H, N, NAMES, refs)
     line = [
         "run",
         str(path),

@@ -97,6 +97,13 @@ def test_settings_go_into_the_parameter_files(compiler: None, tmp_path: Path) ->
     assert abs(found["mass1.q"] - ran(path, tmp_path / "c.csv")["mass1.q"]).max() > 0.1
 
 
+def test_a_single_component_is_a_package_of_one_unit(compiler: None, tmp_path: Path) -> None:
+    """Its free port is driven by its name."""
+    assert main(["export", "mass", "--ssp", "--set", "m=4", "-o", str(tmp_path)]) == 0
+    rows = ran(tmp_path / "mass.ssp", tmp_path / "a.csv", "--set", "mass.flange.force=2", "--stop", "0.5")
+    np.testing.assert_allclose(rows["mass.v"], 0.5 * rows["time"], atol=1e-12)
+
+
 def test_outward_ports_need_no_factor(written: dict[str, Path], tmp_path: Path) -> None:
     line = [
         "export",
