@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
+from math import isfinite
 from typing import IO, Any
 
 from phfmu.declare.units import BASE, Unit
@@ -104,11 +105,11 @@ class ModelDescription:
         self._types.setdefault(self._name, {}).update(told)
 
     def _take_unit(self, attributes: Mapping[str, str]) -> None:
-        """A unit of the variables; one with an offset is none that a factor converts."""
+        """A unit of the variables; one with an offset, or a factor of 0, is none that a factor converts."""
         limits.within(self._about(), len(self.units), limits.VARIABLES, "units")
         exponents = tuple(self._int(attributes.get(b, "0"), self._name) for b in BASE)
-        if not self._float(attributes.get("offset", "0"), self._name):
-            factor = self._float(attributes.get("factor", "1"), self._name)
+        factor = self._float(attributes.get("factor", "1"), self._name)
+        if not self._float(attributes.get("offset", "0"), self._name) and isfinite(factor) and factor:
             self.units[plain(self._name)] = Unit(plain(self._name), factor, exponents)
 
     def end(self, tag: str) -> None:

@@ -42,7 +42,8 @@ def _terminals(parent: Element | None, prefix: str) -> list[tuple[str, Element]]
 
 def _ports(name: str, terminal: Element, interface: Interface) -> tuple[PortMap, ...]:
     members = [
-        (m.get("variableKind", ""), m.get("variableName", "")) for m in terminal.findall("TerminalMemberVariable")
+        (plain(m.get("variableKind", ""), 30), plain(m.get("variableName", "")))
+        for m in terminal.findall("TerminalMemberVariable")
     ]
     shared = [n for kind, n in members if kind == "signal"]
     summed = [n for kind, n in members if kind in _SIGNS]
@@ -51,7 +52,7 @@ def _ports(name: str, terminal: Element, interface: Interface) -> tuple[PortMap,
     if not members:
         return ()  # it only holds others
     if len(shared) != len(summed) or len(signs) != 1:
-        kinds = ", ".join(f"{n} ({plain(kind, 30)})" for kind, n in members[:4])
+        kinds = ", ".join(f"{n} ({kind})" for kind, n in members[:4])
         raise FMUError(f"{what}: is no power port, which has as many signals as inflows or outflows: {kinds}")
     domain = next((d for d in DOMAINS.values() if _fits(d, shared[0], summed[0], interface)), None)
     if domain is None:
