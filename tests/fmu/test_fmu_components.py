@@ -13,6 +13,8 @@ from phfmu.components.library import LIBRARY, build
 from phfmu.network.members.columns import Columns
 
 STEPS = 1000
+#: units do not locate them
+STATE_EVENTS = ("bouncing_ball", "breaker", "breaker_opening", "ideal_diode")
 #: scenes bring their own step; components take one at which they move
 STEP = {"four_particle": 0.01, "mass": 0.01, "mass_spring": 0.01, "spring": 0.01, "damper": 0.01}
 
@@ -29,7 +31,7 @@ def two_tone(model, h: float, n: int) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [n for n in LIBRARY if n != "bouncing_ball"])  # units locate no state events
+@pytest.mark.parametrize("name", [n for n in LIBRARY if n not in STATE_EVENTS])
 def test_units_equal_the_native_engine(name: str, tmp_path: Path) -> None:
     found = build(name)
     declaration = found.declaration() if isinstance(found, Scene) else found
