@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from phfmu.checks.sample import Sample
 from phfmu.declare.entries import Entries
 from phfmu.declare.problem import Problem
+from phfmu.declare.value import Value
 
 NEGATIVE = 1e-9  # of the largest eigenvalue
 
@@ -21,7 +22,7 @@ def constants(entries: Entries, sample: Sample) -> list[Problem]:
             "energy", e.label, "no state in it, so it never changes: it is left out of H",
             "remove it, or check if a state was meant", "warning",
         )
-        for e in entries.of("H") if not _hashes(entries, e.expr, "x")
+        for e in entries.of("H") if not _hashes(entries, e.expr, Value.STATE)
     ]  # fmt: skip
 
 
@@ -33,11 +34,11 @@ def bounded(entries: Entries, sample: Sample) -> list[Problem]:
     quadratic = [e for e in entries.of("H") if e.origin.kind == "quadratic"]
     others = [e.expr for e in entries.of("H") if e.origin.kind != "quadratic"]
     others += [ca.SX(p.origin.hamiltonian) for p in entries.pairs]
-    held = set().union(*(_hashes(entries, expr, "x") for expr in others))
+    held = set().union(*(_hashes(entries, expr, Value.STATE) for expr in others))
     total = ca.SX(0)
     for e in quadratic:
         total += e.expr
-    x = ca.vertcat(*(s for s in ca.symvar(total) if s.element_hash() in _hashes(entries, total, "x") - held))
+    x = ca.vertcat(*(s for s in ca.symvar(total) if s.element_hash() in _hashes(entries, total, Value.STATE) - held))
     if not x.numel():
         return []
     hessian = ca.hessian(total, x)[0]
@@ -59,7 +60,7 @@ def bounded(entries: Entries, sample: Sample) -> list[Problem]:
             continue
         value, vector = np.linalg.eigh(block)
         if value[0] < -NEGATIVE * np.abs(value).max():
-            names = [entries.known[x[int(j)].element_hash()][1] for j in where]
+            names = [entries.known[x[int(j)].element_hash()].name for j in where]
             found.append(_unbounded(entries, value[0], vector[:, 0], names, _used(entries, rest, given)))
     return found
 
@@ -74,9 +75,9 @@ def _unbounded(entries: Entries, value: float, vector: np.ndarray, names: list[s
 
 
 def _used(entries: Entries, symbols: list[ca.SX], values: list[float]) -> str:
-    found = [f"{entries.known[s.element_hash()][1]} = {v:g}" for s, v in zip(symbols, values, strict=True)]
+    found = [f"{entries.known[s.element_hash()].name} = {v:g}" for s, v in zip(symbols, values, strict=True)]
     return f" (with {', '.join(found[:6])}{', ..' if len(found) > 6 else ''})" if found else ""
 
 
-def _hashes(entries: Entries, expr: ca.SX, kind: str) -> set[int]:
-    return {s.element_hash() for s in ca.symvar(expr) if entries.known[s.element_hash()][0] == kind}
+def _hashes(entries: Entries, expr: ca.SX, kind: Value) -> set[int]:
+    return {s.element_hash() for s in ca.symvar(expr) if entries.known[s.element_hash()].kind is kind}

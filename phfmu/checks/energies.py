@@ -10,6 +10,7 @@ from phfmu.checks.sample import Sample
 from phfmu.declare.entries import Entries, Entry, Pair
 from phfmu.declare.operations import piecewise
 from phfmu.declare.problem import Problem
+from phfmu.declare.value import Value
 
 RELATIVE = 1e-8
 SMALL = 1e-6  # increment over nominal at which a pair is compared with its limit
@@ -27,7 +28,7 @@ def energies(entries: Entries, sample: Sample) -> list[Problem]:
             found.append(_start(e.label, f"H = {h[0, 0, 0]}"))
         elif not np.isfinite(g[0]).all():
             j = int(np.flatnonzero(~np.isfinite(g[0, :, 0]))[0])
-            found.append(_start(e.label, f"dH/d({entries.known[x[j].element_hash()][1]}) = {g[0, j, 0]}"))
+            found.append(_start(e.label, f"dH/d({entries.known[x[j].element_hash()].name}) = {g[0, j, 0]}"))
     for p in entries.pairs:
         h = sample.values([ca.SX(p.origin.hamiltonian)])[0]
         if not np.isfinite(h[0]).all():
@@ -40,7 +41,7 @@ def energies(entries: Entries, sample: Sample) -> list[Problem]:
 
 
 def _states(entries: Entries, expr: ca.SX) -> ca.SX:
-    return ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()][0] == "x"))
+    return ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()].kind is Value.STATE))
 
 
 def _start(label: str, text: str) -> Problem:
@@ -75,7 +76,7 @@ def _quadratic(
         change = np.abs(hessian[good] - reference).max(axis=0)
         if (change > RELATIVE * np.abs(hessian[good]).max()).any():
             r, c = (int(k) for k in np.unravel_index(np.argmax(change), change.shape))
-            names = [entries.known[x[k].element_hash()][1] for k in (r, c)]
+            names = [entries.known[x[k].element_hash()].name for k in (r, c)]
             text = (
                 f"{symbol} is not quadratic: d2{symbol}/d({names[0]})d({names[1]}) changes by "
                 f"{change[r, c]:.3g} from point to point"
@@ -123,10 +124,10 @@ def closed_pairs(entries: Entries, sample: Sample) -> list[Problem]:
     taken: dict[int, str] = {}
     for pair in entries.pairs:
         own = [pair.x[j].element_hash() for j in range(pair.x.numel())]
-        names = {h: entries.known[h][1] for h in own}
+        names = {h: entries.known[h].name for h in own}
         states = ca.symvar(_states(entries, ca.SX(pair.origin.hamiltonian)))
         foreign = [s for s in states if s.element_hash() not in names]
-        text = [f"H depends on '{entries.known[s.element_hash()][1]}', not one of its variables" for s in foreign]
+        text = [f"H depends on '{entries.known[s.element_hash()].name}', not one of its variables" for s in foreign]
         text += [f"'{names[h]}' is in {taken[h]} as well" for h in own if h in taken]
         taken |= dict.fromkeys(own, pair.label)
         for e in entries.of("H", "E"):

@@ -13,6 +13,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.junction_words import junction_words
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
+from phfmu.declare.value import Value
 from phfmu.discretise.model import CONSISTENCY, Model, build_model
 from phfmu.engine.python import PythonInstance
 from phfmu.engine.status import Status, StepFailure, remedy
@@ -81,8 +82,9 @@ def velocities(entries: Entries) -> list[Problem]:
     found = []
     for e in constraints:
         for s in ca.symvar(e.expr):
-            kind, name = entries.known[s.element_hash()]
-            if kind != "x" or s.element_hash() in entries.doubtful:
+            symbol = entries.known[s.element_hash()]
+            name = symbol.name
+            if symbol.kind is not Value.STATE or s.element_hash() in entries.doubtful:
                 continue
             text = _no_velocity(entries, ca.SX(ca.simplify(row.get(s.element_hash(), ca.SX(0)))))
             if not text and s.element_hash() in inert:
@@ -101,12 +103,12 @@ def _no_velocity(entries: Entries, rate: ca.SX) -> str:
     symbols = ca.symvar(rate)
     if not symbols:
         return "the rate is constant"
-    kind, name = entries.known[symbols[0].element_hash()]
-    if len(symbols) > 1 or kind != "z":
-        return f"the rate depends on {', '.join(entries.known[s.element_hash()][1] for s in symbols[:4])}"
+    first = entries.known[symbols[0].element_hash()]
+    if len(symbols) > 1 or first.kind is not Value.COSTATE:
+        return f"the rate depends on {', '.join(entries.known[s.element_hash()].name for s in symbols[:4])}"
     factor = ca.simplify(ca.gradient(rate, symbols[0]))
     if not factor.is_constant() or float(factor) != 1.0:
-        return f"the rate is {factor} times {name}"
+        return f"the rate is {factor} times {first.name}"
     return ""
 
 

@@ -12,6 +12,7 @@ from phfmu.checks.sample import Sample, places
 from phfmu.declare.entries import Entries, Entry
 from phfmu.declare.problem import Problem
 from phfmu.declare.regular import undetermined
+from phfmu.declare.value import Value
 from phfmu.declare.variable import key
 
 RELATIVE = 1e-9  # of the numbers compared
@@ -24,8 +25,8 @@ def finite(entries: Entries, sample: Sample) -> list[Problem]:
     found = []
     for e, value in zip(chosen, sample.of(chosen), strict=True):
         bad = ~np.isfinite(value)
-        kinds = {entries.known[s.element_hash()][0] for s in ca.symvar(e.expr)}
-        exact = "a" not in kinds and ("z" not in kinds or sample.known_z[0].all())
+        kinds = {entries.known[s.element_hash()].kind for s in ca.symvar(e.expr)}
+        exact = Value.ALGEBRAIC not in kinds and (Value.COSTATE not in kinds or sample.known_z[0].all())
         first = next((i for i in sample.starts if bad[i].any()), -1)
         if (exact and first >= 0) or bad.any(axis=(1, 2)).all():
             i = max(first, 0)
@@ -178,7 +179,7 @@ def masses(entries: Entries, sample: Sample) -> list[Problem]:
 
 
 def _remedy(entries: Entries, E: ca.SX, name: str) -> str:
-    states = any(entries.known[s.element_hash()][0] == "x" for s in ca.symvar(E))
+    states = any(entries.known[s.element_hash()].kind is Value.STATE for s in ca.symvar(E))
     if states:
         return "start elsewhere; for E of constant rank declare the form of `Parametrised`"
     if E.sparsity().is_diag():

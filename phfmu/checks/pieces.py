@@ -12,6 +12,7 @@ from phfmu.checks.sample import Sample, Setting
 from phfmu.declare.entries import Entries
 from phfmu.declare.operations import analytic, piecewise, switches
 from phfmu.declare.problem import Problem
+from phfmu.declare.value import Value
 
 POINTS = 129  # of a line on which pieces are looked for
 REACH = 3.0  # half its length, in sizes of the states
@@ -70,7 +71,7 @@ def _found(entries: Entries, sample: Sample) -> list[_Pieces]:
         return []
     out = []
     for label, expr in named:
-        x = ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()][0] == "x"))
+        x = ca.vertcat(*(s for s in ca.symvar(expr) if entries.known[s.element_hash()].kind is Value.STATE))
         names = piecewise(expr, x) if x.numel() else ()
         if names:
             settings = sample.settings if ca.depends_on(expr, _parameters(entries)) else sample.settings[:1]
@@ -101,7 +102,7 @@ def _seams(entries: Entries, sample: Sample, expr: ca.SX, x: ca.SX, setting: Set
             ends = _halved(piece, values, line[:, i], line[:, i + 1])
             a, b = (np.array(f(e, values)).ravel() for e in ends)
             apart = np.abs(b - a) > JUMP * scale
-            names = ", ".join(f"{entries.known[x[j].element_hash()][1]} = {v:.4g}" for j, v in enumerate(ends[1][:4]))
+            names = ", ".join(f"{entries.known[x[j].element_hash()].name} = {v:.4g}" for j, v in enumerate(ends[1][:4]))
             out.append(_Seam(names + since, float(b[0] - a[0]) if apart[0] else 0.0, bool(apart[1:].any())))
     return out
 

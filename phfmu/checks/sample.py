@@ -136,7 +136,7 @@ class Sample:
         wanted = {s.element_hash() for s in ca.symvar(expr)}
         pairs = [(symbols[j], values[0, j]) for symbols, values in zip((*self._symbols, time), self._values, strict=True)
                  for j in range(symbols.numel())]  # fmt: skip
-        return {self._entries.known[s.element_hash()][1]: float(v) for s, v in pairs if s.element_hash() in wanted}
+        return {self._entries.known[s.element_hash()].name: float(v) for s, v in pairs if s.element_hash() in wanted}
 
     def where(self, i: int, *exprs: ca.SX) -> str:
         """The point in words: the values of some variables the expressions depend on."""
@@ -151,7 +151,7 @@ class Sample:
             for symbols, given in zip(self._symbols[:4], self._values[:4], strict=True):
                 hashes = [symbols[j].element_hash() for j in range(symbols.numel())]
                 if s.element_hash() in hashes:
-                    names.append(self._entries.known[s.element_hash()][1])
+                    names.append(self._entries.known[s.element_hash()].name)
                     values.append(given[i, hashes.index(s.element_hash())])
         text = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names[:4], values, strict=False))
         return f"at {text}{', ..' if len(names) > 4 else ''}" if names else "at every point"

@@ -14,20 +14,41 @@ from phfmu.declare.energy import ClosedPair
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.problem import Problem
+from phfmu.declare.value import Value
 from phfmu.declare.variable import Variable, _sx, key, time
 
-#: what each entry may depend on: x states, z costates, a algebraic variables, u inputs, p parameters, t time
-#: (z2: the given effort of an algebraic variable; L, e: column and restitution of a jump)
-ALLOWED = dict.fromkeys(("H", "E", "z", "C"), "xp") | {"g": "xpt", "source": "pt", "bound": "a"}
-ALLOWED |= dict.fromkeys(("J", "R", "B", "z2", "observable", "guard"), "xzaupt") | dict.fromkeys(("L", "e"), "xp")
-_WORDS = {
-    "x": "states",
-    "z": "costates",
-    "a": "algebraic variables",
-    "u": "inputs",
-    "p": "parameters",
-    "t": "time",
+_ENERGY = (Value.STATE, Value.PARAMETER)
+_ALL = (Value.STATE, Value.COSTATE, Value.ALGEBRAIC, Value.INPUT, Value.PARAMETER, Value.TIME)
+#: what each entry may depend on (z2: the given effort of an algebraic variable; L, e: columns and restitutions of jumps)
+ALLOWED: dict[str, tuple[Value, ...]] = {
+    **dict.fromkeys(("H", "E", "z", "C", "L", "e"), _ENERGY),
+    **dict.fromkeys(("J", "R", "B", "z2", "observable", "guard"), _ALL),
+    "g": (*_ENERGY, Value.TIME),
+    "source": (Value.PARAMETER, Value.TIME),
+    "bound": (Value.ALGEBRAIC,),
 }
+#: and which variables it may stand on, where that is not states and algebraic variables
+_ON: dict[str, tuple[Value, ...]] = {
+    **dict.fromkeys(("E", "z", "closed", "correct", "L"), (Value.STATE,)),
+    **dict.fromkeys(("z2", "g"), (Value.ALGEBRAIC,)),
+    **dict.fromkeys(("J", "R"), (Value.STATE, Value.ALGEBRAIC, Value.INPUT)),
+}
+_WORDS = {
+    Value.STATE: "states",
+    Value.COSTATE: "costates",
+    Value.ALGEBRAIC: "algebraic variables",
+    Value.INPUT: "inputs",
+    Value.PARAMETER: "parameters",
+    Value.TIME: "time",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Symbol:
+    """What a scalar symbol of a declaration stands for, and its name."""
+
+    kind: Value
+    name: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +83,7 @@ class Entries:
     """The sound entries of `model` and the problems of the others."""
 
     model: PHDAE
-    known: dict[int, tuple[str, str]] = field(init=False)
+    known: dict[int, Symbol] = field(init=False)
     sound: list[Entry] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
@@ -73,24 +94,26 @@ class Entries:
 
     def __post_init__(self) -> None:
         m = self.model
-        self.known = {time.element_hash(): ("t", "time")}
-        for kind, variables in (("x", m.states), ("a", m.algebraics), ("p", m.parameters)):
+        self.known = {time.element_hash(): Symbol(Value.TIME, "time")}
+        declared = ((Value.STATE, m.states), (Value.ALGEBRAIC, m.algebraics), (Value.PARAMETER, m.parameters))
+        for kind, variables in declared:
             for v in variables:
                 for j, name in enumerate(v.names()):
-                    self.known[v.sx[j].element_hash()] = (kind, name)
-                    if kind == "x":
-                        self.known[v.z[j].element_hash()] = ("z", f"z of {name}")
+                    self.known[v.sx[j].element_hash()] = Symbol(kind, name)
+                    if kind is Value.STATE:
+                        self.known[v.z[j].element_hash()] = Symbol(Value.COSTATE, f"z of {name}")
         for port in m.ports:
             for j in range(port.u.numel()):
-                self.known[port.u[j].element_hash()] = ("u", f"input {j + 1} of {port.name}")
+                self.known[port.u[j].element_hash()] = Symbol(Value.INPUT, f"input {j + 1} of {port.name}")
 
     def of(self, *what: str) -> list[Entry]:
         """Sound entries of these kinds."""
         return [e for e in self.sound if e.what in what]
 
-    def kind(self, v: Variable | Port) -> str:
+    def kind(self, v: Variable | Port) -> Value | None:
         """Kind of a variable, "" if it is not declared."""
-        return self.known.get(key(v), ("", ""))[0]
+        found = self.known.get(key(v))
+        return None if found is None else found.kind
 
     def leave_out(self, what: str, rows: Sequence[Variable | Port]) -> None:
         self.doubtful |= {s.element_hash() for v in rows for s in ca.vertsplit(v.sx)}
@@ -126,21 +149,22 @@ class Entries:
         """True if `expr` depends on declared symbols of the kinds allowed for `what` only."""
         ok = True
         for s in ca.symvar(expr):
-            kind, name = self.known.get(s.element_hash(), ("", str(s)))
-            if kind and kind in ALLOWED[what]:
+            found = self.known.get(s.element_hash())
+            if found is not None and found.kind in ALLOWED[what]:
                 continue
+            name = str(s) if found is None else found.name
             ok = False
             allowed = " and ".join(_WORDS[k] for k in ALLOWED[what])
-            if kind:
+            if found is not None:
                 rule = "source" if what == "source" else "symbol"
                 self._problem(
                     rule,
                     label,
-                    f"depends on '{name}', one of the {_WORDS[kind]}",
+                    f"depends on '{name}', one of the {_WORDS[found.kind]}",
                     f"it may depend on {allowed} only",
                 )
                 continue
-            close = get_close_matches(name, [n for _, n in self.known.values()], 3)
+            close = get_close_matches(name, [k.name for k in self.known.values()], 3)
             same = name in close
             hint = f"; close: {', '.join(close)}" if close and not same else ""
             text = "is the symbol of another variable of the same name" if same else "is not declared" + hint
@@ -153,22 +177,12 @@ class Entries:
         return ok
 
     def _rows(self, what: str, label: str, rows: Sequence[Variable | Port]) -> bool:
-        allowed = {
-            "E": "x",
-            "z": "x",
-            "z2": "a",
-            "closed": "x",
-            "correct": "x",
-            "g": "a",
-            "J": "xau",
-            "R": "xau",
-            "L": "x",
-        }
-        allowed = allowed.get(what, "xa")
-        bad = [v for v in rows if self.kind(v) not in tuple(allowed)]
+        allowed = _ON.get(what, (Value.STATE, Value.ALGEBRAIC))
+        bad = [v for v in rows if self.kind(v) not in allowed]
         for v in bad:
             words = " or ".join(_WORDS[k] for k in allowed)
-            is_what = "is not declared" if not self.kind(v) else f"is one of the {_WORDS[self.kind(v)]}"
+            kind = self.kind(v)
+            is_what = "is not declared" if kind is None else f"is one of the {_WORDS[kind]}"
             self._problem(
                 "symbol",
                 label,

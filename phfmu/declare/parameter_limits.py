@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.phdae import PHDAE
+from phfmu.declare.value import Value
 from phfmu.declare.variable import Variable
 
 Array = NDArray[np.float64]
@@ -184,11 +185,11 @@ def _curvature(entries: Entries) -> Iterator[_Sign]:
     general = ca.vertcat(ca.SX(0, 1), *(e.expr for e in entries.of("H") if e.origin.kind != "quadratic"))
     elsewhere = {s.element_hash() for s in ca.symvar(general)}
     total = ca.sum1(ca.vertcat(*quadratic))
-    x = [s for s in ca.symvar(total) if entries.known[s.element_hash()][0] == "x"]
+    x = [s for s in ca.symvar(total) if entries.known[s.element_hash()].kind is Value.STATE]
     diagonal = ca.diag(ca.hessian(total, ca.vertcat(*x))[0])
     for j, s in enumerate(x):
         if s.element_hash() not in elsewhere and not diagonal[j].is_zero():
-            yield _Sign(diagonal[j], f"energy along '{entries.known[s.element_hash()][1]}'", energy=True)
+            yield _Sign(diagonal[j], f"energy along '{entries.known[s.element_hash()].name}'", energy=True)
 
 
 def _masses(entries: Entries) -> Iterator[_Sign]:
