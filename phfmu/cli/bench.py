@@ -12,7 +12,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.options import add_settings
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
-    parser.add_argument("target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out")
+    parser.add_argument("target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling")
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument(
         "--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT], suzuki, kahan-li (default: what fits the target)"
@@ -31,13 +31,18 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--repeat", type=int, default=5, help="timed runs per row, the median counts (default 5)")
     parser.add_argument("--peers", metavar="LIST", default="all", help="all, none or names with commas (default all)")
     parser.add_argument(
-        "--families", metavar="LIST", help="scaling: chain, net, ladder; orders: names of the library (default: all)"
+        "--families",
+        metavar="LIST",
+        help="scaling: chain, net, ladder; orders: names of the library; coupling: scenes (default: all)",
     )
     parser.add_argument("--sizes", metavar="LIST", help="scaling: sizes n (default: those of the family)")
     parser.add_argument("--reference", metavar="CSV", help="states at the times: column time and one per state")
     add_settings(parser)
     parser.add_argument(
-        "-o", "--output", metavar="DIR", help="folder of the files (default: bench); orders, leave-out: a file"
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="folder of the files (default: bench); orders, leave-out, coupling: a file",
     )
     parser.set_defaults(call=call)
 
@@ -50,6 +55,8 @@ def call(args: argparse.Namespace) -> int:
         return _orders(args)
     if args.target == "leave-out":
         return _leave_out(args)
+    if args.target == "coupling":
+        return _coupling(args)
     args.output = args.output or "bench"
     if args.target == "scaling":
         return _scaling(args)
@@ -82,6 +89,21 @@ def _leave_out(args: argparse.Namespace) -> int:
         print(f"page: {args.output}")
     else:
         print(table())
+    return FINE
+
+
+def _coupling(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.bench.coupling import page, table
+    from phfmu.cli.codes import FINE
+
+    with _Progress() as progress:
+        text = page(progress) if args.output else table(_names(args.families), progress)
+    if args.output:
+        Path(args.output).write_text(text, encoding="utf-8")
+        text = f"page: {args.output}"
+    print(text)
     return FINE
 
 

@@ -33,7 +33,10 @@ Array = NDArray[Any]
 
 
 class Coupled:
-    """Members of a network, one per member, joined by a coupling; `last`: its junction unknowns for the step before."""
+    """Members of a network, one per member, joined by a coupling; `last`: its junction unknowns for the step before.
+
+    `compiled`: False steps native members by the loop in Python, too, to compare.
+    """
 
     what, instead = "members stepped apart", "leave out --coupling newton, which composes them"
 
@@ -42,7 +45,9 @@ class Coupled:
         network: Network,
         members: list[Member],
         coupling: Coupling | Callable[[Joined], Coupling] = newton,
+        compiled: bool = True,
     ):
+        self._may_compile = compiled
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
         closes = self.coupling.closes and not self.joined.put_off
@@ -57,9 +62,8 @@ class Coupled:
     @cached_property
     def _master(self) -> Master | None:
         """The steps in compiled code, where there are such."""
-        if self.joined.network.wires or not all(
-            isinstance(m, EngineMember) and m.parts == 1 for m in self.joined.members
-        ):
+        plain = self._may_compile and not self.joined.network.wires
+        if not plain or not all(isinstance(m, EngineMember) and m.parts == 1 for m in self.joined.members):
             return None
         from phfmu.network.couplings.master import master
 

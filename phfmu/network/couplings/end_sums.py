@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from phfmu.declare.junction_words import spread_words
 from phfmu.network.couplings.joined import Joined
@@ -16,6 +19,8 @@ Array = NDArray[np.float64]
 
 CONSISTENT = 1e-7  # a sum below this part of the largest output it is made of, and of
 UNIT = 1e-6  # this where all of them are zero
+DENSE = 64  # most junction unknowns whose matrices are kept as arrays
+NOTHING = 1e-13  # entries of a projector below this are rounding
 
 
 class EndSums:
@@ -30,27 +35,28 @@ class EndSums:
         face = joined.face
         self.names = [SUM + n for n in face.sum_names()]
         self._rows = face.rows_of_sums()
-        self._projector: Array | None = None
+        self._maps: tuple[Any, Any, Any] | None = None
 
     def forget(self) -> None:
         """After parameters or inputs were set: outputs may follow other unknowns."""
-        self._projector = None
+        self._maps = None
 
     def values(self, xi: Array) -> Array:
         """The sums, with the junction unknowns xi."""
-        self._hidden(xi)
+        if self._maps is None:
+            self._maps = self._found(xi)
         return self.of_rows(xi[None], self.joined.end_outputs()[None])[0]
 
     @property
     def known(self) -> bool:
         """Whether `of_rows` knows which outputs follow the junction unknowns."""
-        return self._projector is not None
+        return self._maps is not None
 
     def of_rows(self, xi: Array, y: Array) -> Array:
         """The sums (steps x names) with junction unknowns xi and outputs y at ends, a row a step."""
-        face = self.joined.face
-        assert self._projector is not None
-        r = (y @ face.P + xi @ face.C.T) @ self._projector.T
+        assert self._maps is not None
+        P, C, Q = self._maps
+        r = (y @ P + xi @ C) @ Q
         columns = [r[:, own[0]] if len(own) == 1 else np.ptp(r[:, own], axis=1) for own in self._rows]
         return np.array(columns).reshape(-1, len(xi)).T
 
@@ -70,11 +76,14 @@ class EndSums:
             rule = "joined flows of states must sum to zero and joined outputs must be equal at the start"
             raise inconsistent(network.name, bad, f"{rule}: change the start values{instead}")
 
-    def _hidden(self, xi: Array) -> Array:
-        """Projector to what no junction unknown can change."""
-        if self._projector is None:
-            self._projector = hidden_part(self.joined.instant_matrix(xi), self.joined.face.nominal)
-        return self._projector
+    def _found(self, xi: Array) -> tuple[Any, Any, Any]:
+        """P, C^T, Q^T with the projector Q to what no junction unknown can change; sparse where there are many."""
+        face = self.joined.face
+        Q = hidden_part(self.joined.instant_matrix(xi), face.nominal)
+        if len(Q) <= DENSE:
+            return face.P, face.C.T, Q.T
+        Q[np.abs(Q) <= NOTHING] = 0.0
+        return csr_matrix(face.P), csr_matrix(face.C.T), csr_matrix(Q.T)
 
     def _differ(self, junction: Junction, value: float) -> str:
         shared = "effort" if junction.kind == "0" else "flow"

@@ -89,7 +89,10 @@ class Exchange:
     def _share(self, values: NodeValues, place: slice) -> Share:
         P, rule = self.joined.face.P[place], values.rule
         to = np.zeros((rule.k, len(P), len(self.columns)))
+        used = np.atleast_1d(P.any(axis=0))
         for z, (c, i) in enumerate(zip(self.columns, self.at_node, strict=True)):
+            if not used[c]:
+                continue
             own = nodes(self.k[c])
             R = np.eye(rule.k)[:, i] if own.k == rule.k else np.array([own.value(t)[i] for t in rule.c])
             to[:, :, z] = R[:, None] * P[:, c]

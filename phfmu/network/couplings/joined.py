@@ -76,8 +76,9 @@ class Joined:
         """dr/dxi = P^T G P + C (n x n) of G = dY/dU, a block (its nu x its nu) per member."""
         matrix = self.face.C.copy()
         for g, place in zip(sensitivities, self.places, strict=True):
-            part = self.face.P[place]
-            matrix += part.T @ g @ part
+            own = np.flatnonzero(self.face.P[place].any(axis=0))
+            part = self.face.P[place, own]
+            matrix[np.ix_(own, own)] += part.T @ g @ part
         return matrix
 
     def row_sizes(self, xi: Array, y: Array) -> Array:

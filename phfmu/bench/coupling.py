@@ -1,0 +1,175 @@
+"""What stepping members apart costs: compiled, in Python, and composed; and how it grows with the members."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from time import thread_time
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.network.couplings.stepper import Stepper
+    from phfmu.network.junctions.network import Network
+
+ROUNDS = 15  # turns that the median is of
+WARM = 20  # steps before, in which iterations find their start
+#: name -> step (s), steps of a turn composed and compiled, steps in Python
+SCENES = {"oscillator": 1e-2, "drive": 1e-3, "smib": 1e-3, "two_machine": 1e-4}
+SIZES = (10, 100, 200)
+
+
+@dataclass(frozen=True)
+class Row:
+    """CPU time of a step in us, medians over turns: composed, members apart compiled and in Python; median of the ratios."""
+
+    name: str
+    order: int
+    members: int
+    composed: float
+    compiled: float
+    python: float
+    ratio: float
+    trials: float
+
+
+def coupled(network: Network, k: int, compiled: bool = True, same: bool = False) -> Stepper:
+    """Members under `Collocated(k)` in native engines; `same`: those of one name are alike and share a model."""
+    from phfmu.discretise.model import build_model
+    from phfmu.engine.native import NativeInstance
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.members.engine_member import EngineMember
+    from phfmu.schemes.collocated import Collocated
+
+    models: dict[str, Any] = {}
+    members = []
+    for name, d in network.declared.items():
+        own = d if same else replace(d, name=name)
+        if own.name not in models:
+            models[own.name] = build_model(own, Collocated(k))
+        members.append(EngineMember(name, models[own.name], NativeInstance(models[own.name])))
+    return Coupled(network, members, compiled=compiled)
+
+
+def composed(network: Network, k: int) -> Stepper:
+    from phfmu.discretise.model import build_model
+    from phfmu.engine.native import NativeInstance
+    from phfmu.network.couplings.monolithic import Monolithic
+    from phfmu.schemes.collocated import Collocated
+
+    model = build_model(network.compose(), Collocated(k))
+    return Monolithic(model, NativeInstance(model))
+
+
+class _Clock:
+    """CPU time per step of a stepper that goes on from turn to turn."""
+
+    def __init__(self, stepper: Stepper, h: float, n: int):
+        self.stepper, self.h, self.n, self.first = stepper, h, n, 0
+        self.times: list[float] = []
+        self.trials = 0.0
+        stepper.check_start()
+        stepper.prepare(0.0, h)
+        self._advance(WARM)
+
+    def turn(self) -> None:
+        before = thread_time()
+        self._advance(self.n)
+        self.times.append(1e6 * (thread_time() - before) / self.n)
+
+    def _advance(self, n: int) -> None:
+        steps = self.stepper.advance(0.0, self.h, n, self.first)
+        self.first += n
+        self.trials = steps.spent / n
+
+
+def measure(name: str, network: Network, h: float, k: int) -> Row:
+    """Turn by turn, so that what else the machine does falls on all alike."""
+    clocks = [
+        _Clock(composed(network, k), h, 200), _Clock(coupled(network, k), h, 200), _Clock(coupled(network, k, False), h, 3),
+    ]  # fmt: skip
+    for _ in range(ROUNDS):
+        for clock in clocks:
+            clock.turn()
+    one, two, three = (c.times for c in clocks)
+    ratio = median(b / a for a, b in zip(one, two, strict=True))
+    return Row(name, 2 * k, len(network.members), median(one), median(two), median(three), ratio, clocks[1].trials)
+
+
+def ring(n: int) -> Network:
+    """n masses with springs between them, closed."""
+    from phfmu.components.mechanical.translational import mass, spring
+    from phfmu.network.junctions.network import Network
+
+    net, weight, link, pushed = Network(f"ring_{n}"), mass(1.0), spring(100.0), mass(1.0, v=1.0)
+    for i in range(n):
+        net.add(f"m{i}", replace(weight) if i else replace(pushed, name="pushed"))
+        net.add(f"s{i}", replace(link))
+    for i in range(n):
+        net.junction(f"j{i}", [f"m{i}.flange", f"s{i}.a", f"s{i - 1 if i else n - 1}.b"])
+    return net
+
+
+def star(n: int) -> Network:
+    """n masses, each on a spring to one in the middle: a junction of n + 1 ports."""
+    from phfmu.components.mechanical.translational import mass, spring
+    from phfmu.network.junctions.network import Network
+
+    net, weight, link = Network(f"star_{n}"), mass(1.0), spring(100.0)
+    net.add("middle", replace(mass(1.0, v=1.0), name="middle"))
+    for i in range(n):
+        net.add(f"m{i}", replace(weight))
+        net.add(f"s{i}", replace(link))
+        net.junction(f"j{i}", [f"m{i}.flange", f"s{i}.b"])
+    net.junction("hub", ["middle.flange", *(f"s{i}.a" for i in range(n))])
+    return net
+
+
+def growth(make: Callable[[int], Network], sizes: Sequence[int]) -> list[tuple[int, float]]:
+    """(members, least CPU time of a step per member in us), order 2."""
+    found = []
+    for n in sizes:
+        network = make(n)
+        clock = _Clock(coupled(network, 1, same=True), 0.01, 20)
+        for _ in range(5):
+            clock.turn()
+        found.append((len(network.members), min(clock.times) / len(network.members)))
+    return found
+
+
+def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> str:
+    """Tables in Markdown."""
+    from phfmu.bench.machine import load, processor
+    from phfmu.target import scene
+
+    head = ["scene", "order", "members", "composed us", "apart us", "in Python us", "apart / composed", "trials"]
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for name in scenes or SCENES:
+        for k in (1, 2, 3):
+            progress(f"{name}, order {2 * k}")
+            network: Any = scene(name).system
+            r = measure(name, network, SCENES[name], k)
+            cells = [r.name, r.order, r.members, f"{r.composed:.1f}", f"{r.compiled:.1f}", f"{r.python:.0f}",
+                     f"{r.ratio:.2f}", f"{r.trials:.1f}"]  # fmt: skip
+            lines.append("| " + " | ".join(map(str, cells)) + " |")
+    lines += ["", "| network | members | us per member and step |", "| --- | --- | --- |"]
+    for make in (ring, star):
+        progress(make.__name__)
+        lines += [f"| {make.__name__} | {n} | {t:.2f} |" for n, t in growth(make, SIZES)]
+    return "\n".join([*lines, "", f"{processor()}; load {load()}"])
+
+
+PAGE = """# Members apart
+
+CPU time of a step with all its columns and ledger rows: of the composed model in compiled code, of its members joined by
+`newton` in compiled code, and by the same loop in Python. Taken in turns on one machine, medians; `apart / composed`: median of
+the ratios of neighbours; `trials`: of each member per step. Below, masses and springs, order 2: the cost of a member does
+not grow with their number.
+
+    phfmu bench coupling -o docs/results/coupling.md
+
+"""
+
+
+def page(progress: Callable[[str], None] = lambda _: None) -> str:
+    return PAGE + table(progress=progress) + "\n"

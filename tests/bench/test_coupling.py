@@ -1,0 +1,36 @@
+"""The bench of members apart: what it steps is what it says, and its tables have their rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phfmu.bench import coupling
+from phfmu.network.couplings.coupled import Coupled
+
+
+def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coupling, "ROUNDS", 1)
+    monkeypatch.setattr(coupling, "SIZES", (3,))
+    lines = coupling.table(["oscillator"]).splitlines()
+    rows = [
+        [c.strip() for c in line.strip("|").split("|")] for line in lines if line.startswith("| ") and "---" not in line
+    ]
+    assert [r[:3] for r in rows[1:4]] == [["oscillator", order, "3"] for order in ("2", "4", "6")]
+    assert all(float(r[3]) > 0 and float(r[4]) > 0 and float(r[7]) == 2.0 for r in rows[1:4])
+    assert all(float(r[5]) > float(r[4]) for r in rows[1:4]), "Python takes longer"
+    assert [r[:2] for r in rows[5:]] == [["ring", "6"], ["star", "7"]]
+    assert lines[-1].rpartition("load ")[2]
+
+
+@pytest.mark.parametrize("make", [coupling.ring, coupling.star])
+def test_networks_move_and_keep_their_energy(make) -> None:
+    """Compiled and in Python alike."""
+    H = []
+    for compiled in (True, False):
+        stepper = coupling.coupled(make(4), 1, compiled, same=True)
+        assert isinstance(stepper, Coupled)
+        stepper.check_start()
+        H.append(stepper.advance(0.0, 0.05, 6).H)
+    assert np.abs(H[0] - H[1]).max() <= 1e-14
+    assert np.abs(H[0].sum(axis=1) - 0.5).max() <= 1e-14 and H[0][:, 0].min() < 0.49
