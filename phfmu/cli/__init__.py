@@ -17,14 +17,14 @@ from phfmu.cli.codes import FINE, NO_CONVERGENCE, USAGE
 
 def _parser() -> argparse.ArgumentParser:
     from phfmu import __version__
-    from phfmu.cli import audit, bench, check, export, info, list_, plot, report, run, stress, sweep
+    from phfmu.cli import audit, bench, check, compare, export, info, list_, plot, report, run, stress, sweep
 
     parser = argparse.ArgumentParser(
         prog="phfmu", description="Port-Hamiltonian DAEs as co-simulation components with exact energy balance."
     )
     parser.add_argument("--version", action="version", version=f"phfmu {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for module in (list_, info, check, run, sweep, plot, report, export, audit, bench, stress):
+    for module in (list_, info, check, run, sweep, plot, report, compare, export, audit, bench, stress):
         module.add_parser(verbs)
     return parser
 
