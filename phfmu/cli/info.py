@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from phfmu.declare.event import StateEvent
     from phfmu.declare.parameter_limits import Limit
     from phfmu.declare.phdae import PHDAE
     from phfmu.declare.variable import Variable
@@ -103,6 +104,10 @@ def _print_declaration(d: PHDAE, target: str) -> None:
             start = ", ".join(f"{x:g}" for x in v.start)
             size = f"[1..{v.size}]" if v.size else ""
             print(f"  {v.name + size:<28} {v.unit:<12} {start:<40} {text}".rstrip())
+    if d.state_events:
+        print("state events:")
+    for e in d.state_events:
+        print(f"  {_event(e)}")
     if d.ports:
         print("ports (power positive into the component):")
     for p in d.ports:
@@ -134,3 +139,13 @@ def _limit(limits: dict[str, Limit], v: Variable) -> str:
     """The limits of a parameter in brackets; entries of a vector share them as a rule."""
     found = dict.fromkeys(str(limits[n]) for n in v.names() if n in limits)
     return f"({'; '.join(found)})" if found else ""
+
+
+def _event(e: StateEvent) -> str:
+    """Guard, when it is armed, what it does."""
+    which = {-1: "falls through zero", 0: "is zero", 1: "rises through zero"}[e.guard.direction]
+    armed = "".join(f", {n} = {v:g}" for n, v in e.when.items())
+    does = [f"{n} = {v:g}" for n, v in e.sets.items()]
+    does += [f"{', '.join(v.name for v in e.jump.on)} jumps"] if e.jump is not None else []
+    does += ["comes to rest: " + ", ".join(f"{n} = {v:g}" for n, v in e.rest.items())] if e.rest else []
+    return f"{e.guard.name:<28} {which}{' with' + armed[1:] if armed else ''}: {'; '.join(does) or 'a step ends'}"

@@ -202,3 +202,45 @@ def test_run_prints_the_bounces(capsys):
 
 def test_a_ball_is_the_library_scene():
     assert check(build("bouncing_ball").declaration(), strict=True) == []
+
+
+def test_info_lists_state_events(capsys):
+    assert main(["info", "bouncing_ball"]) == 0
+    assert "falls through zero with flight = 1: p jumps; comes to rest: flight = 0" in capsys.readouterr().out
+
+
+ENDLESS = """
+from dataclasses import replace
+from phfmu.components.library import build
+def endless():
+    ball = build("bouncing_ball").declaration()
+    return replace(ball, state_events=tuple(replace(e, rest={}) for e in ball.state_events))
+"""
+
+
+@pytest.mark.parametrize("engine", ["python", "native"])
+def test_a_refused_event_ends_a_run_with_what_was_before_it(engine, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "models.py").write_text(ENDLESS)
+    run_it = ["run", "models.py:endless", "--stop", "5", "--step", "0.02", "--engine", engine, "--audit", "a.parquet"]
+    assert main([*run_it, "--order", "4"]) == 3
+    said = capsys.readouterr().err
+    assert "100 events fall into one step, the last 'floor'" in said and "StateEvent(rest=..)" in said
+    rows = pq.read_table("a.parquet").to_pylist()
+    kinds = [r["kind"] for r in rows if r["row"] == "event"]
+    assert kinds.count("state") >= 100 and kinds[-1] == "nonconverged"
+    assert rows[-1]["t0"] == pytest.approx(9 * np.sqrt(2 / 9.81), abs=1e-9)
+
+
+def test_inputs_and_parameters_that_change_meet_events():
+    """A force turned on by a time event; the grid ends there, and a mode it makes true is set at once."""
+    from phfmu import Event
+
+    late = StateEvent(Guard("late", W.sx[0] - 3.0, 1), when={"w[2]": 0.0}, sets={"w[2]": 5.0})
+    model = build_model(body(late))
+    events = (Event(0.13, "flange.force", 1.0), Event(0.21, "w[1]", 4.0))
+    result = run(Monolithic(model, PythonInstance(model)), Options(stop=0.5, step=0.1, events=events))
+    mode = result.column("w[2]")
+    (at,) = np.flatnonzero(np.diff(mode))
+    assert result.time[at + 1] == 0.21 and mode[at + 1] == 5.0
+    assert result.ledger.summary().events == {"input": 1, "parameter": 1, "state": 1}
