@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.stress.case import Case, Outcome, not_supported, refused
+from phfmu.stress.case import Case, Outcome, refused
 from phfmu.stress.drive import effort, instance, record
 
 
@@ -209,6 +209,4 @@ CASES = (
     *(Case("wrong", label, "refused when made", lambda w=w: wrong(w)) for w, label in (
         ("sign", "u1 = +y2, u2 = +y1"), ("domain", "a mass on a power line"), ("self", "a port joined to itself"),
         ("twice", "the same rigid link twice"))),
-    Case("jacobi", "explicit coupling that diverges", "stopped at H > 1e6 (H0 + E_in)", not_supported(
-        "explicit couplings are not offered; members are joined by Newton or composed")),
 )  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phfmu.cli import main
-from phfmu.stress import coupled, linkage, machine, matrix, particles
+from phfmu.stress import coupled, couplings, linkage, machine, matrix, particles
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
 from phfmu.words import counted
@@ -193,3 +193,9 @@ def test_engines_agree_on_vanishing_masses(m):
 def test_whole_matrix():
     lines = [answer(c) for c in matrix.cases(None) if not c.long]
     assert [x.case.name for x in lines if x.verdict is Verdict.FAIL] == []
+
+
+@pytest.mark.parametrize("given", couplings.CASES, ids=lambda c: f"{c.target}: {c.name}")
+def test_couplings_at_their_limits(given):
+    line = answer(given)
+    assert line.verdict is Verdict.PASS, line.happened

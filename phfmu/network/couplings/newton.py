@@ -29,6 +29,7 @@ ENERGY = 1e-14  # accepted interface energy relative to the energy in play
 ROUNDING = 1e-13  # scaled residual that counts as solved
 STAGNATION = 1e-9  # a scaled residual below this that stays is rounding, if the energy is
 SHRINKING = 0.5  # a scaled residual that shrinks to more than this part of the last hardly shrinks: it stalls
+STALLING = 0.3  # the same within the energy budget
 STALLED = 10.0  # times the accepted energy is accepted where it stalls
 STALLS = 3  # times that rows stalled within the energy budget, with a matrix taken after the first, when what is left is rounding
 FLOOR = 16.0  # units of rounding in a row that cannot be told from zero
@@ -126,8 +127,8 @@ def accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain:
 
 
 def stalls(history: list[float]) -> int:
-    """How often the scaled residual hardly shrank, after the first two trials."""
-    return sum(new > SHRINKING * old for old, new in pairwise(history[1:]))
+    """How often the scaled residual hardly shrank, after the first two trials; halving is what rounding in members can do."""
+    return sum(new > STALLING * old for old, new in pairwise(history[1:]))
 
 
 def failed(
