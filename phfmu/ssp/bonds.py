@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isclose
 
 from phfmu.declare.port import Given
 from phfmu.fmu.manifest import PortMap
@@ -95,10 +96,10 @@ def _bond(
                 f"a port ({len(pa.inputs)} and {len(pb.inputs)} pairs) with the same entry of the other, both ways"
             )
     factors = [_factor(way, a, b) for way in (there, back)]
-    # counted into both units
-    into = [factors[0] * pa.output_sign * pb.input_sign, factors[1] * pb.output_sign * pa.input_sign]
-    if into[0] * into[1] != -1.0 or abs(into[0]) != 1.0:
-        raise SSPError(_powered(a, b, there[0][0], back[0][0], pa, pb, factors))
+    # counted into both units, in units of the domain
+    into = [factors[0] * pb.input_sign / pa.output_sign, factors[1] * pa.input_sign / pb.output_sign]
+    if not isclose(into[0] * into[1], -1.0, rel_tol=1e-9) or not isclose(abs(into[0]), 1.0, rel_tol=1e-9):
+        raise SSPError(_powered(a, b, there[0][0], back[0][0], pa, pb, into))
     effort = into[0] if pa.given == "flow" else into[1]
     return Bond(a, b, "0" if effort > 0 else "1")
 
@@ -111,9 +112,9 @@ def _factor(way: list[tuple[Link, _Pin, _Pin]], a: End, b: End) -> float:
     return found.pop()
 
 
-def _powered(a: End, b: End, there: Link, back: Link, pa: PortMap, pb: PortMap, factors: list[float]) -> str:
+def _powered(a: End, b: End, there: Link, back: Link, pa: PortMap, pb: PortMap, into: list[float]) -> str:
     """Power is created, or a ratio would be needed that no junction has."""
-    if abs(factors[0]) != 1.0 or abs(factors[1]) != 1.0:
+    if not all(isclose(abs(g), 1.0, rel_tol=1e-9) for g in into):
         return (
             f"{there} and {back}: ports are joined with the factors 1 and -1; for a ratio put a transformer or a gear "
             "between them, or convert units by their definitions"

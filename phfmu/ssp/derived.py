@@ -46,7 +46,7 @@ def _port(known: PortMap, there: Sequence[Link], back: Sequence[Link], taken: Se
     if len(factors) > 1 or any(k.linear.offset for k in (*there, *back)):
         return None
     f1, f2 = factors.pop()
-    if abs(f1) != 1.0 or abs(f2) != 1.0:
+    if abs(f1) != 1.0 or abs(f2) != 1.0 or abs(known.input_sign) != 1.0 or abs(known.output_sign) != 1.0:
         return None
     given: Given = "flow" if known.given == "effort" else "effort"
     name = known.name if known.name not in taken else f"{known.name}_{len(taken)}"

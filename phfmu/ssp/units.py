@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from math import isclose, isfinite
 
 from phfmu.declare.units import BASE, UnitError, parse_unit
+from phfmu.declare.units import Unit as Defined
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number
 from phfmu.ssp.names import tag
@@ -39,14 +40,12 @@ def named(text: str) -> Unit | None:
     return Unit(text, found.factor, 0.0, found.exponents)
 
 
-def write_units(parent: Element, kind: str, texts: Iterable[str]) -> None:
-    """`Units` with the definitions of the units in use; nothing without any."""
-    wanted = sorted({t for t in texts if named(t) is not None})
-    if not wanted:
+def write_units(parent: Element, kind: str, used: Mapping[str, Defined]) -> None:
+    """`Units` with the definitions of the units in use, by name; nothing without any."""
+    if not used:
         return
     listed = etree.SubElement(parent, tag(kind, "Units"))
-    for text in wanted:
-        unit = parse_unit(text)
+    for text, unit in sorted(used.items()):
         base = etree.SubElement(etree.SubElement(listed, tag("ssc", "Unit"), name=text), tag("ssc", "BaseUnit"))
         for symbol, exponent in zip(BASE, unit.exponents, strict=True):
             if exponent:

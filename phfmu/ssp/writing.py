@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import copysign, isclose
 from pathlib import Path
 
 from phfmu.fmu.description import generation_date, generation_tool
@@ -87,7 +88,9 @@ def structure(contents: Contents) -> bytes:
             if told := _linear(w):
                 etree.SubElement(connection, tag("ssc", "LinearTransformation"), told)
     _annotate(system, contents)
-    write_units(root, "ssd", {v.unit for u in units.values() for v in _connected(u)})
+    write_units(
+        root, "ssd", {v.unit: u.interface.units[v.unit] for u in units.values() for v in _connected(u) if _told(u, v)}
+    )
     experiment = {"startTime": number(0.0), "stopTime": number(contents.stop)}
     etree.SubElement(root, tag("ssd", "DefaultExperiment"), experiment)
     return text_of(root)
@@ -100,10 +103,11 @@ def parameter_set(values: Mapping[str, float], unit: UnitFile, version: str) -> 
     for name, value in values.items():
         element = etree.SubElement(etree.SubElement(listed, tag("ssv", "Parameter"), name=name), tag("ssv", "Real"))
         element.set("value", number(value))
-        text = unit.interface.variables[name].unit
-        if text != "1":
-            element.set("unit", text)
-    write_units(root, "ssv", {unit.interface.variables[n].unit for n in values})
+        variable = unit.interface.variables[name]
+        if _told(unit, variable):
+            element.set("unit", variable.unit)
+    used = [unit.interface.variables[n] for n in values]
+    write_units(root, "ssv", {v.unit: unit.interface.units[v.unit] for v in used if _told(unit, v)})
     return text_of(root)
 
 
@@ -125,9 +129,24 @@ def _links(network: Network, junction: Junction) -> Iterator[Wire]:
     (a, pa), (b, pb) = ((e.member, _map(network, e.member, e.port)) for e in junction.ends)
     for one, p, other, q in ((a, pa, b, pb), (b, pb, a, pa)):
         turns = (q.given == "flow") if junction.kind == "0" else (q.given == "effort")
-        factor = (-1.0 if turns else 1.0) * p.output_sign * q.input_sign
+        factor = (-1.0 if turns else 1.0) * p.output_sign / q.input_sign
         for out, into in zip(p.outputs, q.inputs, strict=True):
-            yield Wire(one, out, other, into, factor)
+            converted = _converted(network.units[one], out, network.units[other], into)
+            yield Wire(one, out, other, into, _tidy(factor / converted))
+
+
+def _converted(a: UnitFile, output: str, b: UnitFile, name: str) -> float:
+    """What the units of two connectors make of a value, without any transformation."""
+    ends = [(u, u.interface.variables[n]) for u, n in ((a, output), (b, name))]
+    if not all(_told(u, v) for u, v in ends):
+        return 1.0
+    one, other = (u.interface.units[v.unit].factor for u, v in ends)
+    return one / other
+
+
+def _tidy(factor: float) -> float:
+    """Without the rounding of units that cancel."""
+    return copysign(1.0, factor) if isclose(abs(factor), 1.0, rel_tol=1e-12) else factor
 
 
 def _map(network: Network, member: str, port: str) -> PortMap:
@@ -152,11 +171,16 @@ def _component(parent: Element, name: str, unit: UnitFile, version: str) -> None
         connector = etree.SubElement(listed, tag("ssd", "Connector"), name=v.name, kind=v.causality)
         own = v.type if unit.interface.version != "2.0" and version == "2.0" else _TYPES.get(v.type, "Integer")
         type_ = etree.SubElement(connector, tag("ssc", own))
-        if v.unit != "1" and own in ("Real", "Float64", "Float32"):
+        if _told(unit, v) and own in ("Real", "Float64", "Float32"):
             type_.set("unit", v.unit)
     if _values(unit):
         bindings = etree.SubElement(component, tag("ssd", "ParameterBindings"))
         etree.SubElement(bindings, tag("ssd", "ParameterBinding"), source=f"resources/{name}.ssv")
+
+
+def _told(unit: UnitFile, v: Scalar) -> bool:
+    """Whether the unit of a variable is one, and defined."""
+    return v.unit != "1" and v.unit in unit.interface.units
 
 
 def _connected(unit: UnitFile) -> list[Scalar]:

@@ -157,20 +157,32 @@ def test_junctions_that_connections_cannot_say_are_told(
     same(ran(target, tmp_path / "a.csv", *apart), ran(path, tmp_path / "b.csv"))
 
 
-def test_ports_of_a_foreign_unit_go_along(compiler: None, tmp_path: Path) -> None:
-    """Told in the scene, they are written beside the unit."""
-    foreign.mass(tmp_path / "pump.fmu", "2.0")
-    told = {"flange": {"effort": "F", "flow": "v", "sign": 1}}
+KILO = '<UnitDefinitions><Unit name="kilonewton"><BaseUnit kg="1" m="1" s="-2" factor="1000"/></Unit></UnitDefinitions>'
+
+
+@pytest.mark.parametrize("force", ["newton", "told", "defined"])
+def test_ports_of_a_foreign_unit_go_along(compiler: None, tmp_path: Path, force: str) -> None:
+    """Told in the scene, they are written beside the unit; a force in kN is converted once, whoever defines its unit."""
+    kilo = force == "defined"
+    unit = {"unit_of_force": "kilonewton", "before": KILO} if kilo else {}
+    foreign.mass(tmp_path / "pump.fmu", "2.0", **unit)
+    told = {"flange": {"effort": "F", "flow": "v", "sign": 1} | ({"effort_unit": "kN"} if force == "told" else {})}
     target = scene(
         tmp_path, "mixed", f"net.add('pump', 'pump.fmu', ports={told})", "net.add('spring', spring(40.0, elongation=0.3))",
         "net.junction('a', ['pump.flange', 'spring.a'])",
     )  # fmt: skip
     assert main(["export", target, "--ssp", "-o", str(tmp_path)]) == 0
     path = tmp_path / "mixed.ssp"
-    assert load(path).system.members["pump"].port_maps == unit_file(tmp_path / "pump.fmu", told).port_maps
-    found, expected = ran(path, tmp_path / "b.csv"), ran(target, tmp_path / "a.csv", "--engine", "fmu")
+    (port,) = load(path).system.members["pump"].port_maps
+    assert (port,) == unit_file(tmp_path / "pump.fmu", told).port_maps
+    assert port.input_factor == (1.0 if force == "newton" else 1000.0)
+    light = [] if force == "newton" else ["--set", "pump.m=0.001"]
+    found, expected = ran(path, tmp_path / "b.csv", *light), ran(target, tmp_path / "a.csv", "--engine", "fmu", *light)
     np.testing.assert_allclose(found["pump.v"], expected["pump.v"], atol=1e-12)
     assert np.abs(found["pump.v"]).max() > 0.1
+    text = unpacked(path)["SystemStructure.ssd"]
+    assert (b'<ssc:Unit name="kilonewton">' in text) is kilo and text.count(b"LinearTransformation") == 1
+    assert (b'factor="-0.001"' in text) is (force == "told")  # the unit itself says N
 
 
 def test_info_and_check_tell_what_is_in_a_package(written: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
