@@ -94,3 +94,19 @@ def test_of_20_000_steps_the_energy_is_kept(k12: float, drift: float) -> None:
     s = result.ledger.summary()
     assert s.network is not None
     assert abs(s.network.stored) <= drift * sum(c.H_start for c in s.components)
+
+
+@pytest.mark.parametrize("kind", ITERATED)
+def test_a_rigid_link_is_no_fixed_point_and_yet_solved(kind: str) -> None:
+    """Masses of 1 kg (10 N/m to ground) and 2 kg that move as one: the force between them is a multiplier."""
+    net = Network("link")
+    net.add("one", mass(1.0, k=10.0, v=1.0))
+    net.add("two", mass(2.0, v=1.0))
+    net.junction("link", ["one.flange", "two.flange"])
+    result = run(coupled(net, ITERATED[kind]), Options(stop=5.0, step=0.01))
+    v, other = result.column("one.v"), result.column("two.v")
+    assert np.abs(v - other).max() <= 1e-13
+    H = 0.5 * v**2 + other**2 + 5.0 * result.column("one.q") ** 2
+    assert np.abs(H - H[0]).max() <= 1e-12 * H[0]
+    turned = 2 * np.arctan(np.sqrt(10.0 / 3.0) * 0.01 / 2)  # by a step of the midpoint rule
+    assert np.abs(v - np.cos(turned * np.arange(len(v)))).max() <= 1e-11
