@@ -39,7 +39,8 @@ class StepFailure(RuntimeError):
     the values at one instant failed; `equation`: name of the row with the largest scaled residual `residual`, of
     which rounding alone leaves `floor`; `update`: last scaled change of the unknowns (1 = nominal); `iterations` of the
     last attempt, `spent` by all at this internal step; `tried`: what was attempted; `joined`: members were being joined,
-    `history` the scaled residuals of that, `composable`: they are all declared, so that one model can be made of them.
+    `put_off` those that stepped last, `history` the scaled residuals of that, `composable`: they are all declared, so that one
+    model can be made of them.
     A run adds `asked`, the step it asked for, and `longest`, the longest it had solved.  The remedy follows from these
     (`remedy`).
     """
@@ -60,6 +61,7 @@ class StepFailure(RuntimeError):
         tried: str = "",
         joined: bool = False,
         composable: bool = False,
+        put_off: str = "",
         history: Sequence[float] = (),
     ) -> None:
         self.status = status
@@ -74,6 +76,7 @@ class StepFailure(RuntimeError):
         self.spent = spent
         self.tried = tried
         self.joined, self.composable, self.history = joined, composable, tuple(history)
+        self.put_off = put_off
         self.asked, self.longest = 0.0, 0.0
         #: what a run over many steps had recorded of the accepted ones
         self.recorded: dict[str, Any] = {}
@@ -181,6 +184,12 @@ REMEDIES = (
     ),
     Remedy(
         Status.GROWTH,
+        lambda f: bool(f.put_off),
+        "what {put_off} will do in a step is predicted, since it cannot take one back, and badly: put a softer element that "
+        "stores energy where it is joined, export it with saved states, or try --coupling gauss-seidel",
+    ),
+    Remedy(
+        Status.GROWTH,
         lambda f: f.composable,
         "members that step once with each other's old outputs make energy in long steps: take a much smaller step, --coupling "
         "gauss-seidel instead of jacobi, or --coupling newton or monolithic, which make none at any step",
@@ -237,5 +246,5 @@ def remedy(failure: StepFailure) -> str:
     """The first remedy that is true for the facts of a failure; "" if there is none."""
     for r in REMEDIES:
         if r.status is failure.status and r.holds(failure):
-            return r.text.format(h=failure.h, asked=failure.asked, longest=failure.longest)
+            return r.text.format(h=failure.h, asked=failure.asked, longest=failure.longest, put_off=failure.put_off)
     return ""

@@ -396,3 +396,29 @@ def test_info_and_check_know_scenes_with_units(folder: Path, capsys: pytest.Capt
     assert "cart: " in (said := capsys.readouterr().out) and "-2" in said
     assert main(["export", str(path)]) == 2
     assert "mixed: pump is an FMU, which cannot be composed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("stiffness", ["1e4", "1e6"])
+def test_predictions_that_run_away_end_the_run_with_advice(
+    folder: Path, stiffness: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The unit turns by 1 and by 10 rad in a step."""
+    foreign.mass(folder / "pump.fmu", "2.0", saves=False)
+    line = [
+        "run",
+        str(scene(folder)),
+        "--set",
+        f"pump.k={stiffness}",
+        "--set",
+        "pump.q=0.1",
+        "--stop",
+        "5",
+        "--set",
+        "spring.k=1e5",
+    ]
+    assert main(line) == 3
+    said = capsys.readouterr().err
+    assert "the energy of the members grows without bound" in said
+    assert (
+        "what pump will do in a step is predicted, since it cannot take one back" in said and "smaller step" not in said
+    )

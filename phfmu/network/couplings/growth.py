@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.members.stepped_last import POOR
 
 Array = NDArray[np.float64]
 
@@ -35,12 +36,15 @@ class Growth:
         """After a step from t with energies H and energy through `pairs`; StepFailure where they have run away."""
         known = self.known + float(np.abs(pairs[self._outer]).sum())
         total = float(np.abs(H).sum())
-        self._had = max(self._had, float(-H[self._estimated].clip(max=0.0).sum()))
+        poor = [m.name for m in self._joined.put_off if m.missed > POOR]
+        if not poor:  # what such a unit seems to give is an artefact
+            self._had = max(self._had, float(-H[self._estimated].clip(max=0.0).sum()))
         known_here = known + self._had
         if not total <= LIMIT * known_here and (known_here or not any(self._estimated)):
             made = float(pairs[self._inner].sum())
             raise StepFailure(
                 Status.GROWTH, self._joined.network.name, t, h, joined=True, composable=self._joined.network.composable,
+                put_off=", ".join(m.name for m in self._joined.put_off),
                 tried=f"energy {total:.3g} J, {known_here:.3g} J at the start and supplied since; in this step the junctions "
                 f"supplied {made:.3g} J",
             )  # fmt: skip

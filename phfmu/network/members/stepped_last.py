@@ -22,6 +22,10 @@ from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]
 
+WINDOW = 20  # steps over which misses are averaged
+POOR = 0.5  # an average of misses, relative to the outputs, from which on they say nothing
+FLOOR = 1e-6  # of the largest output: what is below it counts as rest
+
 
 class SteppedLast:
     """The member `inner`, whose steps are put off until `finish`; response: `rollback.response` to a step of length h."""
@@ -35,6 +39,9 @@ class SteppedLast:
         self._end = inner.end_output().copy()
         self._last, self._b = self._u, first - self._end
         self._put_off: tuple[float, float] | None = None
+        #: how much predictions miss of the outputs, on average over the last steps, at most 1
+        self.missed = 0.0
+        self._largest = float(np.abs(first).max(initial=0.0))
 
     # -- of a step ----------------------------------------------------------------------------------------------------
 
@@ -51,11 +58,19 @@ class SteppedLast:
         """The step that was put off, under the inputs that were found for it."""
         if self._put_off is None:
             return
-        t, h = self._put_off
+        (t, h), predicted = self._put_off, self.output()
         self.inner.do_step(t, h)
-        self._put_off = None
-        self._b, self._last = self.inner.output() - self._end, self._u
+        self._put_off, Y = None, self.inner.output()
+        self._watch(predicted, Y)
+        self._b, self._last = Y - self._end, self._u
         self._end = self.inner.end_output().copy()
+
+    def _watch(self, predicted: Array, Y: Array) -> None:
+        size = max(float(np.abs(Y).max(initial=0.0)), float(np.abs(self._end).max(initial=0.0)))
+        self._largest = max(self._largest, size)
+        scale = max(size, FLOOR * self._largest)
+        miss = min(float(np.abs(Y - predicted).max(initial=0.0)) / scale, 1.0) if scale else 0.0
+        self.missed += (miss - self.missed) / WINDOW
 
     def output(self) -> Array:
         if self._put_off is None:
