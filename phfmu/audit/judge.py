@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from .block import Block, per_owner
 from .booking import ESTIMATED, EXACT, SILENT
-from .sums import CompensatedSum, Floats, extend, ratio
+from .sums import CompensatedSum, Floats, add, all_finite, ratio
 
 DEFAULT_RTOL = 1e-11
 EPS = float(np.finfo(float).eps)
@@ -112,7 +112,9 @@ class Judge:
         booking, names = block.booking, block.booking.components
         accounts = [self._account(name, block, i) for i, name in enumerate(names)]
         judged = np.array([booking.quality(name) == EXACT for name in names], bool)
-        in_play = np.where(np.isfinite(block.in_play), block.in_play, np.nan)
+        in_play = (
+            block.in_play if all_finite(block.in_play) else np.where(np.isfinite(block.in_play), block.in_play, np.nan)
+        )
         reach = _running([a.reach for a in accounts], np.maximum(_finite(in_play), _finite(np.abs(stored))))
         with np.errstate(invalid="ignore", over="ignore"):
             H = np.maximum(_finite(np.abs(block.H0)), _finite(np.abs(block.steps.H)))
@@ -153,7 +155,7 @@ class Judge:
         between, within = block.H0 - before, H1 - block.H0 - block.steps.stored
         self._mark("gap", names, between, permitted, block)
         self._mark("change", names, within, permitted, block)
-        extend([account.gap for account in accounts], between + within)
+        add([account.gap for account in accounts], between + within)
         for i, account in enumerate(accounts):
             account.allowed += float(allowed[:, i].sum())
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
@@ -193,8 +195,11 @@ class Judge:
         judged: NDArray[np.bool_] | None = None,
     ) -> None:
         """Note where |size| exceeds `allowed` [n,m]; what is not a finite number does, judged or not."""
+        within = np.abs(size) <= allowed
+        if within.all() and all_finite(size):
+            return
         size_known = np.isfinite(size)
-        bad = ~((np.abs(size) <= allowed) & size_known)
+        bad = ~(within & size_known)
         if judged is not None:
             bad &= judged | ~size_known
         if not bad.any():
@@ -241,7 +246,7 @@ def word(violations: Sequence[Violation], kinds: Sequence[str], name: str, quali
 
 
 def _finite(x: Floats) -> Floats:
-    return np.where(np.isfinite(x), x, 0.0)
+    return x if all_finite(x) else np.where(np.isfinite(x), x, 0.0)
 
 
 def _running(start: list[float], x: Floats) -> Floats:

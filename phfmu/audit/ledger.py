@@ -85,7 +85,7 @@ class Ledger:
         names, s = block.booking.components, block.steps
         for key, table in {"dissipated": s.dissipated, "supplied": s.supplied, "numerical": s.numerical}.items():
             if table is not None:
-                self._sums.extend([(key, name) for name in names], table)
+                self._sums.add([(key, name) for name in names], table)
         return self._sums.extend([("stored", name) for name in names], s.stored)
 
     def _add_ports(self, block: Block) -> None:
@@ -99,11 +99,11 @@ class Ledger:
         for width in {len(js) for js in widths.values()}:
             some = {key: js for key, js in widths.items() if len(js) == width}
             pairs = block.steps.pairs[:, list(some.values())]  # steps, ports, pairs
-            self._sums.extend([("port", *key) for key in some], pairs.transpose(0, 2, 1).reshape(-1, len(some)))
+            self._sums.add([("port", *key) for key in some], pairs.transpose(0, 2, 1).reshape(-1, len(some)))
         names = list(booking.junctions)
         self._loose.update(names if booking.loose else ())
-        self._sums.extend([("junction", name) for name in names], block.junction_residual)
-        self._sums.extend([("exchanged", name) for name in names], block.junction_exchanged)
+        self._sums.add([("junction", name) for name in names], block.junction_residual)
+        self._sums.add([("exchanged", name) for name in names], block.junction_exchanged)
         for j, name in enumerate(names):
             self._junctions[name] = larger(self._junctions.get(name, 0.0), largest(block.junction_residual[:, j]))
 

@@ -1,6 +1,7 @@
 """Compensated sums: the same bits however a run is cut into rows and blocks."""
 
 import math
+import threading
 from collections.abc import Sequence
 
 import numpy as np
@@ -38,36 +39,64 @@ class CompensatedSum:
         return extend([self], x[:, None])[:, 0]
 
 
+class _Scratch(threading.local):
+    """Memory that sums of blocks are made in: large arrays that are new each time cost more than what is done in them."""
+
+    def __init__(self) -> None:
+        self._parts = np.empty((4, 0))
+
+    def arrays(self, m: int, n: int) -> tuple[Floats, Floats, Floats, Floats]:
+        """Two (m x n + 1), two (m x n), of any content; valid until the next call."""
+        size = m * (n + 1)
+        if self._parts.shape[1] < size:
+            self._parts = np.empty((4, size))
+        sums, lows, x, part = self._parts[:, :size]
+        return sums.reshape(m, n + 1), lows.reshape(m, n + 1), x[: m * n].reshape(m, n), part[: m * n].reshape(m, n)
+
+
+_SCRATCH = _Scratch()
+
+
 def extend(sums: Sequence[CompensatedSum], x: Floats) -> Floats:
     """Add column j of x [n,m] to sum j, row after row, and return the running sums [n,m]."""
     if len(x) == 1:
         return np.array([[each.add(value) for each, value in zip(sums, x[0].tolist(), strict=True)]])
-    high, low = _running(x, np.array([s.high for s in sums]), np.array([s.low for s in sums]))
-    for each, h, w in zip(sums, high[-1].tolist(), low[-1].tolist(), strict=True):
-        each.high, each.low = h, w
-    return high + low
+    high, low = _running(sums, x)
+    return (high + low).T
 
 
-def _running(x: Floats, high: ArrayLike, low: ArrayLike) -> tuple[Floats, Floats]:
-    """`CompensatedSum.add` down the columns of x [n,m]; the running high and low parts [n,m]."""
-    x, shape = np.asfortranarray(x), (len(x) + 1, x.shape[1])  # a sum runs over what lies side by side
-    sums, lows = np.empty(shape, order="F"), np.empty(shape, order="F")
-    sums[0], lows[0], sums[1:] = high, low, x
+def add(sums: Sequence[CompensatedSum], x: Floats) -> None:
+    """`extend` without the running sums."""
+    if len(x) == 1:
+        extend(sums, x)
+    else:
+        _running(sums, x)
+
+
+def _running(sums: Sequence[CompensatedSum], x: Floats) -> tuple[Floats, Floats]:
+    """`CompensatedSum.add` down the columns of x [n,m]; the running high and low parts [m,n], in scratch memory."""
+    high, low, terms, part = _SCRATCH.arrays(x.shape[1], len(x))
+    terms[:] = x.T  # a sum runs over what lies side by side
+    high[:, 0], low[:, 0] = [s.high for s in sums], [s.low for s in sums]
+    before, after, error = high[:, :-1], high[:, 1:], low[:, 1:]
+    after[:] = terms
     with np.errstate(invalid="ignore", over="ignore"):
-        np.cumsum(sums, axis=0, out=sums)
-        lows[1:] = _error(sums[:-1], x, sums[1:])
-        np.cumsum(lows, axis=0, out=lows)
-    return sums[1:], lows[1:]
+        np.add.accumulate(high, axis=1, out=high)
+        _error(before, terms, after, error, part)
+        np.add.accumulate(low, axis=1, out=low)
+    for s, h, w in zip(sums, high[:, -1].tolist(), low[:, -1].tolist(), strict=True):
+        s.high, s.low = h, w
+    return after, error
 
 
-def _error(before: Floats, x: Floats, after: Floats) -> Floats:
-    """What the addition after = before + x has rounded off."""
-    part = after - before
-    error = after - part
+def _error(before: Floats, x: Floats, after: Floats, error: Floats, part: Floats) -> Floats:
+    """What the addition after = before + x has rounded off, into `error`; `part` is overwritten."""
+    np.subtract(after, before, out=part)
+    np.subtract(after, part, out=error)
     np.subtract(before, error, out=error)
     np.subtract(x, part, out=part)
     error += part
-    if not np.isfinite(error.sum()):  # of one that is not; a sum that overflows is looked at once more
+    if not all_finite(error):
         error[~np.isfinite(error)] = 0.0
     return error
 
@@ -85,19 +114,30 @@ class Sums:
         """Add columns of x [n,m] to m sums; the running sums [n,m]."""
         return extend([self[key] for key in keys], x) if keys else x
 
+    def add(self, keys: Sequence[tuple[str, ...]], x: Floats) -> None:
+        """`extend` without the running sums."""
+        if keys:
+            add([self[key] for key in keys], x)
+
     def get(self, *key: str) -> float | None:
         return self._parts[key].value if key in self._parts else None
 
 
 def across(x: Floats) -> Floats:
     """Sum over the columns of x [n,m], each row compensated; zeros for m = 0."""
-    high, low = np.zeros(len(x)), np.zeros(len(x))
+    high, low, error, part = np.zeros(len(x)), np.zeros(len(x)), np.empty(len(x)), np.empty(len(x))
     with np.errstate(invalid="ignore", over="ignore"):
         for column in np.ascontiguousarray(x.T):
             after = high + column
-            low += _error(high, column, after)
+            low += _error(high, column, after, error, part)
             high = after
     return high + low
+
+
+def all_finite(x: Floats) -> bool:
+    """Whether all are finite numbers and so is their sum: for what is looked at closely where it is not."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return math.isfinite(x.sum())
 
 
 def larger(a: float, b: float) -> float:
@@ -107,12 +147,15 @@ def larger(a: float, b: float) -> float:
 
 def largest(x: Floats) -> float:
     """Largest magnitude in x, 0 for none; what is not a finite number counts as infinite."""
-    return float(np.max(np.where(np.isfinite(x), np.abs(x), np.inf), initial=0.0))
+    size = np.abs(x)
+    return float(np.max(size if all_finite(size) else np.where(np.isfinite(x), size, np.inf), initial=0.0))
 
 
 def ratio(size: ArrayLike, allowed: ArrayLike) -> Floats:
     """|size| / allowed elementwise: 0 for 0/0, infinite where one of them is not a finite number."""
     r, m = np.abs(np.asarray(size, float)), np.asarray(allowed, float)
+    if all_finite(r) and all_finite(m) and m.min(initial=1.0) > 0.0:
+        return r / m
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         found = np.where(r == 0.0, 0.0, r / m)
     return np.where(np.isfinite(r) & np.isfinite(m), found, np.inf)

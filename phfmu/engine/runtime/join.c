@@ -48,6 +48,6 @@ void ph_join(ph_instance *in, const double *kept, double part) {
     kept = mean(y, kept, p->nq, part);
     if (!p->carries)
         mean(in->table + in->offset[PH_A], kept, p->na, part);
-    for (int node = 0; p->k > 1 && node < p->k; node++)
-        take(&(double *){in->y_node + node * p->nq}, y, p->nq);
+    for (int node = 0; p->k > 1 && p->nq > 0 && node < p->k; node++)
+        memcpy(in->y_node + node * p->nq, y, sizeof(double) * (size_t)p->nq);
 }
