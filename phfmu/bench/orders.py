@@ -68,13 +68,13 @@ def methods() -> list[Method]:
 
 
 def targets(names: Sequence[str] = ()) -> Iterator[tuple[str, PHDAE]]:
-    """Components and scenes of the library, or those named, that have 1 to LARGEST states."""
+    """Components and scenes of the library, or those named, that have 1 to LARGEST states and no state events."""
     from phfmu.components.library import LIBRARY, build
 
     for name in names or LIBRARY:
         found = build(name)
         declaration = found if isinstance(found, PHDAE) else found.declaration()
-        if 1 <= sum(v.n for v in declaration.states) <= LARGEST:
+        if 1 <= sum(v.n for v in declaration.states) <= LARGEST and not declaration.state_events:
             yield name, declaration
 
 

@@ -33,7 +33,9 @@ from phfmu.network.couplings.unconverged import POLICIES
 STEPS = 6
 #: what its junction exchanges is held by a signal, so no coupling can be late
 HELD = {"speed_control"}
-SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene"]
+#: landed on in one composed model only
+STATE_EVENTS = {"bouncing_ball", "breaker_opening"}
+SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in STATE_EVENTS]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
 BARE = {"smib", "smib_hydro", "two_machine"}
 QUICK = {"oscillator", "drive", "smib"}
