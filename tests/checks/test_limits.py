@@ -80,10 +80,22 @@ def test_what_is_declared_goes_before_what_is_proven():
 def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
     model = getattr(build(name), "declaration", lambda: build(name))()
     found = limits(model)
-    free = {"phase", "amplitude", "omega", "M", "n", "k", "l10", "w", "L_fkd"}  # signs are a matter of direction
+    free = {
+        "phase",
+        "amplitude",
+        "omega",
+        "M",
+        "n",
+        "k",
+        "l10",
+        "w",
+        "L_fkd",
+        "kp",
+        "ki",
+    }  # signs are a matter of direction
     for v in model.parameters:
         base = v.name.rsplit(".", 1)[-1]
-        signless = base in free or base.startswith("M_")
+        signless = v.signal or base in free or base.startswith("M_")
         signless = signless and not (base == "k" and v.unit != "V.s/rad")  # a stiffness, not a torque constant
         for n, value in zip(v.names(), v.start, strict=True):
             assert (n in found) != signless, n

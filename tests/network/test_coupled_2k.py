@@ -223,14 +223,14 @@ def test_a_step_that_fails_brings_impulses_and_unknowns_back() -> None:
 
     own[1].do_step = fails
     with pytest.raises(StepFailure):
-        stepper.advance(2e-3, 1e-3, 1)
+        stepper.advance(2e-3, 4e-3, 1)  # longer than before: more than one trial
     own[1].do_step = step
     assert len(trials) == 2 and stepper.last is last and np.array_equal(stepper.energies(), H)
     for m, s in zip(own, before, strict=True):
         assert np.array_equal(m.instance.get_state().x, s.x) and np.array_equal(
             m.instance.get_state().impulses, s.impulses
         )
-    found = stepper.advance(2e-3, 1e-3, 1)
+    found = stepper.advance(2e-3, 4e-3, 1)
     assert len(found.H) == 1
 
 
