@@ -150,6 +150,23 @@ def test_held_values_too(k: int) -> None:
     assert all(np.abs(getattr(one, b) - getattr(two, b)).max() <= SAME * scale for b in BOOKS)
 
 
+@pytest.mark.parametrize("stiffness", [1e2, 1e6, 1e10])
+def test_stiff_springs_are_accepted_by_the_same_rules(stiffness: float) -> None:
+    """Two equal masses whose spring hardly acts: what is left is rounding, and compiled code says so itself."""
+    net = Network("twins")
+    for name in "ab":
+        net.add(name, mass(1.0, k=4 * np.pi**2, q=1.0))
+    net.add("s", spring(stiffness))
+    net.connect("a.flange", "s.a", name="left")
+    net.connect("b.flange", "s.b", name="right")
+    stepper = Coupled(net, members(net, 1))
+    stepper.check_start()
+    steps = stepper.advance(0.0, 0.1, 400)
+    assert stepper._master is not None and stepper._master.taken == 400
+    H = steps.H.sum(axis=1)
+    assert np.abs(H / H[0] - 1).max() <= 1e-12
+
+
 @pytest.mark.parametrize("k", [1, 2])
 def test_steps_start_from_what_the_last_ones_missed(k: int) -> None:
     """A third trial is not needed any more once three steps are known: smib turns by 4.5 degrees a step."""

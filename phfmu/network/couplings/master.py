@@ -158,11 +158,11 @@ class Master:
         return m.fill("ph_share", values)
 
     def _rules(self) -> dict[str, Any]:
+        held = not isinstance(self.coupling, NodeNewton)
         return {
-            "held": not isinstance(self.coupling, NodeNewton), "iterations": newton.ITERATIONS,
-            "stalls": newton.STALLS, "energy": newton.ENERGY, "rounding": newton.ROUNDING,
-            "stagnation": newton.STAGNATION, "shrinking": newton.SHRINKING, "stalled": newton.STALLED,
-            "floor": newton.FLOOR,
+            "held": held, "iterations": newton.ITERATIONS, "stalls": newton.STALLS, "energy": newton.ENERGY,
+            "rounding": newton.ROUNDING, "stagnation": newton.STAGNATION, "shrinking": newton.SHRINKING,
+            "stalling": newton.STALLING if held else newton.SHRINKING, "stalled": newton.STALLED, "floor": newton.FLOOR,
         }  # fmt: skip
 
     def _values(self) -> dict[str, Any]:

@@ -265,7 +265,7 @@ static int solve(ph_master *m, double t, double h, int *trials, ph_accepted *by)
         if (status)
             return status;
         p.stalled = p.trials > 1 && now.scaled > rules->shrinking * p.before;
-        p.stalls += p.stalled;
+        p.stalls += p.trials > 1 && now.scaled > rules->stalling * p.before;
         p.before = now.scaled;
         *by = (rules->held ? accepted_held : accepted_nodes)(m, &now, &p);
         *trials = p.trials + 1;

@@ -101,6 +101,7 @@ typedef struct ph_rules {
     double rounding;
     double stagnation;
     double shrinking;
+    double stalling;
     double stalled;
     double floor;
 } ph_rules;
