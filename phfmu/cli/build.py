@@ -219,13 +219,14 @@ def _label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf
     return f"{names}, order {min(most, own)}{why}{gradient}, {engine}, {coupling}"
 
 
-def _most(coupling: Named, schemes: Iterable[Scheme], signals: bool) -> float:
+def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: bool) -> float:
     """The order that members stepped apart keep together at most; signals between them are held."""
     from phfmu.network.couplings.held_signals import ORDER as SIGNALS
 
-    at_nodes = coupling.nodes and all(s.node_values for s in schemes)
+    nodes = [u.k for u in units]
+    at_nodes = coupling.nodes and all(s.node_values for s in schemes) and all(nodes)
     if at_nodes and not signals:
-        return inf
+        return 2 * min(nodes, default=inf)
     return min(coupling.order, SIGNALS) if signals else coupling.order
 
 
@@ -233,9 +234,9 @@ def _order_lost(asked: int | None, coupling: Named, most: float) -> list[str]:
     """A line if the coupling does not keep the order that was asked for."""
     if asked is None or asked <= most:
         return []
+    values = "one value per step, held" if most <= coupling.order else "as many values per step as its units take"
     return [
-        f"--order {asked} is that of the members: {coupling.words} joins them by one value per step, held, so the run is of "
-        f"order {most:g}"
+        f"--order {asked} is that of the members: {coupling.words} joins them by {values}, so the run is of order {most:g}"
     ]
 
 
@@ -297,8 +298,9 @@ def _coupled(
 
         return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling.make)
 
-    most = coupling.order if network.units else _most(coupling, schemes.values(), bool(network.wires))
-    label = _label(list(schemes.values()), stepping.words, coupling.words, most, coupling.held)
+    most = _most(coupling, schemes.values(), network.units.values(), bool(network.wires))
+    held = coupling.held if most <= coupling.order else f"units of order {most:g}"
+    label = _label(list(schemes.values()), stepping.words, coupling.words, most, held)
     notes += _order_lost(args.order, coupling, most)
     return Job(s, label, False, build, notes)
 

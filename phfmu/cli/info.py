@@ -68,14 +68,17 @@ def _print_run(s: Scene, name: str, description: str) -> None:
 def _print_apart(s: Scene, network: Network) -> None:
     """A network with units, which is no one model."""
     from phfmu.fmu.inspect import port_lines
+    from phfmu.network.couplings.told import exchanged, order_told
 
     _print_run(s, s.name, s.description or network.description)
     print(f"members: {', '.join(network.members)}")
-    print("order: at most 2, units take held inputs")
+    print(f"order: {order_told(network)}")
+    words = exchanged(network)
     for wire in network.wires:
         print(f"signal {wire}")
     for j in network.junctions:
-        print(f"junction {j.name}: {', '.join(map(str, j.ends))}; common {'effort' if j.kind == '0' else 'flow'}")
+        common = f"common {'effort' if j.kind == '0' else 'flow'}"
+        print(f"junction {j.name}: {', '.join(map(str, j.ends))}; {common}; newton: {words[j.name]}")
     for name, file in network.units.items():
         print(f"\n{name}: {file.path}, FMI {file.interface.version}, {file.description}".rstrip(", "))
         print("\n".join([*port_lines(file.port_maps), *file.left_out]))

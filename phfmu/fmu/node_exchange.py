@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.engine.node_sensitivity import NodeSensitivity
 from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.interface import Scalar
+from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_values import PortValues
 from phfmu.fmu.slave import AnySlave
 from phfmu.fmu.values import Derivative, References
@@ -23,6 +24,17 @@ Array = NDArray[np.float64]
 
 
 _KINDS: tuple[Impulse, ...] = get_args(Impulse)
+
+
+def impulse_ports(ports: Sequence[PortMap]) -> tuple[PortImpulse, ...]:
+    """What the ports of a manifest do with impulses; empty of a unit without."""
+    places = {n: i for i, n in enumerate(n for p in ports for n in p.inputs)}
+    return tuple(
+        PortImpulse(p.name, kind, tuple(places[n] for n in p.inputs), p.linear, p.why)
+        for p in ports
+        for kind in _KINDS
+        if p.impulse == kind
+    )
 
 
 class NodeExchange:
@@ -48,13 +60,7 @@ class NodeExchange:
     @cached_property
     def impulse_ports(self) -> tuple[PortImpulse, ...]:
         """What each port does with impulses; empty if the unit was exported without."""
-        places = {n: i for i, n in enumerate(self._values.inputs)}
-        return tuple(
-            PortImpulse(p.name, kind, tuple(places[n] for n in p.inputs), p.linear, p.why)
-            for p in self._values.ports
-            for kind in _KINDS
-            if p.impulse == kind
-        )
+        return impulse_ports(self._values.ports)
 
     def set_impulses(self, s0: ArrayLike, s1: ArrayLike) -> None:
         """At start and end of the coming steps (n each), until they are set again."""

@@ -17,6 +17,7 @@ from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_tables import port_maps, read_sidecar, sidecar
 from phfmu.fmu.terminal_ports import terminal_ports
 from phfmu.fmu.variables import FMUError
+from phfmu.gradients.quadrature import gauss_nodes
 from phfmu.words import meant
 
 
@@ -38,6 +39,12 @@ class UnitFile:
     @property
     def name(self) -> str:
         return self.interface.name
+
+    @property
+    def k(self) -> int:
+        """Nodes at which it takes inputs in a step; 0: held ones only."""
+        rule = gauss_nodes(self.interface.nodes)
+        return rule.k if rule else 0
 
     @property
     def description(self) -> str:

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
 from phfmu.discretise.model import default_scheme
 from phfmu.network.couplings.bare_columns import Bare, bare
 from phfmu.network.couplings.newton import Newton
@@ -9,10 +15,17 @@ from phfmu.network.junctions.interface import Interface, interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.node_values import DeclaredOffer
 
+if TYPE_CHECKING:
+    from phfmu.fmu.unit_file import UnitFile
+
 
 def order_told(network: Network) -> str:
     """What `--order` is composed and apart, for members under their usual schemes."""
     held = _held(network)
+    if network.units:
+        most = min(Newton.order if held or network.wires else inf, *(2 * (u.k or 1) for u in network.units.values()))
+        why = f"; {', '.join(held)} take{'s' if len(held) == 1 else ''} held inputs" if held else ", that of its units"
+        return f"at most {most:g} with --coupling newton{why}"
     if network.wires:
         return f"--order composed; {Newton.order} with --coupling newton: signals are held over a step"
     if held:
@@ -37,24 +50,46 @@ def exchanged(network: Network) -> dict[str, str]:
 
 
 def kicked(network: Network) -> set[str]:
-    """Members that exchange impulses; beside units, whose matrix only they know, any may."""
-    if network.units:
-        return set(network.declared)
+    """Members that exchange impulses."""
     face, found = _bare(network, _held(network))
     return {e.member for j in network.junctions if face.sums[j.name].start in found.columns for e in j.ends}
 
 
+class FileOffer:
+    """The offer of a unit by its manifest. Its matrix is not known before it runs: all of its impulses may be coupled."""
+
+    def __init__(self, name: str, file: UnitFile):
+        from phfmu.fmu.node_exchange import impulse_ports
+
+        self.name, self.nu = name, 0
+        self.ports = {p.port: p for p in impulse_ports(file.port_maps)}
+        self.places = {}
+        for p in file.port_maps:
+            self.places[p.name] = slice(self.nu, self.nu + len(p.inputs))
+            self.nu += len(p.inputs)
+        self.kicked = [j for p in self.ports.values() if p.kind != "none" for j in p.inputs]
+
+    def jump(self) -> NDArray[np.float64]:
+        n = len(self.kicked)
+        return np.eye(n) + np.ones((n, n))
+
+
 def _bare(network: Network, held: list[str]) -> tuple[Interface, Bare]:
-    """The columns that carry impulses where members offer what their declarations say."""
-    offers = {n: DeclaredOffer(n, d) for n, d in network.declared.items()}
+    """The columns that carry impulses where members offer what their declarations, or manifests, say."""
+    offers = {
+        n: FileOffer(n, network.units[n]) if n in network.units else DeclaredOffer(n, network.declared[n])
+        for n in network.members
+    }
     face = interface(network, list(offers.values()))
     places, at = [], 0
     for o in offers.values():
         places.append(slice(at, at + o.nu))
         at += o.nu
-    taking = [None if n in held else o for n, o in offers.items()]
+    taking = [None if n in held or not o.ports else o for n, o in offers.items()]
     return face, bare(network, face, places, taking)
 
 
 def _held(network: Network) -> list[str]:
-    return [n for n, d in network.declared.items() if not default_scheme(d).node_values]
+    """Members that take one held value a step."""
+    units = [n for n, u in network.units.items() if not u.k]
+    return units + [n for n, d in network.declared.items() if not default_scheme(d).node_values]

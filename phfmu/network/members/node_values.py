@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from phfmu.declare.phdae import PHDAE
 from phfmu.engine.impulses import PortKernels, port_kernels
 from phfmu.engine.status import Status, StepFailure
-from phfmu.gradients.quadrature import Nodes, nodes
+from phfmu.gradients.quadrature import Nodes, gauss_nodes, nodes
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.terms.port_impulses import PortImpulse
@@ -209,14 +209,8 @@ def node_values(member: Member) -> NodeValues:
         return HeldNodes(member)
     from phfmu.network.members.fmu_member import FMUMember
 
-    if isinstance(member, FMUMember) and (rule := _gauss(member.unit.nodes)):
+    if isinstance(member, FMUMember) and (rule := gauss_nodes(member.unit.nodes)):
         return InstanceNodes(
             member, rule, UnitOffer(member.name, member.unit.at_nodes) if member.unit.at_nodes.kicked else None
         )
     return HeldNodes(member)
-
-
-def _gauss(places: Array) -> Nodes | None:
-    """The Gauss nodes at these places; None if they are others, or there are none."""
-    k = len(places)
-    return nodes(k) if k and np.allclose(places, nodes(k).c, rtol=0, atol=1e-12) else None
