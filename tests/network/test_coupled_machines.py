@@ -89,7 +89,7 @@ def test_smib_has_order_2k_in_currents_and_node_voltage(k: int, steps: tuple[flo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("k", "steps"), [(1, (1e-4, 5e-5)), (2, (2e-4, 1e-4)), (3, (4e-4, 2e-4))])
+@pytest.mark.parametrize(("k", "steps"), [(1, (1e-4, 5e-5)), (2, (2e-4, 1e-4)), (3, (2e-4, 1e-4))])
 def test_two_machines_have_order_2k_through_fault_and_clearing(k: int, steps: tuple[float, ...]) -> None:
     """Against a solution in abc flux by another method, fault at 0.02 s, clearing at 0.06 s."""
     scene, ref = two_machine(t_fault=0.02, t_clear=0.06, stop=0.1), read("two_machine_early")
@@ -98,7 +98,8 @@ def test_two_machines_have_order_2k_through_fault_and_clearing(k: int, steps: tu
     for h in steps:
         net: Any = scene.system
         r = run(couple(net, k), Options(stop=0.1, step=h, events=scene.events))
-        assert max(v for n, v in r.worst.items() if n.startswith(SUM + "bus1")) <= 1e-9
+        currents = sum(np.max(np.abs(r.column(n))) for n in ("m1.terminal.i[1]", "line.a.i[1]"))
+        assert max(v for n, v in r.worst.items() if n.startswith(SUM + "bus1")) <= 1e-13 * currents
         assert r.ledger.summary().closed
         on = [s for s in t if abs(s / h - round(s / h)) < 1e-6]
         rows = [int(np.argmin(np.abs(r.time - s))) for s in on]

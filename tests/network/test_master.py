@@ -115,7 +115,7 @@ def test_rows_and_books_are_those_of_the_loop_in_python(make: Callable[[], Scene
     energy = max(np.abs(two.column(f"{m}.energy.stored")).max() for m in net.members)
     for name in two.names:
         a, b = one.column(name), two.column(name)
-        size = energy if ".energy" in name else size_of(two, steppers[1], name)
+        size = energy if ".energy" in f".{name}" else size_of(two, steppers[1], name)
         assert np.abs(a - b).max() <= SAME * size, name
     a, b = one.ledger.summary(), two.ledger.summary()
     assert a.closed == b.closed

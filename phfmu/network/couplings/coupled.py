@@ -20,6 +20,7 @@ from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.totals import Totals
 from phfmu.network.couplings.unconverged import added
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.engine_member import EngineMember
@@ -57,7 +58,9 @@ class Coupled:
         self.booking = replace(self.joined.booking, loose=not closes)
         self._signals = HeldSignals(network, members)
         self._sums = EndSums(self.joined)
-        self.names = [*self.joined.names, *face.names, *self._sums.names]
+        own = [*self.joined.names, *face.names, *self._sums.names]
+        self._totals = Totals([m.name for m in members], own)
+        self.names = [*self._totals.names, *own]
 
     @cached_property
     def _master(self) -> Master | None:
@@ -89,7 +92,7 @@ class Coupled:
     def read(self) -> Array:
         """Values of `names` now."""
         xi = self.last.xi
-        return np.concatenate([self.joined.read(), xi, self._sums.values(xi)])
+        return self._totals.before(np.concatenate([self.joined.read(), xi, self._sums.values(xi)]))
 
     def energies(self) -> Array:
         return self.joined.energies()
@@ -162,7 +165,7 @@ class Coupled:
         if self._master is None or not self._sums.known:
             return None
         steps, self.last = self._master.advance(self.last, self._sums, (t0, h, first), n)
-        return steps if len(steps.H) else None
+        return replace(steps, signals=self._totals.before(steps.signals)) if len(steps.H) else None
 
     def _step(self, t: float, h: float) -> dict[str, Any]:
         """One step, and what is known of it: the fields of `Steps`.
