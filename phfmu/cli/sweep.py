@@ -46,7 +46,7 @@ def add_parser(verbs: Any) -> None:
     options.add_settings(parser)
     options.add_no_check(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    parser.set_defaults(call=call, dense=None, project=False, keep=[], audit_rtol=1e-11)
+    parser.set_defaults(call=call, ecco=None, project=False, keep=[], audit="summary", audit_rtol=1e-11)
 
 
 def call(args: argparse.Namespace) -> int:

@@ -44,7 +44,7 @@ class Columns:
     def place(self, name: str) -> tuple[int, int]:
         """First entry and number of the entries of a row of signals whose sum a column is."""
         i = self.names.index(name)
-        return int(self._gather[self._starts[i]]), self._chosen[i].count
+        return int(self._first[i]), self._chosen[i].count
 
     def _place(self, name: str) -> tuple[str, slice]:
         q = next(q for q in self._chosen if q.name == name)
