@@ -10,6 +10,7 @@ import pytest
 from phfmu import NativeInstance, build_model
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.components.mechanical.translational import mass
+from phfmu.components.scenes.bouncing_ball import bouncing_ball
 from phfmu.engine.library import build as build_library
 
 HEAVY = ("numpy", "casadi", "scipy", "fmpy", "lxml", "pyarrow", "matplotlib", "plotly", "rich", "ziglang")
@@ -100,3 +101,8 @@ def test_the_compiler_is_announced_only_when_it_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(objects, "build", lambda *a: None)
     build_library(table, lambda: said.append("compiles"))
     assert said == ["compiles"]
+
+
+def test_only_models_with_state_events_have_code_for_them(compiler: None) -> None:
+    plain, ball = (NativeInstance(build_model(m)).handle.lib for m in (mass(1.0, k=4.0), bouncing_ball().declaration()))
+    assert hasattr(ball, "ph_land") and not hasattr(plain, "ph_land")

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.audit.sheets import KINDS, UNITS
+    from phfmu.audit.sheet_names import KINDS, UNITS
 
     parser = verbs.add_parser("audit", help="table of where the energy went; exit 4 if something does not close")
     parser.add_argument("file", help="X.parquet or X.arrows; or 'recover X.arrows' after a crash", nargs="+")

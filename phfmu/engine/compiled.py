@@ -31,6 +31,7 @@ def compiled(model: Model, announce: Callable[[], None] | None = None) -> Compil
     made = _MADE.get(model)
     if made is None:
         table = kernel_table(kernels(model), model.step.schur)
-        done = build(table, announce)
-        made = _MADE[model] = Compiled(done, CTables(model, table.index, table.token), load(done.path))
+        tables = CTables(model, table.index, table.token)
+        done = build(table, announce, events=tables.events is not None)
+        made = _MADE[model] = Compiled(done, tables, load(done.path))
     return made

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.status import Status, StepFailure
 
-#: why, in the order of `ph_event_reason` in runtime/events.h: what is wrong, and the next move
+#: why, in the order of `ph_event_reason` in runtime/events/events.h: what is wrong, and the next move
 REASONS = (
     (
         "the jumps of {names} depend on each other (S is singular)",

@@ -1,4 +1,4 @@
-"""Jumps of the states where guards are zero, with their energies; the twin of runtime/event_jump.c."""
+"""Jumps of the states where guards are zero, with their energies; the twin of runtime/events/event_jump.c."""
 
 from __future__ import annotations
 

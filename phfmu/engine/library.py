@@ -71,26 +71,6 @@ class RestChange(ctypes.Structure):
     _fields_ = [("time", ctypes.c_double), ("rests", ctypes.c_int), ("needed", ctypes.c_int)]
 
 
-class LandedRows(ctypes.Structure):
-    """ph_landed."""
-
-    _fields_ = [
-        *((n, ctypes.c_int) for n in ("steps_room", "events_room", "steps", "events", "done")),
-        *((n, ctypes.c_void_p) for n in ("t", "h", "event_t", "event_step", "event_fired")),
-        *((n, ctypes.c_void_p) for n in ("event_energy", "event_lost", "event_signals")),
-    ]
-
-
-class EventRefusal(ctypes.Structure):
-    """ph_event_refusal."""
-
-    _fields_ = [
-        ("reason", ctypes.c_int),
-        *((n, ctypes.c_double) for n in ("t", "value", "limit")),
-        ("fired", ctypes.c_void_p),
-    ]
-
-
 class Directions(ctypes.Structure):
     """ph_directions."""
 
@@ -136,11 +116,6 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_step": (integer, [pointer, real, real]),
         "ph_step_parts": (integer, [pointer, real, real, integer]),
         "ph_step_exactly": (integer, [pointer, real, real, integer]),
-        "ph_landing_size": (ctypes.c_size_t, [pointer, pointer]),
-        "ph_landing_init": (pointer, [pointer, pointer, pointer]),
-        "ph_land_from": (None, [pointer, real, real, integer, integer, integer]),
-        "ph_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows)]),
-        "ph_land_refusal": (ctypes.POINTER(EventRefusal), [pointer]),
         "ph_run": (integer, [pointer, real, real, integer, ctypes.POINTER(Record), ctypes.POINTER(integer)]),
         "ph_layout": (None, [pointer, ctypes.POINTER(integer)]),
         "ph_signals": (pointer, [pointer]),
@@ -171,18 +146,21 @@ def load(path: Path) -> ctypes.CDLL:
     return lib
 
 
-def runtime_sources() -> dict[str, Path]:
-    """The hand-written part of a library: file name -> path."""
-    return {p.name: p for p in sorted(RUNTIME.rglob("*")) if p.suffix in (".c", ".h", ".inc")}
+def runtime_sources(events: bool = False) -> dict[str, Path]:
+    """The hand-written part of a library: file name -> path; `events`: with that of state events."""
+    files = (p for p in sorted(RUNTIME.rglob("*")) if events or p.parent.name != "events")
+    return {p.name: p for p in files if p.suffix in (".c", ".h", ".inc")}
 
 
 def build(
-    table: KernelTable, announce: Callable[[], None] | None = None, more: Mapping[str, str] | None = None
+    table: KernelTable,
+    announce: Callable[[], None] | None = None,
+    more: Mapping[str, str] | None = None,
+    events: bool = False,
 ) -> Build:
     """Library of runtime, kernels and `more` for this machine; models with the same kernels share it."""
-    return compile(
-        {**runtime_sources(), "kernels.c": table.text, **(more or {})}, flags=host_flags(), announce=announce
-    )
+    sources = {**runtime_sources(events), "kernels.c": table.text, **(more or {})}
+    return compile(sources, flags=host_flags(), announce=announce)
 
 
 def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:

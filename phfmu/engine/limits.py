@@ -8,7 +8,7 @@ from pathlib import Path
 
 def _read() -> dict[str, float]:
     folder = Path(__file__).parent / "runtime"
-    text = "".join((folder / name).read_text() for name in ("step_limits.h", "event_limits.h"))
+    text = "".join((folder / name).read_text() for name in ("step_limits.h", "events/event_limits.h"))
     return {name: float(value) for name, value in re.findall(r"^#define PH_(\w+) ([\d.e+-]+)$", text, flags=re.M)}
 
 

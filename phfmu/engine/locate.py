@@ -1,4 +1,4 @@
-"""Where a step ends: guards over a trial, the first zero, the step that ends on it; the twin of runtime/event_locate.c.
+"""Where a step ends: guards over a trial, the first zero, the step that ends on it; the twin of runtime/events/event_locate.c.
 
 A step is tried, the guards are looked at on its collocation polynomial, and the first zero gives a first length of a shorter
 step.  That step is taken again, and its length improved, until the guard is zero at its *end*.

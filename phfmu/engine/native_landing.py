@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.library import Column, LandedRows, Record, record_widths, view
+from phfmu.engine.library import Column, Record, record_widths, view
 from phfmu.engine.model import Model
 from phfmu.engine.status import Status
 from phfmu.events.happened import Happened, Landed
@@ -20,13 +21,49 @@ Floats = NDArray[np.float64]
 STEPS, EVENTS = 64, 128
 
 
+class LandedRows(ctypes.Structure):
+    """ph_landed."""
+
+    _fields_ = [
+        *((n, ctypes.c_int) for n in ("steps_room", "events_room", "steps", "events", "done")),
+        *((n, ctypes.c_void_p) for n in ("t", "h", "event_t", "event_step", "event_fired")),
+        *((n, ctypes.c_void_p) for n in ("event_energy", "event_lost", "event_signals")),
+    ]
+
+
+class EventRefusal(ctypes.Structure):
+    """ph_event_refusal."""
+
+    _fields_ = [
+        ("reason", ctypes.c_int),
+        *((n, ctypes.c_double) for n in ("t", "value", "limit")),
+        ("fired", ctypes.c_void_p),
+    ]
+
+
+def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
+    """The library of a model with state events, with the signatures of events.h."""
+    pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "ph_landing_size": (ctypes.c_size_t, [pointer, pointer]),
+        "ph_landing_init": (pointer, [pointer, pointer, pointer]),
+        "ph_land_from": (None, [pointer, real, real, integer, integer, integer]),
+        "ph_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows)]),
+        "ph_land_refusal": (ctypes.POINTER(EventRefusal), [pointer]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(lib, name)
+        function.restype, function.argtypes = result, arguments
+    return lib
+
+
 class NativeLanding:
     """The landing of the instance at address `instance` of the library `lib`; `width`: of its signal table."""
 
     def __init__(self, model: Model, lib: ctypes.CDLL, instance: int, events: int | None, width: int):
         if events is None or model.events is None:
             raise ValueError(f"{model.name} has no state events: use run")
-        self._model, self._plan, self._lib, self._width = model, model.events, lib, width
+        self._model, self._plan, self._lib, self._width = model, model.events, _typed(lib), width
         self._memory = np.zeros(lib.ph_landing_size(instance, events) // 8 + 1)
         self._in = lib.ph_landing_init(self._memory.ctypes.data, instance, events)
 

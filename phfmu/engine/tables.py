@@ -41,7 +41,9 @@ class Field:
 @lru_cache(maxsize=1)
 def structures() -> dict[str, tuple[Field, ...]]:
     """Members of the structures of plan.h, schur.h and events.h, in order."""
-    return declared("".join((RUNTIME / name).read_text() for name in ("schur/schur.h", "plan.h", "events.h")), STRUCTS)
+    return declared(
+        "".join((RUNTIME / name).read_text() for name in ("schur/schur.h", "plan.h", "events/events.h")), STRUCTS
+    )
 
 
 def declared(header: str, names: Sequence[str]) -> dict[str, tuple[Field, ...]]:

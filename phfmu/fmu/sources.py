@@ -33,17 +33,6 @@ _PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
 #: files of units with inputs at the nodes of a step, and of those whose ports take impulses
 NODES, IMPULSES = ("fmu_nodes.c",), ("impulses.c", "impulses.h")
-#: what no unit has: state events
-EVENTS = (
-    "events.c",
-    "events.h",
-    "event_jump.c",
-    "event_landing.h",
-    "event_limits.h",
-    "event_locate.c",
-    "event_roots.c",
-)
-
 Sources = dict[str, str | Path]
 
 
@@ -72,7 +61,7 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
 
 def fixed(unit: Unit) -> Sources:
     """The hand-written part of it: name -> path."""
-    absent = EVENTS + (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES)
+    absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES)
     layers = {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
     return {name: path for name, path in {**runtime_sources(), **layers}.items() if name not in absent}
 

@@ -1,0 +1,16 @@
+"""Units and kinds of tables by the names users know; imports nothing, so that the command line stays fast."""
+
+#: units an audit may be read in, in J
+UNITS = {
+    "J": 1.0,
+    "kJ": 1e3,
+    "MJ": 1e6,
+    "GJ": 1e9,
+    "TJ": 1e12,
+    "mJ": 1e-3,
+    "uJ": 1e-6,
+    "Wh": 3.6e3,
+    "kWh": 3.6e6,
+    "MWh": 3.6e9,
+}
+KINDS = ("component", "port", "junction", "event")
