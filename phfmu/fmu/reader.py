@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.status import Status, StepFailure
-from phfmu.fmu.archive import Archive, open_archive
+from phfmu.fmu.archive import open_archive
 from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.node_exchange import NodeExchange
 from phfmu.fmu.port_values import PortValues
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
-from phfmu.fmu.saved_states import SavedState, SavedStates
-from phfmu.fmu.slave import AnySlave, Slave
+from phfmu.fmu.remote_slave import slave_of
+from phfmu.fmu.saved_states import SavedState, SavedStates, free
 from phfmu.fmu.unit_books import books
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
@@ -62,11 +62,11 @@ class FMUInstance:
         self._starts, self._span = dict(starts or {}), (self.interface.start if start is None else start, stop)
         self._asked: dict[tuple[str, ...], References] = {}
         self.early_return = early_return
-        self._slave = _slave(archive, self.name, early_return, isolate)
+        self._slave = slave_of(archive.extracted, self.name, early_return, isolate)
         self._states = SavedStates(self._slave)
         #: values at the nodes of a step, impulses, their derivatives: what engines have as methods of their instances
         self.at_nodes = NodeExchange(self._slave, self._values)
-        self._close = weakref.finalize(self, _free, self._states, archive)
+        self._close = weakref.finalize(self, free, self._states, archive)
         try:
             self._initialise()
         except BaseException:
@@ -293,17 +293,3 @@ class FMUInstance:
         An estimated unit keeps to itself what it dissipates: stored is what was supplied.
         """
         return self._books.ledger(self._h)
-
-
-def _slave(archive: Archive, name: str, early_return: bool, isolate: float | None) -> AnySlave:
-    if isolate is None:
-        return Slave(archive.extracted, name, early_return)
-    from phfmu.fmu.remote_slave import RemoteSlave
-
-    return RemoteSlave(archive.extracted, name, early_return, isolate)
-
-
-def _free(states: SavedStates, archive: Archive) -> None:
-    """`archive` is held so that its folder outlives the library."""
-    del archive
-    states.free()

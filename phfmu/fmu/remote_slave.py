@@ -20,7 +20,7 @@ import phfmu
 from phfmu.fmu.archive import Extracted
 from phfmu.fmu.interface import Scalar
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
-from phfmu.fmu.slave import KEPT, LONGEST, QUOTED
+from phfmu.fmu.slave import KEPT, LONGEST, QUOTED, AnySlave, Slave
 from phfmu.fmu.unit_process import GIVEN, REFUSED, read, write
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
@@ -227,3 +227,8 @@ class RemoteSlave:
             thread.join(PATIENCE)
         self._process.stdout.close()
         self._process.stderr.close()
+
+
+def slave_of(unit: Extracted, name: str, early_return: bool, isolate: float | None) -> AnySlave:
+    """In this process, or in one of its own, where a call may take `isolate` s."""
+    return Slave(unit, name, early_return) if isolate is None else RemoteSlave(unit, name, early_return, isolate)

@@ -6,6 +6,7 @@ import weakref
 from dataclasses import dataclass
 from typing import Any
 
+from phfmu.fmu.archive import Archive
 from phfmu.fmu.slave import AnySlave
 
 
@@ -39,3 +40,9 @@ class SavedStates:
         for key in list(self._handles):
             self._forget(key)
         self._slave.free()
+
+
+def free(states: SavedStates, archive: Archive) -> None:
+    """The unit with its states; `archive` is held so that its folder outlives the library."""
+    del archive
+    states.free()

@@ -58,7 +58,7 @@ def runaway() -> Outcome:
         try:
             s = stepper.advance(0.0, 0.04, 1, k)
         except StepFailure as failure:
-            told = failure.status is Status.GROWTH and "newton" in remedy(failure)
+            told = failure.status is Status.GROWTH and bool(remedy(failure))
             text = f"stopped at t = {failure.time:.3g} s, {'with' if told else 'without'} advice; unexplained {worst:.1e} H"
             return Outcome(text, told and worst <= 1e-12)
         worst = max(worst, abs(s.stored.sum() - s.pairs.sum()) / float(np.abs(s.H).sum()))

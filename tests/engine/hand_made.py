@@ -29,6 +29,7 @@ class HandMade:
     t0: float = 0.0
     row_names: tuple[str, ...] = ()
     instant_names: tuple[str, ...] = ()
+    events: None = None
 
 
 def kernel(name: str, sizes: tuple[int, int, int], out: Callable, ledger: Callable | None = None) -> Kernel:

@@ -45,7 +45,7 @@ def test_advice_names_couplings_that_there_are(capsys: pytest.CaptureFixture[str
     offered = re.search(r"--coupling \{(.*?)\}", capsys.readouterr().out)
     assert offered is not None
     room = Path(reader.__file__).parent
-    named = {n for p in room.glob("*.py") for n in re.findall(r"--coupling (\w+)", p.read_text(encoding="utf-8"))}
+    named = {n for p in room.glob("*.py") for n in re.findall(r"--coupling ([\w-]+\w)", p.read_text(encoding="utf-8"))}
     assert named and named <= set(offered[1].split(","))
 
 
