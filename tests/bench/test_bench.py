@@ -45,7 +45,11 @@ def rows(name: str) -> dict[float, np.ndarray]:
 # -- index reduction ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", list(LIBRARY))
+#: models whose functions take seconds to compile
+LARGE = ("chain", "net", "two_machine", "ladder")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in LARGE)) for n in LIBRARY])
 def test_rate_equals_that_of_a_small_step(compiler: None, name: str) -> None:
     """x' of the reduced system at the middle of a step of the engine = its mean slope + O(h)."""
     d = declaration(name)

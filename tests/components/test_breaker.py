@@ -85,7 +85,13 @@ def switched(result, name: str) -> list[tuple[float, int]]:
     return [(float(result.time[i]), int(i)) for i in np.flatnonzero(np.diff(result.column(name)))]
 
 
-@pytest.mark.parametrize(("k", "engine"), [(1, PythonInstance), (2, NativeInstance), (3, PythonInstance)])
+WAYS = [
+    *((k, NativeInstance) for k in (1, 2, 3)),
+    *(pytest.param(k, PythonInstance, marks=pytest.mark.slow) for k in (1, 3)),
+]
+
+
+@pytest.mark.parametrize(("k", "engine"), WAYS)
 def test_order_2k_through_an_opening(k, engine):
     """Capacitor voltages after three current zeros of a grid, a breaker and an RC load."""
     exact = [opened(alpha) for alpha in ALPHA]
@@ -158,7 +164,7 @@ def rectified() -> tuple[list[float], float]:
         times.append(t)
 
 
-@pytest.mark.parametrize(("k", "engine"), [(1, PythonInstance), (2, NativeInstance), (3, PythonInstance)])
+@pytest.mark.parametrize(("k", "engine"), WAYS)
 def test_order_2k_through_a_diode(k, engine):
     """A half-wave rectifier: the guard of the blocked diode is between voltages at nodes, which are solved for within steps."""
     times, voltage = rectified()

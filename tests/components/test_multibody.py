@@ -57,7 +57,8 @@ def mean_multiplier(h):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "order", "steps", "tolerance"), [(FIRST, 2, (40, 80, 160), 0.1), (THIRD, 6, (10, 20, 40), 0.15)]
+    ("scheme", "order", "steps", "tolerance"),
+    [(FIRST, 2, (40, 80, 160), 0.1), pytest.param(THIRD, 6, (10, 20, 40), 0.15, marks=pytest.mark.slow)],
 )
 def test_damped_chain_has_full_order_in_positions_velocities_and_multipliers(scheme, order, steps, tolerance):
     exact, errors = swing_reference(), []

@@ -43,7 +43,7 @@ def errors(instance: Any, h: float, steps: int, t: float = 0.0) -> tuple[float, 
     return values[:, position].max(), values[:, ~position].max(), np.ptp(rows["energy"])
 
 
-@pytest.mark.parametrize("order", [pytest.param(2, marks=pytest.mark.slow), 6])
+@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_redundant_bars_and_pins_cost_no_accuracy(name: str, order: int) -> None:
     m = model(MECHANISMS[name](), order)
@@ -91,7 +91,7 @@ def test_node_rows_at_rest_have_order_4_and_their_mean_holds() -> None:
     assert np.all(np.abs(np.diff(np.log2(nodes)) + 4.0) <= 0.2)
 
 
-@pytest.mark.parametrize("order", [pytest.param(2, marks=pytest.mark.slow), 6])
+@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
 def test_bricards_mechanism_moves_on_its_manifold(order: int) -> None:
     """Of 39 rows one is redundant, but only where the others hold."""
     m = model(bricard()[0], order)
@@ -231,7 +231,7 @@ def test_parallel_cranks_pass_flat_positions_without_halving(cranks: Any, order:
         assert g <= 1e-14 and w <= 1e-13 and energy <= 1e-12
 
 
-@pytest.mark.parametrize("order", [2, 6])
+@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
 def test_rows_come_back_where_the_rank_rises(order: int) -> None:
     """A start flat, where two of five rows are redundant for an instant; one crank is pulled, so all bars work."""
     m = model(windows(2, np.pi / 2, pull=50.0), order)

@@ -216,7 +216,7 @@ def test_two_guards_at_one_instant_are_one_event(engine):
     assert [part.happened.events for part in parts if part.happened] == [(0, 1)]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", [NativeInstance, pytest.param(PythonInstance, marks=pytest.mark.slow)])
 def test_chatter_and_crowds_are_refused_by_name(engine):
     model, v = oscillator()
     g = v["q"] - 0.5

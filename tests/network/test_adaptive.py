@@ -192,6 +192,7 @@ def test_what_does_not_fit_says_what_does():
             run(stepper(circuit(), Collocated(1), PythonInstance), Options(stop=1.0, step=0.01, **arguments))
 
 
+@pytest.mark.slow
 def test_the_error_of_a_machine_at_a_grid_is_proportional_to_the_tolerance():
     """smib at its 60 Hz against the independent reference; landed on 0.1 s."""
     scene, tolerances, errors = build("smib"), (1e-4, 1e-5, 1e-6, 1e-7), []

@@ -125,7 +125,7 @@ def test_stiff_springs_cost_no_more_sweeps(k24: float, sweeps: int) -> None:
     assert np.abs(instance.signals()["observables"]).max() <= 1e-14
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
 def test_restored_states_continue_bit_by_bit(order: int) -> None:
     m = model(chain(3), order)
     one, two = NativeInstance(m), NativeInstance(m)
@@ -231,7 +231,7 @@ def test_written_out_loops_give_the_same_bits(name: str, order: int, monkeypatch
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
 def test_wider_vectors_give_the_same_bits(order: int) -> None:
     """The library for this machine's vectors against the portable one of an FMU."""
     if not host_flags():
@@ -272,7 +272,7 @@ def tangle(n: int) -> Multibody:
     return body
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
 def test_tiles_change_nothing_but_the_order_of_sums(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sweeps over small tiles find the solution of one over all, in as many sweeps; every instance is in one tile."""
     found = []
