@@ -50,13 +50,6 @@ class Booking:
         return members
 
     @cached_property
-    def joined_components(self) -> list[list[int]]:
-        """Component columns at each junction."""
-        place = {name: i for i, name in enumerate(self.components)}
-        owners = ({self.ports[q].component for q in columns} for columns in self.junctions.values())
-        return [sorted(place[name] for name in found if name in place) for found in owners]
-
-    @cached_property
     def external(self) -> list[tuple[int, float]]:
         """Port columns through which energy enters the balance, and the sign with which it does."""
         inside = set(self.components)

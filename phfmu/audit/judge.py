@@ -163,7 +163,8 @@ class Judge:
     def _joined(self, block: Block, allowed: Floats, played: Floats) -> None:
         """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for.
 
-        A junction sums what its members round in their own energies, however little passes through it; `played` [n,c].
+        All junctions are solved for at once, so each has roundings of the energies in play in the whole network, however little
+        passes through it: `played` [n,c].
         """
         names = tuple(block.booking.junctions)
         if names:
@@ -171,12 +172,10 @@ class Judge:
             reach = _running([self._junctions.get(name, 0.0) for name in names], _finite(passed))
             self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
-            permitted = self.rtol * passed + FLOOR * EPS * reach
-            for j, columns in enumerate(block.booking.joined_components):
-                permitted[:, j] += ULPS * EPS * played[:, columns].sum(axis=1)
+            permitted = self.rtol * passed + FLOOR * EPS * reach + ULPS * EPS * played.sum(axis=1, keepdims=True)
             self._mark("junction", names, block.junction_residual, permitted, block, judged)
-        rounding = ULPS * EPS * np.abs(block.steps.pairs).sum(axis=1)
-        permitted = (allowed.sum(axis=1) + rounding)[:, None]
+        summed = ULPS * EPS * np.abs(block.steps.pairs).sum(axis=1)
+        permitted = (allowed.sum(axis=1) + summed)[:, None]
         self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)
 
     def _keep_worst(self, account: Account, block: Block, found: Floats, i: int) -> None:

@@ -118,7 +118,7 @@ def test_rows_and_books_are_those_of_the_loop_in_python(make: Callable[[], Scene
         size = energy if ".energy" in f".{name}" else size_of(two, steppers[1], name)
         assert np.abs(a - b).max() <= SAME * size, name
     a, b = one.ledger.summary(), two.ledger.summary()
-    assert a.closed == b.closed
+    assert a.closed and b.closed
     for x, y in zip(a.components, b.components, strict=True):
         assert [x.stored, x.dissipated, x.supplied] == pytest.approx(
             [y.stored, y.dissipated, y.supplied], abs=SAME * energy
