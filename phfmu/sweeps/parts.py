@@ -23,7 +23,7 @@ class Parts:
     """Folder FILE.parts: outcomes of blocks of runs, by the number of the first one."""
 
     def __init__(self, file: Path, key: str, *, resume: bool):
-        self._folder, self._key = file.with_name(file.name + ".parts"), self._text(key)
+        self._folder, self._key = file.with_name(file.name + ".parts"), f"{key}\n"
         stamp = self._folder / "sweep"
         if self._folder.exists() and resume:
             if not stamp.is_file() or stamp.read_text() != self._key:
@@ -37,10 +37,6 @@ class Parts:
         shutil.rmtree(self._folder, ignore_errors=True)
         self._folder.mkdir(parents=True)
         stamp.write_text(self._key)
-
-    @staticmethod
-    def _text(key: str) -> str:
-        return f"{key}\n"
 
     def keep(self, first: int, outcome: Outcome) -> None:
         """Write the runs from `first` on, whole or not at all."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phfmu import __version__
 from phfmu.sweeps.design import Design
 from phfmu.sweeps.outcome import Outcome
 from phfmu.sweeps.parts import Parts, digest
@@ -55,8 +56,7 @@ def sweep(
     """
     task = _task(target, design, measures, options, scheme)
     make = _maker(task, engine)
-    words = f"{task.model.name} {task.model.scheme} {engine} {list(map(str, task.measures))} {task.options}"
-    parts = None if file is None else Parts(file, digest(words, design), resume=resume)
+    parts = None if file is None else Parts(file, _key(task, engine, design), resume=resume)
     outcome = _taken(make, design, jobs or os.cpu_count() or 1, parts, progress or (lambda _: None))
     table = _table(task, design, outcome)
     if file is not None and parts is not None:
@@ -93,6 +93,15 @@ def _task(
         if q.block not in ("parameter", "tunable", "input") and not q.block.startswith("row_")
     ]
     return Task(model, design.names, measures(texts, known), options)
+
+
+def _key(task: Task, engine: str, design: Design) -> str:
+    """A digest of all that outcomes depend on, of the model its equations and its numbers."""
+    m = task.model
+    equations = " ".join(sorted({g.kernel.function.serialize() for plan in (m.step, m.instant) for g in plan.groups}))
+    numbers = [v.tolist() for v in (m.p0, m.x0, m.u0, m.a0)]
+    words = (__version__, m.name, m.scheme, engine, list(map(str, task.measures)), task.options, numbers, equations)
+    return digest("\n".join(map(str, words)), design)
 
 
 def _maker(task: Task, engine: str) -> Callable[[], Any]:

@@ -212,6 +212,9 @@ def test_a_sweep_that_was_interrupted_is_taken_up_again(tmp_path: Path, compiler
     assert not file.exists() and list(tmp_path.glob("s.parquet.parts/*.npz"))
     with pytest.raises(ValueError, match="holds another sweep"):
         sweep(four(), runs, ["last(v[2])"], file=file, resume=True)
+    other = Scene("four", build("four_particle").with_starts({"eta0": 0.7}), 0.5, 0.01)
+    with pytest.raises(ValueError, match="holds another sweep"):
+        sweep(other, runs, ["last(v[1])"], file=file, resume=True)
     seen: list[int] = []
     found = sweep(four(), runs, ["last(v[1])"], file=file, resume=True, jobs=1, progress=seen.append)
     assert seen[0] > 20  # what was known is not run again
