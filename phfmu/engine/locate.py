@@ -1,4 +1,5 @@
-"""Where a step ends: guards over a trial, the first zero, the step that ends on it; the twin of runtime/events/event_locate.c.
+"""Where a step ends: guards over a trial, the first zero, the step that ends on it; the twin of
+runtime/events/event_locate.c, event_trial.c and event_guards.c.
 
 A step is tried, the guards are looked at on its collocation polynomial, and the first zero gives a first length of a shorter
 step.  That step is taken again, and its length improved, until the guard is zero at its *end*.

@@ -1,4 +1,4 @@
-"""Zeros of a guard within a step, from its values at 2k + 2 points; the twin of runtime/events_roots.c.
+"""Zeros of a guard within a step, from its values at 2k + 2 points; the twin of runtime/events/event_roots.c.
 
 The fit is a polynomial in Bernstein form, whose coefficients change their sign at least as often as it does (Descartes): halved
 until one change is left, it gives every crossing in order.  A guard that is zero at the start is divided by tau first.

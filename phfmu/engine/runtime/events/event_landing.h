@@ -1,4 +1,4 @@
-/* The work space of a landing, shared by events.c, event_locate.c and event_jump.c. */
+/* The work space of a landing, shared by the files of this folder. */
 #ifndef PH_EVENT_LANDING_H
 #define PH_EVENT_LANDING_H
 
@@ -44,8 +44,23 @@ static inline double ph_larger(double a, double b) {
 /* One accepted step from l->t, at most h long: its length (0: none was taken); events at its end are in
  * l->fired. */
 int ph_locate(ph_landing *l, double h, double *length);
+/* event_guards.c: guards at x (nx+1) with l->y; l->y = [a | u] now; guards now. */
+void ph_guards_at(const ph_landing *l, const double *x, double *g);
+int ph_read_guarded(ph_landing *l);
 int ph_guard_values(ph_landing *l, double *g);
+int ph_armed(const ph_landing *l, int i);
+/* What guard i is zero below, which changes at `rate` (1/s) at time t. */
+double ph_zero_below(const ph_landing *l, int i, double t, double rate);
+int ph_fits_direction(const ph_landing *l, int i, double rate);
+/* Events that set modes and are beyond zero, into l->fired. */
 int ph_already(ph_landing *l);
+/* event_trial.c: takes a step of length l->h at most; *leaves: how many guards happen at once, and none is
+ * taken. */
+int ph_try_step(ph_landing *l, int *leaves);
+/* d guard / dt at the fraction tau of the trial; the first zero of a guard in it that is not refused, or -1.
+ */
+double ph_guard_rate(const ph_landing *l, int i, double tau);
+int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *best);
 int ph_happen(ph_landing *l, ph_landed *out);
 int ph_refuse_event(ph_landing *l, int reason, double value, double limit);
 

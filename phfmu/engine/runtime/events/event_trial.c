@@ -1,0 +1,154 @@
+/* A step that is tried, and what guards do over it on its collocation polynomial; the twin of the same part
+ * of engine/locate.py. */
+#include <math.h>
+#include <string.h>
+
+#include "event_landing.h"
+
+/* Takes a step of at most *h that needs no substeps, for its polynomial. */
+static int tried(ph_landing *l, double *h) {
+    ph_instance *in = l->in;
+    for (;;) {
+        const long long halved = in->count[PH_SUBSTEPS];
+        int status = ph_step_exactly(in, l->t, *h, 1);
+        if (status || in->count[PH_SUBSTEPS] == halved)
+            return status;
+        ph_load(in, l->before);
+        *h /= 2;
+    }
+}
+
+/* Guards on the polynomial of the step just taken, at the points between its ends: rows 1.. of l->values. */
+static int inside(ph_landing *l, double h) {
+    ph_instance *in = l->in;
+    const ph_events *e = l->events;
+    const ph_plan *p = in->model->step;
+    const double *w = in->step.last;
+    int status = PH_OK;
+    if (e->solves)
+        ph_save(in, l->after);
+    memcpy(l->w, w, sizeof(double) * (size_t)p->nw);
+    if (!e->solves)
+        status = ph_read_guarded(l);
+    for (int m = 1; m + 1 < e->npoint && status == PH_OK; m++) {
+        double *x = l->x;
+        memcpy(x, l->start_x, sizeof(double) * (size_t)p->nx);
+        for (int j = 0; j < e->nincrement; j++)
+            x[e->polynomial_state[j]] +=
+                e->fit_weights[m * p->k + e->polynomial_node[j]] * l->w[e->polynomial_w[j]];
+        for (int j = 0; j < e->nstart; j++)
+            x[e->polynomial_start_state[j]] += l->w[e->polynomial_start_w[j]];
+        x[p->nx] = l->t + e->fit_tau[m] * h;
+        if (e->solves) {
+            status = ph_set_x(in, x[p->nx], x);
+            status = status ? status : ph_read_guarded(l);
+        }
+        if (status == PH_OK)
+            ph_guards_at(l, x, l->values + m * e->n);
+    }
+    if (e->solves)
+        ph_load(in, l->after);
+    return status;
+}
+
+static double *coefficients(const ph_landing *l, int i) {
+    return l->fits + i * l->events->npoint;
+}
+
+static int degree(const ph_landing *l, int i) {
+    return l->events->npoint - 1 - l->from_zero[i];
+}
+
+double ph_guard_rate(const ph_landing *l, int i, double tau) {
+    return ph_bernstein_slope(coefficients(l, i), degree(l, i), tau, l->from_zero[i]) / l->h;
+}
+
+/* The Bernstein coefficients of guard i from l->values. */
+static void fit(ph_landing *l, int i) {
+    const ph_events *e = l->events;
+    const int from = l->from_zero[i], n = e->npoint - from;
+    const double *matrix = from ? e->fit_divided : e->fit_whole;
+    double *b = coefficients(l, i), sum = 0.0;
+    for (int r = 0; r < n; r++) {
+        b[r] = 0.0;
+        for (int c = 0; c < n; c++) {
+            const double value = l->values[(c + from) * e->n + i];
+            b[r] += matrix[r * n + c] * (from ? value / e->fit_tau[c + 1] : value);
+        }
+    }
+    if (!from) {
+        b[0] = l->values[i];
+        b[n - 1] = l->values[(n - 1) * e->n + i];
+    }
+    for (int r = 0; r < n; r++)
+        sum += b[r] - b[r];
+    l->looked[i] = sum == 0.0;
+}
+
+/* The step of length l->h from l->t that was taken from l->start_x: what guards do over it. */
+static int look(ph_landing *l) {
+    const ph_events *e = l->events;
+    double *near = l->values + e->n, *end = l->values + (e->npoint - 1) * e->n;
+    int any = 0, status;
+    memcpy(l->values, l->start, sizeof(double) * (size_t)e->n);
+    for (int i = 0; i < e->n; i++)
+        any += l->looked[i] = (signed char)ph_armed(l, i);
+    status = ph_guard_values(l, end);
+    if (status || !any)
+        return status;
+    status = inside(l, l->h);
+    for (int i = 0; i < e->n && status == PH_OK; i++) {
+        const double slope = fabs(near[i] - l->start[i]) / (e->fit_tau[1] * l->h);
+        l->from_zero[i] = fabs(l->start[i]) <= ph_zero_below(l, i, l->t, slope);
+        if (l->looked[i])
+            fit(l, i);
+    }
+    return status;
+}
+
+/* Guards that are zero at the start and are on the other side from there on, into l->fired; how many. */
+static int leaving(ph_landing *l) {
+    const ph_events *e = l->events;
+    const double *near = l->values + e->n;
+    ph_crossing at;
+    int n = 0;
+    for (int i = 0; i < e->n; i++) {
+        l->fired[i] = l->looked[i] && l->from_zero[i] && e->direction[i] * near[i] > 0.0 &&
+                      (!ph_first_crossing(coefficients(l, i), degree(l, i), e->direction[i], 1, &at) ||
+                       at.tau < PH_PILE_UP);
+        n += l->fired[i];
+    }
+    return n;
+}
+
+int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *best) {
+    int found = -1;
+    for (int i = 0; i < l->events->n; i++) {
+        ph_crossing at;
+        if (!l->looked[i] || refused[i] ||
+            !ph_first_crossing(coefficients(l, i), degree(l, i), l->events->direction[i], l->from_zero[i],
+                               &at))
+            continue;
+        if (found < 0 || at.tau < best->tau) {
+            found = i;
+            *best = at;
+        }
+    }
+    return found;
+}
+
+int ph_try_step(ph_landing *l, int *leaves) {
+    for (int shorter = 0;; shorter++) {
+        int status = tried(l, &l->h);
+        status = status ? status : look(l);
+        if (status)
+            return status;
+        *leaves = leaving(l);
+        if (!*leaves)
+            return PH_OK;
+        ph_load(l->in, l->before);
+        if (shorter == PH_LEAVING_HALVINGS)
+            return PH_OK;
+        l->h /= 2;
+    }
+}
