@@ -1,6 +1,6 @@
 """C sources -> shared library, cached by content (`cache.py`).
 
-Compiler: `python -m ziglang cc` if ziglang is installed (any target), else the system's (this machine only).
+Compiler: `zig cc` of the wheel ziglang if it is installed (any target), else the system's (this machine only).
 """
 
 from __future__ import annotations
@@ -84,13 +84,16 @@ BARE_TARGETS = ("x86_64-linux", "aarch64-linux")
 
 
 def _zig(target: str, flags: Sequence[str]) -> Toolchain | None:
-    if importlib.util.find_spec("ziglang") is None:
+    spec = importlib.util.find_spec("ziglang")
+    if spec is None or spec.origin is None:
         return None
     options = ("-target", target, "-fno-sanitize=undefined", *flags)
     version = f"zig {importlib.metadata.version('ziglang')}"
     bare = BARE if target.startswith(BARE_TARGETS) else ()
-    program = (sys.executable, "-m", "ziglang", "cc")
-    return Toolchain(program, version, (*FLAGS, *options), (*LINK, *bare))
+    # `python -m ziglang` starts this program, and an interpreter of its own for it every time
+    zig = shutil.which("zig", path=Path(spec.origin).parent)
+    program = (zig,) if zig else (sys.executable, "-m", "ziglang")
+    return Toolchain((*program, "cc"), version, (*FLAGS, *options), (*LINK, *bare))
 
 
 def _system(target: str, flags: Sequence[str]) -> Toolchain | None:

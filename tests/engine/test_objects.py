@@ -184,3 +184,17 @@ def test_the_first_library_does_not_wait_for_a_run_time_it_does_not_need(
     assert list((tmp_path / "zig").rglob("libc.so.6")) and not list((tmp_path / "zig").rglob("*compiler_rt*"))
     with pytest.raises(CompileError, match="nowhere"):  # what is missing is found by the linker, not in the importer
         compile({**SOURCES, "a.c": '#include "outer.h"\nint nowhere(void);\nPH int a(void) { return nowhere(); }\n'})
+
+
+def test_no_interpreter_is_started_for_every_source(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """`python -m ziglang` would cost half as much as the compilation of a small file."""
+    pytest.importorskip("ziglang")
+    run, programs = subprocess.run, set[str]()
+
+    def watched(command, **more):
+        programs.add(command[0])
+        return run(command, **more)
+
+    monkeypatch.setattr(objects.subprocess, "run", watched)
+    compile(SOURCES, compiler="zig")
+    assert [Path(p).stem for p in programs] == ["zig"]
