@@ -272,7 +272,7 @@ def _coupled(
     notes = list(why)
 
     some_fmu = "fmu" in map(stepping.engine_of, schemes)
-    kicked = _kicked(network) if some_fmu and coupling.nodes else set()
+    kicked = _kicked(network, args.project) if some_fmu and coupling.nodes else set()
 
     def member(name: str, declaration: PHDAE | UnitFile) -> Member:
         from phfmu.declare.phdae import PHDAE
@@ -305,10 +305,10 @@ def _coupled(
     return Job(s, label, False, build, notes)
 
 
-def _kicked(network: Network) -> set[str]:
+def _kicked(network: Network, projected: bool) -> set[str]:
     from phfmu.network.couplings.told import kicked
 
-    return kicked(network)
+    return kicked(network, projected)
 
 
 def _exchanged(scheme: Scheme, name: str, kicked: set[str]) -> tuple[bool, bool]:

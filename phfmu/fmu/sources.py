@@ -172,7 +172,7 @@ const fmu_interface fmu_the_interface = {{
 def _impulses_text(kernels: PortKernels) -> str:
     """The functions of impulses.c."""
     functions = {n: f"ph_impulses_{n}" for n in ("size", "init", "along")} | {
-        "set": "ph_set_impulses", "values": "ph_impulse_values", "step": "ph_step_impulses", "jump": "ph_jump",
+        "set": "ph_set_impulses", "values": "ph_impulse_values", "step": "ph_step_impulses", "kick": "ph_kick", "jump": "ph_jump",
     }  # fmt: skip
     members = "".join(f"    .{n} = {f},\n" for n, f in functions.items())
     return (

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 from phfmu import (
+    PHDAE,
     Collocated,
     Coupled,
     EngineMember,
+    Event,
     Monolithic,
     NativeInstance,
     Network,
@@ -34,6 +36,7 @@ from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.fmu.reader import FMUInstance
+from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.signals import SUM
 from tests.network.test_node_exchange import damped, loaded, quartic_on_cosh
@@ -153,7 +156,7 @@ def coupled(units: Any) -> Iterator[Any]:
     """(network, kinds in turn, k, step) -> members stepped apart."""
     with ExitStack() as stack:
 
-        def make(net: Network, kinds: str, k: int, step: float, impulses: bool = True) -> Coupled:
+        def make(net: Any, kinds: str, k: int, step: float, impulses: bool = True) -> Coupled:
             members: list[Any] = []
             for (name, d), kind in zip(net.members.items(), cycle(kinds.split()), strict=False):
                 scheme = Collocated(k, impulses=impulses)
@@ -278,3 +281,83 @@ def test_a_scene_of_units_keeps_their_order(tmp_path: Path, capsys: Any) -> None
         two = np.genfromtxt(table, delimiter=",", names=True, deletechars="", replace_space="")
         gap = np.abs(two["gen.theta"] - one.column("gen.theta")).max() / np.abs(one.column("gen.theta")).max()
         assert gap <= (1e-12 if (target, order) == ("mixed", 4) else 1e-6)
+
+
+# -- starts and events ---------------------------------------------------------------------------------------------
+
+
+def pulled_apart() -> Network:
+    """A rigid link of two masses with different velocities: an impact that loses m1 m2 dv^2 / (2 (m1 + m2))."""
+    net = rigid()
+    net.members["a"] = mass(1.3, k=4.0, d=0.2, q=0.4, v=0.5)
+    return net
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize(("kinds", "k"), [("fmi2", 2), ("fmi3", 1), (MIXED, 2)])
+def test_units_are_moved_onto_the_sums_of_their_junctions(coupled: Any, kinds: str, k: int) -> None:
+    """By an impulse at the present time: velocities and energy are those of an inelastic impact, the books of units close."""
+    apart = coupled(pulled_apart(), kinds, k, 0.05)
+    with pytest.raises(InconsistentState, match="differ by 0.8 m/s"):
+        apart.check_start()
+    found = apart.project_start(0.0)
+    common = (1.3 * 0.5 - 2.0 * 0.3) / 3.3
+    assert found.energy == pytest.approx(-1.3 * 2.0 / 3.3 * 0.8**2 / 2, rel=1e-12)
+    assert {n: v for n, _, v in found.moved} == pytest.approx({"a.v": common, "b.v": common}, rel=1e-12)
+    apart.check_start()
+    for m in apart.joined.members:
+        if isinstance(m, FMUMember):
+            assert m.unit.time < 1e-290 and abs(m.unit.gap() or 0.0) <= 1e-15
+            assert abs(m.unit.get(["energy.residual"])[0]) <= 1e-15
+    twin = coupled(pulled_apart(), "native", k, 0.05)
+    twin.project_start(0.0)
+    one, two = (run(c, Options(stop=0.5, step=0.05)) for c in (apart, twin))
+    assert np.abs(one.column("a.q") - two.column("a.q")).max() <= 1e-13 and one.ledger.summary().closed
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize(("kinds", "k"), [("fmi2", 2), ("fmi3", 1)])
+def test_an_event_at_a_node_of_units_moves_them_as_the_composed_model(coupled: Any, kinds: str, k: int) -> None:
+    scene = smib()
+    net: Any = scene.system
+    L = next(float(v.start[0]) for v in net.members["line"].parameters if v.name == "L")
+    options = Options(stop=0.01, step=1e-3, events=[Event(0.005, "line.L", 0.9 * L)])
+    model = build_model(scene.declaration(), Collocated(k))
+    one = run(Monolithic(model, NativeInstance(model)), options)
+    two = run(coupled(net, kinds, k, 1e-3), options)
+    assert states_differ(scene.declaration(), one, two) <= 1e-12
+    assert two.ledger.summary().closed and two.ledger.summary().events == {"parameter": 1, "reprojection": 1}
+    jump = [float(r.notes[0].partition("changed by ")[2].partition(" J")[0]) for r in (one, two)]
+    assert jump[0] == pytest.approx(jump[1], rel=1e-8) and abs(jump[0]) > 1.0
+    assert max(v for n, v in two.worst.items() if n.startswith(SUM + "bus1")) <= 1e-8
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_a_start_of_units_is_projected_from_the_command_line(fmi: str, tmp_path: Path, capsys: Any) -> None:
+    """At order 2 too, where nodes with linear sums exchange no impulses in a step."""
+    scene = tmp_path / "impact.py"
+    scene.write_text(
+        "from phfmu import Network, Scene\nfrom phfmu.components.mechanical.translational import mass\n"
+        "def impact():\n    net = Network('impact')\n    net.add('a', mass(1.0, v=1.0))\n    net.add('b', mass(2.0))\n"
+        "    net.junction('link', ['a.flange', 'b.flange'])\n    return Scene('impact', net, stop=0.2, step=0.1)\n"
+    )
+    apart = ["--coupling", "newton", "--engine", "fmu", "--fmi", fmi]
+    table = tmp_path / "o.csv"
+    assert main(["run", str(scene), *apart, "--project", "-o", str(table)]) == 0
+    assert "-0.333333333" in capsys.readouterr().out
+    rows = np.genfromtxt(table, delimiter=",", names=True, deletechars="", replace_space="")
+    assert np.abs(rows["a.v"] - 1 / 3).max() <= 1e-15 and np.abs(rows["b.v"] - 1 / 3).max() <= 1e-15
+
+
+@pytest.mark.usefixtures("compiler")
+def test_units_without_impulses_say_how_to_get_them(tmp_path: Path) -> None:
+    net = pulled_apart()
+    members: list[Any] = []
+    with ExitStack() as stack:
+        for name, d in net.members.items():
+            assert isinstance(d, PHDAE)
+            (path,) = export(build_model(replace(d, name=name)), tmp_path, ("3.0",), step=0.05)
+            members.append(FMUMember(name, stack.enter_context(FMUInstance(path, name=name))))
+        with pytest.raises(ValueError, match=r"a, b take no impulses; export units with --node-inputs or --impulses"):
+            Coupled(net, members).project_start(0.0)

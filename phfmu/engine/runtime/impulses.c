@@ -124,6 +124,23 @@ static int any(const double *values, int n) {
     return found;
 }
 
+int ph_kick(ph_impulses *m, double t) {
+    const int size = m->ports->n;
+    int status;
+    ph_save(m->in, m->backup);
+    ph_clear(m->work, size);
+    status = ph_skip(m->in, t);
+    for (int end = 0; status == PH_OK && end < 2; end++)
+        status = kick(m, m->value + end * size);
+    if (status) {
+        ph_load(m->in, m->backup);
+        return status;
+    }
+    memcpy(m->value + 2 * size, m->value, sizeof(double) * 2 * (size_t)size);
+    book(m);
+    return PH_OK;
+}
+
 int ph_step_impulses(ph_impulses *m, double t, double h, int n) {
     const int size = m->ports->n;
     double *now = m->value, *old = m->value + 2 * size;

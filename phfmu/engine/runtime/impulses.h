@@ -38,6 +38,9 @@ PH_API double *ph_impulse_values(ph_impulses *m);
 /* ph_step_parts with impulses; steps of no length and slivers take none. On failure the instance is where it
  * was. */
 PH_API int ph_step_impulses(ph_impulses *m, double t, double h, int n);
+/* The impulses at once, without a step: time becomes t, the state moves, their work is booked. On failure the
+ * instance is where it was. */
+PH_API int ph_kick(ph_impulses *m, double t);
 /* S at the present time: n*n, symmetric. */
 PH_API void ph_jump(ph_impulses *m, double *s);
 /* Directions of the last step: dx (count rows of nx+1+na) of the states goes through the impulse at its

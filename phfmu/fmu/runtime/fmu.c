@@ -253,8 +253,11 @@ static int refuse_step(fmu *f, const char *function, double t, double h, int n, 
     return fmu_step_refused(f, function, FMU_DISCARD, &why);
 }
 
+/* In a step too short to be one time moves, and impulses act, which make a state consistent. */
 static int step_parts(fmu *f, double t, double h, int n) {
     const fmu_impulses *impulses = f->about->impulses;
+    if (h <= PH_SLIVER_STEP * f->about->step)
+        return fmu_kicked(f) ? impulses->kick(f->nodes.impulses, t + h) : ph_skip(f->in, t + h);
     return impulses ? impulses->step(f->nodes.impulses, t, h, n) : ph_step_parts(f->in, t, h, n);
 }
 
@@ -264,7 +267,7 @@ static int solve_step(fmu *f, const char *function, double t, double h, int n, i
     if (!status && fmu_events_within(f, t + h - slack))
         return fmu_events_step(f, function, t, h, slack);
     if (!status)
-        status = h <= PH_SLIVER_STEP * f->about->step ? ph_skip(f->in, t + h) : step_parts(f, t, h, n);
+        status = step_parts(f, t, h, n);
     if (status == PH_ARGUMENT)
         return fmu_solver(f, function, status);
     return status && refuse_step(f, function, t, h, n, early) ? FMU_DISCARD : FMU_OK;

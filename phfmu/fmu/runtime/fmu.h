@@ -74,6 +74,7 @@ typedef struct fmu_impulses {
     int (*set)(struct ph_impulses *m, const double *s);
     double *(*values)(struct ph_impulses *m);
     int (*step)(struct ph_impulses *m, double t, double h, int n);
+    int (*kick)(struct ph_impulses *m, double t);
     void (*jump)(struct ph_impulses *m, double *s);
     void (*along)(struct ph_impulses *m, int end, int count, const double *ds, double *dx);
 } fmu_impulses;

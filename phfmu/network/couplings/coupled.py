@@ -110,20 +110,12 @@ class Coupled:
         self.last = replace(self.last, y=self.joined.end_outputs())
 
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection:
-        """Joined flows (efforts) of states made zero by an impulse at their nodes; what has moved.
+        """Rows of states at junctions made zero by an impulse; what has moved.  ValueError with the remedy."""
+        from phfmu.network.couplings.impulsive_start import project_start
 
-        Members know their own constraints only: ValueError tells how to start where units meet, and of `kept` states.
-        """
-        from phfmu.network.couplings.exchange import Exchange
-        from phfmu.network.couplings.impulsive_start import movable, moved_start
-
-        network = self.joined.network
-        if not kept and movable(exchange := Exchange(self.joined)):
-            found = moved_start(exchange, t0)
-            self.last = Solution(self.last.xi, self.last.y)
-            return found
-        instead = "use --coupling monolithic" if network.composable else "start its units where the junctions hold"
-        raise ValueError(f"{network.name}: a coupled network cannot be projected at t = {t0:g} s; {instead}")
+        found = project_start(self.joined, t0, kept)
+        self.last = Solution(self.last.xi, self.last.y)
+        return found
 
     def prepare(self, t0: float, h: float) -> None:
         """Junction values before the first step: those of a trial step, then everything back.

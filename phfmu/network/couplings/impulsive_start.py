@@ -1,71 +1,113 @@
-"""Starts of members stepped apart, and states after events, that violate the sums at nodes of states: moved as by an impulse.
+"""Starts of members stepped apart, and states after events, that violate the rows of their junctions: moved as by an impulse.
 
-Where all ports of a junction take impulses, those of its common variables that make its sums c zero are
+Impulses a may act where the ports that they move take some: at nodes of states, one per common variable, and at junctions whose
+common variable is an output of several ports, one between every two of these.  With B the directions of a in the unknowns of the
+interface, those that make their rows c = B^T P^T y zero are
 
-    m = -S^-1 c,      x_j -> x_j + L_j P_j m,      energy of the members together: -c.S^-1 c / 2,
+    a = -S^-1 c,   S = B^T (sum_j P_j^T S_j P_j) B,      x_j -> x_j + L_j P_j B a,      energy of all members: -c.S^-1 c / 2,
 
-which is what the composed model does (`discretise/start.py`). Where S is singular the smallest m is taken.
+which is what the composed model does (`discretise/start.py`). Where S is singular the smallest a is taken. Units do it if they
+have impulses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.start import Projection
-from phfmu.network.couplings.exchange import Exchange, Share
-from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.members.member import Member
+from phfmu.network.couplings.exchange import Exchange
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.members.node_values import InstanceNodes
 from phfmu.terms.bare import SINGULAR
+
+if TYPE_CHECKING:
+    from phfmu.network.members.engine_member import EngineMember
+    from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]
 
 MOST, SHRINKING = 12, 0.5  # trials; sums that shrink to more than this part of the last are rounding
 
 
-def movable(exchange: Exchange) -> bool:
-    """Whether there are such nodes, and engines step all of their members: the state of a unit is its own."""
-    return bool(exchange.offered) and all(isinstance(s.values.member, EngineMember) for s, _ in _shares(exchange))
+@dataclass(frozen=True)
+class Moved:
+    """A member that impulses act on; to: its impulses by a."""
+
+    member: EngineMember | FMUMember
+    values: InstanceNodes
+    to: Array
 
 
-def moved_start(exchange: Exchange, t: float) -> Projection:
-    """Moves the members by m, more than once where S changes along it; what has moved."""
-    joined, shares = exchange.joined, list(_shares(exchange))
-    members = [s.values.member for s, _ in shares]
-    start, H = [_states(m) for m in members], joined.energies()
-    c = [_sums(exchange)]
+def project_start(joined: Joined, t: float, kept: Sequence[str]) -> Projection:
+    """Moves the members; what has moved.
+
+    Members know their own constraints only: ValueError tells what to do where no junction can do that, and of `kept` states.
+    """
+    exchange, network = Exchange(joined), joined.network
+    names, B = _directions(exchange)
+    if names and not kept:
+        return _project(exchange, names, B, t)
+    composed = "use --coupling monolithic" if network.composable else "start its units where the junctions hold"
+    without = [s.values.member.name for s in exchange.shares if s.values.offer is None and s.fed]
+    if kept:
+        reason, remedy = f"states that are kept ({', '.join(kept)}) belong to one composed model", composed
+    elif without:
+        reason = f"{', '.join(without)} take{'s' if len(without) == 1 else ''} no impulses"
+        remedy = f"export units with --node-inputs or --impulses, or {composed}"
+    else:
+        reason, remedy = "no junction of it constrains states", composed
+    raise ValueError(f"{network.name}: a coupled network cannot be projected at t = {t:g} s: {reason}; {remedy}")
+
+
+def _directions(exchange: Exchange) -> tuple[list[str], Array]:
+    """Names of a, and B (unknowns of the interface x a)."""
+    face = exchange.joined.face
+    taken = np.zeros(len(face.P), bool)
+    for s in exchange.shares:
+        if s.values.offer is not None:
+            taken[np.arange(s.place.start, s.place.stop)[s.values.offer.kicked]] = True
+    names, columns = [], []
+    for c, duals in zip(face.commons(), face.rows_of_sums(), strict=True):
+        if c in exchange.offered:
+            names.append(face.names[c])
+            columns.append(np.eye(len(face.names))[c])
+        elif c not in duals and taken[face.P[:, duals].any(axis=1)].all():
+            for first, second in zip(duals[:-1], duals[1:], strict=True):
+                names.append(face.names[c] if len(duals) == 2 else f"{face.names[c]} at {face.names[second]}")
+                columns.append(np.eye(len(face.names))[first] - np.eye(len(face.names))[second])
+    return names, np.array(columns).reshape(-1, len(face.names)).T
+
+
+def _project(exchange: Exchange, names: list[str], B: Array, t: float) -> Projection:
+    """By a, more than once where S changes along it."""
+    joined = exchange.joined
+
+    def violated() -> Array:
+        return joined.end_outputs() @ joined.face.P @ B
+
+    moved = list(_moved(exchange, B))
+    start, H, c = [m.member.states for m in moved], joined.energies(), [violated()]
     while len(c) < MOST and (len(c) < 2 or np.abs(c[-1]).max() < SHRINKING * np.abs(c[-2]).max()):
-        S = sum((Q.T @ s.values.jump() @ Q for s, Q in shares), np.zeros((len(c[0]),) * 2))
-        m = -np.linalg.pinv(S, rcond=SINGULAR, hermitian=True) @ c[-1]
-        for (_, Q), member in zip(shares, members, strict=True):
-            if isinstance(member, EngineMember):
-                member.shift(Q @ m, t)
-        c.append(_sums(exchange))
-    moved = [
-        (f"{m.name}.{n}", a, b) for m, x in zip(members, start, strict=True)
-        for (n, a), b in zip(x.items(), _states(m).values(), strict=True) if a != b
+        S = sum((m.to.T @ m.values.jump() @ m.to for m in moved), np.zeros((len(names),) * 2))
+        a = -np.linalg.pinv(S, rcond=SINGULAR, hermitian=True) @ c[-1]
+        for m in moved:
+            m.member.shift(m.to @ a, t)
+        c.append(violated())
+    changes = [
+        (f"{m.member.name}.{n}", a, b) for m, x in zip(moved, start, strict=True)
+        for (n, a), b in zip(x.items(), m.member.states.values(), strict=True) if a != b
     ]  # fmt: skip
-    names = [joined.face.names[i] for i in exchange.offered]
     before, after = (dict(zip(names, map(float, v), strict=True)) for v in (c[0], c[-1]))
-    return Projection(np.zeros(0), tuple(moved), before, after, float((joined.energies() - H).sum()))
+    return Projection(np.zeros(0), tuple(changes), before, after, float((joined.energies() - H).sum()))
 
 
-def _shares(exchange: Exchange) -> Iterator[tuple[Share, Array]]:
-    """Members at such nodes, and their impulses by those of the common variables."""
+def _moved(exchange: Exchange, B: Array) -> Iterator[Moved]:
     for s in exchange.shares:
         P = exchange.joined.face.P[s.place]
-        if s.values.offer is not None and P[:, exchange.offered].any():
-            yield s, P[s.values.offer.kicked][:, exchange.offered]
-
-
-def _sums(exchange: Exchange) -> Array:
-    return (exchange.joined.end_outputs() @ exchange.joined.face.P)[exchange.offered]
-
-
-def _states(member: Member) -> dict[str, float]:
-    if not isinstance(member, EngineMember):
-        return {}
-    names = [n for v in member.model.declaration.states for n in v.names()]
-    return dict(zip(names, map(float, member.instance.x), strict=True))
+        if isinstance(s.values, InstanceNodes) and s.values.offer is not None and (P @ B).any():
+            yield Moved(s.values.member, s.values, (P @ B)[s.values.offer.kicked])

@@ -49,9 +49,12 @@ def exchanged(network: Network) -> dict[str, str]:
     return out
 
 
-def kicked(network: Network) -> set[str]:
-    """Members that exchange impulses."""
-    face, found = _bare(network, _held(network))
+def kicked(network: Network, projected: bool = False) -> set[str]:
+    """Members that exchange impulses; if the start is to be `projected`, all that take some."""
+    held = _held(network)
+    if projected:
+        return {n for n, d in network.declared.items() if n not in held and DeclaredOffer(n, d).kicked}
+    face, found = _bare(network, held)
     return {e.member for j in network.junctions if face.sums[j.name].start in found.columns for e in j.ends}
 
 

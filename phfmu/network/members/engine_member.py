@@ -80,6 +80,11 @@ class EngineMember:
         self._inputs.u = u.copy()
         self.instance.set_input(u)
 
+    @property
+    def states(self) -> dict[str, float]:
+        names = [n for v in self.model.declaration.states for n in v.names()]
+        return dict(zip(names, map(float, self.instance.x), strict=True))
+
     def shift(self, s: Array, t: float) -> None:
         """Moves the states as an impulse s at the ports that take some does, for a start at time t."""
         kernels, x = port_kernels(self.model.declaration), self.instance.x

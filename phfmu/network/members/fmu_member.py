@@ -19,6 +19,8 @@ from phfmu.signals import ENERGY, port_energy
 
 Array = NDArray[np.float64]
 
+SHORT = 1e-300  # s, lost in the rounding of any clock
+
 
 def _columns(unit: FMUInstance) -> list[str]:
     variables = unit.interface.variables
@@ -104,6 +106,21 @@ class FMUMember:
     def set_input(self, u: Array) -> None:
         self._u = np.array(u)
         self.unit.set_input(u)
+
+    @property
+    def states(self) -> dict[str, float]:
+        """What has a value at the start and moves."""
+        names = [n for n in self.names if (v := self.unit.variable(n)).causality == "local" and v.start is not None]
+        return dict(zip(names, self.unit.get(names).tolist(), strict=True))
+
+    def shift(self, s: Array, _: float) -> None:
+        """Moves the states as an impulse s at the ports that take some does, by a step too short to be one."""
+        at, nothing = self.unit.at_nodes, np.zeros(len(s))
+        at.set_impulses(s, nothing)
+        try:
+            self.unit.do_step(self.unit.time, SHORT)
+        finally:
+            at.set_impulses(nothing, nothing)
 
     def do_step(self, t: float, h: float) -> None:
         """All of the step; UnitFailure where the unit takes a part of it only, which is taken back."""
