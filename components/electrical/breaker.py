@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
 
 import casadi as ca
@@ -12,7 +13,16 @@ from phfmu import ELECTRICAL, PHDAE, Guard, Jump, Port, StateEvent, damping, ene
 LANDED = 1e-6
 
 
-def breaker(R: float, L: float, *, chop: float = 0.0, phases: int = 3, i: float = 1.0, v: float = 1.0) -> PHDAE:
+def breaker(
+    R: float,
+    L: float,
+    *,
+    chop: float = 0.0,
+    phases: int = 3,
+    i: float = 1.0,
+    v: float = 1.0,
+    start: Sequence[float] = (),
+) -> PHDAE:
     """Line between `a` and `b` with a breaker in each phase: flux' = s (v_a - v_b) - R i,  i = flux/L.
 
     H:  |flux|^2 / (2 L);  J: 0;  R: R on each phase;  ports: a.i = s i, b.i = -s i
@@ -22,14 +32,15 @@ def breaker(R: float, L: float, *, chop: float = 0.0, phases: int = 3, i: float 
     modes:       closed (phases): s, 1 or 0
     observables: i (phases), the current from a to b; u (phases), the voltage over the poles
     `chop`: poles open below this |current| [A] already and lose L i^2/2, booked as an event; with command 2 they lose that of
-    any current.  `i`, `v`: typical current and voltage.
+    any current.  `i`, `v`: typical current and voltage; `start` (phases): currents at the start [A], none by default.
     Source: switches that modulate the interconnection, Escobar, van der Schaft, Ortega, Automatica 35 (1999).
     """
     inductance = parameter("L", L, unit="H", positive=True, description="inductance per phase")
     resistance = parameter("R", R, unit="ohm", description="resistance per phase")
     command = parameter("command", 1.0, min=0.0, max=2.0, description="1 close, 0 open at zeros, 2 open at once")
     closed = parameter("closed", 1.0, phases, min=0.0, max=1.0, description="poles: 1 closed, 0 open")
-    flux = state("flux", phases, unit="Wb", nominal=L * i, description="flux per phase, a to b")
+    fluxes = [L * x for x in start] or 0.0
+    flux = state("flux", phases, unit="Wb", start=fluxes, nominal=L * i, description="flux per phase, a to b")
     a = Port("a", ELECTRICAL, "effort", {flux: ca.diag(closed.sx)}, size=phases, nominal=v, description="end a")
     b = Port("b", ELECTRICAL, "effort", {flux: -ca.diag(closed.sx)}, size=phases, nominal=v, description="end b")
     events = []

@@ -19,7 +19,7 @@ def smib(machine: str = "kundur555_1q", *, coordinates: Coordinates = "dq-flux",
     Line per phase R = 0.02, X = 0.3 of the machine's base impedance; the machine's bus has no capacitor (index 2).
     Source of the machine data: Kundur 1994 (kundur555_1q), Krause et al. 2013 (krause_hydro325); d = 50 N.m.s/rad.
     """
-    data, start, R, L, grid = _circuit(machine)
+    data, start, R, L, grid = circuit(machine)
     net = Network(name, description=f"{machine} at an infinite bus, torque step at 0.5 s")
     net.add("gen", synchronous_machine(data, coordinates=coordinates, start=start))
     net.add("line", rl_line(R, L, i=[-x for x in start.I[:3]], v=data.Vn_rms_ll * sqrt(2.0 / 3.0)))
@@ -36,7 +36,7 @@ def smib_folded(
 
     Index 1, so that all states have the order of the scheme.  bus1 with its voltage does not appear.
     """
-    data, start, R, L, grid = _circuit(machine)
+    data, start, R, L, grid = circuit(machine)
     net = Network(name, description=f"{machine} with its line at an infinite bus, torque step at 0.5 s")
     net.add("gen", machine_at_bus(data, R, L, coordinates=coordinates, start=start))
     net.add("grid", grid)
@@ -44,8 +44,8 @@ def smib_folded(
     return _scene(name, net, start)
 
 
-def _circuit(machine: str) -> tuple[MachineData, OperatingPoint, float, float, PHDAE]:
-    """Machine, its start, line R and L, and the grid that feeds it."""
+def circuit(machine: str) -> tuple[MachineData, OperatingPoint, float, float, PHDAE]:
+    """Machine, its start, line R [ohm] and L [H] per phase, and the grid that feeds it."""
     data = machine_set(machine, d=50.0)
     base = data.Vn_rms_ll**2 / data.Sn
     R, L = 0.02 * base, 0.3 * base / data.omega

@@ -182,9 +182,7 @@ def schur_sizes(schur: SchurStepper) -> dict[str, Any]:
 def event_values(plan: EventPlan) -> dict[str, Any]:
     """Sizes, the jumps, and the matrices of the fit at its points."""
     found, polynomial, jump = fit(plan.polynomial.nodes.k), plan.polynomial, plan.jump
-    tables = {
-        f"jump_{name}": () if jump is None else getattr(jump, name) for name in ("moved", "component", "owner", "most")
-    }
+    tables = {f"jump_{name}": () if jump is None else getattr(jump, name) for name in ("moved", "component", "most")}
     return {
         **tables,
         "jump_of": np.full(plan.n, -1) if jump is None else jump.of,
@@ -193,6 +191,7 @@ def event_values(plan: EventPlan) -> dict[str, Any]:
         "nincrement": len(polynomial.w),
         "nstart": len(polynomial.start_w),
         "njump": 0 if jump is None else jump.n,
+        "ncolumn": 0 if jump is None else jump.columns,
         "nmoved": len(tables["jump_moved"]),
         "ncomponent": len(tables["jump_component"]),
         "fit_tau": found.tau,

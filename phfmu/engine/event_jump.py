@@ -24,35 +24,44 @@ class Jumps:
     def __init__(self, instance: Any, plan: EventPlan, guards: Guards):
         self.instance, self.plan, self.guards = instance, plan, guards
 
-    def jump(self, t: float, fired: list[int], rests: list[int]) -> tuple[Array, Array]:
-        """Moves the states along L; by component the energy they get and what is lost."""
-        instance, n = self.instance, self.instance.model.step.ncomp
-        energy, lost = np.zeros(n), np.zeros(n)
+    def jump(self, t: float, p: Array, fired: list[int], rests: list[int]) -> tuple[Array, Array]:
+        """Moves the states along L at the parameters p after the events; by component the energy they get and what is lost.
+
+        Constraints hold after it.  What their impulses lose, where a mode has changed them, is booked with the first event.
+        """
+        instance, size = self.instance, self.instance.model.step.ncomp
+        energy, lost = np.zeros(size), np.zeros(size)
         jump = self.plan.jump
-        if jump is None or not fired:
+        if jump is None:
             return energy, lost
-        which = [int(jump.of[i]) for i in fired]
-        x, p = instance.x, instance.parameters
+        jumping = [i for i in fired if jump.of[i] >= 0]
+        if not jumping and not jump.held:
+            return energy, lost
+        which = [int(jump.of[i]) for i in jumping]
+        x = instance.x
         at = self.guards.columns(np.append(x, t), p).chosen(which)
-        e = np.where([i in rests for i in fired], 0.0, at.e)
-        before, goal, m = at.c.copy(), -(1.0 + e) * at.c.sum(axis=0), np.zeros(len(which))
-        for j, c in enumerate(at.c.sum(axis=0)):
+        n, before = len(which), at.c.copy()
+        e = np.zeros(len(at.S))
+        e[:n] = np.where([i in rests for i in jumping], 0.0, at.e)
+        goal, m = -(1.0 + e) * at.c.sum(axis=0), np.zeros(len(e))
+        for j, c in enumerate(at.c.sum(axis=0)[:n]):
             if abs(c) > jump.most[which[j]]:
-                self.refuse(t, MOST, [fired[j]], abs(float(c)), float(jump.most[which[j]]))
+                self.refuse(t, MOST, [jumping[j]], abs(float(c)), float(jump.most[which[j]]))
         for _ in range(2):  # the second corrects the rounding of the first
-            found = impulses(at.S, goal, LIMITS["JUMP_DEPENDENT"])
+            found = impulses(at.S, goal, n, LIMITS["JUMP_DEPENDENT"])
             if found is None:
-                self.refuse(t, DEPENDENT, fired)
+                self.refuse(t, DEPENDENT, jumping)
             m += found
             x[jump.moved] += at.L @ found
             at = self.guards.columns(np.append(x, t), p).chosen(which)
             goal = -e * before.sum(axis=0) - at.c.sum(axis=0)
-        work = m * (before + at.c) / 2  # components x jumps, exact as H is quadratic along L
+        work = m * (before + at.c) / 2  # components x columns, exact as H is quadratic along L
         loss = -work.sum(axis=0)
-        if -loss.sum() > LIMITS["LOSS_ROUNDING"] * np.abs(work).sum():
+        moved = (np.abs(m) * (np.abs(before) + np.abs(at.c))).sum() / 2
+        if -loss.sum() > LIMITS["LOSS_ROUNDING"] * moved:
             self.refuse(t, GAIN, fired, float(-loss.sum()))
         energy[jump.component] = work.sum(axis=1)
-        np.add.at(lost, jump.owner[which], loss)
+        np.add.at(lost, self.plan.owner[[*jumping, *[fired[0]] * (len(e) - n)]], loss)
         instance.set_x(t, x)
         return energy, lost
 

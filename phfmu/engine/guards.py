@@ -28,10 +28,10 @@ class Guards:
         return self._guards.sums(1.0, self.plan.n, x, y, p)
 
     def columns(self, x: Array, p: Array) -> Columns:
-        """The columns of all jumps."""
+        """The columns of all jumps and constraints."""
         jump = self.plan.jump
         assert jump is not None and self._jump is not None
-        n, c, m = jump.n, len(jump.component), len(jump.moved)
+        n, c, m = jump.columns, len(jump.component), len(jump.moved)
         found = self._jump.sums(1.0, jump.size, x, np.zeros(0), p)
         y, L, S, e = np.split(found, np.cumsum([c * n, m * n, n * n]))
         return Columns(L.reshape(n, m).T, y.reshape(c, n), S.reshape(n, n), e)

@@ -84,12 +84,12 @@ class Landing:
         rests = [i for i in piled if plan.rest.ptr[i + 1] > plan.rest.ptr[i]]
         if crowded and not rests:
             self.jumps.refuse(t, PILE, fired)
-        energy, lost = self.jumps.jump(t, [i for i in fired if plan.jump is not None and plan.jump.of[i] >= 0], rests)
         p = instance.parameters
         for i in fired:
             _set(p, plan.sets, i)
         for i in rests:
             _set(p, plan.rest, i)
+        energy, lost = self.jumps.jump(t, p, fired, rests)
         instance.set_parameters(p)
         instance.initialise()
         self._last[fired] = t

@@ -6,7 +6,7 @@ what feeds them.  So a guard without algebraic variables costs no solve.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -22,7 +22,7 @@ from phfmu.events.polynomial import Polynomial
 from phfmu.plan.address import READ, Address, row
 from phfmu.plan.plan import Floats, Group, Ints, Kernel, Powers
 from phfmu.plan.spec import Spec, build
-from phfmu.terms.canonical import Locator, make_term
+from phfmu.terms.canonical import Locator, make_term, member
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.rows import costate_symbols, costates
 from phfmu.terms.term import Term, TermKind, Terms
@@ -47,7 +47,8 @@ class EventPlan:
     """n state events of a model, in the order of the declaration.
 
     names, direction, nominal (n): of the guards;  groups: their kernels (stage 1), with x = [states | t], Y = [a | u] and the
-    guards as rows;  solves: 1 if one reads algebraic variables;  when, sets, rest: see `StateEvent`
+    guards as rows;  solves: 1 if one reads algebraic variables;  when, sets, rest: see `StateEvent`;
+    owner (n): component that books what the event loses
     """
 
     names: tuple[str, ...]
@@ -55,6 +56,7 @@ class EventPlan:
     nominal: Floats
     groups: tuple[Group, ...]
     solves: int
+    owner: Ints
     when: Settings
     sets: Settings
     rest: Settings
@@ -85,12 +87,21 @@ def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan | None:
         np.array([e.guard.nominal for e in events], float),
         tuple(groups),
         int(any((g.yi < terms.na).any() for g in groups)),
+        np.array([_owner(terms.members, e) for e in events], np.int32),
         _settings(index, (e.when for e in events)),
         _settings(index, (e.sets for e in events)),
         _settings(index, (e.rest for e in events)),
         jump_tables(terms, events),
         polynomial,
     )
+
+
+def _owner(members: Sequence[str], e: StateEvent) -> int:
+    """The component of the jump, else the one whose name the guard begins with."""
+    if e.jump is not None and e.jump.owner:
+        return member(members, e.jump.owner)
+    begins = [m for m in members if e.guard.name.startswith(f"{m}.")]
+    return member(members, max(begins, key=len, default=""))
 
 
 def _settings(index: Mapping[str, int], values: Iterable[Mapping[str, float]]) -> Settings:

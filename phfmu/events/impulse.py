@@ -12,29 +12,42 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Columns:
-    """L (states x n), c by component (components x n), S = L^T H'' L (n x n), restitution e (n) of the jumps at a state."""
+    """L (states x N), c by component (components x N), S = L^T H'' L (N x N) of jumps and then constraints at a state; e (n).
+
+    e: restitutions of the jumps, which come first
+    """
 
     L: Array
     c: Array
     S: Array
     e: Array
 
-    def chosen(self, which: list[int]) -> Columns:
-        return Columns(self.L[:, which], self.c[:, which], self.S[np.ix_(which, which)], self.e[which])
+    def chosen(self, jumps: list[int]) -> Columns:
+        """Those of some jumps, and all constraints."""
+        which = [*jumps, *range(len(self.e), len(self.S))]
+        return Columns(self.L[:, which], self.c[:, which], self.S[np.ix_(which, which)], self.e[jumps])
 
 
-def impulses(S: Array, goal: Array, least: float) -> Array | None:
-    """m = S^-1 goal by Cholesky's method; None where a pivot is below `least` of its diagonal: columns depend on each other."""
+def impulses(S: Array, goal: Array, strict: int, least: float) -> Array | None:
+    """m with S m = goal by Cholesky's method.
+
+    None where one of the first `strict` pivots is below `least` of its diagonal: columns depend on each other.  Later columns
+    that depend on those before them (redundant constraints, nodes that nothing is joined to) get m = 0.
+    """
     n = len(goal)
     factor, m = np.zeros_like(S), goal.copy()
     for j in range(n):
         pivot = S[j, j] - factor[j, :j] @ factor[j, :j]
         if not pivot > least * S[j, j]:
-            return None
+            if j < strict:
+                return None
+            m[j] = 0.0  # and so is its column of the factor
+            continue
         factor[j, j] = np.sqrt(pivot)
         for i in range(j + 1, n):
             factor[i, j] = (S[i, j] - factor[i, :j] @ factor[j, :j]) / factor[j, j]
         m[j] = (m[j] - factor[j, :j] @ m[:j]) / factor[j, j]
     for j in range(n - 1, -1, -1):
-        m[j] = (m[j] - factor[j + 1 :, j] @ m[j + 1 :]) / factor[j, j]
+        if factor[j, j]:
+            m[j] = (m[j] - factor[j + 1 :, j] @ m[j + 1 :]) / factor[j, j]
     return m

@@ -58,13 +58,15 @@ def _input(i: int, u: ca.SX, a: ca.SX, bound: dict[int, int]) -> ca.SX:
     return a[bound[i]] if i in bound else u[i]
 
 
-def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
+def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> list[ca.SX]:
     """The undifferentiated hidden rows as expressions of the model's own symbols (inputs left out).
 
     Algebraic variables that over-determined rows give (the common velocity of a rigid joint) are eliminated.
+    z: what stands for the costates (default: they as functions of the states).
     """
     model, hidden, x = terms.model, terms.found(Hidden), terms.model.x
-    z, p = costates(terms), ca.vertcat(*(v.sx for v in model.parameters))
+    z = costates(terms) if z is None else z
+    p = ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
     position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}
     rows = row_expressions(terms, hidden.rows, z)
@@ -79,7 +81,8 @@ def check_rows(terms: Terms, checks: list[Check]) -> list[ca.SX]:
         value, grad, moving = ca.substitute(exprs, *_globals(t, x, z, p, a, terms.bound))
         v = ca.vertcat(*(z[velocity[i]] for i in t.index[Value.STATE]))
         rows[t.rows[0].index] += ca.dot(grad, v) + moving
-        out[position[t.rows[0].index]] += value
+        if t.rows[0].index in position:
+            out[position[t.rows[0].index]] += value
     eliminated = _eliminated(rows, hidden, a)
     for n, c in enumerate(checks):
         if c.level == "velocity":
@@ -118,6 +121,13 @@ def costates(terms: Terms) -> ca.SX:
             for j, r in enumerate(t.rows):
                 z[r.index] = value[j]
     return z
+
+
+def block_matrix(terms: Terms, t: Term) -> ca.SX:
+    """E of a mass block in the model's own symbols."""
+    model = terms.model
+    p = ca.vertcat(*(v.sx for v in model.parameters))
+    return ca.substitute([t.data["E"]], *_globals(t, model.x, costate_symbols(model), p, ca.SX(0, 1), {}))[0]
 
 
 def _globals(

@@ -24,7 +24,6 @@ from phfmu import (
     PythonInstance,
     StateEvent,
     SystemTransformation,
-    algebraic,
     build_model,
     check,
     energy,
@@ -106,17 +105,6 @@ def test_a_guard_in_another_unit_is_a_warning():
 def test_jumps_without_a_closed_form_are_refused(declaration, says):
     with pytest.raises(DeclarationError, match=says):
         build_model(declaration(), Collocated(1))
-
-
-def test_a_jump_that_breaks_a_constraint_is_refused():
-    rod = algebraic("rod", unit="N")
-    other = state("r", unit="kg.m/s", start=-1.0)
-    declaration = body(
-        states=(Q, P, other), algebraics=(rod,), energies=(energy(P**2 / 2), energy(other**2 / 2), energy(Q**2 / 2)),
-        structure=(skew(Q, P, 1.0), skew(rod, P, 1.0), skew(rod, other, -1.0)),
-    )  # fmt: skip
-    with pytest.raises(DeclarationError, match="would break the hidden constraint of rod by moving p"):
-        build_model(declaration, Collocated(1))
 
 
 def cart() -> Network:

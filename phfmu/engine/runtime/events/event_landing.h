@@ -27,12 +27,12 @@ struct ph_landing {
     double *y;                /* na+nu */
     double *p;                /* np */
     double *jump;             /* results of the jump kernel */
-    double *c, *before_c;     /* ncomponent*njump: of the jumps that happen */
-    double *s, *factor;       /* njump*njump */
-    double *goal, *m, *found; /* njump */
-    double *e;                /* njump */
-    int *which;               /* njump: the jumps that happen, */
-    int *whose;               /* njump: and their events */
+    double *c, *before_c;     /* ncomponent*ncolumn: of the jumps that happen and the constraints */
+    double *s, *factor;       /* ncolumn*ncolumn */
+    double *goal, *m, *found; /* ncolumn */
+    double *e;                /* ncolumn */
+    int *which;               /* ncolumn: the jumps that happen, then the constraints, */
+    int *whose;               /* njump: and the events of the jumps */
     signed char *fired, *rests, *looked, *from_zero, *refused; /* n */
     void *before, *after;                                      /* states of the instance */
 };
@@ -62,6 +62,9 @@ int ph_try_step(ph_landing *l, int *leaves);
 double ph_guard_rate(const ph_landing *l, int i, double tau);
 int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *best);
 int ph_happen(ph_landing *l, ph_landed *out);
+/* event_impulse.c: the jumps of the events in l->fired at the parameters l->p after them; what it adds to the
+ * energy of each component and what is lost. */
+int ph_jump_event(ph_landing *l, double *energy, double *lost);
 int ph_refuse_event(ph_landing *l, int reason, double value, double limit);
 
 #endif

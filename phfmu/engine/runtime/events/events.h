@@ -13,17 +13,19 @@
 /* Mirror of EventPlan; all tables are constant. Rows of the guards are their numbers, their x is [states |
  * time], their Y [algebraic variables | inputs]. */
 typedef struct ph_events {
-    int n;                         /* state events, with a guard each */
-    int ngroup;                    /* groups of guard kernels */
-    int solves;                    /* 1: a guard reads algebraic variables */
-    int npoint;                    /* 2k+2 points of the fit */
-    int nincrement, nstart;        /* entries of the polynomial */
-    int njump, nmoved, ncomponent; /* jumps, the states they move, the components whose energy they change */
-    const ph_group *groups;        /* ngroup */
-    const ph_group *jump;          /* c by component | L by column | S | e of all jumps; NULL: none */
-    const signed char *direction;  /* n */
-    const double *nominal;         /* n */
-    const int *when_ptr;           /* n+1: armed while the parameters have these values */
+    int n;                  /* state events, with a guard each */
+    int ngroup;             /* groups of guard kernels */
+    int solves;             /* 1: a guard reads algebraic variables */
+    int npoint;             /* 2k+2 points of the fit */
+    int nincrement, nstart; /* entries of the polynomial */
+    int njump, ncolumn;     /* jumps; their columns and those of the constraints that hold through them */
+    int nmoved, ncomponent; /* the states they move, the components whose energy they change */
+    const ph_group *groups; /* ngroup */
+    const ph_group *jump;   /* c by component | L by column | S | e of the jumps; NULL: none */
+    const signed char *direction; /* n */
+    const double *nominal;        /* n */
+    const int *owner;             /* n: component that its loss is booked at */
+    const int *when_ptr;          /* n+1: armed while the parameters have these values */
     const int *when_p;
     const double *when_value;
     const int *sets_ptr; /* n+1: what it sets */
@@ -35,7 +37,6 @@ typedef struct ph_events {
     const int *jump_of;                /* n: its jump, or -1 */
     const int *jump_moved;             /* nmoved */
     const int *jump_component;         /* ncomponent */
-    const int *jump_owner;             /* njump: component that the loss is booked at */
     const double *jump_most;           /* njump: largest |c| */
     const int *polynomial_state;       /* nincrement: each increment with its state, */
     const int *polynomial_w;           /* its place among the unknowns */

@@ -1,0 +1,46 @@
+"""Hidden constraints of the velocity level as impulses meet them: c = A^T z + c0, whose impulse s moves x+ = x- + E^-1 A s.
+
+J is skew, so what a constraint reads is what its multiplier acts on.  Where several rows share a variable (the common velocity
+of a rigid joint) it is eliminated, and A s is what their impulses do together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from phfmu.terms.hidden import Check, Hidden
+from phfmu.terms.rows import check_rows, costate_symbols
+from phfmu.terms.term import Terms
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """n constraints: their `names`; A (n1 x n) and c0 (n), what moves a constraint besides the states, in x, p, and time."""
+
+    names: tuple[str, ...]
+    A: ca.SX
+    c0: ca.SX
+
+    def chosen(self, which: Sequence[int]) -> Held:
+        """Those at the places `which`."""
+        at = list(which)
+        return Held(tuple(self.names[i] for i in at), self.A[:, at], self.c0[at])
+
+
+def velocity_checks(terms: Terms) -> list[Check]:
+    """The hidden constraints of the velocity level, in the order of a model's checks."""
+    return [Check(terms.algebraic_names[row], "velocity", row) for row in terms.found(Hidden).checks]
+
+
+def held(terms: Terms) -> Held:
+    """All of them."""
+    checks = velocity_checks(terms)
+    if not checks:
+        return Held((), ca.SX(terms.n1, 0), ca.SX(0, 1))
+    z = costate_symbols(terms.model)
+    c = ca.vertcat(*check_rows(terms, checks, z))
+    A = ca.sparsify(ca.simplify(ca.jacobian(c, z)))
+    return Held(tuple(k.name for k in checks), A.T, ca.substitute(c, z, ca.SX(ca.DM.zeros(*z.shape))))
