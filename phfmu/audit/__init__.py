@@ -7,27 +7,30 @@ if TYPE_CHECKING:
     from .analysis import summarise, verdict
     from .archive import Recovered, metadata, read, recover
     from .block import Block, make_block
-    from .booking import Booking, PortKey
+    from .booking import Booking, PartKey, PortKey
     from .events import EventRow
     from .judge import DEFAULT_RTOL, Judge, Violation
     from .ledger import Ledger
     from .report import audit_table
     from .sink import Sink
     from .stream import AuditWriter
-    from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
+    from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
 
 _HOME = {
     "analysis": ("summarise", "verdict"),
     "archive": ("Recovered", "metadata", "read", "recover"),
     "block": ("Block", "make_block"),
-    "booking": ("Booking", "PortKey"),
+    "booking": ("Booking", "PartKey", "PortKey"),
     "judge": ("DEFAULT_RTOL", "Judge", "Violation"),
     "ledger": ("Ledger",),
     "report": ("audit_table",),
     "events": ("EventRow",),
     "sink": ("Sink",),
     "stream": ("AuditWriter",),
-    "summary": ("ComponentSummary", "JunctionSummary", "LedgerSummary", "NetworkSummary", "PortSummary"),
+    "summary": (
+        *("ComponentSummary", "JunctionSummary", "LedgerSummary", "NetworkSummary", "PartSummary"),
+        "PortSummary",
+    ),
 }
 
 __all__ = [
@@ -42,6 +45,8 @@ __all__ = [
     "Ledger",
     "LedgerSummary",
     "NetworkSummary",
+    "PartKey",
+    "PartSummary",
     "PortKey",
     "PortSummary",
     "Recovered",

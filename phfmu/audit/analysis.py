@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phfmu.engine.steps import Steps
 
 from .block import make_block
-from .booking import ESTIMATED, EXACT, LOOSE, SILENT, Booking, PortKey
+from .booking import ESTIMATED, EXACT, LOOSE, SILENT, Booking, PartKey, PortKey
 from .contradictions import Contradictions
 from .judge import DEFAULT_RTOL, Violation
 from .ledger import Ledger
@@ -28,7 +28,7 @@ Ints = NDArray[np.int64]
 #: rows that may wait for the network row of their step
 WAITING_ROWS = 1 << 22
 
-_STEPPED = ("component", "port", "junction")
+_STEPPED = ("component", "port", "junction", "part")
 _OPTIONAL = ("numerical", "moved")
 
 
@@ -174,6 +174,7 @@ class _Reader:
         network = tables["network"][0]
         rows, c = tables.get("component", (None, 0))
         ports, q = tables.get("port", (None, 0))
+        parts, divided = tables.get("part", (None, 0))
 
         def required(source: Rows | None, name: str, m: int, default: float = math.nan) -> Floats:
             if source is None:
@@ -191,7 +192,8 @@ class _Reader:
         H0, H1, stored = (required(rows, name, c) for name in ("H0", "H1", "dH"))
         lost, gained = (required(rows, name, c, 0.0) for name in ("dissipated", "supplied"))
         pairs, damped, moved = required(ports, "supplied", q), optional("numerical"), optional("moved")
-        steps = Steps(H1, stored, lost, gained, pairs, damped, moved)
+        works = required(parts, "residual", divided) if booking.parts else None
+        steps = Steps(H1, stored, lost, gained, pairs, damped, moved, works=works)
         block = make_block(booking, network.step, network.values("t0"), network.values("h"), steps, H0)
         self._contradictions.hold(self.ledger.take(block), tables)
 
@@ -225,7 +227,14 @@ class _Reader:
                 if claimed == SILENT and component not in owners and not p.values("dH")[i]:
                     silent.add(component)
         loose = "junction" in parts and LOOSE in map(name, parts["junction"].names["quality"])
-        booking = Booking(components, tuple(keys), frozenset(silent), loose)
+        divided = [parts["part"].names[k] for k in ("junction", "part")] if "part" in parts else []
+        known = tuple(PartKey(name(a) or "", name(b) or "") for a, b in zip(*divided, strict=True))
+        met = {key.junction for key in keys}
+        if lost := {key.junction for key in known if key.junction not in met}:
+            step = int(parts["part"].step[0])
+            self._contradictions.tell(step, f"step {step} has parts of {', '.join(sorted(lost))}, where no ports meet")
+            known = ()
+        booking = Booking(components, tuple(keys), frozenset(silent), loose, known)
         if "component" in parts:
             for component, code in zip(components, parts["component"].names["quality"], strict=True):
                 claimed, found = name(code) or EXACT, booking.quality(component)
@@ -260,11 +269,11 @@ def _grouped(rows: Rows, steps: Ints) -> _Grouped:
 def _changes(grouped: Mapping[str, _Grouped]) -> set[int]:
     """Steps at which the rows of a step are not those of the step before: other names, other columns filled."""
     edges = {0}
-    for kind in ("component", "port", "junction"):
+    for kind in _STEPPED:
         if kind in grouped:
             edges.update((np.flatnonzero(np.diff(grouped[kind].count)) + 1).tolist())
     cuts = sorted({*edges, len(grouped["network"].first)})
-    for kind in ("component", "port", "junction"):
+    for kind in _STEPPED:
         if kind not in grouped:
             continue
         g = grouped[kind]

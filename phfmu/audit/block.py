@@ -44,7 +44,7 @@ def make_block(
     """
     numbers = np.array(step, np.int64, ndmin=1)
     n, c, q = len(numbers), len(booking.components), len(booking.ports)
-    s = _checked(steps, n, c, q)
+    s = _checked(steps, n, c, q, len(booking.parts))
     with np.errstate(invalid="ignore", over="ignore"):
         starts = s.H - s.stored if H0 is None else _table("H0", H0, (n, c))
         gone = 0.0 if s.numerical is None else s.numerical
@@ -62,7 +62,7 @@ def make_block(
         )  # fmt: skip
 
 
-def _checked(s: Steps, n: int, c: int, q: int) -> Steps:
+def _checked(s: Steps, n: int, c: int, q: int, parts: int) -> Steps:
     """A copy of the columns that are booked, of the right shapes."""
     shape = (n, c)
     return Steps(
@@ -73,6 +73,7 @@ def _checked(s: Steps, n: int, c: int, q: int) -> Steps:
         pairs=_table("pairs", s.pairs, (n, q)),
         numerical=_maybe("numerical", s.numerical, shape),
         moved=_maybe("moved", s.moved, shape),
+        works=None if s.works is None else _table("works", s.works, (n, parts)),
         iterations=_maybe("iterations", s.iterations, (n,)),
         accepted_by=None if s.accepted_by is None else np.array(s.accepted_by),
     )

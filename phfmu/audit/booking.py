@@ -27,18 +27,28 @@ class PortKey:
     quality: str = EXACT
 
 
+@dataclass(frozen=True, slots=True)
+class PartKey:
+    """One part of the energy that a coupling makes at a junction, one column of `Steps.works`."""
+
+    junction: str
+    part: str
+
+
 @dataclass(frozen=True)
 class Booking:
     """What the columns of `Steps` are booked as: c components, q scalar ports; the junctions follow from the ports.
 
     `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
     `loose`: the coupling does not claim that junctions create no energy.
+    `parts`: of junctions that have more than one, what their energy is the sum of.
     """
 
     components: tuple[str, ...]
     ports: tuple[PortKey, ...] = ()
     silent: frozenset[str] = frozenset()
     loose: bool = False
+    parts: tuple[PartKey, ...] = ()
 
     @cached_property
     def junctions(self) -> dict[str, list[int]]:
@@ -48,6 +58,14 @@ class Booking:
             if port.junction is not None:
                 members.setdefault(port.junction, []).append(column)
         return members
+
+    @cached_property
+    def divided(self) -> dict[str, list[int]]:
+        """Columns of the parts of each junction that has parts."""
+        columns: dict[str, list[int]] = {}
+        for column, key in enumerate(self.parts):
+            columns.setdefault(key.junction, []).append(column)
+        return columns
 
     @cached_property
     def external(self) -> list[tuple[int, float]]:

@@ -1,6 +1,6 @@
 """The columns of the audit table, and blocks of steps and events turned into them.
 
-One wide table: the column `row` says what a row is (component, port, junction, network, event) and thereby
+One wide table: the column `row` says what a row is (component, port, junction, part, network, event) and thereby
 which columns it fills; the others are null. SI units; power positive INTO the component.
 """
 
@@ -27,6 +27,7 @@ COLUMNS = {
     "port": "name",
     "index": "i32",  # of the pair within a vector port, from 1
     "junction": "name",
+    "part": "name",  # of a junction's energy
     "kind": "name",  # of an event: what happened
     "quality": "name",  # exact | estimated | none; of a junction that no coupling closes: loose
     "H": "f64",  # [J] network: sum over the components at the end of the step
@@ -37,7 +38,7 @@ COLUMNS = {
     "supplied": "f64",  # [J]
     "numerical": "f64",  # [J] lost by a damping scheme (Radau); null elsewhere
     "external": "f64",  # [J] supplied through ports without a junction
-    "residual": "f64",  # [J] component: dH + dissipated + numerical - supplied; junction: sum of supplied
+    "residual": "f64",  # [J] component: dH + dissipated + numerical - supplied; junction: sum of supplied; part: its share
     "residual_rel": "f64",  # r |residual| / (what r = 1e-11 allows), whatever --audit-rtol: closed at r if not above r
     "moved": "f64",  # [J] sum over the component's energies of |change|; where null, max(|H0|, |H1|) counts
     "exchanged": "f64",  # [J] junction: half the sum of |supplied|
@@ -64,6 +65,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
     ),
     "port": ("component", "port", "index", "junction", "quality", "supplied"),
     "junction": ("junction", "quality", "residual", "exchanged"),
+    "part": ("junction", "part", "residual"),
     "network": (
         *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained"),
         *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained", "iterations", "accepted_by"),
@@ -127,6 +129,9 @@ def block_sections(block: Block, encode: Encode) -> list[Section]:
         if booking.loose:
             names["quality"] = [LOOSE] * len(booking.junctions)
         sections.append(_repeat(block, "junction", names, values, encode))
+    if s.works is not None and booking.parts:
+        names = {name: [getattr(key, name) for key in booking.parts] for name in ("junction", "part")}
+        sections.append(_repeat(block, "part", names, {"residual": s.works}, encode))
     network = {name: column[:, None] for name, column in block.network.items()}
     sections.append(_repeat(block, "network", {}, network, encode))
     if s.iterations is not None:

@@ -31,6 +31,8 @@ ULPS = 64.0
 CLOSED, VIOLATED = "closed", "VIOLATED"
 #: kinds of violations of a component
 COMPONENT = ("balance", "dissipation", "ports", "gap", "change", "drift")
+#: and of a junction
+JUNCTION = ("junction", "parts")
 
 _TEXT = {
     "balance": "{name}: step {step} at t = {t0:.9g} s misses {size:.3e} J",
@@ -39,6 +41,7 @@ _TEXT = {
     "gap": "{name}: H changed by {size:.3e} J between its steps, before step {step} at t = {t0:.9g} s; no event books it",
     "change": "{name}: step {step} at t = {t0:.9g} s changes H by {size:.3e} J more than it books as stored",
     "drift": "{name}: H changed by {size:.3e} J more than the steps and events of the run book",
+    "parts": "{name}: step {step} at t = {t0:.9g} s: the parts of the junction's energy miss {size:.3e} J of it",
     "junction": "{name}: step {step} at t = {t0:.9g} s creates {size:.3e} J at the junction",
     "unexplained": "{name}: step {step} at t = {t0:.9g} s leaves {size:.3e} J unexplained",
     "file": "{note}",
@@ -49,8 +52,8 @@ _TEXT = {
 class Violation:
     """Something of one kind that does not close at one place: its worst step, and how many steps do so.
 
-    kind: balance | dissipation | ports | gap | change | drift (components), junction, unexplained (network), file (rows
-    that contradict each other); size and allowed [J].
+    kind: balance | dissipation | ports | gap | change | drift (components), junction | parts (junctions), unexplained
+    (network), file (rows that contradict each other); size and allowed [J].
     """
 
     kind: str
@@ -174,9 +177,20 @@ class Judge:
             judged = np.full(len(names), not block.booking.loose)
             permitted = self.rtol * passed + FLOOR * EPS * reach + ULPS * EPS * played.sum(axis=1, keepdims=True)
             self._mark("junction", names, block.junction_residual, permitted, block, judged)
+            self._divided(block, permitted)
         summed = ULPS * EPS * np.abs(block.steps.pairs).sum(axis=1)
         permitted = (allowed.sum(axis=1) + summed)[:, None]
         self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)
+
+    def _divided(self, block: Block, permitted: Floats) -> None:
+        """The parts of a junction's energy add up to it, whether it is small or not."""
+        works, divided = block.steps.works, block.booking.divided
+        if works is None or not divided:
+            return
+        names = tuple(block.booking.junctions)
+        at = [names.index(name) for name in divided]
+        sums = np.stack([works[:, own].sum(axis=1) for own in divided.values()], axis=1)
+        self._mark("parts", tuple(divided), block.junction_residual[:, at] - sums, permitted[:, at], block)
 
     def _keep_worst(self, account: Account, block: Block, found: Floats, i: int) -> None:
         k = int(np.argmax(found))

@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike
 from phfmu.engine.steps import Steps
 
 from .block import Block, make_block
-from .booking import ESTIMATED, EXACT, LOOSE, Booking
+from .booking import ESTIMATED, EXACT, LOOSE, Booking, PartKey
 from .events import EventCount, EventRow
-from .judge import COMPONENT, DEFAULT_RTOL, Judge, Violation, word
+from .judge import COMPONENT, DEFAULT_RTOL, JUNCTION, Judge, Violation, word
 from .sink import Sink
-from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PortSummary
+from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
 from .sums import Floats, Sums, larger, largest
 
 #: columns of the network that have running sums beside them
@@ -44,6 +44,7 @@ class Ledger:
         self._sums = Sums()
         self._ports: dict[tuple[str, str], tuple[str | None, str]] = {}
         self._junctions: dict[str, float] = {}
+        self._parts: dict[PartKey, float] = {}
         self._estimated: set[str] = set()
         self._loose: set[str] = set()
         self._unexplained = 0.0
@@ -72,6 +73,7 @@ class Ledger:
         """Sum and judge a block of at least one step; the block with what only the run knows filled in."""
         stored = self._add_components(block)
         self._add_ports(block)
+        self._add_parts(block)
         self._add_network(block.network)
         relative = self._judge.steps(block, stored)
         if self._steps == 0:
@@ -106,6 +108,14 @@ class Ledger:
         self._sums.add([("exchanged", name) for name in names], block.junction_exchanged)
         for j, name in enumerate(names):
             self._junctions[name] = larger(self._junctions.get(name, 0.0), largest(block.junction_residual[:, j]))
+
+    def _add_parts(self, block: Block) -> None:
+        works = block.steps.works
+        if works is None:
+            return
+        self._sums.add([("part", key.junction, key.part) for key in block.booking.parts], works)
+        for j, key in enumerate(block.booking.parts):
+            self._parts[key] = larger(self._parts.get(key, 0.0), largest(works[:, j]))
 
     def _add_network(self, network: dict[str, Floats]) -> None:
         """Sum the network's columns and put the running sums beside them."""
@@ -153,6 +163,10 @@ class Ledger:
             [self._component(name, found) for name in self._judge.accounts],
             [PortSummary(*key, *kept, self._sums.get("port", *key) or 0.0) for key, kept in self._ports.items()],
             [self._junction(name, worst, found) for name, worst in self._junctions.items()],
+            [
+                PartSummary(key.junction, key.part, self._sums.get("part", key.junction, key.part) or 0.0, worst)
+                for key, worst in self._parts.items()
+            ],
             self._network(found) if self._steps else None,
             dict(self._events.kinds),
             self._judge.rtol,
@@ -182,7 +196,7 @@ class Ledger:
     def _junction(self, name: str, worst: float, found: list[Violation]) -> JunctionSummary:
         get = self._sums.get
         quality = LOOSE if name in self._loose else ESTIMATED if name in self._estimated else EXACT
-        verdict = word(found, ("junction",), name, quality)
+        verdict = word(found, JUNCTION, name, quality)
         return JunctionSummary(name, get("junction", name) or 0.0, get("exchanged", name), worst, verdict)
 
     def _network(self, found: list[Violation]) -> NetworkSummary:

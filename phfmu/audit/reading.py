@@ -97,6 +97,7 @@ _NEEDED = {
     ),
     "port": ("supplied", "index", "component", "port", "junction", "quality"),
     "junction": ("junction", "quality", "residual", "exchanged"),
+    "part": FIELDS["part"],
     "network": tuple(name for name in FIELDS["network"] if name not in ("iterations", "accepted_by")),
     "event": ("energy_jump", "lost", "kind", "component", "message"),
 }

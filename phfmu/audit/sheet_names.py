@@ -13,4 +13,4 @@ UNITS = {
     "kWh": 3.6e6,
     "MWh": 3.6e9,
 }
-KINDS = ("component", "port", "junction", "event")
+KINDS = ("component", "port", "junction", "part", "event")

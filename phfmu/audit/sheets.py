@@ -69,7 +69,14 @@ def whole(summary: LedgerSummary) -> float:
 
 def sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> Iterator[Sheet]:
     """All sheets of a summary; `events`: those to be listed."""
-    made = (_components(summary), _ports(summary), _junctions(summary), _network(summary), _events(events))
+    made = (
+        _components(summary),
+        _ports(summary),
+        _junctions(summary),
+        _parts(summary),
+        _network(summary),
+        _events(events),
+    )
     yield from (sheet for sheet in made if sheet is not None)
 
 
@@ -114,6 +121,16 @@ def _junctions(summary: LedgerSummary) -> Sheet | None:
         Column("verdict", lambda j: j.verdict, "word"),
     ]
     return _sheet("junction", columns, summary.junctions)
+
+
+def _parts(summary: LedgerSummary) -> Sheet | None:
+    columns = [
+        Column("junction", lambda p: p.junction, "name"),
+        Column("part", lambda p: p.part, "word"),
+        Column("residual", lambda p: p.residual),
+        Column("worst step", lambda p: p.worst_residual),
+    ]
+    return _sheet("part", columns, summary.parts)
 
 
 def _network(summary: LedgerSummary) -> Sheet | None:

@@ -57,6 +57,16 @@ class JunctionSummary:
 
 
 @dataclass
+class PartSummary:
+    """A part of the energy that a junction created: of a node, a held value, an impulse, or of what estimates missed."""
+
+    junction: str
+    part: str
+    residual: float
+    worst_residual: float
+
+
+@dataclass
 class NetworkSummary:
     """The balance over the run; worst_unexplained is the largest magnitude of a single step."""
 
@@ -80,6 +90,7 @@ class LedgerSummary:
     components: list[ComponentSummary] = field(default_factory=list)
     ports: list[PortSummary] = field(default_factory=list)
     junctions: list[JunctionSummary] = field(default_factory=list)
+    parts: list[PartSummary] = field(default_factory=list)
     network: NetworkSummary | None = None
     events: dict[str, int] = field(default_factory=dict)
     rtol: float = DEFAULT_RTOL

@@ -314,4 +314,10 @@ def test_what_is_not_coupled_natively_compiles_nothing_of_it(monkeypatch: pytest
 
 def test_one_library_is_for_every_network() -> None:
     """Of what models compile it has the sparse factors only."""
-    assert [n for n in master_library.sources() if n.endswith(".c")] == ["lu.c", "master.c", "pair.c", "share.c"]
+    assert [n for n in master_library.sources() if n.endswith(".c")] == [
+        "lu.c",
+        "master.c",
+        "pair.c",
+        "share.c",
+        "work.c",
+    ]

@@ -189,6 +189,9 @@ def test_what_a_prediction_misses_is_booked_and_shrinks_with_the_step(folder: Pa
         (junction,) = summary.junctions
         made.append(abs(junction.residual))
         assert summary.closed and junction.verdict == "loose"
+        held, estimated = summary.parts
+        assert (held.part, estimated.part) == ("held value", "estimated ports")
+        assert estimated.residual == pytest.approx(junction.residual, abs=1e-13) and abs(held.residual) < 1e-13
         assert summary.network is not None and abs(summary.network.unexplained) < 1e-13
     for values in (missed, made):
         assert 3 < values[0] / values[1] < 5 and 3 < values[1] / values[2] < 5 and values[2] > 1e-9

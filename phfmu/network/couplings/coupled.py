@@ -19,9 +19,10 @@ from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.node_newton import newton
+from phfmu.network.couplings.node_newton import NodeNewton, newton
 from phfmu.network.couplings.totals import Totals
-from phfmu.network.couplings.unconverged import added
+from phfmu.network.couplings.unconverged import added, plain
+from phfmu.network.couplings.works import Works, works
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
@@ -55,7 +56,9 @@ class Coupled:
         self._growth = None if closes else Growth(self.joined)
         face = self.joined.face
         self.last = Solution(face.start.copy(), np.zeros(len(face.P)))
-        self.booking = replace(self.joined.booking, loose=not closes)
+        inner = plain(self.coupling)
+        self._works = Works(self.joined, inner.exchange if isinstance(inner, NodeNewton) else None, inner.repeats)
+        self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
         self._signals = HeldSignals(network, members)
         self._sums = EndSums(self.joined)
         own = [*self.joined.names, *face.names, *self._sums.names]
@@ -70,7 +73,7 @@ class Coupled:
             return None
         from phfmu.network.couplings.master import master
 
-        return master(self.joined, self.coupling)
+        return master(self.joined, self.coupling, bool(self._works.keys))
 
     def settable(self) -> list[str]:
         return self.joined.settable()
@@ -157,7 +160,10 @@ class Coupled:
         if self._master is None or not self._sums.known:
             return None
         steps, self.last = self._master.advance(self.last, self._sums, (t0, h, first), n)
-        return replace(steps, signals=self._totals.before(steps.signals)) if len(steps.H) else None
+        if not len(steps.H):
+            return None
+        parts = None if steps.works is None else self._works.grouped(steps.works)
+        return replace(steps, signals=self._totals.before(steps.signals), works=parts)
 
     def _step(self, t: float, h: float) -> dict[str, Any]:
         """One step, and what is known of it: the fields of `Steps`.
@@ -172,7 +178,12 @@ class Coupled:
             self._signals.stepped(h)
             known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
             test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
-            book = added(self.joined.ledger(), self.last.earlier)
+            book = self.joined.ledger()
+            if self._works.keys:
+                book["works"] = works(self.joined, self.last, h)
+            book = added(book, self.last.earlier)
+            if self._works.keys:
+                book["works"] = self._works.grouped(book["works"])
             if self._growth is not None:
                 self._growth.watch(t, h, known["H"], book["pairs"])
             return known | test | book

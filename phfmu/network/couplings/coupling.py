@@ -33,7 +33,8 @@ class Step:
 class Solution:
     """Junction unknowns xi of a step and outputs y of the members under them; trials; by which test they were accepted.
 
-    `earlier`: the ledger of the parts before the last, of a step that was taken in parts.
+    `h`: of the last part of a step that was taken in parts, `earlier`: the ledger of those before it.
+    `works`: energy of each unknown at its junction [J], None where that is h xi r.
     """
 
     xi: Array
@@ -41,6 +42,8 @@ class Solution:
     iterations: int = 0
     accepted_by: str = ""
     earlier: dict[str, Array] | None = None
+    h: float = 0.0
+    works: Array | None = None
 
 
 class Unconverged(StepFailure):

@@ -23,7 +23,7 @@ from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.master_library import HEADER, library
 from phfmu.network.couplings.master_pattern import Exchanged, Pattern, exchanged
 from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknowns
-from phfmu.network.couplings.unconverged import Accepting, Halving
+from phfmu.network.couplings.unconverged import plain
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.plan.ordering import StructurallySingular
 from phfmu.schemes.impulses import POINTS
@@ -38,8 +38,8 @@ LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 class Master:
     """Compiled steps of `joined` under `coupling`; ledger rows and columns are those of `Coupled`."""
 
-    def __init__(self, joined: Joined, coupling: Coupling, found: Exchanged):
-        self.joined, self.coupling, self.found = joined, coupling, found
+    def __init__(self, joined: Joined, coupling: Coupling, found: Exchanged, works: bool):
+        self.joined, self.coupling, self.found, self._works = joined, coupling, found, works
         self._pattern, self._memory = Pattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs: list[Array] = []
@@ -65,12 +65,16 @@ class Master:
             struct.record = rows.ctypes.data
         xi = np.empty((n, e.columns))
         trials, accepted = np.zeros(n, np.int32), np.zeros(n, np.int32)
+        works = np.empty((n, e.size)) if self._works else None
         s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
+        s.work = None if works is None else works.ctypes.data
         done = self._lib.ph_master_run(ctypes.addressof(s), t0, h, n, first, next_)
         self.taken += done
         if done == 0:
             return Steps.stacked([]), last
         rows = self._steps([m[:done] for m in members], xi[:done], sums)
+        if works is not None:
+            rows["works"] = works[:done, e.unpacked]
         solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
         return Steps(**rows, iterations=trials[:done], accepted_by=ACCEPTED[accepted[:done]]), solution
 
@@ -184,22 +188,23 @@ class Master:
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
             "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
             "found": self._last, "missed": self._missed[0], "missed_before": self._missed[1], "known": 0,
-            "lu": lu, "xi": None, "trials": None, "accepted": None,
+            "lu": lu, "xi": None, "work": None, "trials": None,
+            "accepted": None,
         }  # fmt: skip
 
 
-def master(joined: Joined, coupling: Coupling) -> Master | None:
+def master(joined: Joined, coupling: Coupling, works: bool = False) -> Master | None:
     """The compiled twin of a coupling; None for couplings, or members, that have none.
 
-    What is done with steps that do not converge is done in Python, with these only.
+    What is done with steps that do not converge is done in Python, with these only.  `works`: whether energies of unknowns at
+    their junctions are wanted.
     """
-    if isinstance(coupling, Halving | Accepting):
-        coupling = coupling.inner
+    coupling = plain(coupling)
     if not isinstance(coupling, newton.Newton | NodeNewton):
         return None
     if not all(isinstance(m, EngineMember) and isinstance(m.instance, NativeInstance) for m in joined.members):
         return None
     try:
-        return Master(joined, coupling, exchanged(joined, coupling))
+        return Master(joined, coupling, exchanged(joined, coupling), works)
     except StructurallySingular:  # the twin tells where
         return None

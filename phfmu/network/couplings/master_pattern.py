@@ -100,9 +100,13 @@ class Exchanged:
 
     def unpack(self, z: Array) -> Array:
         """And back."""
-        m = np.empty((2, len(self.bare)))
-        m[:, self.place] = z[self.nodes :].reshape(2, -1)
-        return np.concatenate([z[: self.nodes], *m])
+        return z[self.unpacked]
+
+    @property
+    def unpacked(self) -> Ints:
+        """Where the unknowns of the exchange stand here."""
+        at = np.argsort(self.place) + self.nodes
+        return np.concatenate([np.arange(self.nodes), at, at + len(self.bare)])
 
 
 def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:

@@ -59,13 +59,12 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class NodeSolution(Solution):
-    """A solution with what the next step starts from: its unknowns and its size.
+    """A solution with what the next step starts from: its unknowns.
 
     `missed`: what the continuation of the step before it missed of it, and of the step before that, as far as known.
     """
 
     found: Unknowns | None = None
-    h: float = 0.0
     missed: tuple[Array, ...] = ()
 
 
@@ -138,7 +137,7 @@ class NodeNewton:
             stalls += stalled
             floor = stalled and matrix is not None and self._at_floor(z, trial, matrix)
             if accepted_by := _accepted(trial, history, floor, stalls if taken > 1 else 0):
-                return self._solution(z, step.h, i + 1, accepted_by)
+                return self._solution(z, step.h, i + 1, accepted_by, self.works(z, before, trial, step.h))
             if matrix is None or (stalled and (taken < 2 or trial.left > ENERGY * trial.in_play)):
                 matrix, taken = self._matrix(trial, step), taken + 1
             try:
@@ -148,9 +147,9 @@ class NodeNewton:
             if not np.isfinite(np.append(z.xi, z.m)).all():
                 raise self._failure(Status.NOT_FINITE, step, z, trial, history)
         joined.restore(step.states)
-        self.trial(best[1], before, step)
         given_up = self._failure(Status.NO_CONVERGENCE, step, z, trial, history)
-        raise given_up.of(self._solution(best[1], step.h, ITERATIONS, ""))
+        works = self.works(best[1], before, self.trial(best[1], before, step), step.h)
+        raise given_up.of(self._solution(best[1], step.h, ITERATIONS, "", works))
 
     def start(self, last: Solution, h: float) -> Unknowns:
         """The continuation: polynomials of the step before, and its impulses if it was as long; after an event its means."""
@@ -161,12 +160,12 @@ class NodeNewton:
         m = last.found.m if abs(h - last.h) <= 1e-9 * abs(h) else nothing
         return Unknowns(e.ahead(last.found.xi, h / last.h), m)
 
-    def _solution(self, z: Unknowns, h: float, trials: int, accepted_by: str) -> NodeSolution:
+    def _solution(self, z: Unknowns, h: float, trials: int, accepted_by: str, works: Array) -> NodeSolution:
         e = self.exchange
         xi = e.mean(z.xi)
         xi[e.bare] += z.m.sum(axis=0) / h
         y = np.concatenate([s.values.member.output() for s in e.shares])
-        return NodeSolution(xi, y, trials, accepted_by, found=z, h=h)
+        return NodeSolution(xi, y, trials, accepted_by, h=h, works=works, found=z)
 
     def before(self) -> Before:
         """What a step starts from, of the members where they are."""
@@ -178,11 +177,11 @@ class NodeNewton:
                 sums += s.ends.T @ s.values.member.end_output()
         return Before(S, sums)
 
-    def work(self, z: Unknowns, before: Before, trial: Trial, h: float) -> float:
-        """W [J] of a trial, what the junctions take: from rows and impulses alone."""
+    def works(self, z: Unknowns, before: Before, trial: Trial, h: float) -> Array:
+        """What the junctions take of a trial [J], from rows and impulses alone: W is their sum (N + 2 bare)."""
         m, m1 = z.m
-        pair = (m @ before.S @ m - m1 @ trial.S @ m1) / 2
-        return float(h * self.exchange.weights @ (z.xi * trial.rows) + m @ before.sums + m1 @ trial.ends + pair)
+        start, end = m * (before.sums + before.S @ m / 2), m1 * (trial.ends - trial.S @ m1 / 2)
+        return np.concatenate([h * self.exchange.weights * z.xi * trial.rows, start, end])
 
     def trial(self, z: Unknowns, before: Before, step: Step) -> Trial:
         """One step of all members, and what their rows leave."""

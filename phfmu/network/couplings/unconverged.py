@@ -15,6 +15,7 @@ from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.coupling_names import HALVED, KEPT
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.works import works
 
 HALVINGS = 10  # times that a step is halved
 
@@ -59,11 +60,15 @@ class Halving:
         h = step.h / 2
         one = self._part(joined, last, Step(step.t, h, step.states), left - 1)
         joined.finish()
-        book = added(joined.ledger(), one.earlier)
+        book = added(joined.ledger() | {"works": works(joined, one, h)}, one.earlier)
         two = self._part(joined, one, Step(step.t + h, h, joined.states()), left - 1)
-        return replace(
-            two, iterations=one.iterations + two.iterations, accepted_by=HALVED, earlier=added(book, two.earlier)
-        )
+        trials, book = one.iterations + two.iterations, added(book, two.earlier)
+        return replace(two, iterations=trials, accepted_by=HALVED, earlier=book, h=two.h or h)
+
+
+def plain(coupling: Coupling) -> Coupling:
+    """The coupling itself, without what is done where it gives up."""
+    return coupling.inner if isinstance(coupling, Halving | Accepting) else coupling
 
 
 def added(book: dict[str, Any], other: dict[str, Any] | None) -> dict[str, Any]:

@@ -339,6 +339,7 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
         }
         m->accepted[done] = by;
         record(m, h, done);
+        ph_work_record(m, h, done);
         keep(m, done || next);
         memcpy(m->sums, m->rows + m->nxi, bytes(m->nbare));
         swap = m->S0;

@@ -160,6 +160,7 @@ typedef struct ph_master {
     double *sums;  /* nbare: of outputs before the step */
     void *lu;      /* ph_lu with room for its parts behind it */
     double *xi;    /* a row a step: means of the common variables, ncolumn */
+    double *work;  /* a row a step: energy of each unknown at its junction, nz; NULL: not wanted */
     int *trials;   /* a step each */
     int *accepted; /* a step each: ph_accepted */
 } ph_master;
@@ -172,6 +173,9 @@ PH_API void ph_master_lu_init(ph_master *m);
 /* Steps k = first..first+n-1 from t0 + k h, of which the first starts from z; next: from the continuation of
  * `found`. Returns how many were accepted: fewer than n if one was not, before which the members are then. */
 PH_API int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next);
+
+/* work.c: what the accepted trial did at the junctions. */
+void ph_work_record(const ph_master *m, double h, int row);
 
 /* share.c */
 int ph_share_trial(ph_master *m, const ph_share *s, double t, double h, double *through);

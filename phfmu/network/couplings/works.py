@@ -1,0 +1,77 @@
+"""What a coupling does at its junctions in a step, part by part; the parts of a junction add up to the sum of its ports.
+
+    W = h sum_i b_i xi_i.r_i + m.(r_0 + S0 m/2) + m'.(r_e - S1 m'/2) + h xi.P^T (Y - Y_p)
+
+Parts: each node i, or the held value where there is one; the impulses at both ends; what the predictions Y_p of members that are
+stepped last miss.  Each is found from rows and impulses alone, the ports' energies by the members' own books.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.audit.booking import PartKey
+from phfmu.network.couplings.coupling import Solution
+from phfmu.network.couplings.exchange import Exchange
+from phfmu.network.couplings.joined import Joined
+
+Array = NDArray[np.float64]
+
+HELD, START, END, ESTIMATED = "held value", "impulse at start", "impulse at end", "estimated ports"
+
+
+class Works:
+    """The parts of junctions that have more than one: `keys`, empty where there is no such junction.
+
+    `exchange`: of node values, None for one held value each;  `repeats`: whether the coupling takes steps more than once.
+    """
+
+    def __init__(self, joined: Joined, exchange: Exchange | None, repeats: bool):
+        found = _of_unknowns(joined, exchange) if repeats else []
+        parts = Counter(key.junction for key in set(found) if key)
+        kept = dict.fromkeys(key for key in found if key and parts[key.junction] > 1)
+        self.keys = tuple(key for junction in joined.face.sums for key in kept if key.junction == junction)
+        place = {key: i for i, key in enumerate(self.keys)}
+        chosen = sorted((place[key], i) for i, key in enumerate(found) if key in place)
+        self._order = np.array([i for _, i in chosen], int)
+        self._first = np.searchsorted([p for p, _ in chosen], np.arange(len(self.keys)))
+
+    def grouped(self, works: Array) -> Array:
+        """Energies of unknowns (.. x unknowns) -> of the parts (.. x keys)."""
+        return np.add.reduceat(works[..., self._order], self._first, axis=-1)
+
+
+def works(joined: Joined, solution: Solution, h: float) -> Array:
+    """Energies [J] of all unknowns in the step of length h that the members have just taken: what `Works.grouped` takes."""
+    xi, h = solution.xi, solution.h or h
+    own = h * xi * joined.rows(xi, solution.y) if solution.works is None else solution.works
+    if not joined.put_off:
+        return own
+    taken = np.concatenate([m.output() for m in joined.members])
+    return np.concatenate([own, h * xi * (joined.face.P.T @ (taken - solution.y))])
+
+
+def _of_unknowns(joined: Joined, exchange: Exchange | None) -> list[PartKey | None]:
+    """The part that each unknown belongs to: xi, then impulses, then columns that estimates are exchanged through."""
+    at = _junctions(joined)
+    if exchange is None:
+        keys = [PartKey(junction, HELD) for junction in at]
+    else:
+        nodes = zip(exchange.columns, exchange.at_node, strict=True)
+        keys = [PartKey(at[c], HELD if exchange.k[c] == 1 else f"node {i + 1}") for c, i in nodes]
+        keys += [PartKey(at[c], end) for end in (START, END) for c in exchange.bare]
+    if not joined.put_off:
+        return keys
+    last = {m.name for m in joined.put_off}
+    estimated = {j.name for j in joined.network.junctions if any(e.member in last for e in j.ends)}
+    return [*keys, *(PartKey(j, ESTIMATED) if j in estimated else None for j in at)]
+
+
+def _junctions(joined: Joined) -> list[str]:
+    """The junction of each column of the interface."""
+    starts = [s.start for s in joined.face.sums.values()] + [len(joined.face.names)]
+    names = list(joined.face.sums)
+    return [n for n, a, b in zip(names, starts[:-1], starts[1:], strict=True) for _ in range(b - a)]

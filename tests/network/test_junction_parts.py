@@ -1,0 +1,157 @@
+"""What a coupling does at its junctions, part by part: parts come from rows and impulses, junctions from the books of members."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phfmu import (
+    Collocated,
+    Coupled,
+    EngineMember,
+    NativeInstance,
+    Options,
+    PythonInstance,
+    build_model,
+    run,
+)
+from phfmu.audit import AuditWriter, audit_table, read, summarise
+from phfmu.audit.sheets import sheets
+from phfmu.components.scenes.smib import smib
+from phfmu.network.couplings import node_newton
+from phfmu.network.couplings.newton import update
+from phfmu.network.couplings.unconverged import POLICIES
+
+H = 1e-3
+PARTS = [
+    *(("bus1", part) for part in ("node 1", "node 2", "impulse at start", "impulse at end")),
+    *(("bus2", part) for part in ("node 1", "node 2")),
+]
+
+
+@cache
+def models(k: int) -> dict[str, Any]:
+    return {n: build_model(d, Collocated(k)) for n, d in smib().system.members.items()}
+
+
+def coupled(engine: Any, coupling: Any = node_newton.newton, k: int = 2, compiled: bool = True) -> Coupled:
+    members: list[Any] = [EngineMember(n, m, engine(m)) for n, m in models(k).items()]
+    return Coupled(smib().system, members, coupling, compiled=compiled)
+
+
+def stopped(policy: str, engine: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A run whose iterations stop after half of a correction."""
+    monkeypatch.setattr(node_newton, "ITERATIONS", 2)
+    monkeypatch.setattr(node_newton, "update", lambda matrix, r: update(matrix, r) / 2)
+    own = coupled(engine, lambda j: POLICIES[policy](node_newton.newton(j)))
+    return run(own, Options(stop=5 * H, step=H))
+
+
+def of_junctions(summary: Any) -> dict[str, float]:
+    sums = dict.fromkeys((j.junction for j in summary.junctions), 0.0)
+    for p in summary.parts:
+        sums[p.junction] += p.residual
+    return sums
+
+
+def test_parts_add_up_to_the_junction_whatever_is_left_of_the_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
+    summary = stopped("accept", PythonInstance, monkeypatch).ledger.summary()
+    assert [(p.junction, p.part) for p in summary.parts] == PARTS
+    for j in summary.junctions:
+        assert abs(j.residual) > 1e-7 * j.exchanged, "there is something to explain"
+        own = [p.residual for p in summary.parts if p.junction == j.junction]
+        assert sum(own) == pytest.approx(j.residual, abs=1e-12 * j.exchanged)
+        assert max(map(abs, own)) < 1e3 * abs(j.residual) and min(map(abs, own[:2])) > 1e-3 * abs(j.residual)
+    assert not summary.violations
+
+
+def test_steps_taken_in_parts_have_them_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Halved where the iteration is given up: both halves, and theirs, are in the parts."""
+    tried = node_newton.NodeNewton._solve
+
+    def only_short(self: Any, joined: Any, z: Any, step: Any) -> Any:
+        if step.h > H / 3:
+            monkeypatch.setattr(node_newton, "ITERATIONS", 1)
+        try:
+            return tried(self, joined, z, step)
+        finally:
+            monkeypatch.setattr(node_newton, "ITERATIONS", 30)
+
+    monkeypatch.setattr(node_newton.NodeNewton, "_solve", only_short)
+    own = coupled(PythonInstance, lambda j: POLICIES["halve"](node_newton.newton(j)))
+    result = run(own, Options(stop=2 * H, step=H))
+    summary = result.ledger.summary()
+    assert summary.events == {"halved": 2} and summary.closed
+    (start,) = [p for p in summary.parts if p.part == "impulse at start"]
+    sums = of_junctions(summary)
+    for j in summary.junctions:
+        assert sums[j.junction] == pytest.approx(j.residual, abs=1e-14 * j.exchanged)
+    whole = run(coupled(PythonInstance), Options(stop=2 * H, step=H / 4)).ledger.summary()
+    (quarters,) = [p for p in whole.parts if p.part == "impulse at start"]
+    assert start.residual == pytest.approx(quarters.residual, rel=1e-3), "of all four quarters"
+
+
+def test_compiled_steps_say_the_same(tmp_path: Path) -> None:
+    """Rows of the audit file, step by step; the impulses at both ends are far from rounding and cancel."""
+    tables = []
+    for name, own in {"c": coupled(NativeInstance), "python": coupled(NativeInstance, compiled=False)}.items():
+        path = tmp_path / f"{name}.audit.parquet"
+        with AuditWriter(path) as sink:
+            result = run(own, Options(stop=20 * H, step=H, sink=sink))
+        assert (own._master is not None) == (name == "c")
+        assert summarise(path).parts == result.ledger.summary().parts and summarise(path).closed
+        tables.append(read(path).to_pylist())
+    found = [
+        np.array(
+            [[r["residual"] for r in t if (r["row"], r["junction"], r["part"]) == ("part", *key)] for key in PARTS]
+        )
+        for t in tables
+    ]
+    assert found[0].shape == found[1].shape == (6, 20)
+    assert found[0] == pytest.approx(found[1], abs=1e-8)
+    assert np.abs(found[0][2]).min() > 1e-7 and np.abs(found[0][[2, 3]].sum(axis=0)).max() < 1e-8
+    for t, values in zip(tables, found, strict=True):
+        for i, junction in enumerate(("bus1", "bus2")):
+            rows = [r for r in t if r["row"] == "junction" and r["junction"] == junction]
+            own = values[[0, 1, 2, 3]] if i == 0 else values[[4, 5]]
+            left = own.sum(axis=0) - [r["residual"] for r in rows]
+            assert np.abs(left).max() <= 1e-14 * max(r["exchanged"] for r in rows)
+
+
+def test_parts_that_do_not_add_up_are_found(tmp_path: Path) -> None:
+    own = coupled(PythonInstance)
+    advance = own._works.grouped
+
+    def wrong(works: Any) -> Any:
+        found = advance(works)
+        found[..., 2] += 1.0
+        return found
+
+    own._works.grouped = wrong  # type: ignore[method-assign]
+    with AuditWriter(tmp_path / "wrong.parquet") as sink:
+        result = run(own, Options(stop=2 * H, step=H, sink=sink))
+    assert summarise(tmp_path / "wrong.parquet").violations == result.ledger.summary().violations
+    (found,) = result.ledger.summary().violations
+    assert (found.kind, found.name, found.steps) == ("parts", "bus1", 2) and found.size == pytest.approx(-1.0, abs=1e-6)
+    assert "the parts of the junction's energy miss -1.000e+00 J of it" in str(found)
+    (bus1,) = [j for j in result.ledger.summary().junctions if j.junction == "bus1"]
+    assert bus1.verdict == "VIOLATED"
+
+
+def test_only_scenes_with_several_parts_show_them() -> None:
+    """One held value each: its energy is that of the junction."""
+    one = run(coupled(PythonInstance, k=1, coupling=lambda _: node_newton.Newton()), Options(stop=2 * H, step=H))
+    assert not one.ledger.summary().parts
+    assert "part" not in [s.title for s in sheets(one.ledger.summary())]
+    two = run(coupled(PythonInstance, k=1), Options(stop=2 * H, step=H)).ledger.summary()
+    assert [(p.junction, p.part) for p in two.parts] == [
+        ("bus1", part) for part in ("held value", "impulse at start", "impulse at end")
+    ]
+    text = audit_table(two, by=["part"])
+    assert [line.split("  ")[0] for line in text.splitlines()[2:]] == ["junction", "-" * len(text.splitlines()[3])] + [
+        "bus1"
+    ] * 3
