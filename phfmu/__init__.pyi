@@ -2,6 +2,10 @@
 
 from phfmu.checks.check import check as check
 from phfmu.checks.run_values import check_values as check_values
+from phfmu.declare.block import Block as Block
+from phfmu.declare.block import block as block
+from phfmu.declare.block import damping as damping
+from phfmu.declare.block import skew as skew
 from phfmu.declare.energy import ClosedPair as ClosedPair
 from phfmu.declare.energy import Energy as Energy
 from phfmu.declare.energy import energy as energy
@@ -11,14 +15,10 @@ from phfmu.declare.error import Refusal as Refusal
 from phfmu.declare.event import Guard as Guard
 from phfmu.declare.event import Jump as Jump
 from phfmu.declare.event import StateEvent as StateEvent
+from phfmu.declare.holonomic import Holonomic as Holonomic
+from phfmu.declare.observable import Observable as Observable
+from phfmu.declare.observable import observable as observable
 from phfmu.declare.phdae import PHDAE as PHDAE
-from phfmu.declare.phdae import Block as Block
-from phfmu.declare.phdae import Holonomic as Holonomic
-from phfmu.declare.phdae import Observable as Observable
-from phfmu.declare.phdae import block as block
-from phfmu.declare.phdae import damping as damping
-from phfmu.declare.phdae import observable as observable
-from phfmu.declare.phdae import skew as skew
 from phfmu.declare.port import ELECTRICAL as ELECTRICAL
 from phfmu.declare.port import HYDRAULIC as HYDRAULIC
 from phfmu.declare.port import ROTATIONAL as ROTATIONAL

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
+
+from phfmu.cli.progress import Line
 
 
 def add_parser(verbs: Any) -> None:
     from phfmu.cli.codes import TARGET
-    from phfmu.cli.options import add_settings
+    from phfmu.cli.settings import add_settings
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
     parser.add_argument("target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling")
@@ -72,7 +73,7 @@ def _scaling(args: argparse.Namespace) -> int:
     sizes = _numbers("--sizes", args.sizes)
     if any(n != int(n) for n in sizes):
         raise ValueError(f"--sizes {args.sizes}: expected whole numbers with commas between, e.g. 10,100,1000")
-    with _Progress() as progress:
+    with Line() as progress:
         lines = report(_names(args.families), [int(n) for n in sizes], Path(args.output), progress)
     print("\n".join(lines))
     return FINE
@@ -98,7 +99,7 @@ def _coupling(args: argparse.Namespace) -> int:
     from phfmu.bench.coupling import page, table
     from phfmu.cli.codes import FINE
 
-    with _Progress() as progress:
+    with Line() as progress:
         text = page(progress) if args.output else table(_names(args.families), progress)
     if args.output:
         Path(args.output).write_text(text, encoding="utf-8")
@@ -113,7 +114,7 @@ def _orders(args: argparse.Namespace) -> int:
     from phfmu.bench.orders import measure, table
     from phfmu.cli.codes import FINE
 
-    with _Progress() as progress:
+    with Line() as progress:
         text = table(measure(_names(args.families), progress))
     if args.output:
         Path(args.output).write_text(text + "\n", encoding="utf-8")
@@ -129,7 +130,7 @@ def _compare(args: argparse.Namespace) -> int:
     from phfmu.bench.problem import problem_of
     from phfmu.bench.run import TOLERANCES, Choice, compare, known_peers, write
     from phfmu.cli.codes import FINE
-    from phfmu.cli.options import settings
+    from phfmu.cli.settings import settings
     from phfmu.target import scene
 
     if args.repeat < 1:
@@ -147,7 +148,7 @@ def _compare(args: argparse.Namespace) -> int:
     problem = problem_of(replace(found, system=declared), times=times, stop=args.stop, judged=states)
     if args.reference:
         problem.read_reference(args.reference)
-    with _Progress() as progress:
+    with Line() as progress:
         found = compare(problem, choice, progress)
     print("\n".join(write(found, Path(args.output))))
     return FINE
@@ -165,21 +166,6 @@ def _numbers(option: str, text: str | None) -> tuple[float, ...]:
     if not all(0 < v < float("inf") for v in values):
         raise ValueError(f"{option} {text}: expected positive numbers with commas between, e.g. 0.02,0.01")
     return values
-
-
-class _Progress:
-    """What is being measured, on a terminal only."""
-
-    def __enter__(self) -> _Progress:
-        self._show = sys.stderr.isatty()
-        return self
-
-    def __call__(self, text: str) -> None:
-        if self._show:
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
-
-    def __exit__(self, *_: object) -> None:
-        self("")
 
 
 def _paper(args: argparse.Namespace) -> int:

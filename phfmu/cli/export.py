@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 def add_parser(verbs: Any) -> None:
     from phfmu.cli import options
     from phfmu.cli.codes import TARGET
+    from phfmu.cli.settings import add_settings
+    from phfmu.cli.sound import add_no_check
     from phfmu.fmu.version import VERSIONS
     from phfmu.ssp.names import VERSIONS as SSP_VERSIONS
 
@@ -51,16 +53,17 @@ def add_parser(verbs: Any) -> None:
                         help="outside: the importer sets what the scene's events change; inside: the unit does")  # fmt: skip
     parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
                         help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
-    options.add_settings(parser)
-    options.add_no_check(parser)
+    add_settings(parser)
+    add_no_check(parser)
     parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from phfmu.cli.build import _with_settings
-    from phfmu.cli.options import require_sound, scheme_of, settings
+    from phfmu.cli.options import scheme_of
+    from phfmu.cli.settings import settings, with_settings
+    from phfmu.cli.sound import require_sound
     from phfmu.cli.timeline import started
     from phfmu.discretise.model import build_model
     from phfmu.fmu.export import PLATFORMS, export
@@ -77,7 +80,7 @@ def call(args: argparse.Namespace) -> int:
     given = settings(args.set)
     events, notes = started(s.events, given, s.declaration().settable_names())
     begun = {e.name: e.value for e in events if e.t <= 0.0}
-    system = _with_settings(_with_settings(s.system, begun), given)
+    system = with_settings(with_settings(s.system, begun), given)
     declaration = replace(s, system=system).declaration()
     require_sound(args, declaration)
     inside, left_out = _events(args, [e for e in events if e.t > 0.0], declaration)

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 
 def export_package(args: argparse.Namespace, s: Scene) -> int:
     """Write it, with FMI 2.0 units unless --fmi says another; lines about what other tools will not find in it."""
-    from phfmu.cli.build import _with_settings, require_sound_scene
-    from phfmu.cli.options import scheme_of, settings
+    from phfmu.cli.options import scheme_of
+    from phfmu.cli.settings import settings, with_settings
+    from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import started
     from phfmu.fmu.export import PLATFORMS
     from phfmu.ssp.export import Options, export_ssp, network_of
@@ -24,7 +25,7 @@ def export_package(args: argparse.Namespace, s: Scene) -> int:
     known = [f"{m}.{n}" for m, d in network_of(s).members.items() for n in d.settable_names()]
     events, notes = started(s.events, given, known)
     begun = {e.name: e.value for e in events if e.t <= 0.0}
-    system = _with_settings(_with_settings(s.system, begun), given)
+    system = with_settings(with_settings(s.system, begun), given)
     s = replace(s, system=system, events=tuple(e for e in events if e.t > 0.0))
     require_sound_scene(args, s)
     step = args.step if args.step is not None else s.step

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.network.run.options import Options
-    from phfmu.network.scene import Event, Scene
+    from phfmu.network.scene import Scene
     from phfmu.schemes.scheme import Scheme
 
 
@@ -28,34 +27,6 @@ def add_scheme(parser: argparse.ArgumentParser) -> None:
         choices=CLOSURES,
         help="where algebraic variables of a step belong (semi-explicit, gradient-pair, dirac-dissipative)",
     )
-
-
-def add_settings(parser: argparse.ArgumentParser) -> None:
-    """--set NAME=VALUE."""
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE",
-                        help="parameter, start value of a state, or start of an input; may be repeated")  # fmt: skip
-
-
-def add_no_check(parser: argparse.ArgumentParser) -> None:
-    """--no-check."""
-    parser.add_argument("--no-check", action="store_true",
-                        help="go on with values that `check` refuses: negative resistances, masses that are zero ..")  # fmt: skip
-
-
-def require_sound(args: argparse.Namespace, declaration: PHDAE, events: Sequence[Event] | None = None) -> None:
-    """ValueError with the problems of the values of this run, as `phfmu check` tells them; none with --no-check.
-
-    `events`: what they make of the parameters; None: the start.
-    """
-    parameters = {n for v in declaration.parameters for n in (v.name, *v.names())}
-    if args.no_check or (events is not None and not any(e.name in parameters for e in events)):
-        return
-    from phfmu.checks.run_values import check_values
-
-    problems = check_values(declaration, events=events or ())
-    if problems:
-        lines = "\n".join(f"  {p}" for p in problems)
-        raise ValueError(f"{args.target}: refused for its values (--no-check goes on anyway):\n{lines}")
 
 
 def add_steps(parser: argparse.ArgumentParser) -> None:
@@ -98,26 +69,6 @@ def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
         audit_rtol=args.audit_rtol, audited=args.audit != "none",
         **{name: value for name, value in given.items() if value is not None},
     )  # fmt: skip
-
-
-def settings(items: list[str]) -> dict[str, float]:
-    """NAME=VALUE items; ValueError names the bad one, or two for one number."""
-    out: dict[str, float] = {}
-    for item in items:
-        name, sign, text = item.partition("=")
-        try:
-            value = float(text)
-        except ValueError:
-            value = float("nan")
-        if not sign or value != value or value in (float("inf"), float("-inf")):
-            raise ValueError(f"--set {item}: expected NAME=VALUE with a finite number")
-        name = name.strip()
-        bare = name.partition("[")[0]
-        twice = [n for n in out if n == name or (n.partition("[")[0] == bare and bare in (n, name))]
-        if twice:
-            raise ValueError(f"--set {name} and --set {twice[0]} are for the same number; leave one of them out")
-        out[name] = value
-    return out
 
 
 def scheme_of(args: argparse.Namespace, declaration: PHDAE, *, member: bool = False) -> Scheme:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +23,8 @@ NOTES = 12
 def add_parser(verbs: Any) -> None:
     from phfmu.cli import options, stepping
     from phfmu.cli.codes import TARGET
+    from phfmu.cli.settings import add_settings
+    from phfmu.cli.sound import add_no_check
     from phfmu.fmu.version import LATEST, VERSIONS
     from phfmu.network.couplings.coupling_names import COUPLINGS
 
@@ -45,8 +46,8 @@ def add_parser(verbs: Any) -> None:
                         help="what to do with a step whose coupling does not converge: refuse it (default), take it in "
                         "halves, or keep the best trial, with what its junctions make of energy booked")  # fmt: skip
     options.add_steps(parser)
-    options.add_settings(parser)
-    options.add_no_check(parser)
+    add_settings(parser)
+    add_no_check(parser)
     parser.add_argument("--isolate", action="store_true",
                         help="FMUs in processes of their own: where one ends or hangs, the run has exit code 3")  # fmt: skip
     parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",
@@ -70,12 +71,16 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
+    from time import perf_counter
+
     from phfmu.audit import audit_table
     from phfmu.cli import options
-    from phfmu.cli.build import job_of, require_sound_scene
+    from phfmu.cli.build import job_of
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.interrupt import Signals
     from phfmu.cli.outputs import Outputs
+    from phfmu.cli.progress import Bar
+    from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import timeline
     from phfmu.network.run.loop import run
     from phfmu.target import is_fmu
@@ -88,12 +93,19 @@ def call(args: argparse.Namespace) -> int:
     changes = [e for e in events if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)
-    with Signals() as signals, outputs, _Progress(chosen.stop, args.quiet, signals.check) as report:
+    begun = perf_counter()
+    with Signals() as signals, outputs, Bar("simulating", chosen.stop, args.quiet) as bar:
+
+        def progress(t: float) -> None:
+            bar(t)
+            signals.check()
+
         outputs.begin(stepper.names, {"target": args.target, "run": label}, args.dense is not None, changes)
-        result = run(stepper, replace(chosen, sink=outputs.sink, progress=report.update, keep=outputs.keep))
+        result = run(stepper, replace(chosen, sink=outputs.sink, progress=progress, keep=outputs.keep))
+        seconds = perf_counter() - begun - outputs.seconds
     summary = result.ledger.summary()
     if not args.quiet:
-        _print_run(args, label, result, chosen, report.seconds - outputs.seconds)
+        _print_run(args, label, result, chosen, seconds)
         _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
         if chosen.audited:
             print(audit_table(summary), end="")
@@ -168,39 +180,3 @@ def _print_projection(p: Projection) -> None:
         print(f"  {name}: {p.before[name]:.6g} -> {p.after[name]:.2g}")
     for move in p.moves():
         print(f"  {move}")
-
-
-class _Progress:
-    """A progress bar on a terminal, nothing in a pipe; measures the wall time of the run; ends it when asked to."""
-
-    def __init__(self, stop: float, quiet: bool, check: Callable[[], None]):
-        self._bar: Any = None
-        self._check = check
-        self._stop = stop
-        self._show = sys.stderr.isatty() and not quiet
-        self.seconds = 0.0
-
-    def __enter__(self) -> _Progress:
-        from time import perf_counter
-
-        self._start = perf_counter()
-        if self._show:
-            from rich.console import Console
-            from rich.progress import Progress
-
-            self._bar = Progress(console=Console(stderr=True), transient=True)
-            self._bar.start()
-            self._task = self._bar.add_task("simulating", total=self._stop)
-        return self
-
-    def update(self, t: float) -> None:
-        if self._bar is not None:
-            self._bar.update(self._task, completed=t)
-        self._check()
-
-    def __exit__(self, *_: object) -> None:
-        from time import perf_counter
-
-        self.seconds = perf_counter() - self._start
-        if self._bar is not None:
-            self._bar.stop()

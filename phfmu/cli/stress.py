@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
 
@@ -19,6 +18,7 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, PROBLEMS
+    from phfmu.cli.progress import Line
     from phfmu.stress.case import Verdict, answer
     from phfmu.stress.matrix import cases
     from phfmu.stress.report import short, tally, write
@@ -30,9 +30,9 @@ def call(args: argparse.Namespace) -> int:
     for case in cases(args.target):
         if case.long and not args.long:
             continue
-        if sys.stderr.isatty():
-            print(f"{case.target}: {case.name} ...", end="\r", file=sys.stderr)
-        lines.append(answer(case))
+        with Line() as at_work:
+            at_work(f"{case.target}: {case.name} ...")
+            lines.append(answer(case))
         print(short(lines[-1]), flush=True)
     print(tally(lines))
     if args.output:

@@ -22,6 +22,8 @@ FAILURES = 5
 def add_parser(verbs: Any) -> None:
     from phfmu.cli import options
     from phfmu.cli.codes import TARGET
+    from phfmu.cli.settings import add_settings
+    from phfmu.cli.sound import add_no_check
     from phfmu.sweeps.words import FORMS, KINDS
 
     parser = verbs.add_parser("sweep", help="many runs with other values; one table of measures")
@@ -43,8 +45,8 @@ def add_parser(verbs: Any) -> None:
                         help="auto: native if a C compiler is there, else python")  # fmt: skip
     options.add_scheme(parser)
     options.add_steps(parser)
-    options.add_settings(parser)
-    options.add_no_check(parser)
+    add_settings(parser)
+    add_no_check(parser)
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(call=call, ecco=None, project=False, keep=[], audit="summary", audit_rtol=1e-11)
 
@@ -53,8 +55,10 @@ def call(args: argparse.Namespace) -> int:
     from time import perf_counter
 
     from phfmu.cli import options
-    from phfmu.cli.build import composed, engine_of
+    from phfmu.cli.build import composed
     from phfmu.cli.codes import FINE, LEDGER, NO_CONVERGENCE
+    from phfmu.cli.engines import engine_of
+    from phfmu.cli.progress import Bar
     from phfmu.sweeps import design
     from phfmu.sweeps.runs import sweep
 
@@ -68,7 +72,7 @@ def call(args: argparse.Namespace) -> int:
     declaration = scene.declaration()
     _require_sound(args, declaration, runs)
     begun = perf_counter()
-    with _Progress(len(runs.rows), args.quiet) as bar:
+    with Bar("runs", len(runs.rows), args.quiet) as bar:
         table = sweep(
             scene, runs, args.measure, options=options.of_run(args, scene, whole=True), engine=engine_of(args.engine),
             scheme=options.scheme_of(args, declaration), jobs=args.jobs, file=file, resume=args.resume, progress=bar,
@@ -100,12 +104,12 @@ def _file(args: argparse.Namespace) -> Path | None:
 
 def _require_sound(args: argparse.Namespace, declaration: PHDAE, runs: Design) -> None:
     """ValueError with the problems of the least and the greatest value that each parameter takes."""
-    from phfmu.cli import options
+    from phfmu.cli.sound import require_sound
     from phfmu.network.scene import Event
 
-    options.require_sound(args, declaration)
+    require_sound(args, declaration)
     ends = [(n, v) for n, column in zip(runs.names, runs.rows.T, strict=True) for v in (column.min(), column.max())]
-    options.require_sound(args, declaration, [Event(0.0, name, float(v)) for name, v in ends])
+    require_sound(args, declaration, [Event(0.0, name, float(v)) for name, v in ends])
 
 
 def _print(args: argparse.Namespace, runs: Design, table: pa.Table, failed: int, worst: float, seconds: float) -> None:
@@ -156,31 +160,3 @@ def _reasons(table: pa.Table) -> list[tuple[str, int]]:
         key = error.partition(" at t")[0].partition(":")[0]
         found[first.setdefault(key, error)] += 1
     return found.most_common()
-
-
-class _Progress:
-    """A progress bar on a terminal, nothing in a pipe."""
-
-    def __init__(self, total: int, quiet: bool):
-        import sys
-
-        self._bar: Any = None
-        if sys.stderr.isatty() and not quiet:
-            from rich.console import Console
-            from rich.progress import Progress
-
-            self._bar = Progress(console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("runs", total=total)
-
-    def __enter__(self) -> _Progress:
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __call__(self, done: int) -> None:
-        if self._bar is not None:
-            self._bar.update(self._task, completed=done)
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()

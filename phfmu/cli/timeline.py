@@ -22,7 +22,7 @@ def timeline(args: argparse.Namespace, scene: Scene, known: list[str], stop: flo
     --set wins over the scene's events at or before the start, --input over those from its first row on.  `known`: scalar names
     that can be set.  ValueError: --set and a row of --input both give a value at the start.
     """
-    from phfmu.cli.options import settings
+    from phfmu.cli.settings import settings
 
     set_here = settings(args.set)
     events, notes = started(scene.events, set_here, known)

@@ -7,94 +7,21 @@ semi-explicit: x = (x1, x2) with states x1 (E11 regular) and algebraic variables
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
 
+from phfmu.declare.block import Block
 from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import StateEvent, renamed
-from phfmu.declare.port import Port, drive
+from phfmu.declare.holonomic import Holonomic
+from phfmu.declare.observable import Observable
+from phfmu.declare.port import Port
 from phfmu.declare.problem import Problem
-from phfmu.declare.variable import Variable, _sx, time
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """A square block of J or R on the rows and columns of `variables` (stacked).
-
-    Ports among them give feedthrough.  With blocks Gamma of J (skew) and W of R (symmetric) on variables and ports,
-
-        [E x'; -y] = (Gamma - W) [z; u],   Gamma = [J, B; -B^T, -N],   W = [R, P; P^T, S],   that is
-        E x' = (J - R) z + (B - P) u,      y = (B + P)^T z + (S + N) u,
-
-    and H' = -[z; u]^T W [z; u] + y^T u, passive if W is positive semidefinite.
-    Source: Mehrmann, Unger, Acta Numerica 32 (2023), Definition 4.1.
-    """
-
-    variables: tuple[Variable | Port, ...]
-    matrix: ca.SX
-    owner: str = ""
-
-
-def block(variables: Sequence[Variable | Port], matrix: Any, *, owner: str = "") -> Block:
-    """A block of R (symmetric, positive semidefinite) or J (skew) on the stacked `variables` and ports."""
-    return Block(tuple(variables), ca.SX(_sx(matrix)), owner)
-
-
-def skew(rows: Variable | Port, cols: Variable | Port, matrix: Any, *, owner: str = "") -> Block:
-    """The block of J with J[rows, cols] = matrix and J[cols, rows] = -matrix^T."""
-    g = ca.SX(_sx(matrix))
-    if g.numel() == 1 and rows.n == cols.n > 1:
-        g = g * ca.SX.eye(rows.n)
-    top = ca.horzcat(ca.SX(rows.n, rows.n), g)
-    return Block((rows, cols), ca.vertcat(top, ca.horzcat(-g.T, ca.SX(cols.n, cols.n))), owner)
-
-
-def damping(variable: Variable | Port, value: Any, *, owner: str = "") -> Block:
-    """The block R = diag(value) on `variable`; on a port: the feedthrough y = diag(value) u."""
-    v = ca.SX(_sx(value))
-    v = ca.repmat(v, variable.n) if v.numel() == 1 else v
-    return Block((variable,), ca.diag(v), owner)
-
-
-@dataclass(frozen=True, eq=False)
-class Holonomic:
-    """Constraints g(q, t) = 0 with multiplier lambda: 0 = Dg z_v + g_t, and -Dg^T lambda on the rows of v (q' = z_v).
-
-    drive: port at which the work lambda^T g_t of constraints that depend on `time` is booked (one may serve several);
-           None = `<multiplier>_drive` if it is needed
-    label: what it is, for reports (`bar particle 1-particle 2`)
-    """
-
-    multiplier: Variable
-    g: ca.SX
-    owner: str = ""
-    drive: Port | None = None
-    label: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Observable:
-    """A named expression of x, z, x2, parameters and time that is reported but not integrated; `signal`: others may read it."""
-
-    name: str
-    expr: ca.SX
-    unit: str = "1"
-    description: str = ""
-    signal: bool = False
-
-    def names(self) -> list[str]:
-        """Scalar names, `[1]`-based for vectors."""
-        n = self.expr.numel()
-        return [self.name] if n == 1 else [f"{self.name}[{j + 1}]" for j in range(n)]
-
-
-def observable(name: str, expr: Any, *, unit: str = "1", description: str = "") -> Observable:
-    """A reported expression; a vector expression is named `name[1]`, `name[2]`, ..."""
-    return Observable(name, ca.SX(_sx(expr)), unit, description)
+from phfmu.declare.variable import Variable, _sx
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +65,7 @@ class PHDAE:
             raise DeclarationError.of(found)
         known = {s.element_hash() for v in self.states for s in ca.vertsplit(v.sx)}
         object.__setattr__(self, "energies", tuple(resolve_kind(e, known) for e in self.energies))
-        constraints = tuple(_driven(c) for c in self.constraints)
+        constraints = tuple(c.with_drive() for c in self.constraints)
         there = {p.u[0].element_hash() for p in self.ports}
         drives = {c.drive.u[0].element_hash(): c.drive for c in constraints if c.drive is not None}
         object.__setattr__(self, "constraints", constraints)
@@ -186,7 +113,7 @@ class PHDAE:
 
         def renew_port(port: Port) -> Port:
             names = port.input_names()
-            starts = [float(left.pop(n, s)) for n, s in zip(names, _starts(port), strict=True)]
+            starts = [float(left.pop(n, s)) for n, s in zip(names, port.input_starts(), strict=True)]
             bare = names[0].partition("[")[0]
             if port.size is not None and bare in left:
                 starts = [float(left.pop(bare))] * port.n
@@ -217,8 +144,8 @@ class PHDAE:
             ports=ports,
             E={image(v) if isinstance(v, Variable) else tuple(map(image, v)): m for v, m in self.E.items()},
             z={image(v): m for v, m in self.z.items()},
-            structure=tuple(_swapped(b, image) for b in self.structure),
-            dissipation=tuple(_swapped(b, image) for b in self.dissipation),
+            structure=tuple(b.mapped(image) for b in self.structure),
+            dissipation=tuple(b.mapped(image) for b in self.dissipation),
             constraints=tuple(replace(c, multiplier=image(c.multiplier)) for c in self.constraints),
             closed=tuple(replace(c, variables=tuple(map(image, c.variables))) for c in self.closed),
             energies=tuple(replace(e, correct=tuple(map(image, e.correct))) for e in self.energies),
@@ -289,20 +216,3 @@ def require_declaration(item: Any, what: str) -> PHDAE:
     else:
         remedy = "build it in Python, e.g. phfmu.components.library.build('dc_motor'); the command line takes names and files"
     raise DeclarationError(what, shown, remedy, "type")
-
-
-def _driven(c: Holonomic) -> Holonomic:
-    """`c` with a drive if it moves."""
-    if c.drive is not None or not ca.depends_on(ca.SX(c.g), time):
-        return c
-    return replace(c, drive=drive(f"{c.multiplier.name}_drive", owner=c.owner))
-
-
-def _starts(port: Port) -> tuple[float, ...]:
-    from phfmu.declare.variable import _values
-
-    return _values(port.name, "start", port.start, port.n)
-
-
-def _swapped(b: Block, image: Callable[[Any], Any]) -> Block:
-    return replace(b, variables=tuple(map(image, b.variables)))

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from phfmu.declare.variable import Number, Variable
+from phfmu.declare.variable import Number, Variable, _values
 
 Given = Literal["effort", "flow"]
 
@@ -106,6 +106,10 @@ class Port:
     def input_names(self) -> list[str]:
         """Names of the scalar inputs u, e.g. `terminal.v[1]`."""
         return self._names(self.domain.effort if self.given == "effort" else self.domain.flow)
+
+    def input_starts(self) -> tuple[float, ...]:
+        """Values of the scalar inputs before anyone sets them; DeclarationError for what fits no port of this size."""
+        return _values(self.name, "start", self.start, self.n)
 
     def output_names(self, suffix: str = "") -> list[str]:
         """Names of the scalar outputs y, e.g. `terminal.i[1]` or with suffix `_step`."""

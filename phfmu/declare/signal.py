@@ -12,7 +12,8 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.phdae import PHDAE, Observable, observable
+from phfmu.declare.observable import Observable, observable
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import DRIVE, Port
 from phfmu.declare.variable import Number, Variable, parameter
 

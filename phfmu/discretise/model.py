@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, _starts, require_declaration
+from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.declare.starts import starts
 from phfmu.declare.variable import Variable
 from phfmu.discretise.instant import instant_plan
@@ -94,7 +94,7 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
     step, layout = step_plan(terms, scheme)
     instant, checks, instant_layout = instant_plan(terms, rests=len(step.hold) > 0)
     p0, x0 = _stack(declaration.parameters), _stack(declaration.states)
-    u0 = [s for p in declaration.ports if p.external for s in _starts(p)]
+    u0 = [s for p in declaration.ports if p.external for s in p.input_starts()]
     return Model(
         declaration.name, declaration, scheme, step, instant, x0, _stack(declaration.algebraics), np.array(u0, float), p0,
         checks=tuple(checks), check_scale=check_scales(terms, checks, x0, p0), row_names=tuple(layout.names()),

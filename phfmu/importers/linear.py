@@ -10,8 +10,9 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from phfmu.declare.block import Block, block
 from phfmu.declare.energy import Energy, energy
-from phfmu.declare.phdae import PHDAE, Block, block
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable
 from phfmu.importers.coordinates import Coordinates, semi_explicit, with_energy_states

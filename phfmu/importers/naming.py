@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import Observable, observable
+from phfmu.declare.observable import Observable, observable
 from phfmu.declare.port import Domain, Port
 from phfmu.declare.variable import Variable, algebraic, make_variable, state
 from phfmu.importers.coordinates import Coordinates

@@ -8,9 +8,10 @@ from typing import Any
 
 import casadi as ca
 
+from phfmu.declare.block import block
 from phfmu.declare.energy import energy
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, block
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, algebraic, parameter, state
 from phfmu.importers.naming import PLAIN, entries, scalar_names

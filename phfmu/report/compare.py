@@ -106,9 +106,9 @@ def _together(a: Signal, b: Signal) -> tuple[NDArray[Any], NDArray[Any], NDArray
     if len(s) == len(t) and _near(s, t).all():
         return s, x, y, False
     if len(s) > len(t):
-        times, values, _, guessed = _at(t, s, x)
+        times, values, guessed = _at(t, s, x)
         return times, values, y[np.isin(t, times)], guessed
-    times, values, _, guessed = _at(s, t, y)
+    times, values, guessed = _at(s, t, y)
     return times, x[np.isin(s, times)], values, guessed
 
 
@@ -119,13 +119,13 @@ def _last_rows(signal: Signal) -> tuple[NDArray[Any], NDArray[Any]]:
     return t[last], np.asarray(signal.values, float)[last]
 
 
-def _at(wanted: NDArray[Any], t: NDArray[Any], v: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], None, bool]:
-    """Of the wanted times those within t, and v there."""
+def _at(wanted: NDArray[Any], t: NDArray[Any], v: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], bool]:
+    """Of the wanted times those within t, v there, and whether some are between rows."""
     inside = wanted[(wanted >= t[0] - CLOSE * (1 + abs(t[0]))) & (wanted <= t[-1] + CLOSE * (1 + abs(t[-1])))]
     near = np.clip(np.searchsorted(t, inside), 1, len(t) - 1) if len(t) > 1 else np.zeros(len(inside), int)
     near = near - (np.abs(t[near - 1] - inside) < np.abs(t[near] - inside)) if len(t) > 1 else near
     known = _near(t[near], inside)
-    return inside, np.where(known, v[near], np.interp(inside, t, v)), None, bool((~known).any())
+    return inside, np.where(known, v[near], np.interp(inside, t, v)), bool((~known).any())
 
 
 def _near(s: NDArray[Any], t: NDArray[Any]) -> NDArray[Any]:

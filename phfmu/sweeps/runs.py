@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from threading import local
@@ -57,7 +57,7 @@ def sweep(
     task = _task(target, design, measures, options, scheme)
     make = _maker(task, engine)
     parts = None if file is None else Parts(file, _key(task, engine, design), resume=resume)
-    outcome = _taken(make, design, jobs or os.cpu_count() or 1, parts, progress or (lambda _: None))
+    outcome = taken(make, design, jobs or os.cpu_count() or 1, parts, progress or (lambda _: None))
     table = _table(task, design, outcome)
     if file is not None and parts is not None:
         from pyarrow import parquet
@@ -119,7 +119,7 @@ def _maker(task: Task, engine: str) -> Callable[[], Any]:
     return lambda: GeneralRuns(task, NativeInstance if engine == "native" else PythonInstance)
 
 
-def _taken(
+def taken(
     make: Callable[[], Any], design: Design, jobs: int, parts: Parts | None, progress: Callable[[int], None]
 ) -> Outcome:
     """All runs, in blocks that the threads take as they get ready."""
@@ -128,6 +128,7 @@ def _taken(
     size = max(1, min(BLOCK, -(-len(design.rows) // (jobs * TURNS))))
     todo = [(a, b) for a, b in _blocks(len(design.rows), size, known)]
     own, first = local(), make() if todo else None
+    keep = _Keeper(found, len(known), parts, progress)
 
     def begin() -> None:
         own.runs = make()
@@ -138,18 +139,18 @@ def _taken(
     if jobs == 1 or len(todo) <= 1:
         own.runs = first
         for a, b in todo:
-            _keep(take(a, b), found, parts, progress)
-        return Outcome.joined([found[a] for a in sorted(found)])
+            keep(*take(a, b))
+        return keep.joined()
     pool = ThreadPoolExecutor(min(jobs, len(todo)), initializer=begin)
     try:
         waiting: set[Future[tuple[int, Outcome]]] = {pool.submit(take, a, b) for a, b in todo}
         while waiting:
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in done:
-                _keep(future.result(), found, parts, progress)
+                keep(*future.result())
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    return Outcome.joined([found[a] for a in sorted(found)])
+    return keep.joined()
 
 
 def _blocks(n: int, size: int, known: set[int]) -> list[tuple[int, int]]:
@@ -159,14 +160,24 @@ def _blocks(n: int, size: int, known: set[int]) -> list[tuple[int, int]]:
     return [(i, min(i + size, b)) for a, b in spans for i in range(a, b, size)]
 
 
-def _keep(
-    taken: tuple[int, Outcome], found: dict[int, Outcome], parts: Parts | None, progress: Callable[[int], None]
-) -> None:
-    first, outcome = taken
-    found[first] = outcome
-    if parts is not None:
-        parts.keep(first, outcome)
-    progress(sum(len(o.errors) for o in found.values()))
+@dataclass
+class _Keeper:
+    """Blocks of runs by the number of the first one, on disk too; `done`: how many runs there are in all."""
+
+    found: dict[int, Outcome]
+    done: int
+    parts: Parts | None
+    progress: Callable[[int], None]
+
+    def __call__(self, first: int, outcome: Outcome) -> None:
+        self.found[first] = outcome
+        self.done += len(outcome.errors)
+        if self.parts is not None:
+            self.parts.keep(first, outcome)
+        self.progress(self.done)
+
+    def joined(self) -> Outcome:
+        return Outcome.joined([self.found[a] for a in sorted(self.found)])
 
 
 def _table(task: Task, design: Design, outcome: Outcome) -> pa.Table:

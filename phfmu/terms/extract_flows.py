@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from phfmu.declare.block import Block
 from phfmu.declare.dense import coefficient
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, Block
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.value import Value
 from phfmu.declare.variable import Variable, _sx

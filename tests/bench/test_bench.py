@@ -23,7 +23,8 @@ from phfmu.cli import FINE, USAGE, main
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.declare.phdae import PHDAE, block
+from phfmu.declare.block import block
+from phfmu.declare.phdae import PHDAE
 from phfmu.network.junctions.network import Network
 
 REFERENCE = Path(__file__).parents[1] / "reference"

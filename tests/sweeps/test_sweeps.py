@@ -20,6 +20,8 @@ from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.run.loop import run
 from phfmu.network.run.result import Result
 from phfmu.sweeps.design import axes, table
+from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.runs import taken
 from phfmu.sweeps.words import KINDS
 
 FOUR = grid({"k13": [40.0, 60.0], "m[1]": [1.0, 4.0]})
@@ -254,3 +256,24 @@ def test_the_command_on_bad_input(
     assert main(["sweep", "four_particle", *told, *words]) == code
     out, err = capsys.readouterr()
     assert said in out + err and "Traceback" not in err
+
+
+def test_finished_runs_are_counted_once() -> None:
+    """A block is counted when it ends, not again after each later one."""
+    counted: list[int] = []
+
+    class Errors(tuple[str, ...]):
+        def __len__(self) -> int:
+            counted.append(1)
+            return super().__len__()
+
+    class Runs:
+        def take(self, rows: np.ndarray) -> Outcome:
+            n = len(rows)
+            return Outcome(np.zeros((n, 1)), np.ones(n, int), np.zeros(n), Errors([""] * n))
+
+    seen: list[int] = []
+    design, blocks = grid({"m": np.arange(1.0, 513.0)}), 8
+    found = taken(Runs, design, 1, None, seen.append)
+    assert seen == [64 * (i + 1) for i in range(blocks)] and len(found.errors) == 512
+    assert len(counted) <= 2 * blocks

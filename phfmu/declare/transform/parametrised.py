@@ -21,9 +21,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.block import skew
 from phfmu.declare.dense import matrices
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, skew
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
 from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.inverse import inverted

@@ -9,10 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.block import Block
 from phfmu.declare.dense import coefficient
 from phfmu.declare.energy import Energy, energy
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, Block, Observable
+from phfmu.declare.observable import Observable
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.transform.change import Change
 from phfmu.declare.transform.maps import Maps

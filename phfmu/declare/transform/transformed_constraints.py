@@ -7,9 +7,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.block import Block
 from phfmu.declare.dimension import constraint_unit
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.phdae import PHDAE, Block, Holonomic, observable
+from phfmu.declare.holonomic import Holonomic
+from phfmu.declare.observable import observable
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.transform.maps import Maps
 from phfmu.declare.variable import Variable
 

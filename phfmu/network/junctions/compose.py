@@ -15,8 +15,10 @@ from dataclasses import replace
 
 import casadi as ca
 
+from phfmu.declare.block import skew
 from phfmu.declare.event import StateEvent
-from phfmu.declare.phdae import PHDAE, Observable, skew
+from phfmu.declare.observable import Observable
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable
 from phfmu.network.junctions.fed import fed

@@ -8,8 +8,9 @@ from typing import Any
 
 import casadi as ca
 
+from phfmu.declare.block import Block
 from phfmu.declare.dense import coefficient
-from phfmu.declare.phdae import PHDAE, Block
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.signal import driven
 from phfmu.declare.variable import Variable, _sx

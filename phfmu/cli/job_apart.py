@@ -1,0 +1,100 @@
+"""A run of members that are stepped apart and coupled."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from math import inf
+from typing import TYPE_CHECKING
+
+from phfmu.cli.engines import as_fmu, engine_of, instance_of
+from phfmu.cli.job import Job, label
+from phfmu.cli.options import scheme_of
+from phfmu.cli.stepping import Stepping, engines_asked, parts_asked
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.fmu.unit_file import UnitFile
+    from phfmu.network.couplings.named import Named
+    from phfmu.network.couplings.stepper import Stepper
+    from phfmu.network.junctions.network import Network
+    from phfmu.network.members.member import Member
+    from phfmu.network.members.rollback import Rollback
+    from phfmu.network.scene import Scene
+    from phfmu.schemes.scheme import Scheme
+
+
+def apart(
+    args: argparse.Namespace, s: Scene, network: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
+) -> Job:
+    from phfmu.network.couplings.named import named_coupling
+    from phfmu.network.couplings.told import kicked
+
+    sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
+    coupling = named_coupling(name, network, sequence, args.unconverged)
+    schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
+
+    own_engines = {member: engine_of(e) for member, e in engines_asked(args, network).items()}
+    stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, network))
+    step = s.step if args.step is None else args.step
+    notes = list(why)
+
+    some_fmu = "fmu" in map(stepping.engine_of, schemes)
+    with_impulses = kicked(network, args.project) if some_fmu and coupling.nodes else set()
+
+    def member(name: str, declaration: PHDAE | UnitFile) -> Member:
+        from phfmu.declare.phdae import PHDAE
+        from phfmu.discretise.model import build_model
+        from phfmu.network.members.engine_member import EngineMember
+        from phfmu.network.members.unit_member import unit_member
+
+        if not isinstance(declaration, PHDAE):
+            made, lines = unit_member(name, declaration, step, tried.get(name))
+            notes.extend(lines)
+            return made
+        own, parts = replace(declaration, name=name), stepping.parts_of(name)
+        if stepping.engine_of(name) == "fmu":
+            from phfmu.network.members.fmu_member import FMUMember
+
+            extra = _exchanged(schemes[name], name in with_impulses)
+            return FMUMember(name, as_fmu(own, schemes[name], args.fmi, step / parts, *extra))
+        model = build_model(own, schemes[name])
+        return EngineMember(name, model, instance_of(model, stepping.engine_of(name)), parts)
+
+    def build() -> Stepper:
+        from phfmu.network.couplings.coupled import Coupled
+
+        return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling.make)
+
+    most = _most(coupling, schemes.values(), network.units.values(), bool(network.wires))
+    held = coupling.held if most <= coupling.order else f"units of order {most:g}"
+    head = label(list(schemes.values()), stepping.words, coupling.words, most, held)
+    notes += _order_lost(args.order, coupling, most)
+    return Job(s, head, False, build, notes)
+
+
+def _exchanged(scheme: Scheme, kicked: bool) -> tuple[bool, bool]:
+    """Whether the unit of a member needs inputs at nodes, and impulses where steps have one node."""
+    return scheme.node_values and scheme.order > 2, scheme.node_values and kicked
+
+
+def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: bool) -> float:
+    """The order that members stepped apart keep together at most; signals between them are held."""
+    from phfmu.network.couplings.held_signals import ORDER as SIGNALS
+
+    nodes = [u.k for u in units]
+    at_nodes = coupling.nodes and all(s.node_values for s in schemes) and all(nodes)
+    if at_nodes and not signals:
+        return 2 * min(nodes, default=inf)
+    return min(coupling.order, SIGNALS) if signals else coupling.order
+
+
+def _order_lost(asked: int | None, coupling: Named, most: float) -> list[str]:
+    """A line if the coupling does not keep the order that was asked for."""
+    if asked is None or asked <= most:
+        return []
+    values = "one value per step, held" if most <= coupling.order else "as many values per step as its units take"
+    return [
+        f"--order {asked} is that of the members: {coupling.words} joins them by {values}, so the run is of order {most:g}"
+    ]
