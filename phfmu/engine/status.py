@@ -41,8 +41,8 @@ class StepFailure(RuntimeError):
     last attempt, `spent` by all at this internal step; `tried`: what was attempted; `joined`: members were being joined,
     `put_off` those that stepped last, `history` the scaled residuals of that, `composable`: they are all declared, so that one
     model can be made of them.
-    A run adds `asked`, the step it asked for, and `longest`, the longest it had solved.  The remedy follows from these
-    (`remedy`).
+    A master adds `unsteady`: which of its units do not repeat a step, and how.  A run adds `asked`, the step it asked for, and
+    `longest`, the longest it had solved.  The remedy follows from these (`remedy`).
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class StepFailure(RuntimeError):
         self.tried = tried
         self.joined, self.composable, self.history = joined, composable, tuple(history)
         self.put_off = put_off
-        self.asked, self.longest = 0.0, 0.0
+        self.asked, self.longest, self.unsteady = 0.0, 0.0, ""
         #: what a run over many steps had recorded of the accepted ones
         self.recorded: dict[str, Any] = {}
         super().__init__()
@@ -142,6 +142,11 @@ def _stalls(f: StepFailure) -> bool:
 
 
 REMEDIES = (
+    Remedy(
+        Status.NO_CONVERGENCE,
+        lambda f: bool(f.unsteady),
+        "{unsteady}, so that no iteration converges: take --coupling gauss-seidel, which repeats no step, or ask its maker",
+    ),
     Remedy(
         Status.NO_CONVERGENCE,
         _longer_worked,
@@ -246,5 +251,6 @@ def remedy(failure: StepFailure) -> str:
     """The first remedy that is true for the facts of a failure; "" if there is none."""
     for r in REMEDIES:
         if r.status is failure.status and r.holds(failure):
-            return r.text.format(h=failure.h, asked=failure.asked, longest=failure.longest, put_off=failure.put_off)
+            facts = {n: getattr(failure, n) for n in ("h", "asked", "longest", "put_off", "unsteady")}
+            return r.text.format(**facts)
     return ""

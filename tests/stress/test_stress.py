@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from phfmu import StepFailure
 from phfmu.cli import main
-from phfmu.stress import coupled, couplings, linkage, machine, matrix, particles
+from phfmu.engine.status import remedy
+from phfmu.stress import coupled, couplings, linkage, machine, matrix, particles, units
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
 from phfmu.words import counted
@@ -195,7 +197,26 @@ def test_whole_matrix():
     assert [x.case.name for x in lines if x.verdict is Verdict.FAIL] == []
 
 
-@pytest.mark.parametrize("given", couplings.CASES, ids=lambda c: f"{c.target}: {c.name}")
+@pytest.mark.parametrize("given", (*couplings.CASES, *units.CASES), ids=lambda c: f"{c.target}: {c.name}")
 def test_couplings_at_their_limits(given):
     line = answer(given)
     assert line.verdict is Verdict.PASS, line.happened
+
+
+def test_a_unit_whose_steps_do_not_repeat_is_named_only_if_it_lies():
+    """The lie begins at 0.25 s: every step before is kept, all members are back, the advice is not a shorter step."""
+    with pytest.raises(StepFailure) as failure:
+        units.lied_to(units.CHANCE_LATE)
+    found = failure.value
+    assert found.time == pytest.approx(0.25) and found.unsteady.startswith("pump does not restore its state")
+    assert "smaller step" not in str(found) and "gauss-seidel" in remedy(found)
+    honest, told = units.lied_to(units.HONEST)
+    assert not told and honest.steps == 50
+
+
+def test_an_honest_unit_is_not_blamed_for_an_iteration_that_is_given_up(monkeypatch):
+    monkeypatch.setattr("phfmu.network.couplings.node_newton.ITERATIONS", 1)
+    monkeypatch.setattr("phfmu.network.couplings.newton.ITERATIONS", 1)
+    with pytest.raises(StepFailure) as failure:
+        units.lied_to(units.HONEST)
+    assert not failure.value.unsteady and "restore" not in str(failure.value)

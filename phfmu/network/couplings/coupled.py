@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
-from phfmu.network.couplings.coupling import Coupling, Solution, Step
+from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.held_signals import HeldSignals
@@ -132,11 +132,20 @@ class Coupled:
             return
         states = self.joined.states()
         try:
-            self.last = self.coupling.solve(self.joined, self.last, Step(t0, h, states))
+            self.last = self._solved(Step(t0, h, states))
         finally:
             self.joined.restore(states)
         self.last = Solution(self.last.xi, self.last.y)
         self.joined.apply(self.last.xi)
+
+    def _solved(self, step: Step) -> Solution:
+        """Of an iteration that is given up, units that do not repeat a step are told."""
+        try:
+            return self.coupling.solve(self.joined, self.last, step)
+        except Unconverged as failure:
+            self.joined.restore(step.states)
+            failure.unsteady = self.joined.unsteady(step.h)
+            raise
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         parts: list[Steps] = []
@@ -173,7 +182,7 @@ class Coupled:
         self._signals.hold(h)
         states, last, samples = self.joined.states(self.coupling.repeats), self.last, self._signals.state()
         try:
-            self.last = self.coupling.solve(self.joined, last, Step(t, h, states))
+            self.last = self._solved(Step(t, h, states))
             self.joined.finish()
             self._signals.stepped(h)
             known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}

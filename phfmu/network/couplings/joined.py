@@ -104,6 +104,10 @@ class Joined:
             if s is not None:
                 m.set_state(s)
 
+    def unsteady(self, h: float) -> str:
+        """Which members do not repeat a step of length h from where they are, in words."""
+        return "; ".join(f"{m.name} {words}" for m in self.members if (words := m.unsteady(h)))
+
     # -- what can be set, what there is to tell -----------------------------------------------------------------------
 
     def settable(self) -> list[str]:

@@ -115,6 +115,10 @@ class EngineMember:
     def set_state(self, state: Any) -> None:
         self.instance.set_state(state)
 
+    def unsteady(self, _: float) -> str:
+        """States of engines are complete."""
+        return ""
+
     def ledger(self) -> dict[str, Array]:
         return self.instance.ledger()
 

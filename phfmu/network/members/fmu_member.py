@@ -152,6 +152,14 @@ class FMUMember:
         if not self.unit.dead:  # the failure is on its way up; nothing may be called any more
             self.unit.set_state(state)
 
+    def unsteady(self, h: float) -> str:
+        """Units of this package restore every bit."""
+        if not self.unit.estimated:
+            return ""
+        from phfmu.network.members.rollback import unsteady
+
+        return unsteady(self.unit, h)
+
     def ledger(self) -> dict[str, Array]:
         """The unit's ledger of the last step; what it supplies to itself becomes the pair `inside`."""
         book = self.unit.ledger()

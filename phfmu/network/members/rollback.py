@@ -57,6 +57,23 @@ def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
         return _judged([*names, *(f"mean of {n}" for n in unit.outputs)], first, again)
 
 
+def unsteady(unit: FMUInstance, h: float) -> str:
+    """What differs when a step of length h is taken twice from here, in words; "" if nothing does, or not much.
+
+    The unit is back afterwards, as far as it can.
+    """
+    state, t = unit.get_state(), unit.time
+    names = [n for n in unit.names if unit.variable(n).causality != "input"]
+    found = []
+    for _ in range(2):
+        unit.set_state(state)
+        unit.do_step(t, h)
+        found.append(np.concatenate([unit.get(names), unit.output()]))
+    unit.set_state(state)
+    judged = _judged([*names, *(f"mean of {n}" for n in unit.outputs)], *found)
+    return "" if judged.works else judged.words
+
+
 def _judged(names: list[str], first: Array, again: Array) -> Rollback:
     if np.array_equal(first, again, equal_nan=True):
         return Rollback(True)

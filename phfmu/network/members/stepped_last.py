@@ -90,6 +90,10 @@ class SteppedLast:
         """A step that was put off is forgotten; one that was taken stays."""
         self._put_off = None
 
+    def unsteady(self, _: float) -> str:
+        """It repeats no step."""
+        return ""
+
     # -- as of any other member ---------------------------------------------------------------------------------------
 
     def settable(self) -> list[str]:
