@@ -1,17 +1,20 @@
 """Consistent starts: project a start onto its hidden constraints, positions first, then velocities and currents.
 
-Positions:   min sum ((q - q0)/nominal)^2            s.t.  g(q, t) = 0
-Velocities:  min 1/2 (x - x0)^T H''(x0) (x - x0)     s.t.  c(x) = 0   (Dg v + g_t = 0, sums of currents, rigid joints)
+Positions:   min sum ((q - q0)/nominal)^2      s.t.  g(q, t) = 0
+Velocities:  x = x0 + L s,  L = E^-1 A         s.t.  c(x) = A^T z + c0 = 0   (Dg v + g_t = 0, sums of currents, rigid joints)
 
-The second is what an impulse s of the constraint forces or node voltages does: E (x - x0) = B s, momentum is kept, and
-energy is lost as in an inelastic impact.  Only states that such an impulse reaches move, so no angle does.  Rows that
-share no such state, directly or through H'', are projected apart from each other, and those that hold not at all:
-whatever a violated row does not touch keeps its bits.  States named as kept do not move.
+The second is an impulse s of the constraint forces or node voltages: momentum is kept, and energy is lost as in an inelastic
+impact.  Its columns are those of the costates in c, so no angle moves in which c has coefficients.  It is the least change in
+H''; with states that are kept, the least of the others.  Rows that share no such state, directly or through H'', are projected
+apart from each other, and those that hold not at all: whatever a violated row does not touch keeps its bits.
+
+The energy of the impulse is int (grad H)^T dx along it, by component, and no difference of H, in which it would be lost beside
+what a rotor stores.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
@@ -25,10 +28,11 @@ from scipy.sparse.csgraph import connected_components
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import time
 from phfmu.discretise.model import CONSISTENCY, Model
+from phfmu.terms.component_energies import component_energies
 from phfmu.terms.extract import extract
 from phfmu.terms.rank import TOLERANCE
 from phfmu.terms.reach import moved_by_impulses
-from phfmu.terms.rows import check_rows
+from phfmu.terms.rows import check_rows, costate_symbols, costates
 
 Array = NDArray[Any]
 
@@ -39,7 +43,8 @@ ITERATIONS = 30
 class Projection:
     """The consistent state, every state that moved (name, before, after), the constraints before and after, energy change [J].
 
-    `violated`: the constraints that were off by more than a start may be.
+    `violated`: the constraints that were off by more than a start may be;  `changes`: energy by component, where one model
+    was moved;  `lost`: of `energy` what impulses lost.
     """
 
     x: Array
@@ -48,6 +53,8 @@ class Projection:
     after: dict[str, float]
     energy: float
     violated: tuple[str, ...] = ()
+    changes: tuple[float, ...] = ()
+    lost: float = 0.0
 
     def moves(self) -> list[str]:
         """`name: before -> after` for every state that moved."""
@@ -82,18 +89,26 @@ def project_start(
     positions = rows.pattern[level == "position"].any(axis=0)
     nominal = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
     scale = np.where(nominal != 0, np.abs(nominal), 1.0)
-    first, now = rows.values(start), start
-    for chosen, free in (("position", positions), ("velocity", moved_by_impulses(rows.terms) & ~positions)):
-        part = _Level(level == chosen, free & ~kept, scale, energetic=chosen == "velocity")
-        now = _projected(rows, now, part)
-        _require(rows, now, part, [names[i] for i in np.flatnonzero(kept & free)], names)
+    first = rows.values(start)
+    placed = _placed(rows, start, _Level(level == "position", positions & ~kept, scale, False), kept, names)
+    reached = moved_by_impulses(rows.terms) & ~positions
+    now = _placed(rows, placed, _Level(level == "velocity", reached & ~kept, scale, True), kept, names)
     moved = [(n, float(a), float(b)) for n, a, b in zip(names, start, now, strict=True) if a != b]
-    last = rows.values(now)
+    last, impulse = rows.values(now), rows.work(placed, now)
+    changes = rows.energies(placed) - rows.energies(start) + impulse
     off = tuple(n for n, c, s in zip(rows.labels, first, rows.size, strict=True) if not abs(c) <= CONSISTENCY * s)
     return Projection(
         now, tuple(moved), dict(zip(rows.labels, map(float, first), strict=True)),
-        dict(zip(rows.labels, map(float, last), strict=True)), rows.energy(now) - rows.energy(start), off,
+        dict(zip(rows.labels, map(float, last), strict=True)), float(changes.sum()), off, tuple(map(float, changes)),
+        -float(impulse.sum()),
     )  # fmt: skip
+
+
+def _placed(rows: _Rows, x: Array, part: _Level, kept: NDArray[np.bool_], names: list[str]) -> Array:
+    """x on the constraints of a level; DeclarationError if they cannot be met."""
+    now = _projected(rows, x, part)
+    _require(rows, now, part, [names[i] for i in np.flatnonzero(kept)], names)
+    return now
 
 
 def _kept(model: Model, names: list[str], keep: list[str]) -> NDArray[np.bool_]:
@@ -116,14 +131,18 @@ class _Rows:
     def __init__(self, model: Model, p: Array, t: float):
         d = model.declaration
         self.terms = extract(d)
-        rows = ca.vertcat(*check_rows(self.terms, list(model.checks))) if model.checks else ca.SX(0, 1)
+        checks, z = list(model.checks), costate_symbols(d)
+        rows = ca.vertcat(ca.SX(0, 1), *check_rows(self.terms, checks))
+        apart = ca.vertcat(ca.SX(0, 1), *check_rows(self.terms, checks, z))
+        jac = ca.jacobian(rows, d.x)
+        forces = jac - ca.substitute(ca.jacobian(apart, d.x), z, costates(self.terms))
         symbols = [d.x, ca.vertcat(*(p.sx for p in d.parameters)), time]
-        hessian = ca.hessian(d.hamiltonian, d.x)[0]
-        exprs = (rows, ca.jacobian(rows, d.x), d.hamiltonian, hessian)
+        H, hessian = ca.vertcat(*component_energies(self.terms)), ca.hessian(d.hamiltonian, d.x)[0]
+        exprs = (rows, jac, H, hessian, forces, ca.jacobian(H, d.x))
         self._functions = [ca.Function("f", symbols, [e]) for e in exprs]
         self._fixed = (p, t)
         #: rows x states, and states x states coupled by H'': what can be other than zero
-        self.pattern, self.coupled = (np.array(ca.DM(e.sparsity(), 1).full(), bool) for e in (exprs[1], hessian))
+        self.pattern, self.coupled = (np.array(ca.DM(e.sparsity(), 1).full(), bool) for e in (jac, hessian))
         self.labels = [f"{c.name} ({c.level})" for c in model.checks]
         self.names = [c.name for c in model.checks]
         self.size, self.model = model.check_scale, model.name
@@ -137,8 +156,22 @@ class _Rows:
     def jacobian(self, x: Array) -> Array:
         return self._at(1, x)
 
-    def energy(self, x: Array) -> float:
-        return float(self._at(2, x)[0, 0])
+    def energies(self, x: Array) -> Array:
+        """H by component."""
+        return self._at(2, x).ravel()
+
+    def forces(self, x: Array) -> Array:
+        """A^T dz/dx, rows x states: what an impulse acts against; the coefficients A stay as they are."""
+        return self._at(4, x)
+
+    def work(self, start: Array, end: Array) -> Array:
+        """int (grad H)^T dx on the way from start to end by component, exact for H of degree 10 along it."""
+        d = end - start
+        if not d.any():
+            return np.zeros(len(self.energies(start)))
+        points, weights = np.polynomial.legendre.leggauss(5)
+        parts = [w / 2 * (self._at(5, start + (1 + s) / 2 * d) @ d) for s, w in zip(points, weights, strict=True)]
+        return np.sum(parts, axis=0)
 
     def hessian(self, x: Array) -> Array:
         return self._at(3, x)
@@ -170,14 +203,17 @@ def _projected(f: _Rows, x: Array, level: _Level) -> Array:
     metric = f.hessian(x) if level.energetic else np.diag(level.scale**-2)
     for rows, states in level.parts(f):
         if not np.all(np.abs(f.values(x)[rows]) <= CONSISTENCY * f.size[rows]):
-            x = _newton(f, x, rows, states, metric[np.ix_(states, states)], level.scale[states])
+            gradient = f.forces if level.energetic else f.jacobian
+            x = _newton(f, gradient, x, rows, states, metric[np.ix_(states, states)], level.scale[states])
     return x
 
 
-def _newton(f: _Rows, x: Array, rows: Array, states: Array, metric: Array, scale: Array) -> Array:
+def _newton(
+    f: _Rows, gradient: Callable[[Array], Array], x: Array, rows: Array, states: Array, metric: Array, scale: Array
+) -> Array:
     """Least changes of `states` in `metric` until the chosen constraints hold, or no longer improve."""
     for _ in range(ITERATIONS):
-        c, jac = f.values(x)[rows], f.jacobian(x)[np.ix_(rows, states)]
+        c, jac = f.values(x)[rows], gradient(x)[np.ix_(rows, states)]
         if np.all(np.abs(c) <= 1e-6 * CONSISTENCY * f.size[rows]):
             break
         step = _least(metric, jac, -c, scale)

@@ -18,10 +18,9 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import Jump, StateEvent
 from phfmu.declare.variable import _sx
 from phfmu.terms.bare import depends
-from phfmu.terms.canonical import Locator, components, member
-from phfmu.terms.held import Held, held
-from phfmu.terms.port_impulses import masses
-from phfmu.terms.rows import block_matrix
+from phfmu.terms.canonical import Locator, components
+from phfmu.terms.component_energies import component_energies
+from phfmu.terms.held import Held, held, rates
 from phfmu.terms.term import CLOSED, MASS_BLOCK, Terms
 
 #: states of a block of E whose inverse is written out
@@ -59,7 +58,7 @@ def jump_columns(terms: Terms, events: Sequence[StateEvent]) -> JumpColumns | No
     full = ca.sparsify(rates(terms, ca.horzcat(own, met.A)))
     moved = sorted(set(full.sparsity().get_triplet()[0]))
     L, psi = full[moved, :], model.x[moved]
-    energies = _energies(terms)
+    energies = component_energies(terms)
     inside = [i for i, h in enumerate(energies) if ca.depends_on(h, psi)]
     c = ca.vertcat(ca.SX(0, L.shape[1]), *(ca.mtimes(L.T, ca.gradient(energies[i], psi)).T for i in inside))
     S = ca.mtimes([L.T, ca.hessian(sum(energies, ca.SX(0)), psi)[0], L])
@@ -71,16 +70,6 @@ def jump_columns(terms: Terms, events: Sequence[StateEvent]) -> JumpColumns | No
     _require_other_modes(terms, events)
     e = ca.vertcat(ca.SX(0, 1), *(ca.SX(_sx(jump.restitution)) for _, jump in found))
     return JumpColumns(met.names, moved, inside, L, c, S, e)
-
-
-def rates(terms: Terms, A: ca.SX) -> ca.SX:
-    """E^-1 A."""
-    out = A / ca.repmat(masses(terms), 1, A.shape[1])
-    for t in terms.of(MASS_BLOCK):
-        where = [r.index for r in t.rows]
-        if A[where, :].nnz():
-            out[where, :] = ca.solve(block_matrix(terms, t), ca.densify(A[where, :]))
-    return out
 
 
 def _met(terms: Terms, own: ca.SX, all_held: Held) -> Held:
@@ -118,17 +107,6 @@ def _column(terms: Terms, locator: Locator, name: str, jump: Jump) -> ca.SX:
         for j, at in enumerate(locator.of(v)):
             if column[j].nnz() and not column[j].is_zero():
                 out[at.index] = column[j]
-    return out
-
-
-def _energies(terms: Terms) -> list[ca.SX]:
-    """H of every component."""
-    model = terms.model
-    out = [ca.SX(0) for _ in terms.members]
-    for e in model.energies:
-        out[member(terms.members, e.owner)] += e.expr
-    for pair in model.closed:
-        out[member(terms.members, pair.owner)] += pair.hamiltonian
     return out
 
 

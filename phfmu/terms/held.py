@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from phfmu.terms.hidden import Check, Hidden
-from phfmu.terms.rows import check_rows, costate_symbols
-from phfmu.terms.term import Terms
+from phfmu.terms.port_impulses import masses
+from phfmu.terms.rows import block_matrix, check_rows, costate_symbols
+from phfmu.terms.term import MASS_BLOCK, Terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,3 +45,13 @@ def held(terms: Terms) -> Held:
     c = ca.vertcat(*check_rows(terms, checks, z))
     A = ca.sparsify(ca.simplify(ca.jacobian(c, z)))
     return Held(tuple(k.name for k in checks), A.T, ca.substitute(c, z, ca.SX(ca.DM.zeros(*z.shape))))
+
+
+def rates(terms: Terms, A: ca.SX) -> ca.SX:
+    """E^-1 A."""
+    out = A / ca.repmat(masses(terms), 1, A.shape[1])
+    for t in terms.of(MASS_BLOCK):
+        where = [r.index for r in t.rows]
+        if A[where, :].nnz():
+            out[where, :] = ca.solve(block_matrix(terms, t), ca.densify(A[where, :]))
+    return out

@@ -16,10 +16,12 @@ from phfmu import (
     project_start,
     run,
 )
+from phfmu.components.electrical.machine_data import machine_set
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
+from phfmu.components.scenes.two_machine import two_machine
 
 
 def joined(v1: float, v2: float, m1: float = 1.0, m2: float = 2.0):
@@ -112,8 +114,6 @@ def test_changed_parameter_books_the_energy_it_brings() -> None:
 @pytest.mark.parametrize("coordinates", ["dq-flux", "abc-flux", "current"])
 def test_a_voltage_impulse_moves_fluxes_and_no_rotor(coordinates) -> None:
     """Both branches of the bus get the voltage impulse s = -(B^T M^-1 B)^-1 sum of currents; the angle stays to the bit."""
-    from phfmu.components.electrical.machine_data import machine_set
-
     data, alpha = machine_set("kundur555_1q"), 2 * np.pi / 3 * np.arange(3)
     model = build_model(smib(coordinates=coordinates).declaration())
     at = {n: i for i, n in enumerate(n for v in model.declaration.states for n in v.names())}
@@ -195,3 +195,54 @@ def test_a_projection_after_an_event_turns_no_rotor_and_is_told() -> None:
     result = run(stepper, Options(stop=0.003, step=1e-3, events=[Event(0.002, "line.L", 8e-3)]))
     assert len(result.notes) == 1 and "at t = 0.002 s" in result.notes[0] and "line.flux[1]: " in result.notes[0]
     assert "gen.theta" not in result.notes[0] and "gen.p:" not in result.notes[0]
+
+
+@pytest.mark.parametrize("build", [smib, two_machine])
+def test_what_an_impulse_loses_is_formed_from_it(build) -> None:
+    """1/2 c S^-1 c beside rotors that store 1e10 times as much, so that no difference of H shows it; no angle moves."""
+    model = build_model(build().declaration())
+    names = [n for v in model.declaration.states for n in v.names()]
+    p = model.p0.copy()
+    parameters = [n for v in model.declaration.parameters for n in v.names()]
+    p[parameters.index("line.L")] *= 1 + 1e-3
+    found = project_start(model, p=p)
+    c = np.array([v for n, v in found.before.items() if n.startswith("bus1")])
+    data, line_L = machine_set("kundur555_1q"), p[parameters.index("line.L")]
+    owner = "gen" if build is smib else "m1"
+    theta, alpha = model.x0[names.index(f"{owner}.theta")], 2 * np.pi / 3 * np.arange(3)
+    T = np.sqrt(2 / 3) * np.array([np.cos(theta - alpha), -np.sin(theta - alpha), np.full(3, 0.5**0.5)])
+    S = T.T @ np.linalg.inv(data.constant_inductance())[:3, :3] @ T + np.eye(3) / line_L
+    lost = c @ np.linalg.solve(S, c) / 2
+    assert 1e-3 < lost < 1.0
+    assert found.lost == pytest.approx(lost, rel=1e-9)  # H - H is off by 1e-5 of it
+    assert found.energy == -found.lost and sum(found.changes) == pytest.approx(found.energy, rel=1e-12)
+    moved = {n for n, _, _ in found.moved}
+    assert moved and not any("theta" in n or n.endswith(".p") for n in moved)
+    assert max(abs(v) for v in found.after.values()) <= 1e-10
+
+
+def test_the_loss_of_a_changed_inductance_is_booked_with_it() -> None:
+    """The event rows of the impulse add up to nothing with what was lost, which belongs to the line."""
+    model = build_model(smib().declaration())
+    sink = EventRows()
+    run(
+        Monolithic(model, PythonInstance(model)),
+        Options(stop=0.003, step=1e-3, sink=sink, events=[Event(0.002, "line.L", 8e-3)]),
+    )
+    rows = [e for e in sink.events if e.kind == "reprojection"]
+    lost = sum(e.lost or 0.0 for e in rows)
+    assert lost > 0 and [e.component for e in rows if e.lost] == ["line"]
+    assert sum(e.energy_jump for e in rows) == pytest.approx(-lost, rel=1e-12)
+
+
+class EventRows:
+    """A sink that keeps the event rows."""
+
+    def __init__(self) -> None:
+        self.events = []
+
+    def write_event(self, row) -> None:
+        self.events.append(row)
+
+    def __getattr__(self, name: str):
+        return lambda *args, **kwargs: None

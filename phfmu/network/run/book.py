@@ -80,7 +80,7 @@ class Book:
         try:
             self.stepper.check_start()
         except InconsistentState:
-            found = self.project(e.t, ())
+            found = self.project(e.t, (), self._owner(e.name))
             self.stepper.check_start()
             self._H = self.stepper.energies()
             if found is not None:
@@ -89,15 +89,31 @@ class Book:
                     f"{found.energy:.9g} J, moved {', '.join(found.moves())}"
                 )
 
-    def project(self, t0: float, kept: Sequence[str]) -> Projection | None:
-        """Move the start onto its constraints; the energy change of each component is an event."""
+    def project(self, t0: float, kept: Sequence[str], owner: str | None = None) -> Projection | None:
+        """Move the start onto its constraints; the energy change of each component is an event.
+
+        owner: component that dissipates what the impulses lose (whose parameter changed); None: the start was not so before.
+        """
         before = self.stepper.energies()
         found = self.stepper.project_start(t0, kept)
-        if found is not None and found.moved:
-            moved = ", ".join(found.moves())
-            for component, jump in self._changed(before, self.stepper.energies()) or [(None, 0.0)]:
-                self.ledger.event(t0, "reprojection", component, jump, moved)
+        if found is None or not found.moved:
+            return found
+        changed = self._named(found.changes) if found.changes else dict(self._changed(before, self.stepper.energies()))
+        rows = {c: (jump, 0.0) for c, jump in changed.items()}
+        if owner is not None and found.lost:
+            rows[owner] = changed.get(owner, 0.0), found.lost
+        for component, (jump, lost) in (rows or {None: (0.0, 0.0)}).items():
+            self.ledger.event(t0, "reprojection", component, jump, ", ".join(found.moves()), lost or None)
         return found
+
+    def _named(self, changes: Sequence[float]) -> dict[str | None, float]:
+        """Components with a change of their energy."""
+        return {c: d for c, d in zip(self.booking.components, changes, strict=True) if d}
+
+    def _owner(self, name: str) -> str:
+        """The component that has the parameter `name`."""
+        begins = [c for c in self.booking.components if name.startswith(f"{c}.")]
+        return max(begins, key=len, default=self.booking.components[0])
 
     def _changed(self, before: Array, after: Array) -> list[tuple[str | None, float]]:
         """Components whose energy differs, and by how much."""
