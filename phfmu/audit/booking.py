@@ -13,6 +13,8 @@ from .sums import Floats
 EXACT = "exact"
 ESTIMATED = "estimated"  # a quadrature, not the step's own
 SILENT = "none"  # a unit that tells nothing
+#: the part of a junction's energy that projecting impulses take from the states of a composed model: a loss, or nothing
+PROJECTION = "projection"
 LOOSE = "loose"  # of junctions: members are coupled once a step, or an iteration was given up; their energy is told, not judged
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .block import Block, per_owner
-from .booking import ESTIMATED, EXACT, SILENT
+from .booking import ESTIMATED, EXACT, PROJECTION, SILENT
 from .sums import CompensatedSum, Floats, add, all_finite, ratio
 
 DEFAULT_RTOL = 1e-11
@@ -176,11 +176,19 @@ class Judge:
             self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
             permitted = self.rtol * passed + FLOOR * EPS * reach + ULPS * EPS * played.sum(axis=1, keepdims=True)
-            self._mark("junction", names, block.junction_residual, permitted, block, judged)
+            self._mark("junction", names, block.junction_residual - self._lost(block), permitted, block, judged)
             self._divided(block, permitted)
         summed = ULPS * EPS * np.abs(block.steps.pairs).sum(axis=1)
         permitted = (allowed.sum(axis=1) + summed)[:, None]
         self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)
+
+    def _lost(self, block: Block) -> Floats:
+        """What the junctions have lost by projections [n,junctions], which is booked; what these would have created is not."""
+        lost, works, names = np.zeros_like(block.junction_residual), block.steps.works, list(block.booking.junctions)
+        for i, key in enumerate(block.booking.parts if works is not None else ()):
+            if works is not None and key.part == PROJECTION:
+                lost[:, names.index(key.junction)] += np.minimum(works[:, i], 0.0)
+        return lost
 
     def _divided(self, block: Block, permitted: Floats) -> None:
         """The parts of a junction's energy add up to it, whether it is small or not."""

@@ -106,7 +106,7 @@ class Exchanged:
     def unpacked(self) -> Ints:
         """Where the unknowns of the exchange stand here."""
         at = np.argsort(self.place) + self.nodes
-        return np.concatenate([np.arange(self.nodes), at, at + len(self.bare)])
+        return np.concatenate([np.arange(self.nodes), at, at + len(self.bare)]).astype(np.int32)
 
 
 def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:

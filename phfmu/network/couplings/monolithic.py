@@ -14,6 +14,7 @@ from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import LEDGER, Steps
 from phfmu.events.happened import Happened
+from phfmu.network.couplings.projections import Projections
 from phfmu.network.members.booking import booking
 from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import require_consistent
@@ -35,7 +36,8 @@ class Monolithic:
 
     def __init__(self, model: Model, instance: Any):
         self.model, self.instance = model, instance
-        self.booking = booking(model)
+        self._projections = Projections(model)
+        self.booking = replace(booking(model), parts=self._projections.keys)
         self._inputs = Inputs(instance, model)
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names
@@ -87,7 +89,7 @@ class Monolithic:
             return self.taken(self.instance, t0, h, n, first)
         except StepFailure as failure:
             if len(failure.recorded.get("counts", ())):
-                failure.recorded = {"steps": self._steps(failure.recorded)}
+                failure.recorded = {"steps": self._steps(self.instance, failure.recorded)}
             raise
 
     def land(
@@ -101,7 +103,7 @@ class Monolithic:
             happened = part.happened and replace(
                 part.happened, signals=self._columns.pick(part.happened.signals[None])[0]
             )
-            yield part.t, part.h, self._steps(part.rows) if part.rows else None, happened
+            yield part.t, part.h, self._steps(self.instance, part.rows) if part.rows else None, happened
 
     @property
     def free_inputs(self) -> Mapping[str, Any]:
@@ -112,11 +114,12 @@ class Monolithic:
         """`advance`, with free inputs that change: (step from `first` at whose start it changes, event), in order."""
         u = self._inputs.rows(n, inputs)
         try:
-            steps = self._steps(self.instance.run(t0, h, n, record=self._wanted(self.instance), inputs=u, first=first))
+            rows = self.instance.run(t0, h, n, record=self._wanted(self.instance), inputs=u, first=first)
+            steps = self._steps(self.instance, rows)
         except StepFailure as failure:
             done = len(failure.recorded.get("counts", ()))
             if done:
-                failure.recorded = {"steps": self._steps(failure.recorded)}
+                failure.recorded = {"steps": self._steps(self.instance, failure.recorded)}
             self._inputs.u[:] = u[done]
             raise
         self._inputs.u[:] = u[-1]
@@ -130,15 +133,29 @@ class Monolithic:
         """n steps of the instance or of a companion."""
         wanted = self._wanted(instance)
         if self.between is None:
-            return self._steps(instance.run(t0, h, n, record=wanted, first=first))
+            return self._steps(instance, instance.run(t0, h, n, record=wanted, first=first))
         before = np.concatenate(list(instance.signals().values()))
-        r = instance.run(t0, h, n, record=(*wanted, "unknowns"), first=first)
+        r = instance.run(t0, h, n, record=dict.fromkeys((*wanted, "unknowns")), first=first)
         rows = self.between(instance, before, r, t0, h, first)
         picked = self._columns.pick(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], -1)
-        return replace(self._steps(r), between=picked)
+        return replace(self._steps(instance, r), between=picked)
 
     def _wanted(self, instance: Any) -> tuple[str, ...]:
-        return (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER
+        wanted = (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER
+        return (*wanted, "unknowns") if self.booking.parts else wanted
 
-    def _steps(self, r: dict[str, Array]) -> Steps:
-        return Steps.recorded(r, self._columns.pick(r["signals"]))
+    def _steps(self, instance: Any, r: dict[str, Array]) -> Steps:
+        steps = Steps.recorded(r, self._columns.pick(r["signals"]))
+        return replace(steps, works=self._lost(instance, r)) if self.booking.parts else steps
+
+    def _lost(self, instance: Any, r: dict[str, Array]) -> Array:
+        """What projections lost in each step (steps x parts); no other scheme has any."""
+        parts = self.booking.parts
+        if instance.model is not self.model:
+            return np.zeros((len(r["signals"]), len(parts)))
+        lost = self._projections.losses(r["signals"][:, instance.layout["x"]], r["unknowns"], instance.parameters)
+        divided = r["counts"][:, 1] > 1  # its last part is known only: what the ports say, if it is a loss
+        for j, key in enumerate(parts):
+            own = self.booking.junctions[key.junction]
+            lost[divided, j] = np.minimum(r["pairs"][divided][:, own].sum(axis=1), 0.0)
+        return lost

@@ -58,7 +58,7 @@ def _of_unknowns(joined: Joined, exchange: Exchange | None) -> list[PartKey | No
     """The part that each unknown belongs to: xi, then impulses, then columns that estimates are exchanged through."""
     at = _junctions(joined)
     if exchange is None:
-        keys = [PartKey(junction, HELD) for junction in at]
+        keys: list[PartKey | None] = [PartKey(junction, HELD) for junction in at]
     else:
         nodes = zip(exchange.columns, exchange.at_node, strict=True)
         keys = [PartKey(at[c], HELD if exchange.k[c] == 1 else f"node {i + 1}") for c, i in nodes]
