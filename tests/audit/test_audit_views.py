@@ -11,7 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phfmu import Coupled, EngineMember, Event, Monolithic, Network, Options, PythonInstance, Scene, build_model, run
+from phfmu import (
+    Coupled,
+    EngineMember,
+    Event,
+    Monolithic,
+    NativeInstance,
+    Network,
+    Options,
+    PythonInstance,
+    Scene,
+    build_model,
+    run,
+)
 from phfmu.audit import AuditWriter, audit_table, summarise
 from phfmu.audit.alarms import Alarms, alarms
 from phfmu.audit.sheets import Scale, fitting, sheets, whole
@@ -140,10 +152,10 @@ def test_a_junction_through_which_nothing_passes_is_closed() -> None:
     net.connect("s.b", "b.flange", name="right")
     model = build_model(net.compose())
     members: list[Any] = [
-        EngineMember(n, m, PythonInstance(m))
+        EngineMember(n, m, NativeInstance(m))
         for n, m in ((n, build_model(replace(d, name=n))) for n, d in net.declared.items())
     ]
-    for stepper in (Monolithic(model, PythonInstance(model)), Coupled(net, members)):
+    for stepper in (Monolithic(model, NativeInstance(model)), Coupled(net, members)):
         summary = run(stepper, Options(stop=2.0, step=1e-2)).ledger.summary()
         held = next(c for c in summary.components if c.component == "s")
         assert held.H_end < 1e-28 and summary.closed, summary.worst

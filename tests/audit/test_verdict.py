@@ -19,6 +19,7 @@ from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.scene import Event
+from tests.wide import wide
 
 ENGINES = [NativeInstance, PythonInstance]
 
@@ -46,7 +47,7 @@ def ran(model: PHDAE, engine: type, stop: float = 10.0, events: Sequence[Event] 
     return run(Monolithic(built, engine(built)), Options(stop=stop, step=0.01, events=events)).ledger.summary()
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 def test_energy_made_by_J_is_found_beside_a_large_constant(engine: type) -> None:
     """gain in J alone makes d/dt H = gain p k q: some joule, 1e-9 of what the reservoir holds."""
     assert ran(oscillator(constant=1e10), engine).closed
@@ -67,7 +68,7 @@ def test_a_negative_resistance_is_found(engine: type) -> None:
     assert summary.network is not None and summary.network.verdict == "closed"
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 def test_coming_to_rest_closes(engine: type) -> None:
     """Energies fall by 17 orders of magnitude; residuals of the last steps are those of the first ones' rounding."""
     summary = ran(oscillator(damping=2.0), engine, stop=20.0)

@@ -26,6 +26,7 @@ from phfmu.components.scenes.two_machine import two_machine
 from phfmu.declare.block import block
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.junctions.network import Network
+from tests.wide import wide
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 
@@ -46,11 +47,21 @@ def rows(name: str) -> dict[float, np.ndarray]:
 # -- index reduction ----------------------------------------------------------------------------------------------------
 
 
-#: models whose functions take seconds to compile
-LARGE = ("chain", "net", "two_machine", "ladder")
+#: what the reduction meets: springs, constraints, machines, networks of them, feedthrough, events
+REDUCED = (
+    "mass",
+    "four_particle",
+    "heavy_top",
+    "oscillator",
+    "rlc_load",
+    "synchronous_machine",
+    "smib",
+    "resistor",
+    "breaker",
+)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in LARGE)) for n in LIBRARY])
+@pytest.mark.parametrize("name", wide(LIBRARY, *REDUCED))
 def test_rate_equals_that_of_a_small_step(compiler: None, name: str) -> None:
     """x' of the reduced system at the middle of a step of the engine = its mean slope + O(h)."""
     d = declaration(name)

@@ -16,6 +16,7 @@ from phfmu.components.mechanical.net import net
 from phfmu.components.scenes.ladder import ladder
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.model import kernels
+from tests.wide import wide
 
 
 def test_net_swings_and_keeps_its_energy(compiler: None) -> None:
@@ -58,7 +59,7 @@ def test_sizes_that_are_none(build, message: str) -> None:
         build(0)
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", wide(FAMILIES, "chain"))
 def test_code_is_the_same_and_memory_linear(name: str, compiler: None) -> None:
     """Generated C does not grow (the hooks of the net are numbers in it); unknowns and memory are affine in n."""
     sizes = {"chain": (16, 32, 48), "net": (3, 4, 5), "ladder": (10, 14, 18)}[name]

@@ -21,6 +21,7 @@ from phfmu.audit import AuditWriter, metadata, read
 from phfmu.cli import main
 from phfmu.cli.table import TableWriter, read_inputs
 from phfmu.components.library import LIBRARY, build
+from tests.wide import wide
 
 Cli = Callable[..., tuple[int, str, str]]
 
@@ -102,7 +103,24 @@ def test_list_names_the_whole_library(cli: Cli) -> None:
     assert all(line.endswith(LIBRARY[name][2]) for name, line in lines.items())
 
 
-@pytest.mark.parametrize("target", LIBRARY)
+#: a component of each domain and kind, scenes with parts, events and signals
+SHOWN = (
+    *(
+        "synchronous_machine",
+        "rlc_load",
+        "breaker",
+        "transformer",
+        "dc_motor",
+        "four_particle",
+        "heavy_top",
+        "mass",
+        "pi_controller",
+    ),
+    *("bouncing_ball", "oscillator", "speed_control", "two_machine"),
+)
+
+
+@pytest.mark.parametrize("target", wide(LIBRARY, *SHOWN))
 def test_info_and_check_of_the_library(cli: Cli, target: str) -> None:
     code, out, _ = cli("info", target)
     assert code == 0
@@ -346,7 +364,7 @@ def test_names_of_any_kind_survive_a_table(tmp_path: Path) -> None:
     assert held.names == ODD and np.array_equal(held.values, values[:1])
 
 
-@pytest.mark.parametrize("verb", ["info", "check", "run", "list"])
+@pytest.mark.parametrize("verb", wide(["info", "check", "run", "list"], "run"))
 def test_a_terminal_without_the_letters(tmp_path: Path, verb: str) -> None:
     """The exit code is that of the verb; letters that the terminal does not have are spelled out."""
     (tmp_path / "m.py").write_text(

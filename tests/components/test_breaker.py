@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 from math import cos, pi, sin
 
 import casadi as ca
@@ -31,6 +32,7 @@ from phfmu import (
 )
 from phfmu.components.electrical.breaker import ideal_diode
 from phfmu.components.scenes.breaker_opening import breaker_opening
+from tests.wide import wide
 
 E, W, PHI, R, L, C, LOAD = 325.0, 2 * pi * 50, 0.3, 0.5, 0.01, 50e-6, 40.0
 STOP, OPEN = 0.04, 0.02
@@ -85,10 +87,7 @@ def switched(result, name: str) -> list[tuple[float, int]]:
     return [(float(result.time[i]), int(i)) for i in np.flatnonzero(np.diff(result.column(name)))]
 
 
-WAYS = [
-    *((k, NativeInstance) for k in (1, 2, 3)),
-    *(pytest.param(k, PythonInstance, marks=pytest.mark.slow) for k in (1, 3)),
-]
+WAYS = wide([*product((1, 2, 3), (NativeInstance,)), *product((1, 3), (PythonInstance,))], (2, NativeInstance))
 
 
 @pytest.mark.parametrize(("k", "engine"), WAYS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -29,6 +30,7 @@ from phfmu import (
     strain_energy,
     time,
 )
+from tests.wide import slow, wide
 
 FIRST, THIRD = (TwoLevel(k) for k in (1, 3))
 ENGINES = (PythonInstance, NativeInstance)
@@ -140,8 +142,13 @@ def started(mass: float) -> PHDAE:
 
 
 @cache
+def carried_model(mass, scheme):
+    return build_model(started(mass), scheme)
+
+
+@cache
 def carried_run(mass, scheme, n, stop=0.4):
-    instance = NativeInstance(build_model(started(mass), scheme))
+    instance = NativeInstance(carried_model(mass, scheme))
     rows = instance.run(0.0, stop / n, n, ("x", "stored", "signals"))
     assert np.max(np.abs(rows["stored"])) <= 1e-13
     assert np.max(np.abs(rows["signals"][:, instance.layout["observables"]])) <= 1e-13
@@ -149,7 +156,7 @@ def carried_run(mass, scheme, n, stop=0.4):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "order", "steps"), [(FIRST, 2.0, (160, 320, 640, 1280)), (THIRD, 6.0, (20, 40, 80, 160))]
+    ("scheme", "order", "steps"), [(FIRST, 2.0, (160, 320, 640, 1280)), slow((THIRD, 6.0, (20, 40, 80, 160)))]
 )
 def test_a_point_without_mass_keeps_the_order_and_does_not_alternate(scheme, order, steps):
     ends = [carried_run(0.0, scheme, n)[-1] for n in steps]
@@ -235,11 +242,11 @@ def on_surface(kind: str) -> PHDAE:
 
 
 @pytest.mark.parametrize("kind", ["quartic", "catenary"])
-@pytest.mark.parametrize(("scheme", "order", "steps"), [(FIRST, 2.0, (80, 160, 320)), (THIRD, 6.0, (10, 20, 40))])
+@pytest.mark.parametrize(("scheme", "order", "steps"), [(FIRST, 2.0, (80, 160, 320)), slow((THIRD, 6.0, (10, 20, 40)))])
 def test_constraints_of_any_degree_are_exact_and_keep_the_order(kind, scheme, order, steps):
-    ends = []
+    model, ends = build_model(on_surface(kind), scheme), []
     for n in steps:
-        instance = NativeInstance(build_model(on_surface(kind), scheme))
+        instance = NativeInstance(model)
         rows = instance.run(0.0, 0.6 / n, n, ("x", "stored", "signals"))
         assert np.max(np.abs(rows["stored"])) <= 1e-14
         assert np.max(np.abs(rows["signals"][:, instance.layout["observables"]])) <= 1e-14
@@ -253,8 +260,10 @@ GRADIENTS = ("per-term", "mean-value", "joint-gonzalez", "itoh-abe", "itoh-abe-s
 
 @pytest.mark.parametrize(
     ("form", "gradient"),
-    [(TwoLevel, g) for g in GRADIENTS]
-    + [pytest.param(Collocated, g, marks=[] if g == "joint-gonzalez" else pytest.mark.slow) for g in GRADIENTS],
+    wide(
+        product((TwoLevel, Collocated), GRADIENTS),
+        *((TwoLevel, "per-term"), (TwoLevel, "itoh-abe-symmetric"), (Collocated, "joint-gonzalez")),
+    ),
 )
 def test_every_gradient_takes_large_steps_of_four_particles(form, gradient):
     from phfmu.components.mechanical.four_particle import four_particle

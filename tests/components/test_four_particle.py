@@ -27,6 +27,7 @@ from phfmu import (
     time,
 )
 from phfmu.components.mechanical.four_particle import four_particle
+from tests.wide import slow
 
 ENGINES = (PythonInstance, NativeInstance)
 JOINT = Collocated(1, gradient="joint-gonzalez", name="semi-explicit")
@@ -182,8 +183,11 @@ FALLBACKS = {
 CASES = [(counter, i) for counter, cases in FALLBACKS.items() for i in range(len(cases))]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize(("counter", "case"), CASES)
+@pytest.mark.parametrize(
+    ("engine", "counter", "case"),
+    [(NativeInstance, *case) for case in CASES]
+    + [(PythonInstance, *case) if case[1] == 0 else slow((PythonInstance, *case)) for case in CASES],
+)
 def test_each_fallback_is_reached_and_keeps_the_ledger_closed(engine, counter, case):
     make, h, n = FALLBACKS[counter][case]
     instance = engine(make())

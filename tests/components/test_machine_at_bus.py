@@ -10,6 +10,7 @@ from phfmu import Collocated, NativeInstance, Options, build_model, check, run
 from phfmu.components.electrical import machine_at_bus, machine_names, machine_set, steady_state, synchronous_machine
 from phfmu.components.scenes.smib import smib_folded
 from phfmu.network.couplings.monolithic import Monolithic
+from tests.wide import wide
 
 LINE = {"R": 0.03, "L": 4e-4}
 
@@ -42,7 +43,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("coordinates", "k"), CASES)
+@pytest.mark.parametrize(("coordinates", "k"), wide(CASES, ("dq-flux", 1), ("abc-flux", 2)))
 def test_folded_line_gives_order_2k_in_all_currents_and_the_angle(coordinates, k):
     steps, until, first = CASES[coordinates, k]
     found = [errors(coordinates, k, h, until) for h in steps]
@@ -62,7 +63,7 @@ def test_ten_millisecond_steps_of_balanced_quantities_are_accurate():
     assert errors("dq-flux", 3, 1e-2, 1.0)["stator"] <= 5e-7
 
 
-@pytest.mark.parametrize("k", [1, pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 1))
 @pytest.mark.parametrize("name", machine_names())
 def test_phase_fluxes_stay_to_the_last_bit_without_resistance_and_voltage(name, k):
     """psi' = 0 in abc flux coordinates, while the rotor turns through the field and torque flows; 1e4 steps."""

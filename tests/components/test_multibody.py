@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import product
 from time import process_time
 
 import casadi as ca
@@ -29,6 +30,7 @@ from phfmu import (
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.components.mechanical.multibody import Multibody
+from tests.wide import slow, wide
 
 FIRST, THIRD = (TwoLevel(k) for k in (1, 3))
 ENGINES = (PythonInstance, NativeInstance)
@@ -77,12 +79,12 @@ def test_damped_chain_has_full_order_in_positions_velocities_and_multipliers(sch
     assert abs(slopes(mean)[-1] - order) <= 0.2, mean
 
 
-@pytest.mark.parametrize(("scheme", "order", "steps"), [(FIRST, 2, (50, 100, 200)), (THIRD, 6, (16, 32, 64))])
+@pytest.mark.parametrize(("scheme", "order", "steps"), [(FIRST, 2, (50, 100, 200)), slow((THIRD, 6, (16, 32, 64)))])
 def test_top_with_singular_mass_matrix_has_full_order(scheme, order, steps):
     q, v = heavy_top_reference.heavy_top(0.1, precession=1.0)
-    errors = []
+    model, errors = build_model(heavy_top(precession=1.0), scheme), []
     for n in steps:
-        instance = NativeInstance(build_model(heavy_top(precession=1.0), scheme))
+        instance = NativeInstance(model)
         rows = instance.run(0.0, 0.1 / n, n, ("x", "stored", "signals"))
         x = rows["x"][-1]
         assert np.max(np.abs(rows["stored"])) <= 1e-12 * 1500.0
@@ -149,8 +151,7 @@ def hung(order, scale=(1.0, 1.0, 1.0), again=(), length=1.0):
 
 @pytest.mark.parametrize(
     ("engine", "scheme"),
-    [(NativeInstance, FIRST), (PythonInstance, THIRD)]
-    + [pytest.param(*case, marks=pytest.mark.slow) for case in ((NativeInstance, THIRD), (PythonInstance, FIRST))],
+    wide(product((NativeInstance, PythonInstance), (FIRST, THIRD)), (PythonInstance, THIRD)),
 )
 def test_permuted_scaled_and_repeated_constraints_move_alike(engine, scheme):
     steps = 50 if engine is NativeInstance else 10

@@ -17,6 +17,7 @@ from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.run.result import Result
+from tests.wide import wide
 
 RATED = 18881.48  # A, peak, of kundur555_1q
 
@@ -102,7 +103,7 @@ def stator_error(r: Result, ref: dict, prefix: str, column: str, until: float) -
     return max(np.max(np.abs(at(r, t, f"{prefix}.I[{j}]") - ref[f"{column}[{j}]"][rows])) for j in (1, 2, 3))
 
 
-@pytest.mark.parametrize("scene", [smib, smib_hydro])
+@pytest.mark.parametrize("scene", wide([smib, smib_hydro], smib))
 def test_smib_order_and_steady_start(scene) -> None:
     ref = read(scene.__name__)
     late, early = [], []
@@ -116,7 +117,7 @@ def test_smib_order_and_steady_start(scene) -> None:
     np.testing.assert_allclose(slope(early), 2.0, atol=0.05)
 
 
-@pytest.mark.parametrize("coordinates", ["abc-flux", "current"])
+@pytest.mark.parametrize("coordinates", wide(["abc-flux", "current"], "current"))
 def test_smib_in_other_coordinates(coordinates) -> None:
     ref = read("smib")
     errors = []

@@ -29,6 +29,7 @@ from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.model import Model
 from phfmu.engine.library import build as build_library
 from phfmu.schemes.named import named_scheme
+from tests.wide import wide
 
 PARTS = (1, 3, 10)
 PULL = Domain("pull", "f", "N", "v", "m/s", "flow")
@@ -40,8 +41,7 @@ CASES = {
     "smib-2": ("smib", 2, 1e-3, 1e-9),
     "smib-4": ("smib", 4, 1e-3, 1e-9),
 }
-QUICK = ("dc_motor-2", "dc_motor-4", "four_particle-2")
-SLOW = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in CASES]
+SOME = wide(CASES, "dc_motor-4", "four_particle-2")
 
 
 def pulled() -> PHDAE:
@@ -117,7 +117,7 @@ def follows(
     return S
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", wide(CASES, "dc_motor-2", "dc_motor-4"))
 def test_the_python_engine_chains_internal_steps(models, case: str) -> None:
     declaration, model, step = models(case)
     one = PythonInstance(model)
@@ -125,7 +125,7 @@ def test_the_python_engine_chains_internal_steps(models, case: str) -> None:
         follows(one, declaration, model, step, CASES[case][3], parts, lambda t, h, n=parts: one.do_step(t, h, n))
 
 
-@pytest.mark.parametrize("case", SLOW)
+@pytest.mark.parametrize("case", SOME)
 def test_the_native_engine_does_the_same(models, case: str) -> None:
     declaration, model, step = models(case)
     native, python = NativeInstance(model), PythonInstance(model)
@@ -153,7 +153,7 @@ def units(models, tmp_path_factory: pytest.TempPathFactory):
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.parametrize("case", SLOW)
+@pytest.mark.parametrize("case", SOME)
 def test_units_do_the_same_forward_and_adjoint(models, units, case: str, version: str) -> None:
     declaration, model, step = models(case)
     with FMUInstance(units(case)[version]) as unit:

@@ -11,6 +11,7 @@ from phfmu import Collocated, NativeInstance, PythonInstance, Scene, StepFailure
 from phfmu.components.electrical import fault_resistor, rlc_load, synchronous_machine
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.translational import mass, spring
+from tests.wide import wide
 
 ENGINES = (PythonInstance, NativeInstance)
 ERRORS = (ValueError, StepFailure)
@@ -24,6 +25,20 @@ FORMS = {
     "machine_current": lambda: synchronous_machine(coordinates="current"),
 }
 NAMES = [*LIBRARY, *FORMS]
+#: those that the Python engine takes long for, and forms of others
+LONG = (
+    "net",
+    "two_machine",
+    "smib",
+    "chain",
+    "ladder",
+    "smib_hydro",
+    "smib_folded",
+    "heavy_top",
+    "rl_load",
+    "machine_current",
+)
+QUICK = [name for name in NAMES if name not in LONG]
 #: models whose rounding grows, and for how many steps it stays small
 CHAOTIC = {"chain": 300, "net": 500}
 HIGHER = ["synchronous_machine", "dc_motor", "rlc_load", "two_machine", "spring_damper", "machine_abc_flux"]
@@ -126,18 +141,18 @@ def compare(name, k, n):
     assert name in idle or (used > 0.0).all()  # power through every port
 
 
-@pytest.mark.parametrize("steps", [50, pytest.param(200, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("steps", wide([50, 200], 50))
+@pytest.mark.parametrize("name", wide(NAMES, *QUICK))
 def test_engines_agree_and_ledgers_close(name, steps):
     compare(name, 1, steps)
 
 
-@pytest.mark.parametrize("name", HIGHER)
+@pytest.mark.parametrize("name", wide(HIGHER, "dc_motor", "synchronous_machine"))
 def test_engines_agree_at_order_four(name):
     compare(name, 2, 50)
 
 
-@pytest.mark.parametrize("name", ["dc_motor", "four_particle"])
+@pytest.mark.parametrize("name", wide(["dc_motor", "four_particle"], "four_particle"))
 def test_engines_agree_at_order_six(name):
     compare(name, 3, 50)
 
@@ -162,8 +177,11 @@ def later(instance, model, h, n):
     return {name: values.tobytes() for name, values in rows.items()} | {"end": instance.x.tobytes()}
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize(("name", "k"), SAVED)
+@pytest.mark.parametrize(
+    ("engine", "name", "k"),
+    [(NativeInstance, *case) for case in SAVED]
+    + wide([(PythonInstance, *case) for case in SAVED], (PythonInstance, "synchronous_machine", 1)),
+)
 def test_restored_states_repeat_bitwise(engine, name, k):
     model, h, n = plan(name, k), step_size(name), 25 if engine is PythonInstance else 100
     instance = start(engine(model))

@@ -30,6 +30,7 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass, spring
 from tests.dense_member import DenseMember
+from tests.wide import wide
 
 ENGINES = (PythonInstance, NativeInstance)
 PUSH = Domain("push", "f", "N", "v", "m/s", "flow")
@@ -156,7 +157,7 @@ def test_wrong_impulses_are_refused_with_names(members, engine):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 @pytest.mark.parametrize("case", CASES)
 def test_steps_and_derivatives_equal_those_of_a_member_written_a_second_time(members, engine, case, k):
     """Two steps, of one and of three internal ones: states, node and end outputs, S, work, balance, derivatives."""
@@ -189,7 +190,7 @@ def test_steps_and_derivatives_equal_those_of_a_member_written_a_second_time(mem
         near((books["stored"] + books["dissipated"] - books["supplied"]).sum(), 0.0, 1e-12, np.abs(through).sum())
 
 
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 @pytest.mark.parametrize("case", ["machine", "body"])
 def test_derivatives_equal_differences_with_rollback(members, case, k):
     """Of the native engine, over two internal steps, with impulses at both ends."""
@@ -251,7 +252,7 @@ def test_of_an_energy_that_is_not_quadratic_the_work_is_the_integral():
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 @pytest.mark.parametrize("case", ["machine", "body", "line"])
 def test_there_and_back(members, engine, case, k):
     """The step back takes the inputs in turned order, and minus the impulses, the last one first."""
@@ -428,7 +429,7 @@ def test_a_step_that_is_halved_takes_each_impulse_once(engine):
     assert one.ledger()["pairs"][0] == pytest.approx(work, rel=1e-12)
 
 
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 @pytest.mark.parametrize("case", ["machine", "line"])
 def test_both_engines_give_the_same(members, case, k):
     (_, model), h, found = members(case, k), CASES[case][1], []

@@ -33,6 +33,7 @@ from tests.engine.hand_made import (
     oscillator_step,
     pendulum,
 )
+from tests.wide import wide
 
 
 def test_oscillator_equals_numpy_and_the_ledger_closes() -> None:
@@ -299,7 +300,7 @@ def test_messages_and_layouts_agree_with_the_header() -> None:
     assert lib.ph_size(tables.pointer) == 0
 
 
-@pytest.mark.parametrize("compiler", ["zig", "cc"])
+@pytest.mark.parametrize("compiler", wide(["zig", "cc"], "zig"))
 def test_tables_as_text_give_the_same_bits(compiler: str, tmp_path: Any) -> None:
     """The same model as C source, compiled without a warning, steps bit for bit like the ctypes tables."""
     if compiler == "cc" and shutil.which("cc") is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from phfmu import (
     state,
 )
 from phfmu.declare.variable import time
+from tests.wide import wide
 
 ENGINES = (PythonInstance, NativeInstance)
 #: order of the scheme -> length of a step of two internal ones, of which one has to be halved, see `growing`
@@ -137,9 +140,10 @@ def test_columns_of_chosen_inputs(plan, engine):
         instance.node_sensitivity([0, 2])
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("k", [1, 2, 3])
-@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize(
+    ("engine", "k", "parts"),
+    wide(product(ENGINES, (1, 2, 3), (1, 2)), *product((NativeInstance,), (1, 2), (1, 2)), (PythonInstance, 1, 1)),
+)
 def test_halved_steps_have_derivatives_of_their_parts(plan, engine, k, parts):
     """Of one internal step, and of two of which the second was halved."""
     instance, h = engine(plan(growing, k)), LENGTH[k] * parts / 2
@@ -175,7 +179,7 @@ def pulsed() -> PHDAE:
     )
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 def test_as_many_halved_steps_as_are_remembered(plan, engine):
     instance = engine(plan(pulsed, 1))
     compared(instance, 0.0, 16.0, 16, np.array([[0.01]]), 1e-2)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from phfmu.stress.mechanisms import G, bricard, bricard_reference, doubled, fram
 from phfmu.terms.rank import Dependence
 from phfmu.words import folded
 from tests.engine.mechanisms import crossing, hung, windows
+from tests.wide import wide
 
 ENGINES = (PythonInstance, NativeInstance)
 MECHANISMS = {"frame": frame, "doubled": doubled, "hinge": hinge}
@@ -43,7 +46,7 @@ def errors(instance: Any, h: float, steps: int, t: float = 0.0) -> tuple[float, 
     return values[:, position].max(), values[:, ~position].max(), np.ptp(rows["energy"])
 
 
-@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", wide([2, 6], 2))
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_redundant_bars_and_pins_cost_no_accuracy(name: str, order: int) -> None:
     m = model(MECHANISMS[name](), order)
@@ -57,8 +60,7 @@ def test_redundant_bars_and_pins_cost_no_accuracy(name: str, order: int) -> None
 
 @pytest.mark.parametrize(
     ("name", "order"),
-    [("frame", 2), ("doubled", 2), ("hinge", 6)]
-    + [pytest.param(*case, marks=pytest.mark.slow) for case in (("frame", 6), ("doubled", 6), ("hinge", 2))],
+    wide(product(MECHANISMS, (2, 6)), ("frame", 2), ("doubled", 2)),
 )
 def test_short_steps_cost_no_accuracy(name: str, order: int) -> None:
     """2000 steps.  The chord stops at 1e-15 of the velocities; what that leaves in the energy adds up, some 1e-17 a step."""
@@ -91,7 +93,7 @@ def test_node_rows_at_rest_have_order_4_and_their_mean_holds() -> None:
     assert np.all(np.abs(np.diff(np.log2(nodes)) + 4.0) <= 0.2)
 
 
-@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", wide([2, 6], 2))
 def test_bricards_mechanism_moves_on_its_manifold(order: int) -> None:
     """Of 39 rows one is redundant, but only where the others hold."""
     m = model(bricard()[0], order)
@@ -112,9 +114,10 @@ def ill_chosen() -> Model:
         return model(bricard()[0], 6)
 
 
-def test_a_row_that_loses_its_share_is_exchanged(ill_chosen: Model) -> None:
+@pytest.mark.parametrize("steps", wide([120, 400], 120))
+def test_a_row_that_loses_its_share_is_exchanged(ill_chosen: Model, steps: int) -> None:
     instance = NativeInstance(ill_chosen)
-    g, w, energy = errors(instance, 0.01, 400)
+    g, w, energy = errors(instance, 0.01, steps)
     assert instance.counts["exchanged"] == 1 and instance.counts["woken"] == 0
     assert g <= 1e-14 and w <= 1e-13 and energy <= 1e-13
     (change,) = instance.rest_changes
@@ -150,7 +153,7 @@ def test_an_exchange_is_reversible(ill_chosen: Model) -> None:
     assert np.abs(instance.x - start).max() <= 1e-13
 
 
-@pytest.mark.parametrize("read", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("read", wide([False, True], True))
 def test_states_saved_before_an_exchange_continue_bit_by_bit(ill_chosen: Model, read: bool) -> None:
     instance, other = NativeInstance(ill_chosen), NativeInstance(ill_chosen)
     instance.run(0.0, 0.01, 80)
@@ -180,11 +183,12 @@ def test_engines_exchange_alike(ill_chosen: Model) -> None:
     assert rows[0]["a"] == pytest.approx(rows[1]["a"], rel=1e-9, abs=1e-9)
 
 
-def test_units_exchange_like_the_native_engine(ill_chosen: Model, tmp_path: Path) -> None:
-    """Both versions; saved before the exchange and restored, the same bits follow."""
+@pytest.mark.parametrize("version", wide(["2.0", "3.0"], "3.0"))
+def test_units_exchange_like_the_native_engine(ill_chosen: Model, tmp_path: Path, version: str) -> None:
+    """Saved before the exchange and restored, the same bits follow."""
     native = NativeInstance(ill_chosen)
     native.run(0.0, 0.01, 110)
-    for path in export(ill_chosen, tmp_path, step=0.01):
+    for path in export(ill_chosen, tmp_path, (version,), step=0.01):
         with FMUInstance(path) as unit:
             for n in range(80):
                 unit.do_step(0.01 * n, 0.01)
@@ -204,23 +208,19 @@ def test_units_exchange_like_the_native_engine(ill_chosen: Model, tmp_path: Path
 STEPS = (0.0005, 0.001, 0.002, 0.0025, 0.004, 0.005, 0.00625, 0.008, 0.01, 0.0125, 0.016)
 
 
-@pytest.fixture(scope="module")
-def cranks() -> dict[tuple[int, bool], NativeInstance]:
-    """By order, and whether the Schur stepper is used."""
-    found = {}
-    for order in (2, 6):
-        m = model(windows(2), order)
-        found[order, True] = NativeInstance(m)
-        found[order, False] = NativeInstance(replace(m, step=replace(m.step, schur=None)))
-    return found
+@cache
+def cranks(order: int, schur: bool) -> NativeInstance:
+    """With the Schur stepper or without."""
+    m = model(windows(2), order)
+    return NativeInstance(m if schur else replace(m, step=replace(m.step, schur=None)))
 
 
-@pytest.mark.parametrize("h", [pytest.param(h, marks=[] if h in (0.005, 0.016) else pytest.mark.slow) for h in STEPS])
+@pytest.mark.parametrize("h", wide(STEPS, 0.005, 0.016))
 @pytest.mark.parametrize("schur", [True, False])
-@pytest.mark.parametrize("order", [2, 6])
-def test_parallel_cranks_pass_flat_positions_without_halving(cranks: Any, order: int, schur: bool, h: float) -> None:
+@pytest.mark.parametrize("order", wide([2, 6], 2))
+def test_parallel_cranks_pass_flat_positions_without_halving(order: int, schur: bool, h: float) -> None:
     """20 s, twice a turn flat; the cranks follow one another.  The Schur stepper stops at its own tolerance."""
-    instance = cranks[order, schur]
+    instance = cranks(order, schur)
     instance.reset()
     g, w, energy = errors(instance, h, round(20.0 / h))
     q = instance.x[:6].reshape(3, 2) - [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
@@ -231,7 +231,7 @@ def test_parallel_cranks_pass_flat_positions_without_halving(cranks: Any, order:
         assert g <= 1e-14 and w <= 1e-13 and energy <= 1e-12
 
 
-@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", wide([2, 6], 2))
 def test_rows_come_back_where_the_rank_rises(order: int) -> None:
     """A start flat, where two of five rows are redundant for an instant; one crank is pulled, so all bars work."""
     m = model(windows(2, np.pi / 2, pull=50.0), order)
@@ -263,7 +263,8 @@ def typed() -> tuple[Model, np.ndarray]:
     return m, project_start(m).x
 
 
-def test_rows_rest_at_a_start_that_is_set(typed: tuple[Model, np.ndarray]) -> None:
+@pytest.mark.parametrize("steps", wide([100, 400], 100))
+def test_rows_rest_at_a_start_that_is_set(typed: tuple[Model, np.ndarray], steps: int) -> None:
     m, x = typed
     native, python = NativeInstance(m), PythonInstance(m)
     for instance in (native, python):
@@ -276,7 +277,7 @@ def test_rows_rest_at_a_start_that_is_set(typed: tuple[Model, np.ndarray]) -> No
     near = [e.run(0.0, 0.01, 5, ("x",))["x"] for e in (native, python)]
     assert np.abs(near[0] - near[1]).max() <= 1e-13
     native.set_state(saved)
-    g, w, energy = errors(native, 0.01, 400)
+    g, w, energy = errors(native, 0.01, steps)
     assert g <= 1e-14 and w <= 1e-13 and energy <= 1e-13
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from math import cos, pi, sin, sqrt
 
 import numpy as np
@@ -34,6 +35,7 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.engine.event_failure import EventRefused
+from tests.wide import wide
 
 ENGINES = [PythonInstance, NativeInstance]
 M, K, D, E = 1.3, 7.0, 0.4, 0.8
@@ -77,7 +79,7 @@ def models() -> dict:
     return {k: build_model(wall(), Collocated(k)) for k in (1, 2, 3)}
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 @pytest.mark.parametrize(("k", "n", "time_error"), [(1, 160, 5e-3), (2, 160, 1e-6), (3, 320, 1e-12)])
 def test_order_2k_through_nine_impacts(models, engine, k, n, time_error):
     times, q, p = exact()
@@ -113,7 +115,7 @@ def test_engines_land_alike(models):
         assert a.happened.lost == pytest.approx(b.happened.lost, rel=1e-12)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 def test_landing_takes_few_solves(models, engine):
     """Most 6 an event beyond its trial and its landed step."""
     for k in (1, 2, 3):
@@ -133,8 +135,7 @@ def test_blocks_of_steps_do_not_matter(models, engine, cut):
     assert (whole.x == parts.x).all()
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("k", [1, 2])
+@pytest.mark.parametrize(("engine", "k"), wide(product(ENGINES, (1, 2)), (NativeInstance, 1), (PythonInstance, 2)))
 def test_a_ball_comes_to_rest(engine, k):
     """The bounces end at t = sqrt(2 h/g) (1 + e)/(1 - e); gravity is constant, so that all times are exact."""
     scene = build("bouncing_ball")

@@ -40,6 +40,7 @@ from phfmu.components.mechanical.translational import spring
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.model import kernels
 from phfmu.fmu.variables import FMUError
+from tests.wide import wide
 
 Q, P = state("q", unit="m", start=1.0), state("p", unit="kg.m/s", start=-3.0)
 M, K = parameter("m", 1.0, unit="kg"), parameter("k", 1.0, unit="N/m")
@@ -206,7 +207,7 @@ def endless():
 """
 
 
-@pytest.mark.parametrize("engine", ["python", "native"])
+@pytest.mark.parametrize("engine", wide(["python", "native"], "native"))
 def test_a_refused_event_ends_a_run_with_what_was_before_it(engine, tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "models.py").write_text(ENDLESS)

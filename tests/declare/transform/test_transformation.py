@@ -31,6 +31,7 @@ from phfmu import (
     state,
     with_closed_pair,
 )
+from tests.wide import wide
 
 # -- a plane oscillator: q' = p/m, p' = -grad V - d p/m + F, V = k |q|^2/2 + c q1^4/4 ---------------------------
 
@@ -79,7 +80,7 @@ def exact(end):
 
 
 @pytest.mark.parametrize("keep", [False, True])
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 def test_polar_coordinates_solve_the_same_problem(k, keep):
     """The transformed declaration, with E(x) or with E = 1 (Remark 8), has order 2k and an exact balance."""
     model, variables = plane()
