@@ -64,10 +64,11 @@ class Archive:
             name = f"binaries/{folder}/{self.interface.identifier}{fmpy.sharedLibraryExtension}"
             if name in self._names:
                 return name
-        raise FMUError(
-            f"{self.path}: no library for this platform ({' or '.join(folders)}); the archive has "
-            f"{', '.join(self.platforms) or 'none'}. Export it with this platform, or run it on one of those"
-        )
+        there = f"the archive has {', '.join(self.platforms) or 'none'}"
+        remedy = "Export it with this platform" + (", or run it on one of those" if self.platforms else "")
+        if any(n.startswith("sources/") for n in self._names):
+            there, remedy = f"{there}, and sources", f"Build them with `fmpy compile {self.path.name}`, or export it"
+        raise FMUError(f"{self.path}: no library for this platform ({' or '.join(folders)}); {there}. {remedy}")
 
     @cached_property
     def terminals(self) -> bytes | None:

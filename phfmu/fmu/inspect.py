@@ -25,6 +25,15 @@ def fmu_info(path: str | Path) -> str:
         "gives directional derivatives": face.derivatives,
     }
     lines += [f"{text}: {'yes' if able else 'no'}" for text, able in abilities.items()]
+    lines += [
+        text
+        for text, so in (
+            ("takes steps of one length only", face.one_step),
+            ("can be instantiated once per process only", face.one_instance),
+            ("needs a tool of its maker", face.tool),
+        )
+        if so
+    ]
     lines.append(f"energy ledger: {'exact, in the unit' if face.energy else 'none; port work can be estimated'}")
     if face.step is not None:
         lines.append(f"suggested step {face.step:g} s" + (f", stop {face.stop:g} s" if face.stop is not None else ""))

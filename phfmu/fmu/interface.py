@@ -37,7 +37,8 @@ class Interface:
 
     `left_out`: what cannot be read or set here, in words.  `nodes`, `weights`: places on [0, 1] and weights of the nodes at
     which ports take inputs; empty without such inputs.  `impulses`: inputs of which impulses are taken, in the order of
-    the matrix `jump`.
+    the matrix `jump`.  `one_step`: it says that all of its steps have to be equal;  `one_instance`: a process can have one of it;
+    `tool`: it needs a tool of its maker.
     """
 
     version: str
@@ -59,6 +60,9 @@ class Interface:
     jump: str = ""
     left_out: str = ""
     units: dict[str, Unit] = field(default_factory=dict)
+    one_step: bool = False
+    one_instance: bool = False
+    tool: bool = False
 
     def scalars(self, names: list[str] | tuple[str, ...], what: str) -> list[Scalar]:
         """The variables; FMUError names those there are not."""

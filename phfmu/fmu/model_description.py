@@ -17,7 +17,7 @@ from phfmu.fmu.version import FMI3, VERSIONS, Version, written_by
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import parse, read
 
-TRUE = ("true", "1")
+TRUE, FALSE = ("true", "1"), ("false", "0")
 
 _TIMES = ("startTime", "stopTime", "stepSize")
 _KEPT = 3  # names of a kind of variables that are left out
@@ -238,17 +238,20 @@ def read_interface(stream: IO[bytes], manifest: bytes | None, name: str) -> Inte
     about = ModelDescription(name)
     read(stream, f"{name}/modelDescription.xml", about)
     if about.cosimulation is None:
-        raise FMUError(f"{name}: the unit has no Co-Simulation interface")
-    version = about.version
+        raise FMUError(f"{name}: the unit has no Co-Simulation interface; export it for Co-Simulation")
+    version, told = about.version, about.cosimulation
     own = {} if manifest is None else read_manifest(parse(manifest, f"{name}/manifest"))
     return Interface(
         version=version.number,
         name=plain(about.root.get("modelName", name), 200),
-        identifier=about.cosimulation.get("modelIdentifier", ""),
+        identifier=told.get("modelIdentifier", ""),
         token=about.root.get(version.token, ""),
         variables=about.variables,
-        saves=about.cosimulation.get(version.saves) in TRUE,
-        derivatives=about.cosimulation.get(version.derives) in TRUE,
+        saves=told.get(version.saves) in TRUE,
+        derivatives=told.get(version.derives) in TRUE,
+        one_step=told.get("canHandleVariableCommunicationStepSize") in FALSE,
+        one_instance=told.get("canBeInstantiatedOnlyOncePerProcess") in TRUE,
+        tool=told.get("needsExecutionTool") in TRUE,
         start=about.times.get("startTime", 0.0),
         stop=about.times.get("stopTime"),
         step=about.times.get("stepSize"),

@@ -17,6 +17,8 @@ ANSWERS = {
     "terminate": ("it asks to end the simulation", "stop the run before this time"),
     "part of a step": ("it ended the step before its end, as it was allowed, but the run needs all of it",
                        "make its instance without early_return, or take smaller steps"),
+    "other length": ("all of its steps have to be equal (canHandleVariableCommunicationStepSize)",
+                     "move events, input rows and the stop onto the grid of steps, without --ecco and --unconverged halve"),
     "early return": ("it ended the step before its end, which it was not allowed", "ask its maker"),
     "gone": ("it is not there any more", "ask its maker; rows and audit until here are kept"),
     "hang": ("its process was ended", "allow it more time (--isolate-timeout), or ask its maker"),
@@ -25,7 +27,7 @@ ANSWERS = {
 
 
 #: answers that no call gave: what happened stands for the call
-NOT_GIVEN = ("not finite", "gone", "hang")
+NOT_GIVEN = ("not finite", "gone", "hang", "other length")
 
 #: what `fmu_log.c` says of a refused call: its name, what `ph_status_text` has, the numbers
 _SAID = re.compile(rf"[^:]*: ({'|'.join(re.escape(s.value) for s in Status)})(\. Worst: .*)?", re.DOTALL)

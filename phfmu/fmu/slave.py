@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,6 +25,10 @@ Array = NDArray[np.float64]
 #: messages that are kept, those that are quoted, and the characters of one
 KEPT, QUOTED, LONGEST = 20, 3, 500
 _ANSWERS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
+
+
+#: instances that live in this process, of files that allow one
+_LIVE: Counter[Path] = Counter()
 
 
 class AnySlave(Protocol):
@@ -64,15 +69,24 @@ class Slave:
             "guid": about.token, "modelIdentifier": about.identifier, "unzipDirectory": str(archive.folder),
             "instanceName": name,
         }  # fmt: skip
+        self._alone = archive.path if about.one_instance else None
+        if self._alone and _LIVE[self._alone]:
+            raise FMUError(
+                f"{archive.path}: '{name}' would be its second instance in this process, and it can have one "
+                "(canBeInstantiatedOnlyOncePerProcess); give each a process of its own (--isolate)"
+            )
         exit_guard.arm()
         exit_guard.current = (name, "the start of its library")
         try:
             library = archive.folder / archive.library
             self.fmu: Any = self._names.instance(library, common, self._log, ours, early_return)
         except Exception as error:  # the bindings raise plain Exception for a library that does not load
-            raise FMUError(f"{archive.path}: {plain(str(error))}{said(self.last_words())}") from error
+            needs = "; it needs a tool of its maker on this machine (needsExecutionTool)" if about.tool else ""
+            raise FMUError(f"{archive.path}: {plain(str(error))}{said(self.last_words())}{needs}") from error
         finally:
             exit_guard.current = None
+        if self._alone:
+            _LIVE[self._alone] += 1
 
     def _log(self, text: bytes | None) -> None:
         words = (text or b"")[: 4 * LONGEST].decode("utf-8", "replace").strip()
@@ -167,6 +181,8 @@ class Slave:
     def free(self) -> None:
         if not self.dead:
             self.call(self.fmu.freeInstance)
+            if self._alone:
+                _LIVE[self._alone] -= 1
 
 
 def _name(function: Any) -> str:

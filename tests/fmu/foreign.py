@@ -44,14 +44,16 @@ MASS = {
 }
 
 
-def description(version: str, variables: str, name: str = "foreign", saves: bool = False, before: str = "") -> str:
-    """modelDescription.xml for Co-Simulation around `variables`; `before`: units and types."""
+def description(
+    version: str, variables: str, name: str = "foreign", saves: bool = False, before: str = "", abilities: str = ""
+) -> str:
+    """modelDescription.xml for Co-Simulation around `variables`; `before`: units and types; `abilities`: more attributes."""
     token, states = (
         ("guid", "canGetAndSetFMUstate") if version == "2.0" else ("instantiationToken", "canGetAndSetFMUState")
     )
     return (
         f'<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription fmiVersion="{version}" modelName="{name}" '
-        f'{token}="1"><CoSimulation modelIdentifier="foreign" {states}="{str(saves).lower()}"/>{before}'
+        f'{token}="1"><CoSimulation modelIdentifier="foreign" {states}="{str(saves).lower()}" {abilities}/>{before}'
         f'<DefaultExperiment stopTime="1" stepSize="0.1"/>'
         f"<ModelVariables>{variables}</ModelVariables><ModelStructure/></fmiModelDescription>"
     )
@@ -78,11 +80,17 @@ TERMINALS = """<fmiTerminalsAndIcons fmiVersion="3.0"><Terminals><Terminal name=
 
 
 def mass(
-    path: Path, version: str, saves: bool = True, unit_of_force: str = "N", before: str = "", terminals: str = ""
+    path: Path,
+    version: str,
+    saves: bool = True,
+    unit_of_force: str = "N",
+    before: str = "",
+    terminals: str = "",
+    abilities: str = "",
 ) -> Path:
     """A mass on a spring as a unit of another tool; `terminals`: the kind of its force in a terminal."""
     more = {"terminalsAndIcons/terminalsAndIcons.xml": TERMINALS.format(kind=terminals)} if terminals else {}
-    return unit(path, version, MASS[version].format(unit=unit_of_force), saves, before, more)
+    return unit(path, version, MASS[version].format(unit=unit_of_force), saves, before, more, abilities)
 
 
 def unit(
@@ -92,9 +100,10 @@ def unit(
     saves: bool = False,
     before: str = "",
     more: Mapping[str, str] | None = None,
+    abilities: str = "",
 ) -> Path:
     """A unit with that library for this machine, and `more` files."""
     folder = fmpy.platform if version == "2.0" else fmpy.platform_tuple
     name = f"binaries/{folder}/foreign{fmpy.sharedLibraryExtension}"
-    about = description(version, variables, saves=saves, before=before)
+    about = description(version, variables, saves=saves, before=before, abilities=abilities)
     return archive(path, {"modelDescription.xml": about, name: library(), **(more or {})})

@@ -6,7 +6,8 @@
  *
  * A mass on a spring, stepped exactly under a held force: 20 `F` (input), 21 `v`, 22 `q` (outputs), 23 `m`,
  * 24 `k` (parameters), 25 `H` (its energy).  27 `forgets` (integer): a saved state has 1: not q, 2: nothing;
- * 3: it cannot be saved.
+ * 3: it cannot be saved.  28 `found`: the file table.txt among its resources, whose place has to be an URI in
+ * 2.0 and a path in 3.0.  An instance with the token `tool` there is not.
  */
 #include <math.h>
 #include <signal.h>
@@ -37,7 +38,7 @@ enum {
 };
 
 typedef struct unit {
-    double u, t, wide[2], x[2], F, v, q, m, k;
+    double u, t, wide[2], x[2], F, v, q, m, k, found;
     int mode, flag, choice, said, forgets;
     float single;
     const fmi2CallbackFunctions *callbacks;
@@ -110,7 +111,38 @@ static double number(const unit *m, unsigned r) {
            : r == 23 ? m->m
            : r == 24 ? m->k
            : r == 25 ? H
+           : r == 28 ? m->found
                      : output(m);
+}
+
+static double has_table(const char *folder) {
+    char path[2000];
+    FILE *file;
+    snprintf(path, sizeof(path), "%s/table.txt", folder);
+    file = fopen(path, "r");
+    if (file)
+        fclose(file);
+    return file ? 1.0 : 0.0;
+}
+
+/* The path in file:///a%20b, or nothing if a character should have been encoded. */
+static double has_table_at(const char *uri) {
+    char path[2000];
+    size_t n = 0;
+    if (!uri || strncmp(uri, "file:///", 8))
+        return 0.0;
+    for (const char *c = uri + 7; *c && n + 1 < sizeof(path); c++) {
+        unsigned value;
+        if (*c == '%' && sscanf(c + 1, "%2x", &value) == 1) {
+            path[n++] = (char)value;
+            c += 2;
+        } else if (*c <= ' ')
+            return 0.0;
+        else
+            path[n++] = *c;
+    }
+    path[n] = 0;
+    return has_table(path);
 }
 
 static void set_number(unit *m, unsigned r, double value) {
@@ -180,7 +212,10 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 }
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String place,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean on) {
-    unit *m = calloc(1, sizeof(unit));
+    unit *m = strcmp(guid, "tool") ? calloc(1, sizeof(unit)) : NULL;
+    if (!m)
+        return NULL;
+    m->found = has_table_at(place);
     m->callbacks = callbacks;
     m->environment = callbacks->componentEnvironment;
     m->m = 1.0;
@@ -259,7 +294,10 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3Boolean early, const fmi3ValueReference r[], size_t n,
                                          fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
                                          fmi3IntermediateUpdateCallback update) {
-    unit *m = calloc(1, sizeof(unit));
+    unit *m = strcmp(token, "tool") ? calloc(1, sizeof(unit)) : NULL;
+    if (!m)
+        return NULL;
+    m->found = has_table(path);
     m->log = log;
     m->environment = environment;
     m->wide[0] = 10.0;
@@ -351,28 +389,29 @@ ABSENT(fmi2CancelStep)
 ABSENT(fmi2DeSerializeFMUstate)
 ABSENT(fmi2GetDirectionalDerivative)
 ABSENT(fmi2GetIntegerStatus)
-ABSENT(fmi2GetRealOutputDerivatives) ABSENT(fmi2GetStatus) ABSENT(fmi2GetString) ABSENT(
-    fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate) ABSENT(fmi2SerializedFMUstateSize)
-    ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(fmi3ActivateModelPartition) ABSENT(
-        fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState) ABSENT(fmi3EnterConfigurationMode)
-        ABSENT(fmi3EnterContinuousTimeMode) ABSENT(fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(
-            fmi3EvaluateDiscreteStates) ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative)
-            ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(
-                fmi3GetContinuousStates) ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators)
-                ABSENT(fmi3GetInt16) ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(
-                    fmi3GetIntervalFraction) ABSENT(fmi3GetNominalsOfContinuousStates)
-                    ABSENT(fmi3GetNumberOfContinuousStates) ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(
-                        fmi3GetNumberOfVariableDependencies) ABSENT(fmi3GetOutputDerivatives)
-                        ABSENT(fmi3GetShiftDecimal) ABSENT(fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(
-                            fmi3GetUInt16) ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8)
-                            ABSENT(fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
-                                ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
-                                    ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary)
-                                        ABSENT(fmi3SetClock) ABSENT(fmi3SetContinuousStates)
-                                            ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8)
-                                                ABSENT(fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
-                                                    ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
-                                                        ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
-                                                            ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
-                                                                ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
+ABSENT(fmi2GetRealOutputDerivatives)
+ABSENT(fmi2GetStatus) ABSENT(fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate)
+    ABSENT(fmi2SerializedFMUstateSize) ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(
+        fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState)
+        ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode) ABSENT(
+            fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates)
+            ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative) ABSENT(fmi3GetBinary) ABSENT(
+                fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(fmi3GetContinuousStates)
+                ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetInt16)
+                    ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction) ABSENT(
+                        fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
+                        ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies)
+                            ABSENT(fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(
+                                fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16)
+                                ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(
+                                    fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
+                                    ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
+                                        ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary) ABSENT(
+                                            fmi3SetClock) ABSENT(fmi3SetContinuousStates) ABSENT(fmi3SetInt16)
+                                            ABSENT(fmi3SetInt8) ABSENT(fmi3SetIntervalDecimal)
+                                                ABSENT(fmi3SetIntervalFraction) ABSENT(fmi3SetShiftDecimal)
+                                                    ABSENT(fmi3SetShiftFraction) ABSENT(fmi3SetString)
+                                                        ABSENT(fmi3SetTime) ABSENT(fmi3SetUInt16)
+                                                            ABSENT(fmi3SetUInt32) ABSENT(fmi3SetUInt64)
+                                                                ABSENT(fmi3SetUInt8)
                                                                     ABSENT(fmi3UpdateDiscreteStates)

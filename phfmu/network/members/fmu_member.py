@@ -20,6 +20,7 @@ from phfmu.signals import ENERGY, port_energy
 Array = NDArray[np.float64]
 
 SHORT = 1e-300  # s, lost in the rounding of any clock
+SAME_LENGTH = 1e-9  # relative difference of steps that are equal
 
 
 def _columns(unit: FMUInstance) -> list[str]:
@@ -62,6 +63,7 @@ class FMUMember:
         watched = [i for i, n in enumerate(self.names) if foreign and unit.variable(n).causality == "output"]
         self._watched = np.array(watched, int)
         self._inside = _fed_from_inside(unit)
+        self._length: float | None = None
         self.booking = _booking(unit, name)
         self._tunable = frozenset(unit.tunable)
         self._others = [*unit.other_inputs, *unit.tunable]
@@ -123,13 +125,22 @@ class FMUMember:
             at.set_impulses(nothing, nothing)
 
     def do_step(self, t: float, h: float) -> None:
-        """All of the step; UnitFailure where the unit takes a part of it only, which is taken back."""
+        """All of the step; UnitFailure where the unit takes a part of it only, which is taken back, or not this length."""
+        self._require_length(t, h)
         before = self.unit.get_state() if self.unit.early_return else None
         reached = self.unit.do_step(t, h)
         if before is not None and reached < t + h:
             self.unit.set_state(before)
             words = [f"last successful time {reached:.9g} s"]
             raise UnitFailure(self.unit.name, t, h, "fmi3DoStep", "part of a step", words)
+
+    def _require_length(self, t: float, h: float) -> None:
+        if not self.unit.interface.one_step:
+            return
+        self._length = h if self._length is None else self._length
+        if abs(h - self._length) > SAME_LENGTH * self._length:
+            what = f"a step of {h:.9g} s after steps of {self._length:.9g} s"
+            raise UnitFailure(self.unit.name, t, h, what, "other length")
 
     def output(self) -> Array:
         return self.unit.output()
