@@ -6,10 +6,11 @@ import re
 from pathlib import Path
 
 
-def _read() -> dict[str, float]:
-    folder = Path(__file__).parent / "runtime"
-    text = "".join((folder / name).read_text() for name in ("step_limits.h", "events/event_limits.h"))
+def defined(*headers: Path) -> dict[str, float]:
+    """Numbers that headers define, without the prefix PH_."""
+    text = "".join(h.read_text() for h in headers)
     return {name: float(value) for name, value in re.findall(r"^#define PH_(\w+) ([\d.e+-]+)$", text, flags=re.M)}
 
 
-LIMITS = _read()
+_RUNTIME = Path(__file__).parent / "runtime"
+LIMITS = defined(_RUNTIME / "step_limits.h", _RUNTIME / "events" / "event_limits.h")

@@ -15,14 +15,14 @@ from phfmu.engine.tables import ARRAYS, Field, declared, for_ctypes
 
 
 class Header:
-    """Structures `names` of a header (one field a line), and `calls`: the one of functions of the library of a model."""
+    """Structures `names` of headers (one field a line), and `calls`: the one of functions of the library of a model."""
 
-    def __init__(self, path: Path, names: Sequence[str], calls: str):
-        self._path, self._names, self._calls = path, tuple(names), calls
+    def __init__(self, paths: Sequence[Path], names: Sequence[str], calls: str):
+        self._text, self._names, self._calls = "".join(p.read_text() for p in paths), tuple(names), calls
 
     @cached_property
     def fields(self) -> dict[str, tuple[Field, ...]]:
-        return declared(self._path.read_text(), self._names)
+        return declared(self._text, self._names)
 
     @cached_property
     def structures(self) -> dict[str, type[ctypes.Structure]]:
@@ -31,7 +31,7 @@ class Header:
     @cached_property
     def functions(self) -> list[str]:
         """Names of the functions of `calls`, in order."""
-        body = re.search(rf"typedef struct {self._calls} {{(.*?)}} {self._calls};", self._path.read_text(), re.S)
+        body = re.search(rf"typedef struct {self._calls} {{(.*?)}} {self._calls};", self._text, re.S)
         assert body
         return re.findall(r"\(\*(\w+)\)\(", body[1])
 

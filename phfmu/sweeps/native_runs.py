@@ -28,7 +28,7 @@ from phfmu.sweeps.words import KINDS
 RUNTIME = Path(__file__).parent / "runtime"
 #: kind of structure -> the field of `ph_runs` that lists them
 LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measure": "measures"}
-HEADER = Header(RUNTIME / "runs.h", (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"), "ph_runs_calls")
+HEADER = Header((RUNTIME / "runs.h",), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"), "ph_runs_calls")
 #: rows of the ledger in the order of runs.c
 ROWS = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 

@@ -179,7 +179,7 @@ def test_of_an_iteration_stopped_early_the_junctions_take_what_rows_and_impulses
         )
         joined.restore(states)
         trial = coupling.trial(z, before, Step(0.0, h, states))
-        works = joined.ledger()["pairs"][: len(joined.face.P)][_joined_pairs(joined)]
+        works = joined.ledger()["pairs"][: len(joined.face.column)][_joined_pairs(joined)]
         assert abs(works.sum()) > 1e-3 * np.abs(works).sum()
         assert coupling.works(z, before, trial, h).sum() == pytest.approx(works.sum(), rel=1e-11)
 

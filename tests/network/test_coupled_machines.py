@@ -163,7 +163,7 @@ def test_the_energy_of_such_an_impulse_is_that_of_the_formula() -> None:
     S = np.zeros((len(columns),) * 2)
     for s in exchange.shares:
         if s.kicked:
-            S += s.Q.T @ s.values.jump() @ s.Q
+            S[np.ix_(s.bare, s.bare)] += s.Q.T @ s.values.jump() @ s.Q
     c = (apart.joined.end_outputs() @ apart.joined.face.P)[columns]
     H = apart.energies()
     found = apart.project_start(0.0)

@@ -51,7 +51,7 @@ class Repeated:
         self.trials = trials
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
-        C, P = joined.face.C, joined.face.P
+        C, P = joined.face.C.toarray(), joined.face.P
         xi: Any = last.xi
         for i in range(self.trials):
             if i > 0:
@@ -92,7 +92,7 @@ def test_newton_solves_the_rows_without_a_run() -> None:
     net = pair()
     own = members(net)
     joined = Joined(net, own)
-    start = Solution(joined.face.start, np.zeros(len(joined.face.P)))
+    start = Solution(joined.face.start, np.zeros(len(joined.face.column)))
     found = Newton().solve(joined, start, Step(0.0, H, joined.states()))
     assert found.accepted_by in ("energy", "rounding floor")
     assert abs(joined.rows(found.xi, found.y)).max() <= 1e-13 * abs(found.y).max()
@@ -119,7 +119,9 @@ def test_the_books_of_members_stand_side_by_side() -> None:
     m, s = members(net)
     parts: list[Any] = [m, Silent(s)]
     joined = Joined(net, parts)
-    Newton().solve(joined, Solution(joined.face.start, np.zeros(len(joined.face.P))), Step(0.0, H, joined.states()))
+    Newton().solve(
+        joined, Solution(joined.face.start, np.zeros(len(joined.face.column))), Step(0.0, H, joined.states())
+    )
     book, own = joined.ledger(), m.ledger()
     assert set(book) == {"stored", "dissipated", "supplied", "pairs", "numerical", "moved"}
     assert book["stored"].tolist() == [*own["stored"], *s.ledger()["stored"]]

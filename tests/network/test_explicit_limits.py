@@ -175,7 +175,7 @@ class Lagged:
     name, order, repeats, closes = "lagged", 1, False, False
 
     def solve(self, joined: Any, last: Solution, step: Any) -> Solution:
-        xi = np.linalg.solve(joined.face.C, -joined.face.P.T @ joined.end_outputs())
+        xi = np.linalg.solve(joined.face.C.toarray(), -joined.face.P.T @ joined.end_outputs())
         return Solution(xi, joined.trial(xi, step.t, step.h))
 
 

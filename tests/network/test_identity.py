@@ -26,7 +26,8 @@ from phfmu import (
     run,
 )
 from phfmu.components.library import LIBRARY, build
-from phfmu.network.couplings.newton import Newton, update
+from phfmu.network.couplings.matrices import update
+from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import POLICIES
 

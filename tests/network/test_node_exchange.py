@@ -110,14 +110,15 @@ class Master:
             for port, place in m.places.items():
                 self.free[at + place.start : at + place.stop] *= dict(factors).get(port, 1.0)
             at += m.nu
-        self.joined = self.face.P.any(axis=1)
+        self.P, self.C = self.face.P.toarray(), self.face.C.toarray()
+        self.joined = self.P.any(axis=1)
         self.free[self.joined] = 0.0
         self.z = np.concatenate([np.tile(self.face.start, k), np.zeros(2 * len(self.bare))])
 
     def _each(self):
         at = 0
         for m, parts in zip(self.members, self.parts, strict=True):
-            yield m, self.face.P[at : at + m.nu], self.free[at : at + m.nu], parts
+            yield m, self.P[at : at + m.nu], self.free[at : at + m.nu], parts
             at += m.nu
 
     def jumps(self):
@@ -139,7 +140,7 @@ class Master:
         """Residual of one step of all members, and the sizes of what it is a sum of."""
         k, n, nb = self.k, self.nx, len(self.bare)
         xi, m0, m1 = z[: k * n].reshape(k, n), z[k * n : k * n + nb], z[k * n + nb :]
-        r, size = xi @ self.face.C.T, np.abs(xi) @ np.abs(self.face.C.T)
+        r, size = xi @ self.C.T, np.abs(xi) @ np.abs(self.C.T)
         for (m, P, free, parts), start in zip(self._each(), states, strict=True):
             m.instance.set_state(start)
             m.instance.set_node_inputs(xi @ P.T + free)
@@ -160,7 +161,7 @@ class Master:
     def jacobian(self):
         k, n, nb = self.k, self.nx, len(self.bare)
         J = np.zeros((k * n + 2 * nb,) * 2)
-        J[: k * n, : k * n] = np.kron(np.eye(k), self.face.C)
+        J[: k * n, : k * n] = np.kron(np.eye(k), self.C)
         for m, P, _, _ in self._each():
             kicked = bool(P[:, self.bare].any())
             S = m.instance.node_sensitivity(impulses=kicked, end=kicked)

@@ -21,9 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import Status
+from phfmu.network.couplings.acceptance import Progress
 from phfmu.network.couplings.coupling import Solution, Step
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.newton import accepted, failed, trial_of, update
+from phfmu.network.couplings.matrices import assembled, update
+from phfmu.network.couplings.newton import energies, failed, trial_of
+from phfmu.network.junctions.hidden import hidden_part
 
 Array = NDArray[Any]
 
@@ -41,7 +44,7 @@ class Memory:
     X: Array
     F: Array
     size: Array
-    M: Array
+    M: Any
     plain: bool
 
     def with_pair(self, x: Array, f: Array) -> Memory:
@@ -78,7 +81,7 @@ class Anderson:
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
-        xi, history = last.xi, list[float]()
+        xi, progress = last.xi, Progress(held=True)
         memory = last.memory if isinstance(last, Remembered) else None
         best, before = (np.inf, xi), None
         for i in range(ITERATIONS):
@@ -86,32 +89,38 @@ class Anderson:
                 joined.restore(step.states)
             trial = trial_of(joined, xi, step)
             if not np.isfinite(trial.r).all():
-                raise failed(Status.NOT_FINITE, joined, step, trial, history, HOW)
-            history.append(float(np.max(trial.scaled(joined), initial=0.0)))
-            best = min(best, (history[-1], xi), key=itemgetter(0))
-            if accepted_by := accepted(joined, trial, step.h, history, np.zeros_like(joined.face.C)):
+                raise failed(Status.NOT_FINITE, joined, step, trial, progress.history, HOW)
+            progress.note(float(np.max(trial.scaled(joined), initial=0.0)))
+            best = min(best, (progress.history[-1], xi), key=itemgetter(0))
+            if accepted_by := progress.accepted(_never, *energies(joined, trial, step.h)):
                 return Remembered(xi, trial.y, i + 1, accepted_by, memory=memory)
             memory = _begun(joined, step) if memory is None else memory
             try:
                 f = update(memory.M, trial.r)
             except np.linalg.LinAlgError:
-                raise failed(Status.SINGULAR, joined, step, trial, history, HOW) from None
+                raise failed(Status.SINGULAR, joined, step, trial, progress.history, HOW) from None
             memory = replace(memory, size=np.maximum(memory.size, np.abs(xi)))
             if before is not None:
                 memory = memory.with_pair(xi - before[0], f - before[1])
             before, xi = (xi, f), memory.moved(xi, f)
         joined.restore(step.states)
         kept = trial_of(joined, best[1], step)
-        given_up = failed(Status.NO_CONVERGENCE, joined, step, kept, history, HOW)
+        given_up = failed(Status.NO_CONVERGENCE, joined, step, kept, progress.history, HOW)
         raise given_up.of(Remembered(kept.xi, kept.y, ITERATIONS, memory=memory))
+
+
+def _never() -> bool:
+    """Without sensitivities it is not known what a change of the unknowns makes of a row."""
+    return False
 
 
 def _begun(joined: Joined, step: Step) -> Memory:
     """M, after the first trial of a run."""
-    C = joined.face.C
-    plain = np.linalg.matrix_rank(C) == len(C)
+    face = joined.face
+    M = assembled(face.C, ())
+    plain = hidden_part(M, face.nominal).nnz == 0
     if not plain:
         parts = zip(joined.members, step.states, strict=True)
-        C = joined.matrix([m.sensitivity(step.t, step.h, s) for m, s in parts])
-    none = np.zeros((len(C), 0))
-    return Memory(none, none, np.maximum(1e-6 * joined.face.nominal, 1e-300), C, bool(plain))
+        M = joined.matrix([m.sensitivity(step.t, step.h, s) for m, s in parts])
+    none = np.zeros((len(face.names), 0))
+    return Memory(none, none, np.maximum(1e-6 * face.nominal, 1e-300), M, plain)

@@ -6,20 +6,23 @@ all carry impulses or none does, by the rule of composed models (`terms/bare.py`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from phfmu.network.couplings.matrices import summed
 from phfmu.network.junctions.interface import Interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.node_values import Offer
 from phfmu.terms.bare import remedy
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
     linear: dict[str, bool] = {}
     for j in network.junctions:
         own = face.sums[j.name]
-        if face.C[own].any():
+        if face.C.indptr[own.stop] > face.C.indptr[own.start]:  # outputs that must be equal
             continue
         ends = [by_name[e.member].ports[e.port] if e.member in by_name else None for e in j.ends]
         if any(e is None or e.kind == "none" for e in ends):
@@ -53,13 +56,12 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
         refused[j.name] = "; ".join(odd)
     if all(linear.values()):  # the common case, which needs no matrix
         return Bare((), dict.fromkeys(linear, ""), tuple(columns))
-    S = np.zeros((len(columns),) * 2)
-    for o, place in zip(offers, inputs, strict=True):
-        if o is not None and (Q := face.P[place][o.kicked][:, columns]).any():
-            S += Q.T @ o.jump() @ Q
+    kicked = Kicked(face, columns)
+    reached = [(kicked.at(o, p), o) for o, p in zip(offers, inputs, strict=True) if o is not None]
+    S = kicked.inductance((own, o.jump()) for own, o in reached if (own >= 0).any())
     at = {c: name for name in linear for c in range(face.sums[name].start, face.sums[name].stop)}
     taken, why = list[int](), {}
-    for part in _clusters(S):
+    for part in clusters(S):
         names = list(dict.fromkeys(at[columns[i]] for i in part))
         bent = "; ".join(filter(None, (refused[n] for n in names)))
         found = remedy(all(linear[n] for n in names), "", partial(_part, S, part), partial(str, bent))
@@ -71,10 +73,30 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
     return Bare(tuple(sorted(taken)), why, tuple(columns))
 
 
-def _part(S: Array, part: NDArray[np.intp]) -> Array:
-    return S[np.ix_(part, part)]
+class Kicked:
+    """Some columns of an interface, as those of impulses."""
+
+    def __init__(self, face: Interface, columns: Sequence[int]):
+        self.n, self._column = len(columns), face.column
+        self._position = np.full(len(face.names) + 1, -1)  # the last one is that of inputs that nothing feeds
+        self._position[list(columns)] = np.arange(self.n)
+
+    def at(self, offer: Offer, place: slice) -> Ints:
+        """Which of the columns each impulse of a member is fed by, -1: none; `place`: its inputs among all."""
+        return self._position[self._column[place][offer.kicked]]
+
+    def inductance(self, parts: Iterable[tuple[Ints, Array]]) -> csr_array:
+        """S of the columns, of members' `at` and S."""
+        own = ((at, np.flatnonzero(at >= 0), S) for at, S in parts)
+        return summed(self.n, ((at[mine], at[mine], S[np.ix_(mine, mine)]) for at, mine, S in own))
 
 
-def _clusters(S: Array) -> list[NDArray[np.intp]]:
-    count, label = connected_components(S != 0, directed=False)
-    return [np.flatnonzero(label == i) for i in range(count)]
+def clusters(S: csr_array) -> list[Ints]:
+    """What S couples, in order."""
+    count, label = connected_components(S, directed=False)
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
+
+
+def _part(S: csr_array, part: Ints) -> Array:
+    return S[part][:, part].toarray()

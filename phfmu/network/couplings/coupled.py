@@ -55,7 +55,7 @@ class Coupled:
         closes = self.coupling.closes and not self.joined.put_off
         self._growth = None if closes else Growth(self.joined)
         face = self.joined.face
-        self.last = Solution(face.start.copy(), np.zeros(len(face.P)))
+        self.last = Solution(face.start.copy(), np.zeros(len(face.column)))
         inner = plain(self.coupling)
         self._works = Works(self.joined, inner.exchange if isinstance(inner, NodeNewton) else None, inner.repeats)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)

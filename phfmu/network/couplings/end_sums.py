@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_array
 
 from phfmu.declare.junction_words import spread_words
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.matrices import DENSE
 from phfmu.network.junctions.hidden import hidden_part
 from phfmu.network.junctions.junction import Junction
 from phfmu.network.members.consistent import MONOLITHIC, inconsistent
@@ -19,8 +20,6 @@ Array = NDArray[np.float64]
 
 CONSISTENT = 1e-7  # a sum below this part of the largest output it is made of, and of
 UNIT = 1e-6  # this where all of them are zero
-DENSE = 64  # most junction unknowns whose matrices are kept as arrays
-NOTHING = 1e-13  # entries of a projector below this are rounding
 
 
 class EndSums:
@@ -35,6 +34,9 @@ class EndSums:
         face = joined.face
         self.names = [SUM + n for n in face.sum_names()]
         self._rows = face.rows_of_sums()
+        self._starts = np.cumsum([0, *map(len, self._rows)])[:-1]
+        self._single = np.array([len(own) == 1 for own in self._rows], bool)
+        self._gathered = np.concatenate([*self._rows, np.zeros(0, int)]).astype(int)
         self._maps: tuple[Any, Any, Any] | None = None
 
     def forget(self) -> None:
@@ -57,19 +59,23 @@ class EndSums:
         assert self._maps is not None
         P, C, Q = self._maps
         r = (y @ P + xi @ C) @ Q
-        columns = [r[:, own[0]] if len(own) == 1 else np.ptp(r[:, own], axis=1) for own in self._rows]
-        return np.array(columns).reshape(-1, len(xi)).T
+        if not len(self._rows):
+            return np.zeros((len(xi), 0))
+        r = r[:, self._gathered]
+        spread = np.maximum.reduceat(r, self._starts, axis=1) - np.minimum.reduceat(r, self._starts, axis=1)
+        return np.where(self._single, r[:, self._starts], spread)
 
     def require_zero(self, xi: Array) -> None:
         """InconsistentState if joined flows (efforts) of states do not sum to zero."""
         face, network = self.joined.face, self.joined.network
         sums = self.values(xi)
-        size = np.abs(face.P.T) @ np.abs(self.joined.end_outputs())
+        size = face.summed(np.abs(self.joined.end_outputs()))
         bad = []
         at = [j for j in network.junctions for _ in range(network.port_of(j.ends[0]).n)]
-        for j, n, v, own in zip(at, face.sum_names(), sums, self._rows, strict=True):
+        rows = zip(at, face.commons(), face.sum_names(), sums, self._rows, strict=True)
+        for j, common, n, v, own in rows:
             if not abs(v) <= CONSISTENT * (size[own].max() + UNIT):
-                pure = not face.C[own[0], : own[0]].any()
+                pure = own[0] == common
                 bad.append(f"{n}: sum {v:.6g}" if pure else f"{n}: {self._differ(j, v)}")
         if bad:
             instead = f", or {MONOLITHIC}" if network.composable else ""
@@ -80,10 +86,8 @@ class EndSums:
         """P, C^T, Q^T with the projector Q to what no junction unknown can change; sparse where there are many."""
         face = self.joined.face
         Q = hidden_part(self.joined.instant_matrix(xi), face.nominal)
-        if len(Q) <= DENSE:
-            return face.P, face.C.T, Q.T
-        Q[np.abs(Q) <= NOTHING] = 0.0
-        return csr_matrix(face.P), csr_matrix(face.C.T), csr_matrix(Q.T)
+        maps = face.P, face.C.T, Q.T
+        return tuple(m.toarray() for m in maps) if Q.shape[0] <= DENSE else tuple(map(csr_array, maps))  # pyright: ignore
 
     def _differ(self, junction: Junction, value: float) -> str:
         shared = "effort" if junction.kind == "0" else "flow"

@@ -13,23 +13,32 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.bare_columns import bare
+from phfmu.network.couplings.clusters import Clusters
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.members.node_values import NodeValues, node_values
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class Share:
-    """A member's part: node inputs to(xi) (k nu x N), its adjoint (N x k nu), impulses Q (kicked x bare), those at ends."""
+    """A member's part: what it reaches of the N unknowns at nodes (own) and of the bare columns (bare), and how.
+
+    to: node inputs of its own unknowns (k nu x own);  back: the adjoint (own x k nu);  Q: impulses of its bare columns
+    (kicked x bare);  ends: sums at ends of its outputs (nu x bare)
+    """
 
     values: NodeValues
     place: slice
+    own: Ints
     to: Array
     back: Array
+    bare: Ints
     Q: Array
     ends: Array
     #: inputs that junctions feed, and the rows of `to` with them
@@ -53,16 +62,20 @@ class Exchange:
         #: values per column
         self.k = columns_k(joined, {v.member.name: v.rule.k for v in parts})
         self.columns = np.repeat(np.arange(len(self.k)), self.k)
+        self._first = np.cumsum(self.k) - self.k
         self.at_node = np.concatenate([np.arange(k) for k in self.k]) if len(self.k) else np.zeros(0, int)
         self.weights = np.concatenate([nodes(k).b for k in self.k]) if len(self.k) else np.zeros(0)
-        same = self.at_node[:, None] == self.at_node
-        self.C = face.C[np.ix_(self.columns, self.columns)] * same
+        self.C = self._at_nodes(face.C)
+        self.row_nominal = face.row_nominal[self.columns]
         offers = [v.offer for v in parts]
         found = bare(joined.network, face, joined.places, offers)
         self.bare, self.offered = list(found.columns), list(found.offered)
+        self._bare = np.full(len(self.k), -1)
+        self._bare[self.bare] = np.arange(len(self.bare))
         #: (-1)^k_J per bare column
         self.signs = (-1.0) ** self.k[self.bare]
-        self.shares = [self._share(v, place) for v, place in zip(parts, joined.places, strict=True)]
+        self.shares = [self._share(v, *p) for v, p in zip(parts, enumerate(joined.places), strict=True)]
+        self.clusters = Clusters([s.bare for s in self.shares if s.kicked], len(self.bare))
 
     @property
     def held(self) -> bool:
@@ -80,28 +93,37 @@ class Exchange:
     def ahead(self, values: Array, ratio: float) -> Array:
         """The polynomials of a step at the nodes of the next, `ratio` times as long."""
         out = values.copy()
-        for c, k in enumerate(self.k):
-            own = self.columns == c
-            rule = nodes(k)
-            out[own] = [rule.value(1.0 + ratio * t) @ values[own] for t in rule.c]
+        for k in np.unique(self.k):
+            rule, own = nodes(k), self._first[self.k == k][:, None] + np.arange(k)
+            out[own] = values[own] @ np.array([rule.value(1.0 + ratio * t) for t in rule.c]).T
         return out
 
-    def _share(self, values: NodeValues, place: slice) -> Share:
-        P, rule = self.joined.face.P[place], values.rule
-        to = np.zeros((rule.k, len(P), len(self.columns)))
-        used = np.atleast_1d(P.any(axis=0))
-        for z, (c, i) in enumerate(zip(self.columns, self.at_node, strict=True)):
-            if not used[c]:
-                continue
-            own = nodes(self.k[c])
-            R = np.eye(rule.k)[:, i] if own.k == rule.k else np.array([own.value(t)[i] for t in rule.c])
-            to[:, :, z] = R[:, None] * P[:, c]
-        to = to.reshape(rule.k * len(P), len(self.columns))
-        back = to.T * np.repeat(rule.b, len(P)) / self.weights[:, None]
+    def _at_nodes(self, C: csr_array) -> csr_array:
+        """C between unknowns at one node; columns that it joins have as many values."""
+        c, d = C.nonzero()
+        k = self.k[c]
+        node = np.arange(k.sum()) - np.repeat(np.cumsum(k) - k, k)
+        where = np.repeat(self._first[c], k) + node, np.repeat(self._first[d], k) + node
+        return csr_array((np.repeat(C.data, k), where), shape=(len(self.columns),) * 2)
+
+    def _share(self, values: NodeValues, i: int, place: slice) -> Share:
+        (columns, P), rule = self.joined.reach(i), values.rule
+        to = np.zeros((rule.k, len(P), int(self.k[columns].sum())))
+        own, at = np.zeros(to.shape[2], int), 0
+        for c, p in zip(columns, P.T, strict=True):
+            k = int(self.k[c])
+            R = np.eye(k) if k == rule.k else np.array([nodes(k).value(t) for t in rule.c])
+            to[:, :, at : at + k] = R[:, None, :] * p[:, None]
+            own[at : at + k] = self._first[c] + np.arange(k)
+            at += k
+        to = to.reshape(rule.k * len(P), at)
+        back = to.T * np.repeat(rule.b, len(P)) / self.weights[own][:, None]
         fed = np.flatnonzero(P.any(axis=1)).tolist()
         rows = [node * len(P) + j for node in range(rule.k) for j in fed]
         kicked = values.offer.kicked if self.bare and values.offer else []
-        return Share(values, place, to, back, P[kicked][:, self.bare], P[:, self.bare], fed, rows)
+        mine = self._bare[columns] >= 0
+        ends = P[:, mine]
+        return Share(values, place, own, to, back, self._bare[columns[mine]], ends[kicked], ends, fed, rows)
 
 
 def columns_k(joined: Joined, k_of: dict[str, int]) -> NDArray[np.int64]:

@@ -27,7 +27,7 @@ def stepped(joined: Joined, instant: Instant, last: Solution, step: Step, groups
         for i in group:
             place = joined.places[i]
             U[place] = inputs[place]
-            fed = joined.face.P[place].any(axis=0)
+            fed, _ = joined.reach(i)
             used[fed] = xi[fed]
             joined.members[i].do_step(step.t, step.h)
     for m, place in zip(joined.members, joined.places, strict=True):

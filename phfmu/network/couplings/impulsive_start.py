@@ -14,14 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from phfmu.discretise.start import Projection
+from phfmu.network.couplings.bare_columns import clusters
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.matrices import summed
 from phfmu.network.members.node_values import InstanceNodes
 from phfmu.terms.bare import SINGULAR
 
@@ -30,16 +33,18 @@ if TYPE_CHECKING:
     from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 MOST, SHRINKING = 12, 0.5  # trials; sums that shrink to more than this part of the last are rounding
 
 
 @dataclass(frozen=True)
 class Moved:
-    """A member that impulses act on; to: its impulses by a."""
+    """A member that impulses act on; to: its impulses by those of a that reach it (at)."""
 
     member: EngineMember | FMUMember
     values: InstanceNodes
+    at: Ints
     to: Array
 
 
@@ -64,39 +69,44 @@ def project_start(joined: Joined, t: float, kept: Sequence[str]) -> Projection:
     raise ValueError(f"{network.name}: a coupled network cannot be projected at t = {t:g} s: {reason}; {remedy}")
 
 
-def _directions(exchange: Exchange) -> tuple[list[str], Array]:
+def _directions(exchange: Exchange) -> tuple[list[str], Any]:
     """Names of a, and B (unknowns of the interface x a)."""
     face = exchange.joined.face
-    taken = np.zeros(len(face.P), bool)
+    taken = np.zeros(len(face.column), bool)
     for s in exchange.shares:
         if s.values.offer is not None:
             taken[np.arange(s.place.start, s.place.stop)[s.values.offer.kicked]] = True
-    names, columns = [], []
+    refused = set(face.column[face.fed[~taken[face.fed]]].tolist())
+    offered, names = set(exchange.offered), list[str]()
+    entries: list[tuple[int, int, float]] = []
     for c, duals in zip(face.commons(), face.rows_of_sums(), strict=True):
-        if c in exchange.offered:
+        if c in offered:
+            entries.append((c, len(names), 1.0))
             names.append(face.names[c])
-            columns.append(np.eye(len(face.names))[c])
-        elif c not in duals and taken[face.P[:, duals].any(axis=1)].all():
+        elif c not in duals and refused.isdisjoint(duals.tolist()):
             for first, second in zip(duals[:-1], duals[1:], strict=True):
+                entries += [(int(first), len(names), 1.0), (int(second), len(names), -1.0)]
                 names.append(face.names[c] if len(duals) == 2 else f"{face.names[c]} at {face.names[second]}")
-                columns.append(np.eye(len(face.names))[first] - np.eye(len(face.names))[second])
-    return names, np.array(columns).reshape(-1, len(face.names)).T
+    row, column, value = (np.array([e[i] for e in entries], kind) for i, kind in enumerate((int, int, float)))
+    return names, csr_array((value, (row, column)), shape=(len(face.names), len(names)))
 
 
-def _project(exchange: Exchange, names: list[str], B: Array, t: float) -> Projection:
+def _project(exchange: Exchange, names: list[str], B: Any, t: float) -> Projection:
     """By a, more than once where S changes along it."""
     joined = exchange.joined
 
     def violated() -> Array:
-        return joined.end_outputs() @ joined.face.P @ B
+        return B.T @ joined.face.summed(joined.end_outputs())
 
     moved = list(_moved(exchange, B))
     start, H, c = [m.member.states for m in moved], joined.energies(), [violated()]
     while len(c) < MOST and (len(c) < 2 or np.abs(c[-1]).max() < SHRINKING * np.abs(c[-2]).max()):
-        S = sum((m.to.T @ m.values.jump() @ m.to for m in moved), np.zeros((len(names),) * 2))
-        a = -np.linalg.pinv(S, rcond=SINGULAR, hermitian=True) @ c[-1]
+        S = summed(len(names), ((m.at, m.at, m.to.T @ m.values.jump() @ m.to) for m in moved))
+        a = np.zeros(len(names))
+        for own in clusters(S):
+            a[own] = -np.linalg.pinv(S[own][:, own].toarray(), rcond=SINGULAR, hermitian=True) @ c[-1][own]
         for m in moved:
-            m.member.shift(m.to @ a, t)
+            m.member.shift(m.to @ a[m.at], t)
         c.append(violated())
     changes = [
         (f"{m.member.name}.{n}", a, b) for m, x in zip(moved, start, strict=True)
@@ -106,8 +116,10 @@ def _project(exchange: Exchange, names: list[str], B: Array, t: float) -> Projec
     return Projection(np.zeros(0), tuple(changes), before, after, float((joined.energies() - H).sum()))
 
 
-def _moved(exchange: Exchange, B: Array) -> Iterator[Moved]:
-    for s in exchange.shares:
-        P = exchange.joined.face.P[s.place]
-        if isinstance(s.values, InstanceNodes) and s.values.offer is not None and (P @ B).any():
-            yield Moved(s.values.member, s.values, (P @ B)[s.values.offer.kicked])
+def _moved(exchange: Exchange, B: Any) -> Iterator[Moved]:
+    for i, s in enumerate(exchange.shares):
+        own, P = exchange.joined.reach(i)
+        part = B[own]
+        at = np.unique(part.indices)
+        if isinstance(s.values, InstanceNodes) and s.values.offer is not None and len(at):
+            yield Moved(s.values.member, s.values, at, (P @ part[:, at].toarray())[s.values.offer.kicked])

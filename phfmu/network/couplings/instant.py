@@ -7,12 +7,14 @@ Members without feedthrough need no iteration: their outputs do not follow xi.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.newton import update
+from phfmu.network.couplings.matrices import update
 from phfmu.network.junctions.hidden import hidden_part
 
 Array = NDArray[np.float64]
@@ -27,7 +29,7 @@ class Instant:
     """Solves these equations again and again; the matrix is kept while it contracts."""
 
     def __init__(self) -> None:
-        self._matrix: Array | None = None
+        self._matrix: Any = None
 
     def solve(self, joined: Joined, xi: Array, t: float) -> Array:
         """xi at the present states, which the members have as inputs then.
@@ -52,8 +54,8 @@ class Instant:
         )  # fmt: skip
 
 
-def _regular(joined: Joined, matrix: Array) -> Array:
-    free = np.abs(hidden_part(matrix.T, 1.0 / joined.face.nominal)).max(axis=1, initial=0.0)
+def _regular(joined: Joined, matrix: Any) -> Any:
+    free = abs(hidden_part(matrix.T, 1.0 / joined.face.nominal)).max(axis=1).toarray().ravel()
     names = [n for n, f in zip(joined.face.names, free, strict=True) if f > 1e-6]
     if names:
         raise ValueError(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
+from phfmu.network.couplings.matrices import assembled
 from phfmu.network.junctions.compose import require_members
 from phfmu.network.junctions.interface import interface
 from phfmu.network.junctions.network import Network
@@ -42,13 +43,18 @@ class Joined:
         self.places = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
         #: U_free
         self.free = np.concatenate([m.start_inputs() for m in members])
-        self.free[self.face.P.any(axis=1)] = 0.0
+        self.free[self.face.fed] = 0.0
+        self._reach = [self.face.reach(p) for p in self.places]
 
     # -- a step -----------------------------------------------------------------------------------------------------
 
     def inputs(self, xi: Array) -> Array:
         """U = P xi + U_free (nu)."""
-        return self.face.P @ xi + self.free
+        return self.face.inputs(xi) + self.free
+
+    def reach(self, i: int) -> tuple[NDArray[np.intp], Array]:
+        """The unknowns that feed member number i, and the block of P with these columns."""
+        return self._reach[i]
 
     def apply(self, xi: Array) -> None:
         """Give every member its inputs."""
@@ -70,29 +76,23 @@ class Joined:
 
     def rows(self, xi: Array, y: Array) -> Array:
         """r = P^T Y + C xi (n)."""
-        return self.face.P.T @ y + self.face.C @ xi
+        return self.face.summed(y) + self.face.C @ xi
 
-    def matrix(self, sensitivities: list[Array]) -> Array:
-        """dr/dxi = P^T G P + C (n x n) of G = dY/dU, a block (its nu x its nu) per member."""
-        matrix = self.face.C.copy()
-        for g, place in zip(sensitivities, self.places, strict=True):
-            own = np.flatnonzero(self.face.P[place].any(axis=0))
-            part = self.face.P[place, own]
-            matrix[np.ix_(own, own)] += part.T @ g @ part
-        return matrix
+    def matrix(self, sensitivities: list[Array]) -> Any:
+        """dr/dxi = P^T G P + C (n x n, sparse where it is large) of G = dY/dU, a block (its nu x its nu) per member."""
+        parts = zip(self._reach, sensitivities, strict=True)
+        return assembled(self.face.C, ((own, own, P.T @ g @ P) for (own, P), g in parts))
 
     def row_sizes(self, xi: Array, y: Array) -> Array:
         """The terms that each row is a sum of (n); a row without terms is measured by nominal values."""
         face = self.face
-        nominal = np.maximum(np.abs(face.C) @ face.nominal, 1e-3)
-        return np.abs(face.P.T) @ np.abs(y) + np.abs(face.C) @ np.abs(xi) + 1e-12 * nominal
+        return face.summed(np.abs(y)) + abs(face.C) @ np.abs(xi) + 1e-12 * face.row_nominal
 
-    def instant_matrix(self, xi: Array) -> Array:
-        """dr/dxi at the present time, where the inputs are those of xi (n x n)."""
+    def instant_matrix(self, xi: Array) -> Any:
+        """dr/dxi at the present time, where the inputs are those of xi (n x n, sparse where it is large)."""
         u, parts = self.inputs(xi), []
-        for m, place in zip(self.members, self.places, strict=True):
-            joined = self.face.P[place].any()
-            parts.append(instant_sensitivity(m, u[place]) if joined else np.zeros((m.nu, m.nu)))
+        for m, place, (own, _) in zip(self.members, self.places, self._reach, strict=True):
+            parts.append(instant_sensitivity(m, u[place]) if len(own) else np.zeros((m.nu, m.nu)))
         return self.matrix(parts)
 
     def states(self, needed: bool = True) -> list[Any]:
@@ -121,7 +121,7 @@ class Joined:
                 own = m.input_places(rest)
                 indices = [place.start + i for i in own]
                 if indices:
-                    if self.face.P[indices].any():
+                    if (self.face.column[indices] >= 0).any():
                         raise KeyError(f"{name} is fed by a junction; it cannot be set")
                     self.free[indices] = value * m.input_sign[own]
                     m.set_input(self.inputs(xi)[place])

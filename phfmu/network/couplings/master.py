@@ -17,6 +17,7 @@ from phfmu.engine.native import NativeInstance
 from phfmu.engine.steps import Steps
 from phfmu.engine.structures import Structures
 from phfmu.network.couplings import newton
+from phfmu.network.couplings.acceptance import ITERATIONS
 from phfmu.network.couplings.coupling import Coupling, Solution
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.joined import Joined
@@ -162,12 +163,7 @@ class Master:
         return m.fill("ph_share", values)
 
     def _rules(self) -> dict[str, Any]:
-        held = not isinstance(self.coupling, NodeNewton)
-        return {
-            "held": held, "iterations": newton.ITERATIONS, "stalls": newton.STALLS, "energy": newton.ENERGY,
-            "rounding": newton.ROUNDING, "stagnation": newton.STAGNATION, "shrinking": newton.SHRINKING,
-            "stalling": newton.STALLING if held else newton.SHRINKING, "stalled": newton.STALLED, "floor": newton.FLOOR,
-        }  # fmt: skip
+        return {"held": not isinstance(self.coupling, NodeNewton), "iterations": ITERATIONS}
 
     def _values(self) -> dict[str, Any]:
         e, p, n = self.found, self._pattern, self.found.size

@@ -9,9 +9,10 @@ from pathlib import Path
 from phfmu.engine.compile import compile, host_flags
 from phfmu.engine.library import runtime_sources
 from phfmu.engine.structures import Header
+from phfmu.network.couplings.acceptance import RULES
 
 RUNTIME = Path(__file__).parent / "runtime"
-HEADER = Header(RUNTIME / "master.h", ("ph_share", "ph_rules", "ph_master"), "ph_calls")
+HEADER = Header((RULES, RUNTIME / "master.h"), ("ph_share", "ph_rules", "ph_progress", "ph_master"), "ph_calls")
 #: of the runtime of models, what the master has in common with it
 SHARED = "lu.c"
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_array
 
 from phfmu.engine.derived import factor_room
 from phfmu.gradients.quadrature import nodes
+from phfmu.network.couplings.clusters import Clusters
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.exchange import Share
 from phfmu.network.couplings.joined import Joined
@@ -114,69 +114,69 @@ def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
     if isinstance(coupling, NodeNewton):
         e = coupling.exchange
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.k, e.bare
+        clusters = e.clusters
     else:
         n = len(joined.face.names)
         k, columns = np.ones(n, int), np.arange(n)
         C, weights, bare = joined.face.C, np.ones(n), []
-        shares = [_held(m, p, joined.face.P[p]) for m, p in zip(joined.members, joined.places, strict=True)]
-    place, cluster = _clusters([s.Q for s in shares], len(bare))
-    skew = np.argwhere(C)
-    nominal = np.maximum(np.abs(joined.face.C) @ joined.face.nominal, 1e-3)
+        shares = [
+            _held(m, p, *joined.reach(i)) for i, (m, p) in enumerate(zip(joined.members, joined.places, strict=True))
+        ]
+        clusters = Clusters([], 0)
+    place = np.concatenate([*clusters.of, np.zeros(0, int)]).astype(np.int32)
+    cluster = np.cumsum([0, *map(len, clusters.of)]).astype(np.int32)
+    skew, where = coo_array(C), np.argsort(place)
     bare = np.asarray(bare, np.int32)[place]
-    ahead = [
-        (int(to), int(from_), float(v))
-        for c in range(len(k))
-        for own in [np.flatnonzero(columns == c)]
-        for to, t in zip(own, nodes(int(k[c])).c, strict=True)
-        for from_, v in zip(own, nodes(int(k[c])).value(1.0 + t), strict=True)
-    ]
+    least = 1e-12 * joined.face.row_nominal[[*columns, *bare]]
+    to, from_, values = _ahead(k)
     return Exchanged(
-        [_part(s, place, len(columns)) for s in shares],
+        [_part(s, where, len(columns)) for s in shares],
         len(k), weights, columns.astype(np.int32), bare, place,
-        skew[:, 0].astype(np.int32), skew[:, 1].astype(np.int32), C[skew[:, 0], skew[:, 1]],
-        1e-12 * nominal[[*columns, *bare]], cluster, np.append(0, np.cumsum(np.diff(cluster) ** 2)).astype(np.int32),
+        skew.row.astype(np.int32), skew.col.astype(np.int32), skew.data,
+        least, cluster, np.append(0, np.cumsum(np.diff(cluster) ** 2)).astype(np.int32),
         (-1.0) ** k[bare],
-        np.array([a[0] for a in ahead], np.int32), np.array([a[1] for a in ahead], np.int32), np.array([a[2] for a in ahead]),
+        to, from_, values,
     )  # fmt: skip
 
 
-def _held(member: Any, place: slice, P: Array) -> Share:
+def _held(member: Any, place: slice, own: Any, P: Array) -> Share:
     fed = np.flatnonzero(P.any(axis=1)).tolist()
     none = np.zeros((0, 0))
-    return Share(HeldNodes(member), place, P, P.T, none, none, fed, fed)
+    return Share(HeldNodes(member), place, own, P, P.T, np.zeros(0, int), none, np.zeros((len(P), 0)), fed, fed)
 
 
-def _clusters(kicks: list[Array], n: int) -> tuple[Ints, Ints]:
-    """Bare columns cluster by cluster, and where each begins: those are one that a member with impulses joins."""
-    pairs = [np.flatnonzero(Q.any(axis=0)) for Q in kicks if Q.any()]
-    rows = np.concatenate([np.full(len(p), p[0]) for p in pairs] or [np.zeros(0, int)])
-    cols = np.concatenate(pairs or [np.zeros(0, int)])
-    _, label = connected_components(csr_matrix((np.ones(len(rows)), (rows, cols)), shape=(n, n)), directed=False)
-    place = np.argsort(label, kind="stable")
-    return place.astype(np.int32), np.append(0, np.cumsum(np.bincount(label))).astype(np.int32)
+def _ahead(k: Array) -> tuple[Ints, Ints, Array]:
+    """The continuation of the values of each column: to, from, factor."""
+    first = np.cumsum(k) - k
+    to, from_, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+    for n in np.unique(k):
+        rule, own = nodes(int(n)), first[k == n]
+        node = np.arange(n)
+        to.append((own[:, None] + np.repeat(node, n)).ravel())
+        from_.append((own[:, None] + np.tile(node, n)).ravel())
+        values.append(np.tile(np.array([rule.value(1.0 + t) for t in rule.c]).ravel(), len(own)))
+    return np.concatenate(to).astype(np.int32), np.concatenate(from_).astype(np.int32), np.concatenate(values)
 
 
-def _part(s: Share, place: Ints, n: int) -> Part:
-    """`place`: of the bare columns, `n`: unknowns at nodes."""
+def _part(s: Share, where: Array, n: int) -> Part:
+    """`where`: each bare column stands, `n`: unknowns at nodes."""
     member, rule = s.values.member, s.values.rule
     assert isinstance(member, EngineMember)
-    kicks, Q, ends = (len(s.Q), s.Q[:, place], s.ends[:, place]) if s.kicked else (0, None, None)
-    own, inputs = np.flatnonzero(s.to.any(axis=0)), np.array(s.fed_rows, np.int32)
-    right = [(d, c, s.to[row, z]) for d, row in enumerate(inputs) for c, z in enumerate(own) if s.to[row, z]]
-    left = [(i, r, s.back[z, i]) for r, z in enumerate(own) for i in np.flatnonzero(s.back[z])]
+    kicks, own, inputs = len(s.Q) if s.kicked else 0, s.own, np.array(s.fed_rows, np.int32)
+    fed = s.to[inputs]
+    right = [(d, c, fed[d, c]) for d, c in np.argwhere(fed)]
+    left = [(i, r, s.back[r, i]) for r, i in np.argwhere(s.back)]
     bare, mine = np.full(kicks, -1, np.int32), np.zeros(0, int)
-    if Q is not None and ends is not None:
-        mine = np.flatnonzero(Q.any(axis=0))
-        for i, j in np.argwhere(Q):
-            bare[i], c = j, int(np.searchsorted(mine, j))
+    if kicks:
+        mine = where[s.bare]
+        for i, c in np.argwhere(s.Q):
+            bare[i] = mine[c]
             right += [
-                (len(inputs) + i, len(own) + c, Q[i, j]),
-                (len(inputs) + kicks + i, len(own) + len(mine) + c, Q[i, j]),
+                (len(inputs) + i, len(own) + c, s.Q[i, c]),
+                (len(inputs) + kicks + i, len(own) + len(mine) + c, s.Q[i, c]),
             ]
-        left += [
-            (rule.k * member.nu + i, len(own) + int(np.searchsorted(mine, j)), ends[i, j]) for i, j in np.argwhere(ends)
-        ]
-    col = np.concatenate([own, n + mine, n + len(place) + mine])
+        left += [(rule.k * member.nu + i, len(own) + c, s.ends[i, c]) for i, c in np.argwhere(s.ends)]
+    col = np.concatenate([own, n + mine, n + len(where) + mine])
     return Part(
         member, isinstance(s.values, HeldNodes), rule.k, rule.b, inputs, kicks, bare,
         col.astype(np.int32), col[: len(own) + len(mine)].astype(np.int32),
@@ -197,13 +197,10 @@ class Pattern:
             (np.repeat(p.row, len(p.col)), np.tile(p.col, len(p.row))) for p in e.parts
         ]
         blocks.append((e.skew_row, e.skew_col))
-        law = [
-            (e.nodes + nb + first + i, e.nodes + first + j)
-            for first, end in zip(e.cluster[:-1], e.cluster[1:], strict=True)
-            for i in range(end - first)
-            for j in range(end - first)
-        ]
-        blocks.append((np.array([i for i, _ in law], int), np.array([j for _, j in law], int)))
+        clusters = [np.arange(a, b) for a, b in zip(e.cluster[:-1], e.cluster[1:], strict=True)]
+        law = [(np.repeat(own, len(own)), np.tile(own, len(own))) for own in clusters]
+        i, j = (np.concatenate([*(c[side] for c in law), np.zeros(0, int)]) for side in (0, 1))
+        blocks.append((e.nodes + nb + i, e.nodes + j))
         diagonal = e.nodes + nb + np.arange(nb)
         blocks.append((diagonal, diagonal))
         row, col = (np.concatenate([b[i] for b in blocks]).astype(np.int64) for i in (0, 1))

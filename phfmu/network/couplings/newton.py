@@ -11,7 +11,7 @@ the matrix regular.  Whatever the iteration leaves is booked at the junctions: s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import partial
 from operator import itemgetter
 from typing import Any
 
@@ -19,21 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import Status
+from phfmu.network.couplings.acceptance import FLOOR, ITERATIONS, Progress
 from phfmu.network.couplings.coupling import Solution, Step, Unconverged
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.matrices import update
 
 Array = NDArray[Any]
-
-# the words are those of the engines' Newton, of which this is the outer one
-ENERGY = 1e-14  # accepted interface energy relative to the energy in play
-ROUNDING = 1e-13  # scaled residual that counts as solved
-STAGNATION = 1e-9  # a scaled residual below this that stays is rounding, if the energy is
-SHRINKING = 0.5  # a scaled residual that shrinks to more than this part of the last hardly shrinks: it stalls
-STALLING = 0.3  # the same within the energy budget
-STALLED = 10.0  # times the accepted energy is accepted where it stalls
-STALLS = 3  # times that rows stalled within the energy budget, with a matrix taken after the first, when what is left is rounding
-FLOOR = 16.0  # units of rounding in a row that cannot be told from zero
-ITERATIONS = 30
 
 NEWTON = "interface Newton"
 
@@ -67,30 +58,30 @@ class Newton:
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
-        xi, history, gain = last.xi.copy(), [], np.zeros_like(joined.face.C)
+        xi, matrix, progress = last.xi.copy(), None, Progress(held=True)
         best = np.inf, xi
         for i in range(ITERATIONS):
             if i > 0:
                 joined.restore(step.states)
             trial = trial_of(joined, xi, step)
             if not np.isfinite(trial.r).all():
-                raise failed(Status.NOT_FINITE, joined, step, trial, history)
-            history.append(float(np.max(trial.scaled(joined), initial=0.0)))
-            best = min(best, (history[-1], xi), key=itemgetter(0))
-            if accepted_by := accepted(joined, trial, step.h, history, gain):
+                raise failed(Status.NOT_FINITE, joined, step, trial, progress.history)
+            progress.note(float(np.max(trial.scaled(joined), initial=0.0)))
+            best = min(best, (progress.history[-1], xi), key=itemgetter(0))
+            if accepted_by := progress.accepted(partial(_at_floor, trial, matrix), *energies(joined, trial, step.h)):
                 return Solution(xi, trial.y, i + 1, accepted_by)
             G = [m.sensitivity(step.t, step.h, s) for m, s in zip(joined.members, step.states, strict=True)]
-            matrix = joined.matrix(G)
-            gain = np.abs(matrix)
+            matrix, progress.matrices = joined.matrix(G), progress.matrices + 1
             try:
                 xi = xi + update(matrix, trial.r)
             except np.linalg.LinAlgError:
-                raise failed(Status.SINGULAR, joined, step, trial, history) from None
+                raise failed(Status.SINGULAR, joined, step, trial, progress.history) from None
             if not np.isfinite(xi).all():
-                raise failed(Status.NOT_FINITE, joined, step, trial, history)
+                raise failed(Status.NOT_FINITE, joined, step, trial, progress.history)
         joined.restore(step.states)
         kept = trial_of(joined, best[1], step)
-        raise failed(Status.NO_CONVERGENCE, joined, step, trial, history).of(Solution(kept.xi, kept.y, ITERATIONS))
+        given_up = failed(Status.NO_CONVERGENCE, joined, step, trial, progress.history)
+        raise given_up.of(Solution(kept.xi, kept.y, ITERATIONS))
 
 
 def trial_of(joined: Joined, xi: Array, step: Step) -> Trial:
@@ -99,36 +90,17 @@ def trial_of(joined: Joined, xi: Array, step: Step) -> Trial:
     return Trial(xi, y, joined.rows(xi, y))
 
 
-def update(matrix: Array, r: Array) -> Array:
-    """dxi of matrix dxi = -r with rows scaled by their largest entries; LinAlgError if it is singular."""
-    scale = 1.0 / np.maximum(np.abs(matrix).max(axis=1), 1e-300)
-    return np.linalg.solve(matrix * scale[:, None], -r * scale)
-
-
-def accepted(joined: Joined, trial: Trial, h: float, history: list[float], gain: Array) -> str:
-    """energy: interface energy below budget, every row at rounding; rounding floor: rows stopped shrinking.
-
-    Rows of stiff members that hardly act stop at what a relative change of xi by eps makes of them.
-    """
-    xi, r = np.abs(trial.xi), np.abs(trial.r)
-    energy = h * float(xi @ r)
+def energies(joined: Joined, trial: Trial, h: float) -> tuple[float, float]:
+    """Energy that the rows leave, and energy in play [J]."""
+    left = h * float(np.abs(trial.xi) @ np.abs(trial.r))
     through = h * float(np.abs(joined.inputs(trial.xi)) @ np.abs(trial.y))
-    in_play = max(float(np.abs(joined.energies()).sum()), through)
-    stalled = len(history) > 2 and history[-1] > SHRINKING * history[-2]
-    if stalled and (r <= FLOOR * np.finfo(float).eps * (gain @ xi)).all():
-        return "rounding floor"
-    if energy > ENERGY * in_play and not (stalled and energy <= STALLED * ENERGY * in_play):
-        return ""
-    if history[-1] <= ROUNDING:
-        return "energy"
-    if stalled and history[-1] <= STAGNATION:
-        return "rounding floor"
-    return "rounding floor" if energy <= ENERGY * in_play and stalls(history) >= STALLS else ""
+    return left, max(float(np.abs(joined.energies()).sum()), through)
 
 
-def stalls(history: list[float]) -> int:
-    """How often the scaled residual hardly shrank, after the first two trials; halving is what rounding in members can do."""
-    return sum(new > STALLING * old for old, new in pairwise(history[1:]))
+def _at_floor(trial: Trial, matrix: Any) -> bool:
+    """Whether rows are what a relative change of the unknowns by eps makes of them."""
+    size = abs(matrix) @ np.abs(trial.xi)
+    return bool((np.abs(trial.r) <= FLOOR * np.finfo(float).eps * size).all())
 
 
 def failed(

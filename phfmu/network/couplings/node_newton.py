@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import itemgetter
 from typing import Any
 
@@ -20,21 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import Status, StepFailure
+from phfmu.network.couplings.acceptance import FLOOR, ITERATIONS, Progress
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.newton import (
-    ENERGY,
-    FLOOR,
-    ITERATIONS,
-    ROUNDING,
-    SHRINKING,
-    STALLS,
-    Newton,
-    Worst,
-    failure,
-    update,
-)
+from phfmu.network.couplings.matrices import assembled, update
+from phfmu.network.couplings.newton import Newton, Worst, failure
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[Any]
@@ -70,22 +62,22 @@ class NodeSolution(Solution):
 
 @dataclass(frozen=True)
 class Before:
-    """At the start of a step: S and the sums of outputs of the bare columns."""
+    """At the start of a step: S, of each cluster, and the sums of outputs of the bare columns."""
 
-    S: Array
+    S: list[Array]
     sums: Array
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Rows at nodes, at ends and of the impulses; sizes of the terms of the first two; S; T; energies left and in play [J]."""
+    """Rows at nodes, at ends and of the impulses; their sizes; S, T of the clusters; energies [J]."""
 
     rows: Array
     ends: Array
     law: Array
     size: Array
-    S: Array
-    T: Array
+    S: list[Array]
+    T: list[Array]
     left: float
     in_play: float
 
@@ -122,32 +114,28 @@ class NodeNewton:
     def _solve(self, joined: Joined, z: Unknowns, step: Step) -> NodeSolution:
         """From the unknowns z."""
         before = self.before()
-        history: list[float] = []
+        progress, matrix = Progress(held=False), None
         best = np.inf, z
-        matrix, stalls, taken = None, 0, 0
         for i in range(ITERATIONS):
             if i > 0:
                 joined.restore(step.states)
             trial = self.trial(z, before, step)
             if not np.isfinite([*trial.rows, *trial.ends, *trial.law]).all():
-                raise self._failure(Status.NOT_FINITE, step, z, trial, history)
-            history.append(float(np.max(trial.scaled, initial=0.0)))
-            best = min(best, (history[-1], z), key=itemgetter(0))
-            stalled = i > 1 and history[-1] > SHRINKING * history[-2]
-            stalls += stalled
-            floor = stalled and matrix is not None and self._at_floor(z, trial, matrix)
-            if accepted_by := _accepted(trial, history, floor, stalls if taken > 1 else 0):
+                raise self._failure(Status.NOT_FINITE, step, z, trial, progress.history)
+            progress.note(float(np.max(trial.scaled, initial=0.0)))
+            best = min(best, (progress.history[-1], z), key=itemgetter(0))
+            if accepted_by := progress.accepted(partial(_at_floor, z, trial, matrix), trial.left, trial.in_play):
                 return self._solution(z, step.h, i + 1, accepted_by, self.works(z, before, trial, step.h))
-            if matrix is None or (stalled and (taken < 2 or trial.left > ENERGY * trial.in_play)):
-                matrix, taken = self._matrix(trial, step), taken + 1
+            if progress.takes_matrix(trial.left, trial.in_play):
+                matrix, progress.matrices = self._matrix(trial, step), progress.matrices + 1
             try:
                 z = z.moved(update(matrix, np.concatenate([trial.rows, trial.ends, trial.law])))
             except np.linalg.LinAlgError:
-                raise self._failure(Status.SINGULAR, step, z, trial, history) from None
+                raise self._failure(Status.SINGULAR, step, z, trial, progress.history) from None
             if not np.isfinite(np.append(z.xi, z.m)).all():
-                raise self._failure(Status.NOT_FINITE, step, z, trial, history)
+                raise self._failure(Status.NOT_FINITE, step, z, trial, progress.history)
         joined.restore(step.states)
-        given_up = self._failure(Status.NO_CONVERGENCE, step, z, trial, history)
+        given_up = self._failure(Status.NO_CONVERGENCE, step, z, trial, progress.history)
         works = self.works(best[1], before, self.trial(best[1], before, step), step.h)
         raise given_up.of(self._solution(best[1], step.h, ITERATIONS, "", works))
 
@@ -170,69 +158,68 @@ class NodeNewton:
     def before(self) -> Before:
         """What a step starts from, of the members where they are."""
         e = self.exchange
-        S, sums = np.zeros((len(e.bare),) * 2), np.zeros(len(e.bare))
+        S, sums = e.clusters.blank(), np.zeros(len(e.bare))
         for s in e.shares:
             if s.kicked:
-                S += s.Q.T @ s.values.jump() @ s.Q
-                sums += s.ends.T @ s.values.member.end_output()
+                e.clusters.add(S, s.bare, s.Q.T @ s.values.jump() @ s.Q)
+                sums[s.bare] += s.ends.T @ s.values.member.end_output()
         return Before(S, sums)
 
     def works(self, z: Unknowns, before: Before, trial: Trial, h: float) -> Array:
         """What the junctions take of a trial [J], from rows and impulses alone: W is their sum (N + 2 bare)."""
         m, m1 = z.m
-        start, end = m * (before.sums + before.S @ m / 2), m1 * (trial.ends - trial.S @ m1 / 2)
+        times = self.exchange.clusters.times
+        start, end = m * (before.sums + times(before.S, m) / 2), m1 * (trial.ends - times(trial.S, m1) / 2)
         return np.concatenate([h * self.exchange.weights * z.xi * trial.rows, start, end])
 
     def trial(self, z: Unknowns, before: Before, step: Step) -> Trial:
         """One step of all members, and what their rows leave."""
-        e, h = self.exchange, step.h
-        rows, size = e.C @ z.xi, np.abs(e.C) @ np.abs(z.xi)
-        ends, end_size, S1, through = *(np.zeros(len(e.bare)) for _ in range(2)), np.zeros_like(before.S), 0.0
+        e, h, (m, m1) = self.exchange, step.h, z.m
+        rows, size, through = e.C @ z.xi, abs(e.C) @ np.abs(z.xi), 0.0
+        ends, end_size, S1 = np.zeros(len(e.bare)), np.zeros(len(e.bare)), e.clusters.blank()
         for s in e.shares:
-            U = (s.to @ z.xi).reshape(s.values.rule.k, -1) + e.joined.free[s.place]
-            Y = s.values.step(U, (s.Q @ z.m[0], s.Q @ z.m[1]) if s.kicked else None, step.t, h)
-            rows, size = rows + s.back @ Y.ravel(), size + np.abs(s.back) @ np.abs(Y.ravel())
+            U = (s.to @ z.xi[s.own]).reshape(s.values.rule.k, -1) + e.joined.free[s.place]
+            Y = s.values.step(U, (s.Q @ m[s.bare], s.Q @ m1[s.bare]) if s.kicked else None, step.t, h)
+            rows[s.own] += s.back @ Y.ravel()
+            size[s.own] += np.abs(s.back) @ np.abs(Y.ravel())
             through += abs(h) * float(s.values.rule.b @ (np.abs(U) * np.abs(Y)).sum(axis=1))
             if s.kicked:
                 y = s.values.member.end_output()
-                ends, end_size = ends + s.ends.T @ y, end_size + s.ends.T @ np.abs(y)
-                S1 = S1 + s.Q.T @ s.values.jump() @ s.Q
-        T = _root(before.S, S1)
-        m, m1 = z.m
-        pair = abs(m @ before.S @ m - m1 @ S1 @ m1) / 2
+                ends[s.bare] += s.ends.T @ y
+                end_size[s.bare] += s.ends.T @ np.abs(y)
+                e.clusters.add(S1, s.bare, s.Q.T @ s.values.jump() @ s.Q)
+        T = [_root(a, b) for a, b in zip(before.S, S1, strict=True)]
+        pair = abs(e.clusters.form(before.S, m) - e.clusters.form(S1, m1)) / 2
         left = abs(h) * e.weights @ np.abs(z.xi * rows) + np.abs(m * before.sums).sum() + np.abs(m1 * ends).sum() + pair
-        nominal = np.maximum(np.abs(e.joined.face.C) @ e.joined.face.nominal, 1e-3)[[*e.columns, *e.bare]]
+        nominal = np.concatenate([e.row_nominal, e.joined.face.row_nominal[e.bare]])
         in_play = max(float(np.abs(e.joined.energies()).sum()), through)
         sizes = np.concatenate([size, end_size]) + 1e-12 * nominal
-        return Trial(rows, ends, m1 - e.signs * (T @ m), sizes, S1, T, float(left), in_play)
+        return Trial(rows, ends, m1 - e.signs * e.clusters.times(T, m), sizes, S1, T, float(left), in_play)
 
-    def _at_floor(self, z: Unknowns, trial: Trial, matrix: Array) -> bool:
-        """Whether rows are what a relative change of the unknowns by eps makes of them."""
-        left = np.abs(np.concatenate([trial.rows, trial.ends]))
-        size = np.abs(matrix[: len(left)]) @ np.abs(np.concatenate([z.xi, *z.m]))
-        return bool((left <= FLOOR * np.finfo(float).eps * size).all())
-
-    def _matrix(self, trial: Trial, step: Step) -> Array:
+    def _matrix(self, trial: Trial, step: Step) -> Any:
         """Derivatives of all rows with respect to (xi, m, m'), of the last trial."""
         e = self.exchange
         n, nb = len(e.columns), len(e.bare)
-        J = np.zeros((n + 2 * nb,) * 2)
-        J[:n, :n] = e.C
+        C, parts = e.C.copy(), []
+        C.resize((n + 2 * nb,) * 2)
         for s, state in zip(e.shares, step.states, strict=True):
             if not s.fed:
                 continue
             G, end = s.values.sensitivity(s.fed, s.kicked, step.t, step.h, state)
-            to = np.zeros((G.shape[1], len(J)))
-            inputs, impulses = len(s.fed_rows), len(s.Q)
-            to[:inputs, :n] = s.to[s.fed_rows]
+            inputs, (impulses, bare) = len(s.fed_rows), s.Q.shape
+            to = np.zeros((G.shape[1], len(s.own) + 2 * bare))
+            to[:inputs, : len(s.own)] = s.to[s.fed_rows]
+            columns = s.own
             if end is not None:
-                to[inputs : inputs + impulses, n : n + nb] = s.Q
-                to[inputs + impulses :, n + nb :] = s.Q
-                J[n : n + nb] += s.ends.T @ end @ to
-            J[:n] += s.back @ G @ to
-        J[n + nb :, n : n + nb] = -e.signs[:, None] * trial.T
-        J[n + nb :, n + nb :] = np.eye(nb)
-        return J
+                to[inputs : inputs + impulses, len(s.own) : len(s.own) + bare] = s.Q
+                to[inputs + impulses :, len(s.own) + bare :] = s.Q
+                columns = np.concatenate([s.own, n + s.bare, n + nb + s.bare])
+                parts.append((n + s.bare, columns, s.ends.T @ end @ to))
+            parts.append((s.own, columns, s.back @ G @ to[:, : len(columns)]))
+        for own, T in zip(e.clusters.of, trial.T, strict=True):
+            parts.append((n + nb + own, n + own, -e.signs[own, None] * T))
+            parts.append((n + nb + own, n + nb + own, np.eye(len(own))))
+        return assembled(C, parts)
 
     def _failure(self, status: Status, step: Step, z: Unknowns, trial: Trial, history: list[float]) -> Unconverged:
         e = self.exchange
@@ -251,15 +238,11 @@ def forecast(missed: Sequence[Array]) -> Array:
     return missed[0] if len(missed) == 1 else 2 * missed[0] - missed[1]
 
 
-def _accepted(trial: Trial, history: list[float], floor: bool, stalls: int) -> str:
-    """energy: energy left below budget, every row at rounding; rounding floor: rows stopped shrinking within it, or there."""
-    if floor:
-        return "rounding floor"
-    if trial.left > ENERGY * trial.in_play:
-        return ""
-    if history[-1] <= ROUNDING:
-        return "energy"
-    return "rounding floor" if stalls >= STALLS else ""
+def _at_floor(z: Unknowns, trial: Trial, matrix: Any) -> bool:
+    """Whether rows are what a relative change of the unknowns by eps makes of them."""
+    left = np.abs(np.concatenate([trial.rows, trial.ends]))
+    size = (abs(matrix) @ np.abs(z.flat))[: len(left)]
+    return bool((left <= FLOOR * np.finfo(float).eps * size).all())
 
 
 def _root(S0: Array, S1: Array) -> Array:

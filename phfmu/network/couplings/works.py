@@ -33,7 +33,8 @@ class Works:
         found = _of_unknowns(joined, exchange) if repeats else []
         parts = Counter(key.junction for key in set(found) if key)
         kept = dict.fromkeys(key for key in found if key and parts[key.junction] > 1)
-        self.keys = tuple(key for junction in joined.face.sums for key in kept if key.junction == junction)
+        at = {junction: i for i, junction in enumerate(joined.face.sums)}
+        self.keys = tuple(sorted(kept, key=lambda key: at[key.junction]))
         place = {key: i for i, key in enumerate(self.keys)}
         chosen = sorted((place[key], i) for i, key in enumerate(found) if key in place)
         self._order = np.array([i for _, i in chosen], int)
@@ -51,7 +52,7 @@ def works(joined: Joined, solution: Solution, h: float) -> Array:
     if not joined.put_off:
         return own
     taken = np.concatenate([m.output() for m in joined.members])
-    return np.concatenate([own, h * xi * (joined.face.P.T @ (taken - solution.y))])
+    return np.concatenate([own, h * xi * (joined.face.summed(taken - solution.y))])
 
 
 def _of_unknowns(joined: Joined, exchange: Exchange | None) -> list[PartKey | None]:

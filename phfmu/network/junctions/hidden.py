@@ -3,26 +3,80 @@
 With y(U) the outputs at one instant and G = dy/dU, the junction rows r(xi) = P^T y(P xi + U_free) + C xi change by
 M dxi, M = P^T G P + C.  Combinations N of the rows with N^T M = 0 constrain the states alone: sums of currents of
 inductors, the spread of the velocities of rigidly joined masses.  Outputs of resistors and dampers follow xi instead.
+
+M falls into blocks, of one junction each where outputs at an instant do not follow inputs; each has a rank of its own.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import block_array, coo_array, csc_array, csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
-SINGULAR = 1e-9  # relative singular value of M that counts as zero
+SINGULAR = 1e-9  # singular value of M, relative to the largest of its block, that counts as zero
+LARGE = 64  # rows of a block whose regularity is asked of its factors first
+REGULAR = 1e-6  # a block with a larger inverse condition number (1-norm, estimated) has no such value
 
 
-def hidden_part(M: Array, nominal: Array) -> Array:
-    """Projector Q: Q r is the part of the junction rows r that no xi can change (n x n)."""
-    n = len(M)
-    if not n:
-        return np.zeros((0, 0))
-    scaled = M * nominal
-    biggest = np.abs(scaled).max(axis=1)
+def hidden_part(M: Any, nominal: Array) -> csr_array:
+    """Projector Q: Q r is the part of the junction rows r that no xi can change (n x n).  M: array or sparse."""
+    n = len(nominal)
+    entries: Any = coo_array(M)
+    entries.eliminate_zeros()
+    biggest = np.zeros(n)
+    values = entries.data * nominal[entries.col]
+    np.maximum.at(biggest, entries.row, np.abs(values))
     d = 1.0 / np.where(biggest > 0, biggest, 1.0)
-    left, s, _ = np.linalg.svd(scaled * d[:, None])
-    N = left[:, s <= SINGULAR * max(s[0], 1e-300)]
-    return (N @ N.T) * d / d[:, None]
+    scaled: Any = csr_array((values * d[entries.row], (entries.row, entries.col)), shape=(n, n))
+    rows, columns, parts = list[Ints](), list[Ints](), list[Array]()
+    for own, its in _blocks(scaled):
+        N = _left_null(scaled[own][:, its])
+        if N.shape[1]:
+            rows.append(np.repeat(own, len(own)))
+            columns.append(np.tile(own, len(own)))
+            parts.append(((N @ N.T) * d[own] / d[own, None]).ravel())
+    none = [np.zeros(0)]
+    where = np.concatenate(rows or none).astype(int), np.concatenate(columns or none).astype(int)
+    return csr_array((np.concatenate(parts or none), where), shape=(n, n))
+
+
+def _blocks(M: Any) -> list[tuple[Ints, Ints]]:
+    """Rows that share columns, and these."""
+    n = M.shape[0]
+    if n == 0:
+        return []
+    count, label = connected_components(block_array([[None, M], [M.T, None]]), directed=False)
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.searchsorted(label[order], np.arange(1, count)))
+    return [(g[g < n], g[g >= n] - n) for g in groups if (g < n).any()]
+
+
+def _left_null(block: Any) -> Array:
+    """Orthonormal N (rows x ..) with N^T block = 0."""
+    rows, columns = block.shape
+    if columns == 0:
+        return np.eye(rows)
+    if rows == columns > LARGE and _inverse_condition(csc_array(block)) > REGULAR:
+        return np.zeros((rows, 0))
+    left, s, _ = np.linalg.svd(block.toarray())
+    rank = int((s > SINGULAR * s[0]).sum())
+    return left[:, rank:]
+
+
+def _inverse_condition(A: Any) -> float:
+    """1 / (|A| |A^-1|) in the 1-norm, estimated; 0 of a singular matrix."""
+    try:
+        factors = splu(A)
+    except RuntimeError:
+        return 0.0
+    operator: Any = LinearOperator
+    inverse = operator(A.shape, matvec=factors.solve, rmatvec=lambda b: factors.solve(b, "T"))
+    norms: Any = onenormest(A), onenormest(inverse)
+    return float(1.0 / (norms[0] * norms[1]))

@@ -4,28 +4,66 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from phfmu.network.junctions.junction import End
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.unknowns import junction_unknowns
 
 Array = NDArray[Any]
+Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class Interface:
-    """xi names and units, P (inputs x unknowns), C (skew), and which rows sum flows or efforts (Kirchhoff rows)."""
+    """xi names and units, which of them feeds each input, C (skew), and which rows sum flows or efforts (Kirchhoff rows).
+
+    column:  of each of the nu inputs the unknown that feeds it, -1: none;  C:  n x n, sparse
+    """
 
     names: list[str]
-    P: Array
-    C: Array
+    column: Ints
+    C: csr_array
     start: Array
     nominal: Array
     sums: dict[str, slice]
+
+    @cached_property
+    def fed(self) -> Ints:
+        """Inputs that junctions feed."""
+        return np.flatnonzero(self.column >= 0)
+
+    @cached_property
+    def P(self) -> csr_array:
+        """U = P xi + U_free (nu x n)."""
+        entries = np.ones(len(self.fed)), (self.fed, self._columns)
+        return csr_array(entries, shape=(len(self.column), len(self.names)))
+
+    def inputs(self, xi: Array) -> Array:
+        """P xi (nu)."""
+        u = np.zeros(len(self.column))
+        u[self.fed] = xi[self._columns]
+        return u
+
+    def summed(self, y: Array) -> Array:
+        """P^T y (n)."""
+        return np.bincount(self._columns, y[self.fed], len(self.names)).astype(float)
+
+    def reach(self, place: slice) -> tuple[Ints, Array]:
+        """The unknowns that feed the inputs `place` of a member, and the block of P with these columns."""
+        column = self.column[place]
+        own = np.unique(column[column >= 0])
+        return own, (column[:, None] == own).astype(float)
+
+    @cached_property
+    def row_nominal(self) -> Array:
+        """What a row is measured by where all of its terms are zero (n)."""
+        return np.maximum(abs(self.C) @ self.nominal, 1e-3)
 
     def commons(self) -> list[int]:
         """Rows of the common variables."""
@@ -36,8 +74,13 @@ class Interface:
 
     def rows_of_sums(self) -> list[Array]:
         """Per common variable: its row, or the rows of the outputs that must equal it."""
-        duals = [(i, np.flatnonzero(self.C[i])) for i in self.commons()]
+        C = self.C
+        duals = [(i, np.sort(C.indices[C.indptr[i] : C.indptr[i + 1]])) for i in self.commons()]
         return [dual if dual.size else np.array([i]) for i, dual in duals]
+
+    @cached_property
+    def _columns(self) -> Ints:
+        return self.column[self.fed]
 
 
 class Joinable(Protocol):
@@ -61,7 +104,7 @@ def interface(network: Network, members: Sequence[Joinable]) -> Interface:
     names: list[str] = []
     start: list[float] = []
     nominal: list[float] = []
-    entries: list[tuple[Any, Any]] = []
+    column = np.full(width, -1)
     skew: list[tuple[Any, Any]] = []
     sums = {}
     for j in network.junctions:
@@ -79,11 +122,9 @@ def interface(network: Network, members: Sequence[Joinable]) -> Interface:
             first += variable.n
             skew += list(zip(common, place[end], strict=True))
         for end, columns in place.items():
-            entries += list(zip(offset[end], columns, strict=True))
-    n = len(names)
-    P, C = np.zeros((width, n)), np.zeros((n, n))
-    for row, col in entries:
-        P[row, col] = 1.0
-    for c, d in skew:
-        C[c, d], C[d, c] = 1.0, -1.0
-    return Interface(names, P, C, np.array(start), np.array(nominal), sums)
+            column[offset[end]] = columns
+    c, d = np.array(skew, int).reshape(-1, 2).T
+    one = np.ones(len(c))
+    entries = np.concatenate([one, -one]), (np.concatenate([c, d]), np.concatenate([d, c]))
+    C = csr_array(entries, shape=(len(names),) * 2)
+    return Interface(names, column, C, np.array(start), np.array(nominal), sums)

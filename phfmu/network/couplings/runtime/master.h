@@ -14,6 +14,7 @@
 #ifndef PH_MASTER_H
 #define PH_MASTER_H
 
+#include "acceptance.h"
 #include "impulses.h"
 #include "phfmu.h"
 
@@ -92,20 +93,6 @@ typedef struct ph_share {
     double *record;             /* a row a step: signals, ledger rows; stride nsignal + 5 ncomp + nq */
 } ph_share;
 
-/* When an iteration is accepted; see newton.py. */
-typedef struct ph_rules {
-    int held; /* those of newton.py, where every member holds one value, else of node_newton.py */
-    int iterations;
-    int stalls;
-    double energy;
-    double rounding;
-    double stagnation;
-    double shrinking;
-    double stalling;
-    double stalled;
-    double floor;
-} ph_rules;
-
 typedef struct ph_master {
     const ph_rules *rules;
     const ph_share *shares; /* nshare */
@@ -165,7 +152,14 @@ typedef struct ph_master {
     int *accepted; /* a step each: ph_accepted */
 } ph_master;
 
-typedef enum ph_accepted { PH_NOT_YET, PH_BY_ENERGY, PH_BY_FLOOR } ph_accepted;
+/* What the rows of a trial leave, in scaled size and in energy, and the energy in play as far as it is known.
+ */
+typedef struct ph_trial {
+    double scaled;
+    double left;
+    double through;
+    double in_play; /* negative: not asked for yet */
+} ph_trial;
 
 /* Bytes of the factors of n unknowns. */
 PH_API size_t ph_master_lu_size(int n, int nnz, int capacity);
@@ -173,6 +167,23 @@ PH_API void ph_master_lu_init(ph_master *m);
 /* Steps k = first..first+n-1 from t0 + k h, of which the first starts from z; next: from the continuation of
  * `found`. Returns how many were accepted: fewer than n if one was not, before which the members are then. */
 PH_API int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next);
+
+/* trial.c: S0 and sums before a step; a trial; ph_energy_left of it. */
+int ph_trial_before(ph_master *m);
+int ph_trial_take(ph_master *m, double t, double h, ph_trial *found);
+int ph_trial_left(ph_master *m, ph_trial *now);
+int ph_all_finite(const double *values, int n);
+
+/* interface_matrix.c: derivatives of all rows of the last trial, factored; z by one update; whether rows are
+ * rounding. */
+int ph_matrix_take(ph_master *m);
+int ph_matrix_update(ph_master *m);
+int ph_matrix_at_floor(ph_master *m);
+
+/* continuation.c: z = the continuation of the last step; z is what was found (ahead: from the continuation).
+ */
+void ph_continue_ahead(ph_master *m);
+void ph_continue_keep(ph_master *m, int ahead);
 
 /* work.c: what the accepted trial did at the junctions. */
 void ph_work_record(const ph_master *m, double h, int row);

@@ -1,0 +1,60 @@
+/* When the iteration of a step of coupled members is accepted. Both masters read the numbers from here, and
+ * acceptance.py is the twin of acceptance.c. The words are those of the engines' Newton, of which this is the
+ * outer one. */
+#ifndef PH_ACCEPTANCE_H
+#define PH_ACCEPTANCE_H
+
+#include "phfmu.h"
+
+#define PH_COUPLED_ITERATIONS 30
+
+/* Energy that the rows leave, relative to the energy in play. */
+#define PH_COUPLED_ENERGY 1e-14
+
+/* Scaled residual that counts as solved; where values are held, one below the second that stays is rounding,
+ * if the energy is. */
+#define PH_COUPLED_ROUNDING 1e-13
+#define PH_COUPLED_STAGNATION 1e-9
+
+/* A scaled residual that shrinks to more than this part of the last hardly shrinks: it stalls. Where values
+ * are held, to more than the second: halving is what rounding in members can do. */
+#define PH_COUPLED_SHRINKING 0.5
+#define PH_COUPLED_STALLING 0.3
+
+/* Where held values stall, as many times the energy is accepted. */
+#define PH_COUPLED_STALLED 10
+
+/* So many stalls within the energy, with a matrix taken after the first, and what is left is rounding. */
+#define PH_COUPLED_STALLS 3
+
+/* Units of rounding in a row that cannot be told from zero. */
+#define PH_COUPLED_FLOOR 16
+
+/* held: of newton.py, where every member holds one value, else of node_newton.py. */
+typedef struct ph_rules {
+    int held;
+    int iterations;
+} ph_rules;
+
+/* How an iteration went so far; all zero before the first trial. */
+typedef struct ph_progress {
+    int trials;
+    int stalled;
+    int stalls;
+    int matrices;  /* that were taken */
+    double scaled; /* residual of the last trial */
+} ph_progress;
+
+typedef enum ph_accepted { PH_NOT_YET, PH_BY_ENERGY, PH_BY_FLOOR } ph_accepted;
+
+/* How much energy rows leave: more than what is accepted, as much where they stall, or no more. */
+typedef enum ph_energy_left { PH_TOO_MUCH, PH_WHERE_STALLED, PH_WITHIN } ph_energy_left;
+
+/* One more trial with its largest scaled residual. */
+PH_API void ph_coupled_note(const ph_rules *r, ph_progress *p, double scaled);
+/* floor: whether all rows are rounding, asked for only if they stalled and there is a matrix. */
+PH_API int ph_coupled_accepted(const ph_rules *r, const ph_progress *p, int floor, int left);
+/* Whether what was not accepted needs a matrix of its last trial. */
+PH_API int ph_coupled_takes_matrix(const ph_rules *r, const ph_progress *p, int left);
+
+#endif

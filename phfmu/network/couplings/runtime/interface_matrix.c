@@ -1,0 +1,110 @@
+/* The matrix of the rows: its entries, its factors, the update of the unknowns. */
+#include <float.h>
+#include <math.h>
+
+#include "master.h"
+#include "system.h"
+
+static char *room(char **at, size_t size) {
+    char *here = *at;
+    *at += (size + 15) / 16 * 16;
+    return here;
+}
+
+static size_t lay_lu(ph_lu *lu, char *base) {
+    const size_t n = (size_t)lu->n, real = sizeof(double), whole = sizeof(int);
+    char *at = base;
+    room(&at, sizeof(*lu));
+    lu->value = (double *)room(&at, real * (size_t)lu->capacity);
+    lu->inverse = (double *)room(&at, real * n);
+    lu->work = (double *)room(&at, real * n);
+    lu->index = (int *)room(&at, whole * (size_t)lu->capacity);
+    lu->pivot = (int *)room(&at, whole * n);
+    lu->where = (int *)room(&at, whole * n);
+    lu->start = (int *)room(&at, whole * (n + 1));
+    lu->lower = (int *)room(&at, whole * n);
+    lu->place = (int *)room(&at, whole * (size_t)lu->nnz);
+    lu->mark = (int *)room(&at, whole * n);
+    lu->stack = (int *)room(&at, whole * n);
+    lu->child = (int *)room(&at, whole * n);
+    return (size_t)(at - base);
+}
+
+size_t ph_master_lu_size(int n, int nnz, int capacity) {
+    double here[1];
+    ph_lu lu = {.n = n, .nnz = nnz, .capacity = capacity};
+    return lay_lu(&lu, (char *)here);
+}
+
+void ph_master_lu_init(ph_master *m) {
+    ph_lu *lu = m->lu;
+    *lu = (ph_lu){.n = m->nxi + 2 * m->nbare, .nnz = m->nnz, .capacity = m->capacity};
+    lu->colptr = m->colptr;
+    lu->rowind = m->rowind;
+    lu->order = m->order;
+    lu->prefer = m->prefer;
+    lay_lu(lu, m->lu);
+}
+
+/* Derivatives of all rows with respect to z, of the last trial, and their factors with rows scaled by their
+ * largest entries. */
+int ph_matrix_take(ph_master *m) {
+    const int n = m->nxi, nb = m->nbare, all = n + 2 * nb;
+    long long count[PH_NCOUNT] = {0};
+    int status;
+    ph_clear(m->a, m->nnz);
+    for (int e = 0; e < m->nskew; e++)
+        m->a[m->skew_entry[e]] += m->skew[e];
+    for (int i = 0; i < m->nshare; i++) {
+        status = ph_share_matrix(m, &m->shares[i]);
+        if (status)
+            return status;
+    }
+    status = ph_pair_root(m);
+    if (status)
+        return status;
+    for (int c = 0; c < m->ncluster; c++) {
+        const int from = m->cluster[c], size = m->cluster[c + 1] - from;
+        for (int i = 0; i < size; i++)
+            for (int j = 0; j < size; j++) {
+                const int e = m->square[c] + i * size + j;
+                m->a[m->law_entry[e]] = -m->signs[from + i] * m->T[e];
+            }
+    }
+    for (int b = 0; b < nb; b++)
+        m->a[m->own_entry[b]] = 1.0;
+    ph_clear(m->scale, all);
+    for (int e = 0; e < m->nnz; e++)
+        if (fabs(m->a[e]) > m->scale[m->rowind[e]])
+            m->scale[m->rowind[e]] = fabs(m->a[e]);
+    for (int i = 0; i < all; i++)
+        m->scale[i] = 1.0 / (m->scale[i] > 1e-300 ? m->scale[i] : 1e-300);
+    for (int e = 0; e < m->nnz; e++)
+        m->scaled[e] = m->a[e] * m->scale[m->rowind[e]];
+    if (!ph_all_finite(m->scaled, m->nnz))
+        return PH_NOT_FINITE;
+    return ph_lu_factor(m->lu, m->scaled, count);
+}
+
+int ph_matrix_update(ph_master *m) {
+    const int all = m->nxi + 2 * m->nbare;
+    for (int i = 0; i < all; i++)
+        m->rows[i] *= m->scale[i];
+    ph_lu_solve(m->lu, m->rows, m->move);
+    for (int i = 0; i < all; i++)
+        m->z[i] -= m->move[i];
+    return ph_all_finite(m->z, all) ? PH_OK : PH_NOT_FINITE;
+}
+
+/* Whether rows are what a relative change of the unknowns by eps makes of them, with the last matrix. */
+int ph_matrix_at_floor(ph_master *m) {
+    const int n = m->nxi + m->nbare, all = n + m->nbare;
+    ph_clear(m->move, all);
+    for (int j = 0; j < all; j++)
+        for (int e = m->colptr[j]; e < m->colptr[j + 1]; e++)
+            m->move[m->rowind[e]] += fabs(m->a[e]) * fabs(m->z[j]);
+    for (int i = 0; i < n; i++)
+        if (fabs(m->rows[i]) > PH_COUPLED_FLOOR * DBL_EPSILON * m->move[i])
+            return 0;
+    return 1;
+}
