@@ -31,6 +31,7 @@ from phfmu.declare.problem import Problem as Problem
 from phfmu.declare.signal import driven as driven
 from phfmu.declare.signal import signal_input as signal_input
 from phfmu.declare.signal import signal_output as signal_output
+from phfmu.declare.switch import Switch as Switch
 from phfmu.declare.transform.descriptor import reduce_descriptor as reduce_descriptor
 from phfmu.declare.transform.parametrised import Parametrised as Parametrised
 from phfmu.declare.transform.transformation import SystemTransformation as SystemTransformation
@@ -49,6 +50,7 @@ from phfmu.engine.native import NativeInstance as NativeInstance
 from phfmu.engine.python import PythonInstance as PythonInstance
 from phfmu.engine.status import Status as Status
 from phfmu.engine.status import StepFailure as StepFailure
+from phfmu.engine.switched import SwitchedInstance as SwitchedInstance
 from phfmu.fmu.export import export as export
 from phfmu.fmu.manifest import PortMap as PortMap
 from phfmu.fmu.reader import FMUInstance as FMUInstance

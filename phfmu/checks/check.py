@@ -2,8 +2,8 @@
 
 Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry,
 passivity, costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability
-(equations);  limit (parameters);  state-event (guards, modes, jumps);  dimension, kink, bounded (warnings);  internal (the
-check itself stopped at an entry).
+(equations);  limit (parameters);  state-event (guards, modes, jumps);  switch;  dimension, kink, bounded (warnings);
+internal (the check itself stopped at an entry).
 """
 
 from __future__ import annotations
@@ -21,10 +21,13 @@ from phfmu.checks.pieces import continuous, kinks
 from phfmu.checks.ranges import ranges
 from phfmu.checks.sample import Sample
 from phfmu.checks.state_events import state_events
+from phfmu.checks.switches import switches
 from phfmu.declare.entries import Entries, normal_form
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.declare.problem import Problem
 from phfmu.declare.starts import starts
+from phfmu.events.modes import Modes
 
 if TYPE_CHECKING:
     from phfmu.schemes.scheme import Scheme
@@ -61,6 +64,15 @@ def check(model: PHDAE, scheme: Scheme | None = None, *, strict: bool = False) -
 
 def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem]:
     found: list[Problem] = []
+    stepped = model
+    if model.switches:
+        if found := _safely(switches, model):
+            return found
+        try:
+            modes = Modes(model)
+            stepped, model = modes.declared(modes.start), modes.whole
+        except DeclarationError as e:
+            return [*e.problems]
     for rule in (names, units, nominals, starts):
         found += _safely(rule, model)
     if shared := _safely(shared_symbols, model):
@@ -88,7 +100,7 @@ def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem
     for rule in (unused, velocities, state_events):
         found += _safely(rule, entries)
     if not BLOCKING & {p.rule for p in found}:
-        found += _safely(equations, model, scheme)
+        found += _safely(equations, stepped, scheme)
     if strict and all(p.severity == "warning" for p in found):
         for rule in WARNING_RULES:
             found += _safely(rule, entries, sample)

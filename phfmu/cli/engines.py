@@ -25,13 +25,15 @@ def engine_of(engine: str) -> str:
 
 def instance_of(model: Any, engine: str) -> Any:
     """A Python or native instance of a discretised model."""
+    from phfmu.engine.switched import stepped
+
     if engine == "python":
         from phfmu.engine.python import PythonInstance
 
-        return PythonInstance(model)
+        return stepped(model, PythonInstance)
     from phfmu.engine.native import NativeInstance
 
-    return NativeInstance(model, _announce)
+    return stepped(model, lambda m: NativeInstance(m, _announce))
 
 
 def _announce() -> None:

@@ -78,12 +78,9 @@ class StateEvent:
 
 
 def renamed(
-    events: Iterable[StateEvent],
-    parameters: Iterable[tuple[Variable, Variable]],
-    image: Callable[[Variable], Variable],
+    events: Iterable[StateEvent], new: Mapping[str, str], image: Callable[[Variable], Variable]
 ) -> tuple[StateEvent, ...]:
-    """The events with the names of new parameters, (old, new) pairs, and the images of the variables that jump."""
-    new = {old: name for v, w in parameters for old, name in zip(v.names(), w.names(), strict=True)}
+    """The events with the names of new parameters, old -> new, and the images of the variables that jump."""
 
     def named(values: Mapping[str, float]) -> dict[str, float]:
         return {new.get(n, n): value for n, value in values.items()}

@@ -21,6 +21,7 @@ from phfmu.declare.holonomic import Holonomic
 from phfmu.declare.observable import Observable
 from phfmu.declare.port import Port
 from phfmu.declare.problem import Problem
+from phfmu.declare.switch import Switch, renamed_switches
 from phfmu.declare.variable import Variable, _sx
 
 
@@ -36,6 +37,7 @@ class PHDAE:
     z:           variable -> given costate.  States: only checked, z is derived from H and a regular E.  Algebraic
                  variables: their effort z2(x, x2) where it is not the variable itself
     state_events: guards that steps end on, and what happens there
+    switches:    ideal switches: a structure for each of their modes
     members:     owners of the terms of a composed network;  junctions: (name, member ports) it was joined at
     """
 
@@ -53,6 +55,7 @@ class PHDAE:
     observables: tuple[Observable, ...] = ()
     z: Mapping[Variable, Any] = field(default_factory=dict)
     state_events: tuple[StateEvent, ...] = ()
+    switches: tuple[Switch, ...] = ()
     members: tuple[str, ...] = ("",)
     junctions: tuple[tuple[str, tuple[str, ...]], ...] = ()
     description: str = ""
@@ -138,6 +141,8 @@ class PHDAE:
 
         ports = tuple(replace(port(p), on={image(v): m for v, m in p.on.items()}) for p in self.ports)
         swap |= {id(old): new for old, new in zip(self.ports, ports, strict=True)}
+        pairs = list(zip(self.parameters, fields["parameters"], strict=True))
+        new = {old: name for v, w in pairs for old, name in zip(v.names(), w.names(), strict=True)}
         return replace(
             self,
             **fields,
@@ -149,13 +154,14 @@ class PHDAE:
             constraints=tuple(replace(c, multiplier=image(c.multiplier)) for c in self.constraints),
             closed=tuple(replace(c, variables=tuple(map(image, c.variables))) for c in self.closed),
             energies=tuple(replace(e, correct=tuple(map(image, e.correct))) for e in self.energies),
-            state_events=renamed(self.state_events, zip(self.parameters, fields["parameters"], strict=True), image),
+            state_events=renamed(self.state_events, new, image),
+            switches=renamed_switches(self.switches, new, image),
         )
 
     @property
     def modes(self) -> list[str]:
-        """Scalar parameters that state events set, in the order of the parameters."""
-        found = set().union(*(e.changed for e in self.state_events))
+        """Scalar parameters that state events set, and modes of switches, in the order of the parameters."""
+        found = {s.mode_name for s in self.switches}.union(*(e.changed for e in self.state_events))
         return [n for v in self.parameters for n in v.names() if n in found] if found else []
 
     def settable_names(self) -> list[str]:
@@ -185,6 +191,7 @@ _PARTS: tuple[tuple[str, type, str], ...] = (
     ("closed", ClosedPair, "ClosedPair(..)"),
     ("observables", Observable, "observable(..)"),
     ("state_events", StateEvent, "StateEvent(..)"),
+    ("switches", Switch, "Switch(..)"),
 )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
@@ -15,9 +15,11 @@ from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.declare.starts import starts
 from phfmu.declare.variable import Variable
 from phfmu.discretise.instant import instant_plan
+from phfmu.discretise.mode_models import ModeModels
 from phfmu.discretise.onestep import step_plan
 from phfmu.discretise.scales import check_scales
 from phfmu.events.event_plan import EventPlan, event_plan
+from phfmu.events.modes import Modes
 from phfmu.events.polynomial import Polynomial
 from phfmu.plan.plan import Kernel, Plan
 from phfmu.schemes.collocated import Collocated
@@ -63,6 +65,8 @@ class Model:
     hold_names: tuple[str, ...] = ()
     #: its state events, None without
     events: EventPlan | None = None
+    #: of a declaration with switches: the model of each mode; this one tells what they have in common, in the mode at the start
+    modes: ModeModels | None = None
 
     @property
     def kernels(self) -> list[Kernel]:
@@ -88,7 +92,14 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
     """Discretise `declaration`; DeclarationError names what does not fit.  Default: `default_scheme`."""
     if bad := starts(require_declaration(declaration, "build_model")):
         raise DeclarationError.of(bad)
-    scheme = default_scheme(declaration) if scheme is None else scheme
+    chosen = default_scheme(declaration) if scheme is None else scheme
+    if not declaration.switches:
+        return _discretised(declaration, chosen, bool(declaration.state_events))
+    models = ModeModels(Modes(declaration), lambda declared: _discretised(declared, chosen, True))
+    return replace(models[models.modes.start], checks=(), check_scale=np.zeros(0), modes=models)
+
+
+def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
     terms = extract(declaration, joint=scheme.joint)
     terms = at_start(terms)
     step, layout = step_plan(terms, scheme)
@@ -100,7 +111,7 @@ def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
         checks=tuple(checks), check_scale=check_scales(terms, checks, x0, p0), row_names=tuple(layout.names()),
         instant_names=tuple(instant_layout.names()), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names), hold_names=hold_names(terms) if len(step.hold) else (),
-        events=event_plan(terms, Polynomial(layout, scheme.nodes, scheme.maps(layout))) if declaration.state_events else None,
+        events=event_plan(terms, Polynomial(layout, scheme.nodes, scheme.maps(layout))) if lands else None,
     )  # fmt: skip
 
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.status import Status, StepFailure
 
-#: why, in the order of `ph_event_reason` in runtime/events/events.h: what is wrong, and the next move
+#: why, in the order of `ph_event_reason` in runtime/events/events.h, and of modes in `switched.py`: what is
+#: wrong, and the next move
 REASONS = (
     (
         "the jumps of {names} depend on each other (S is singular)",
@@ -25,6 +26,10 @@ REASONS = (
     (
         "{names} happens again at the same instant, after each event was tried",
         "let the guards of its modes exclude each other: `when` of each, and what it sets",
+    ),
+    (
+        "after {names} no mode of the switches obeys their laws",
+        "give the current that is cut a way to go (a diode beside a switch), or a source an impedance",
     ),
 )
 

@@ -6,7 +6,8 @@ A run is made of complete steps, each with its exact balance.  docs/understand/e
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +17,55 @@ from phfmu.engine.guards import Guards
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.locate import EPS, Location
 from phfmu.engine.status import StepFailure
-from phfmu.events.event_plan import EventPlan, Settings
+from phfmu.events.event_plan import Settings
 from phfmu.events.happened import Happened, Landed
 
 Array = NDArray[Any]
 Taken = tuple[float, float, dict[str, Array]]  # a step: start, size, recorded row
 
 
-class Landing:
-    """Takes the steps of an instance with state events."""
+@dataclass(frozen=True)
+class Change:
+    """How the mode of switches changed: by component the energy that it got and what was lost (J); `names`: each, on or off."""
 
-    def __init__(self, instance: Any, plan: EventPlan):
-        self.instance, self.plan = instance, plan
-        guards = Guards(plan)
-        self.location, self.jumps = Location(instance, plan, guards), Jumps(instance, plan, guards)
-        self._last = np.zeros(plan.n)  # when each event of the grid step happened last
+    energy: Array
+    lost: Array
+    names: tuple[str, ...]
+
+
+class Structure(Protocol):
+    """What has an instance for each mode of its switches; see `SwitchedInstance`."""
+
+    @property
+    def present(self) -> Any:
+        """The instance of the present mode."""
+
+    @property
+    def unsettled(self) -> bool:
+        """Modes were set that are not taken yet."""
+
+    @property
+    def parameters(self) -> Array:
+        """With the modes that were set."""
+
+    def change(self, p: Array, h: float) -> Change:
+        """Takes the parameters p and the mode that follows."""
+
+
+class Landing:
+    """Takes the steps of an instance with state events, or of that of the present mode of a `structure`."""
+
+    def __init__(self, instance: Any, structure: Structure | None = None):
+        self.structure, self._parts = structure, dict[int, tuple[Location, Jumps]]()
+        self._adopt(instance)
+        self._last = np.zeros(self.plan.n)  # when each event of the grid step happened last
+
+    def _adopt(self, instance: Any) -> None:
+        self.instance, self.plan = instance, instance.model.events
+        if id(instance) not in self._parts:
+            guards = Guards(self.plan)
+            self._parts[id(instance)] = Location(instance, self.plan, guards), Jumps(instance, self.plan, guards)
+        self.location, self.jumps = self._parts[id(instance)]
 
     def over(
         self, t0: float, h: float, n: int, first: int, read: Callable[[], dict[str, Array]], changed: bool
@@ -61,6 +96,11 @@ class Landing:
     ) -> Iterator[Taken | Happened]:
         """The steps and events in [t, end]."""
         events, self._last = 0, np.full(self.plan.n, -np.inf)
+        if changed and self.structure is not None and self.structure.unsettled:
+            settled = self._happen(t, h, [], 0)
+            if settled.switched:
+                events = 1
+                yield settled
         fired = self.location.already(t) if changed else []
         while True:
             passes = 0
@@ -84,16 +124,22 @@ class Landing:
         rests = [i for i in piled if plan.rest.ptr[i + 1] > plan.rest.ptr[i]]
         if crowded and not rests:
             self.jumps.refuse(t, PILE, fired)
-        p = instance.parameters
+        p = (self.structure or instance).parameters
         for i in fired:
             _set(p, plan.sets, i)
         for i in rests:
             _set(p, plan.rest, i)
-        energy, lost = self.jumps.jump(t, p, fired, rests)
-        instance.set_parameters(p)
-        instance.initialise()
+        energy, lost = self.jumps.jump(t, p, fired, rests) if fired else np.zeros((2, instance.model.step.ncomp))
+        if self.structure is None:
+            instance.set_parameters(p)
+            instance.initialise()
+            switched: tuple[str, ...] = ()
+        else:
+            found = self.structure.change(p, h)
+            energy, lost, switched = energy + found.energy, lost + found.lost, found.names
+            self._adopt(self.structure.present)
         self._last[fired] = t
-        return Happened(t, tuple(fired), tuple(rests), energy, lost, _row(instance))
+        return Happened(t, tuple(fired), tuple(rests), energy, lost, _row(self.structure or instance), switched)
 
 
 def _set(p: Array, settings: Settings, i: int) -> None:
@@ -106,9 +152,16 @@ def _row(instance: Any) -> Array:
 
 
 def landed(
-    instance: Any, t0: float, h: float, n: int, record: Iterable[str], first: int, changed: bool
+    instance: Any,
+    t0: float,
+    h: float,
+    n: int,
+    record: Iterable[str],
+    first: int,
+    changed: bool,
+    structure: Structure | None = None,
 ) -> Iterator[Landed]:
-    """`land` of an instance; ValueError if its model has no state events."""
+    """`land` of an instance, which is its own `structure` if it has one; ValueError if its model has no state events."""
     if instance.model.events is None:
         raise ValueError(f"{instance.model.name} has no state events: use run")
     names, before = tuple(record), dict(instance.counts)
@@ -122,4 +175,5 @@ def landed(
         now |= {name: instance.signal(name) for name in ("a", "y_step")}
         return {name: now[name].copy() for name in names}
 
-    return Landing(instance, instance.model.events).over(t0, h, n, first, read, changed)
+    landing = Landing(instance) if structure is None else Landing(structure.present, structure)
+    return landing.over(t0, h, n, first, read, changed)

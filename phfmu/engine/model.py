@@ -54,3 +54,11 @@ def kernels(model: Model) -> list[Kernel]:
     """Kernels of both plans, then of the state events, in order of appearance; an object may appear more than once."""
     more = [] if model.events is None else model.events.kernels
     return [*(g.kernel for plan in (model.step, model.instant) for g in plan.groups), *more]
+
+
+def require_one_mode(model: Model) -> None:
+    """ValueError for a model with switches, of which an instance steps one mode only."""
+    if getattr(model, "modes", None) is not None:  # models made by hand have none
+        raise ValueError(
+            f"{model.name} has switches: SwitchedInstance(model, PythonInstance) steps it in all its modes"
+        )

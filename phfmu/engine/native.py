@@ -14,7 +14,7 @@ from phfmu.engine.compiled import compiled
 from phfmu.engine.handle import Handle
 from phfmu.engine.impulses import Ports
 from phfmu.engine.library import Column, Record, record_widths, view
-from phfmu.engine.model import Model
+from phfmu.engine.model import Model, require_one_mode
 from phfmu.engine.native_readings import NativeReadings
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.status import StepFailure
@@ -38,6 +38,7 @@ class NativeInstance(NativeReadings):
     """
 
     def __init__(self, model: Model, announce: Callable[[], None] | None = None) -> None:
+        require_one_mode(model)
         super().__init__(model, compiled(model, announce))
         self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
         self._kicked: NativeImpulses | None = None

@@ -12,6 +12,7 @@ from phfmu.discretise.model import Model
 from phfmu.engine.inputs import carried
 from phfmu.engine.landing import landed
 from phfmu.engine.limits import LIMITS
+from phfmu.engine.model import require_one_mode
 from phfmu.engine.python_readings import PythonReadings
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
@@ -30,6 +31,7 @@ class PythonInstance(PythonReadings):
     """
 
     def __init__(self, model: Model):
+        require_one_mode(model)
         super().__init__(model)
         self.initialise()
 

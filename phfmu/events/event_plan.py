@@ -72,12 +72,10 @@ class EventPlan:
         return [g.kernel for g in (*self.groups, *(() if self.jump is None else (self.jump.group,)))]
 
 
-def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan | None:
-    """The state events of a model, None if it has none.  DeclarationError names what does not fit."""
+def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan:
+    """The state events of a model, perhaps none.  DeclarationError names what does not fit."""
     model = terms.model
     events = model.state_events
-    if not events:
-        return None
     index = {n: i for i, n in enumerate(n for v in model.parameters for n in v.names())}
     _require_modes(model, index)
     groups = _guards(terms, events)

@@ -16,7 +16,7 @@ class Happened:
     """State events at one instant: numbers of the `events`, and of the `rests` among them that came to rest.
 
     energy, lost:  by component, what the jump added to its H and what it lost (J); the sums of both are 0 together
-    signals:  the table row after it
+    signals:  the table row after it;  switched: switches that changed with it, in words
     """
 
     t: float
@@ -25,6 +25,7 @@ class Happened:
     energy: Array
     lost: Array
     signals: Array
+    switched: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,7 @@ def instance(declaration: PHDAE, order: int = 2, scheme: Any = "auto", gradient:
     """A native instance, a Python one without a C compiler."""
     from phfmu.discretise.model import build_model
     from phfmu.engine.compile import CompilerMissing, require_compiler
+    from phfmu.engine.switched import stepped
     from phfmu.schemes.named import named_scheme
 
     model = build_model(declaration, named_scheme(declaration, scheme, order, gradient))
@@ -68,10 +69,10 @@ def instance(declaration: PHDAE, order: int = 2, scheme: Any = "auto", gradient:
     except CompilerMissing:
         from phfmu.engine.python import PythonInstance
 
-        return PythonInstance(model)
+        return stepped(model, PythonInstance)
     from phfmu.engine.native import NativeInstance
 
-    return NativeInstance(model)
+    return stepped(model, NativeInstance)
 
 
 def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = None) -> Record:

@@ -34,6 +34,16 @@ def output_expressions(terms: Terms, pairs: Iterable[int], z: ca.SX, u: ca.SX) -
     return _expressions(terms, Row.OUTPUT, pairs, z, u)
 
 
+def flow_expressions(terms: Terms, z: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """All rows [(J - R) z + B u] of the states and of the algebraic variables, without forces of holonomic constraints.
+
+    In x, `z` (n1), algebraic variables, parameters and `u` (an expression a pair that is not fed by an algebraic variable).
+    """
+    flows = _expressions(terms, Row.BALANCE, range(terms.n1), z, u)
+    rows = _expressions(terms, Row.EQUATION, range(terms.na), z, u)
+    return tuple(ca.vertcat(ca.SX(0, 1), *(f[i] for i in range(len(f)))) for f in (flows, rows))  # type: ignore[return-value]
+
+
 def _expressions(terms: Terms, kind: Row, rows: Iterable[int], z: ca.SX, u: ca.SX) -> dict[int, ca.SX]:
     """The chosen rows of one kind; `u`: what stands for the free inputs."""
     model, bound, x = terms.model, terms.bound, terms.model.x

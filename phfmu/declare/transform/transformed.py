@@ -25,10 +25,11 @@ from phfmu.declare.variable import key
 
 def transformed(model: PHDAE, T: Maps) -> PHDAE:
     """`model` in the new variables of `T`; see `SystemTransformation`."""
-    if model.state_events:
-        names = ", ".join(f"'{e.guard.name}'" for e in model.state_events[:4])
+    if model.state_events or model.switches:
+        named = [e.guard.name for e in model.state_events] + [s.name for s in model.switches]
+        names = ", ".join(f"'{n}'" for n in named[:4])
         raise DeclarationError(
-            model.name, f"has state events ({names}), whose jumps are along its own variables",
+            model.name, f"has state events or switches ({names}), which act along its own variables",
             "change the variables first, and declare the events in the new ones", "symbol",
         )  # fmt: skip
     model = velocity_form(model, T)

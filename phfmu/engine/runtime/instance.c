@@ -142,8 +142,8 @@ const double *ph_node_outputs(const ph_instance *in) {
 
 int ph_continue(ph_instance *in, const ph_instance *from) {
     const ph_plan *p = in->model->step, *q = from->model->step;
-    const int length = in->offset[PH_NBLOCK], together = in->table[p->nx] == from->table[p->nx];
-    if (length != from->offset[PH_NBLOCK] || p->nx != q->nx || p->np != q->np || p->nu != q->nu ||
+    const int length = in->offset[PH_OBSERVABLES], together = in->table[p->nx] == from->table[p->nx];
+    if (length != from->offset[PH_OBSERVABLES] || p->nx != q->nx || p->np != q->np || p->nu != q->nu ||
         p->ncomp != q->ncomp || p->nq != q->nq || (p->nu > 0 && !from->head->held))
         return PH_ARGUMENT;
     copy(in->table, from->table, length);

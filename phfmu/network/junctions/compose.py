@@ -60,6 +60,7 @@ def compose(
         closed=_all(parts, "closed"),
         observables=_all(parts, "observables"),
         state_events=_all(parts, "state_events"),
+        switches=_all(parts, "switches"),
         members=_all(parts, "members"),
         junctions=tuple((j.name, tuple(map(str, j.ends))) for j in junctions),
         description=description,
@@ -121,6 +122,7 @@ def _prefixed(prefix: str, model: PHDAE, feed: dict[End, Unknowns]) -> PHDAE:
         closed=owned(new.closed),
         observables=tuple(_renamed(o, prefix) for o in new.observables),
         state_events=tuple(_event(e, prefix) for e in new.state_events),
+        switches=tuple(replace(s, name=f"{prefix}.{s.name}", owner=_owner(prefix, s.owner)) for s in new.switches),
         members=tuple(_owner(prefix, m) for m in model.members),
         junctions=(),
     )

@@ -70,9 +70,10 @@ class EventSteps:
 
     def _happened(self, h: Happened) -> Row:
         """Books it; the row after it."""
-        self.book.happened(h, "; ".join(self._said(i, i in h.rests) for i in h.events))
+        self.book.happened(h, "; ".join([*(self._said(i, i in h.rests) for i in h.events), *h.switched]))
         lost = float(h.lost.sum())
-        names = ", ".join(self._plan.names[i] + (" (comes to rest)" if i in h.rests else "") for i in h.events)
+        named = [self._plan.names[i] + (" (comes to rest)" if i in h.rests else "") for i in h.events]
+        names = ", ".join([*named, *h.switched])
         self.book.notes.append(f"t = {h.t:.12g} s: {names}" + (f", lost {lost:.9g} J" if lost else ""))
         self.stepper.check_start()
         return np.array([h.t]), h.signals[None], np.zeros(1, bool)

@@ -1,0 +1,30 @@
+"""The discretised model of every mode of a declaration with switches, built when it is first stepped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from phfmu.declare.phdae import PHDAE
+from phfmu.events.modes import Mode, Modes
+
+if TYPE_CHECKING:
+    from phfmu.discretise.model import Model
+
+
+class ModeModels:
+    """Models by mode; `make` discretises a declaration without switches."""
+
+    def __init__(self, modes: Modes, make: Callable[[PHDAE], Model]):
+        self.modes, self._make = modes, make
+        self._known: dict[Mode, Model] = {}
+
+    def __getitem__(self, mode: Mode) -> Model:
+        if mode not in self._known:
+            self._known[mode] = self._make(self.modes.declared(mode))
+        return self._known[mode]
+
+    @property
+    def known(self) -> list[Mode]:
+        """Modes that were built, in that order."""
+        return list(self._known)

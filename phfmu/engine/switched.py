@@ -1,0 +1,210 @@
+"""An instance of a model with switches: one instance for each mode, the state goes from one to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from phfmu.discretise.model import Model
+from phfmu.engine.event_failure import EventRefused
+from phfmu.engine.event_jump import MOST, NO_MODE
+from phfmu.engine.landing import Change, landed
+from phfmu.events.comply import Wanted, select
+from phfmu.events.happened import Landed
+from phfmu.events.modes import Mode
+from phfmu.events.switch_system import At
+from phfmu.terms.canonical import member
+
+Array = NDArray[Any]
+
+#: a multiplier that a landed opening leaves, as a part of its typical magnitude: rounding
+LANDED = 1e-6
+
+
+def stepped(model: Model, make: Callable[[Model], Any]) -> Any:
+    """An instance of a model, with or without switches."""
+    return make(model) if model.modes is None else SwitchedInstance(model, make)
+
+
+class SwitchedInstance:
+    """Steps a model with switches in its present mode and changes modes at events, where it `land`s.
+
+    `make`: `PythonInstance` or `NativeInstance`, of which it has one for each mode that came up so far.  Rows of signals are
+    those of the model; the hidden constraints of a mode hold by what entering it does.
+    """
+
+    def __init__(self, model: Model, make: Callable[[Model], Any]):
+        if model.modes is None:
+            raise ValueError(f"{model.name} has no switches: make the instance itself")
+        self.model, self._models, self._make = model, model.modes, make
+        self._mode = self._models.modes.start
+        self._instances: dict[Mode, Any] = {self._mode: make(self._models[self._mode])}
+        self._asked = self._mode
+        self._started = False
+
+    # -- the present mode ----------------------------------------------------------------------------------------------
+
+    @property
+    def mode(self) -> Mode:
+        """1 or 0 for each switch, in the order of the declaration."""
+        return self._mode
+
+    @property
+    def present(self) -> Any:
+        """The instance of the present mode."""
+        return self._of(self._mode)
+
+    def _of(self, mode: Mode) -> Any:
+        if mode not in self._instances:
+            self._instances[mode] = self._make(self._models[mode])
+        return self._instances[mode]
+
+    @property
+    def unsettled(self) -> bool:
+        """Modes were set, or it has not landed yet, so that its modes may not fit its state."""
+        return self._asked != self._mode or not self._started
+
+    def change(self, p: Array, h: float) -> Change:
+        """Takes the parameters p and the mode that follows from those in it and from the laws of the switches.
+
+        EventRefused if no mode obeys the laws, or if a switch that
+        opens would cut more than it may.
+        """
+        old, modes = self.present, self._models.modes
+        system, switches = modes.system, modes.switches
+        proposal: Mode = tuple(int(p[i]) for i in system.places)
+        a, u, t = old.signal("a_end"), old.held_input, old.time
+        fixed = frozenset(j for j, m in enumerate(proposal) if m != self._mode[j])
+        # what the steps left of the constraints of the old mode would decide in the new one
+        left = system.enter(At(old.x, a, u, system.in_mode(p, self._mode), t)) if fixed else None
+        here = At(old.x if left is None else left.x, a, u, p, t)
+        mode = select(modes, here, h, Wanted(self._mode, proposal, fixed))
+        if mode is None:
+            names = [switches[j].name for j in sorted(fixed)] or [s.name for s in switches]
+            raise EventRefused(self.model.name, t, NO_MODE, names, 0.0, 0.0)
+        p = system.in_mode(p, mode)
+        entry = system.enter(At(here.x, a, u, p, t))
+        changed = [j for j, m in enumerate(mode) if m != self._mode[j]]
+        for j in changed:
+            cut, most = (
+                abs(float(a[system.multipliers[j]])),
+                switches[j].most + LANDED * switches[j].multiplier.nominal[0],
+            )
+            if not mode[j] and cut > most and entry.impulse.any() and entry.lost > 0.0:
+                raise EventRefused(self.model.name, t, MOST, [switches[j].name], cut, switches[j].most)
+        new = self._of(mode)
+        if new is not old:
+            new.continue_from(old)
+        new.set_parameters(p)
+        if (entry.x != old.x).any():
+            new.set_x(t, entry.x)
+        new.initialise()
+        self._mode = self._asked = mode
+        self._started = True
+        energy = entry.energy + (0.0 if left is None else left.energy) if changed else np.zeros(len(entry.energy))
+        lost = np.zeros(len(energy))
+        if changed:
+            lost[member(list(self.model.members), switches[changed[0]].owner)] = -energy.sum()
+        return Change(energy, lost, tuple(f"{switches[j].name} {'on' if mode[j] else 'off'}" for j in changed))
+
+    def land(
+        self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
+    ) -> Iterator[Landed]:
+        """Grid steps that end on the zeros of guards too, where modes change; see `PythonInstance.land`."""
+        return landed(self, t0, h, n, record, first, changed, self)
+
+    # -- an instance ---------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        return self.present.time
+
+    @property
+    def x(self) -> Array:
+        return self.present.x
+
+    @property
+    def unknowns(self) -> Array:
+        """w of the last solve, of the plan of the present mode."""
+        return self.present.unknowns
+
+    @property
+    def held_input(self) -> Array:
+        return self.present.held_input
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Of all modes together."""
+        found = [i.counts for i in self._instances.values()]
+        return {name: sum(c[name] for c in found) for name in found[0]}
+
+    @property
+    def rest_changes(self) -> list[Any]:
+        """Constraints that rest are none."""
+        return []
+
+    @property
+    def parameters(self) -> Array:
+        """All parameters; modes as they were set, which the next landing takes."""
+        return self._models.modes.system.in_mode(self.present.parameters, self._asked)
+
+    def set_parameters(self, p: ArrayLike) -> None:
+        """All parameters (np).  Modes among them change at the next landing, where what that loses is booked."""
+        values, system = np.asarray(p, float), self._models.modes.system
+        self._asked = tuple(int(values[i]) for i in system.places)
+        self.present.set_parameters(system.in_mode(values, self._mode))
+
+    def set_input(self, u: ArrayLike) -> None:
+        self.present.set_input(u)
+
+    def set_x(self, t: float, x: ArrayLike) -> None:
+        """Place the state; the next landing finds the mode that it has."""
+        self.present.set_x(t, x)
+        self._started = False
+
+    def initialise(self) -> None:
+        self.present.initialise()
+
+    def reset(self) -> None:
+        """Back to the start values and modes."""
+        self._mode = self._asked = self._models.modes.start
+        self._started = False
+        self.present.reset()
+
+    def do_step(self, t: float, h: float, parts: int = 1) -> None:
+        """A step in the present mode, which looks at no guard: `land` does."""
+        self.present.do_step(t, h, parts)
+
+    def ledger(self) -> dict[str, Array]:
+        return self.present.ledger()
+
+    @property
+    def layout(self) -> dict[str, slice]:
+        """Place of each block in a row of recorded signals, the same in all modes."""
+        place, start = {}, 0
+        for name, values in self.signals().items():
+            place[name] = slice(start, start + len(values))
+            start += len(values)
+        return place
+
+    def signals(self) -> dict[str, Array]:
+        """All values by block; see `PythonInstance.signals`."""
+        found = self.present.signals()
+        found["observables"] = found["observables"][: len(self.model.observable_names)]
+        return found
+
+    def signal(self, block: str) -> Array:
+        """One block of `signals`."""
+        found = self.present.signal(block)
+        return found[: len(self.model.observable_names)] if block == "observables" else found
+
+    def get_state(self) -> Any:
+        """A complete copy, modes included."""
+        return self._mode, self._asked, self._started, self.present.get_state()
+
+    def set_state(self, state: Any) -> None:
+        self._mode, self._asked, self._started, inner = state
+        self.present.set_state(inner)

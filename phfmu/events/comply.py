@@ -1,0 +1,112 @@
+"""Which mode follows at an instant: 0 <= c, 0 <= mu, mu c = 0 for all unilateral switches, soon after it.
+
+The equations are taken over a very short backward Euler step, in which rates of c count where c is zero, and impulses where it
+cannot stay: its complementarity problem is that of the limit.  Modes are tried by how many switches they change.
+Source: Camlibel, Heemels, van der Schaft, Schumacher, IEEE TCAS-I 50 (2003).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.events.modes import Mode, Modes
+from phfmu.events.switch_system import At, Rates
+
+Array = NDArray[np.float64]
+
+#: length of the short step, as a part of the step of the run
+SHORT = 1e-6
+#: rounding of mu and of c, as parts of their typical magnitudes
+MU, C = 1e-9, 1e-11
+#: modes that are tried
+MOST_TRIED = 4096
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A change of modes: from `present`, to `proposal` unless the law says otherwise; `fixed`: switches that are not asked."""
+
+    present: Mode
+    proposal: Mode
+    fixed: frozenset[int]
+
+
+def select(modes: Modes, at: At, h: float, wanted: Wanted) -> Mode | None:
+    """The mode nearest to the proposal that obeys the law; None if no mode that was tried does.  `h`: step of the run."""
+    for mode in islice(_candidates(modes, at, wanted), MOST_TRIED):
+        if complies(modes, replace(at, p=modes.system.in_mode(at.p, mode)), SHORT * h, mode, wanted):
+            return mode
+    return None
+
+
+def _candidates(modes: Modes, at: At, wanted: Wanted) -> Iterator[Mode]:
+    asked = [j for j, s in enumerate(modes.switches) if s.law == "unilateral" and j not in wanted.fixed]
+    names = [n for v in modes.declaration.parameters for n in v.names()]
+    values = dict(zip(names, at.p, strict=True))
+    for many in range(len(asked) + 1):
+        for flipped in combinations(asked, many):
+            mode = tuple(1 - m if j in flipped else m for j, m in enumerate(wanted.proposal))
+            if all(
+                m == wanted.present[j] or j in wanted.fixed or may_close(modes, j, m, values)
+                for j, m in enumerate(mode)
+            ):
+                yield mode
+
+
+def may_close(modes: Modes, j: int, side: int, values: Mapping[str, float]) -> bool:
+    """Whether switch j may go to this side by itself."""
+    return side == 0 or all(values[n] == v for n, v in modes.switches[j].when.items())
+
+
+def complies(modes: Modes, at: At, step: float, mode: Mode, wanted: Wanted) -> bool:
+    """Whether the switches that are asked obey their law a short step after `at`, in the mode that is in at.p."""
+    found = _stepped(modes, at, step, mode)
+    if found is None:
+        return False
+    mu, c, gap = found
+    for j, s in enumerate(modes.switches):
+        if s.law == "free" or j in wanted.fixed:
+            continue
+        if mode[j]:
+            if mu[j] < -MU * s.multiplier.nominal[0]:
+                return False
+        elif s.when and not may_close(modes, j, 1, _values(modes, at.p)):
+            continue  # blocks in both directions
+        elif c[j] < -C * s.nominal and (s.gap is None or gap[j] <= C * s.nominal):
+            return False
+    return True
+
+
+def _values(modes: Modes, p: Array) -> dict[str, float]:
+    return dict(zip([n for v in modes.declaration.parameters for n in v.names()], p, strict=True))
+
+
+def _stepped(modes: Modes, at: At, step: float, mode: Mode) -> tuple[Array, Array, Array] | None:
+    """mu, c and gaps after the short step; None if the equations have no one solution."""
+    system = modes.system
+    r: Rates = system.rates(replace(at, t=at.t + step))
+    ga, g = r.ga.copy(), r.g.copy()
+    for found in system.undetermined(mode):
+        ga[found.at] -= found.row
+        g[found.at] -= found.row @ at.a
+    n1, mass = len(at.x), system.masses(at.p)
+    matrix = np.block([[np.diag(mass) - step * r.fx, -step * r.fa], [-r.gx, -ga]])
+    right = np.concatenate([step * r.f, g])
+    rows = np.abs(matrix).max(axis=1, initial=0)
+    if not rows.all():
+        return None
+    matrix, right = matrix / rows[:, None], right / rows
+    cols = np.abs(matrix).max(axis=0, initial=0)
+    try:
+        y = np.linalg.solve(matrix / cols, right) / cols
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(y).all():
+        return None
+    dx, da = y[:n1], y[n1:]
+    return (at.a + da)[system.multipliers], r.c + r.cx @ dx + r.ca @ da, r.gap

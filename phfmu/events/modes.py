@@ -1,0 +1,84 @@
+"""The modes of a declaration with switches: the same variables, a structure each.
+
+A switch that is on puts its column into J; off, its multiplier has the row 0 = -mu, which takes no power and is listed with J.
+So the search for hidden rows sees what is there in a mode and nothing else, and all modes have the same states, algebraic
+variables, ports and parameters.
+
+Directions of the algebraic variables that no row determines in a mode (the potential of a part of a circuit that nothing conducts
+to, currents around a ring of closed switches) get the rows that make them least in norm; they move nothing and take no power.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from phfmu.declare.block import Block, block, damping, skew
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.variable import Variable, _sx
+from phfmu.events.switch_system import SwitchSystem, Undetermined
+
+Mode = tuple[int, ...]
+
+
+class Modes:
+    """The declaration of every mode, made when it is first asked for."""
+
+    def __init__(self, declaration: PHDAE):
+        self.declaration, self.switches = declaration, declaration.switches
+        self._known: dict[Mode, PHDAE] = {}
+
+    @cached_property
+    def whole(self) -> PHDAE:
+        """The declaration with the modes as symbols in J and R: what is declared, in any mode."""
+        d, switches = self.declaration, self.switches
+        on = [skew(v, s.multiplier, _sx(c) * s.mode.sx, owner=s.owner) for s in switches for v, c in s.on.items()]
+        off = [damping(s.multiplier, (1 - s.mode.sx) * s.scale, owner=s.owner) for s in switches]
+        return self._plain((*d.structure, *on), (*d.dissipation, *off))
+
+    @cached_property
+    def system(self) -> SwitchSystem:
+        """Its equations with the modes as numbers."""
+        return SwitchSystem(self.declaration, self.whole)
+
+    @property
+    def start(self) -> Mode:
+        """The modes that the parameters start with."""
+        return tuple(int(round(s.mode.start[0])) for s in self.switches)
+
+    def declared(self, mode: Mode) -> PHDAE:
+        """The declaration in one mode, without switches; its state events are those of all modes."""
+        if mode not in self._known:
+            self._known[mode] = self._made(mode)
+        return self._known[mode]
+
+    def _made(self, mode: Mode) -> PHDAE:
+        structure = list[Block]()
+        for s, on in zip(self.switches, mode, strict=True):
+            if on:
+                structure += [skew(v, s.multiplier, column, owner=s.owner) for v, column in s.on.items()]
+            else:
+                structure.append(block([s.multiplier], -s.scale))
+        structure += [_least(self.declaration.algebraics, found) for found in self.system.undetermined(mode)]
+        return self._plain((*self.declaration.structure, *structure), self.declaration.dissipation)
+
+    def _plain(self, structure: tuple[Block, ...], dissipation: tuple[Block, ...]) -> PHDAE:
+        events = tuple(e for s in self.switches for e in s.events(self.declaration.effort))
+        both = {"structure": structure, "dissipation": dissipation}
+        return replace(self.declaration, **both, state_events=(*self.declaration.state_events, *events), switches=())
+
+
+def _least(variables: Sequence[Variable], found: Undetermined) -> Block:
+    """A row that makes the algebraic variables zero along a direction.
+
+    In one row only: the search for hidden rows must see the others as they are.
+    """
+    taken = [(v.part(i, 1) if v.size is not None else v) for v in variables for i in range(v.n)]
+    inside = np.flatnonzero(found.row)
+    matrix = ca.SX(len(inside), len(inside))
+    matrix[int(np.searchsorted(inside, found.at)), :] = -ca.DM(found.row[inside]).T
+    return block([taken[i] for i in inside], matrix)

@@ -1,0 +1,255 @@
+"""The equations of a model with switches at an instant, linear in what follows: rates, algebraic variables, impulses.
+
+    E x' = f(x, z, a),   0 = g(x, z, a),   z = E^-T grad H
+
+Modes enter as parameters.  With it a mode is tested (`comply.py`) and entered.  On entering, states jump along L = E^-1 df/da N
+only, N the null space of dg/da: what of the algebraic variables may be an impulse.  Then
+
+    c = N^T g = 0 after it,   S = L^T H'' L,   x+ = x- + L m,   m = -S^-1 c-,   lost = -1/2 m^T (c- + c+).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.declare.error import DeclarationError
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.variable import _sx, time
+from phfmu.events.jump_columns import energies_of
+from phfmu.terms.extract import extract
+from phfmu.terms.port_impulses import masses
+from phfmu.terms.rows import costates, flow_expressions
+from phfmu.terms.term import CLOSED, CONSTRAINT, MASS_BLOCK
+
+Array = NDArray[np.float64]
+
+#: singular values below this part of the largest are none
+RANK = 1e-10
+#: times that the equation of an impulse is solved; the second and third correct rounding
+PASSES = 3
+
+
+@dataclass(frozen=True)
+class At:
+    """An instant: states x, algebraic variables a, inputs u, parameters p (modes among them), time t."""
+
+    x: Array
+    a: Array
+    u: Array
+    p: Array
+    t: float
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Rows and their derivatives at an instant:  f (n1), g (na), c (switches) and d/dx, d/da of each."""
+
+    f: Array
+    fx: Array
+    fa: Array
+    g: Array
+    gx: Array
+    ga: Array
+    c: Array
+    cx: Array
+    ca: Array
+    gap: Array
+
+
+@dataclass(frozen=True)
+class Entry:
+    """How a mode is entered: states after it, energy that each component gets (J), what is lost, and the impulses of the rows."""
+
+    x: Array
+    energy: Array
+    impulse: Array
+
+    @property
+    def lost(self) -> float:
+        """What the jump dissipates (J)."""
+        return -float(self.energy.sum())
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """A direction of the algebraic variables: `row` (na) along it, to stand in the row of variable `at`."""
+
+    at: int
+    row: Array
+
+
+class SwitchSystem:
+    """`model` is declared with switches, `symbolic` has their modes as symbols in J and R."""
+
+    def __init__(self, model: PHDAE, symbolic: PHDAE):
+        terms = extract(symbolic)
+        if terms.of(CONSTRAINT) or terms.of(MASS_BLOCK) or terms.of(CLOSED):
+            raise DeclarationError(
+                model.name,
+                "has switches together with holonomic constraints or an E that is no constant diagonal",
+                "declare the constraint as a switch on its velocities, use coordinates with a diagonal E",
+                "switch",
+            )
+        x, p = symbolic.x, ca.vertcat(ca.SX(0, 1), *(v.sx for v in symbolic.parameters))
+        a, u = ca.vertcat(ca.SX(0, 1), *(v.sx for v in symbolic.algebraics)), ca.SX.sym("u", terms.nu)
+        inputs = [u[i] if pair.port.external else _fed(pair) for i, pair in enumerate(terms.pairs)]
+        z = costates(terms)
+        f, g = flow_expressions(terms, z, ca.vertcat(ca.SX(0, 1), *inputs))
+        old = ca.vertcat(ca.SX(0, 1), *(pair.port.u[pair.j] for pair in terms.pairs))
+        fed = ca.vertcat(ca.SX(0, 1), *(_bound(pair, inputs[i]) for i, pair in enumerate(terms.pairs)))
+        costate = ca.vertcat(ca.SX(0, 1), *(v.z for v in symbolic.states))
+        c, gap = (
+            ca.substitute([ca.vertcat(ca.SX(0, 1), *exprs)], [costate, old], [z, fed])[0]
+            for exprs in (
+                (s.rate(model.effort) for s in model.switches),
+                (ca.SX(0) if s.gap is None else ca.SX(_sx(s.gap)) for s in model.switches),
+            )
+        )
+        self.E = ca.Function("E", [p], [ca.densify(masses(terms))])
+        out = [f, ca.jacobian(f, x), ca.jacobian(f, a), g, ca.jacobian(g, x), ca.jacobian(g, a)]
+        out += [c, ca.jacobian(c, x), ca.jacobian(c, a), gap]
+        self._rates = ca.Function("rates", [x, a, u, p, time], [ca.densify(o) for o in out])
+        energies = ca.vertcat(*energies_of(terms))
+        self._energy = ca.Function(
+            "energy",
+            [x, p],
+            [ca.densify(e) for e in (ca.jacobian(energies, x), ca.hessian(symbolic.hamiltonian, x)[0])],
+        )
+        names = [n for v in symbolic.parameters for n in v.names()]
+        self.places = [names.index(s.mode_name) for s in model.switches]
+        variables = [n for v in symbolic.algebraics for n in v.names()]
+        self.multipliers = [variables.index(s.multiplier.names()[0]) for s in model.switches]
+        self.nominal = np.array([n for v in symbolic.algebraics for n in v.nominal])
+        self.power = max([s.nominal * s.multiplier.nominal[0] for s in model.switches], default=1.0)
+        starts = (symbolic.states, symbolic.algebraics, symbolic.parameters)
+        self._start = [np.array([s for v in vs for s in v.start], float) for vs in starts]
+        self._undetermined: dict[tuple[int, ...], tuple[Undetermined, ...]] = {}
+        self._size = np.array([n for v in symbolic.states for n in v.nominal]), terms.nu
+
+    def in_mode(self, p: Array, mode: Sequence[int]) -> Array:
+        """Parameters with the modes set."""
+        p = p.copy()
+        p[self.places] = mode
+        return p
+
+    def rates(self, at: At) -> Rates:
+        """The rows at an instant."""
+        found = [np.array(o) for o in self._rates(at.x, at.a, at.u, at.p, at.t)]
+        return Rates(*(o[:, 0] if i in (0, 3, 6, 9) else o for i, o in enumerate(found)))
+
+    def masses(self, p: Array) -> Array:
+        """The diagonal of E."""
+        return np.array(self.E(p)).ravel()
+
+    def undetermined(self, mode: Sequence[int]) -> tuple[Undetermined, ...]:
+        """Directions of the algebraic variables that no row contains."""
+        key = tuple(mode)
+        if key not in self._undetermined:
+            self._undetermined[key] = self._find_undetermined(key)
+        return self._undetermined[key]
+
+    def _find_undetermined(self, mode: tuple[int, ...]) -> tuple[Undetermined, ...]:
+        x, a, p = self._start
+        size, nu = self._size
+        draw = np.random.default_rng(0)
+        rows = []
+        for _ in range(2):
+            found = self.rates(At(x, a, np.zeros(nu), self.in_mode(p, mode), 0.0))
+            rows += [found.fa * self.nominal, found.ga * self.nominal]
+            x = x + size * draw.uniform(0.1, 1.0, len(x))
+        matrix = np.vstack(rows)
+        least = np.abs(matrix).max(axis=1)
+        if not self.nominal.size:
+            return ()
+        directions = _sparse(null_space(matrix[least > 0] / least[least > 0, None], len(self.nominal)))
+        directions = np.where(np.abs(directions) > RANK, directions, 0.0)
+        scaled = directions / self.nominal[:, None] * np.sqrt(self.power)
+        return tuple(Undetermined(int(i), n[i] * n) for i, n in zip(_pivots(directions), scaled.T, strict=True))
+
+    def enter(self, at: At) -> Entry:
+        """The jump that the mode in at.p asks for; states stay where they satisfy it."""
+        x, impulse = at.x.copy(), np.zeros(0)
+        before, hessian = (np.array(o) for o in self._energy(x, at.p))
+        found, mass = self.rates(at), self.masses(at.p)
+        N = null_space(_scaled_rows(found.ga * self.nominal), len(self.nominal)) * self.nominal[:, None]
+        L = found.fa @ N / mass[:, None]
+        moving = np.flatnonzero(np.abs(L / self._size[0][:, None]).max(axis=0, initial=0) > RANK) if L.size else []
+        N, L = N[:, moving], L[:, moving]
+        if L.shape[1] == 0:
+            return Entry(x, np.zeros(len(before)), impulse)
+        impulse = np.zeros(len(self.nominal))
+        for _ in range(PASSES):
+            c = N.T @ self.rates(At(x, at.a, at.u, at.p, at.t)).g
+            S = N.T @ found.gx @ L
+            m = _least(S, -c)
+            x = x + L @ m
+            impulse += N @ m
+        after = np.array(self._energy(x, at.p)[0])
+        moved = x - at.x
+        return Entry(x, (before + after) @ moved / 2, impulse)
+
+
+def _fed(pair: object) -> ca.SX:
+    port = pair.port  # type: ignore[attr-defined]
+    return ca.SX(0) if port.bound is not None else ca.SX(_sx(port.source))[pair.j]  # type: ignore[attr-defined]
+
+
+def _bound(pair: object, u: ca.SX) -> ca.SX:
+    port = pair.port  # type: ignore[attr-defined]
+    return port.bound[pair.j] if port.bound is not None else u  # type: ignore[attr-defined]
+
+
+def _scaled_rows(matrix: Array) -> Array:
+    largest = np.abs(matrix).max(axis=1, initial=0)
+    return matrix[largest > 0] / largest[largest > 0, None]
+
+
+def null_space(matrix: Array, n: int) -> Array:
+    """An orthonormal basis of the null space of rows of length n, a column each."""
+    if not matrix.size:
+        return np.eye(n)
+    _, values, v = np.linalg.svd(matrix)
+    rank = int((values > RANK * max(values[0], 1.0)).sum())
+    return v[rank:].T
+
+
+def _sparse(N: Array) -> Array:
+    """Orthonormal columns with the same span: those that share no entries stay apart."""
+    parts, left = [], list(range(len(N)))
+    coupled = np.abs(N @ N.T) > RANK
+    while left:
+        group, queue = set(), [left[0]]
+        while queue:
+            i = queue.pop()
+            if i not in group:
+                group.add(i)
+                queue += [j for j in left if coupled[i, j]]
+        left = [i for i in left if i not in group]
+        rows = sorted(group)
+        own = np.zeros_like(N)
+        own[rows] = N[rows]
+        u, s, _ = np.linalg.svd(own, full_matrices=False)
+        parts.append(u[:, s > 0.5])
+    return np.hstack(parts) if parts else N
+
+
+def _pivots(N: Array) -> list[int]:
+    """A row for each column, so that the matrix of these rows is regular."""
+    left, out = N.copy(), []
+    for j in range(N.shape[1]):
+        i = int(np.argmax(np.abs(left[:, j])))
+        out.append(i)
+        left[:, j + 1 :] -= np.outer(left[:, j], left[i, j + 1 :] / left[i, j])
+        left[i] = 0.0
+    return out
+
+
+def _least(S: Array, right: Array) -> Array:
+    """S m = right, least in norm where columns depend on each other."""
+    scale = np.sqrt(np.maximum(np.abs(np.diag(S)), np.finfo(float).tiny))
+    return np.linalg.lstsq(S / np.outer(scale, scale), right / scale, rcond=RANK)[0] / scale
