@@ -39,17 +39,21 @@ class Structure(Protocol):
     @property
     def present(self) -> Any:
         """The instance of the present mode."""
+        ...
 
     @property
     def unsettled(self) -> bool:
         """Modes were set that are not taken yet."""
+        ...
 
     @property
     def parameters(self) -> Array:
         """With the modes that were set."""
+        ...
 
     def change(self, p: Array, h: float) -> Change:
         """Takes the parameters p and the mode that follows."""
+        ...
 
 
 class Landing:
