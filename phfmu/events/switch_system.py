@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
-from phfmu.events.jump_columns import energies_of
+from phfmu.terms.component_energies import component_energies
 from phfmu.terms.extract import extract
 from phfmu.terms.port_impulses import masses
 from phfmu.terms.rows import costates, flow_expressions
@@ -114,7 +114,7 @@ class SwitchSystem:
         out = [f, ca.jacobian(f, x), ca.jacobian(f, a), g, ca.jacobian(g, x), ca.jacobian(g, a)]
         out += [c, ca.jacobian(c, x), ca.jacobian(c, a), gap]
         self._rates = ca.Function("rates", [x, a, u, p, time], [ca.densify(o) for o in out])
-        energies = ca.vertcat(*energies_of(terms))
+        energies = ca.vertcat(*component_energies(terms))
         self._energy = ca.Function(
             "energy",
             [x, p],
