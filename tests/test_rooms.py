@@ -38,8 +38,13 @@ def module(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def imported(path: Path) -> list[str]:
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    nodes = ast.walk(parsed(path))
     return [
         f"{node.module}.{a.name}".removeprefix("phfmu.")
         for node in nodes
@@ -91,6 +96,36 @@ def test_every_room_is_in_the_order() -> None:
 def test_every_import_names_a_file() -> None:
     files = {module(p): p for p in walked()}
     assert [(str(p), m) for p in files.values() for m in imported(p) if not known(m, files)] == []
+
+
+def bound(path: Path) -> set[str]:
+    """Names that a file binds outside its functions and classes."""
+    found, todo = set[str](), list[ast.AST](parsed(path).body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            found.add(node.name)
+            continue
+        if isinstance(node, ast.alias):
+            found.add((node.asname or node.name).partition(".")[0])
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        todo += ast.iter_child_nodes(node)
+    return found
+
+
+def test_every_name_imported_is_in_its_file() -> None:
+    """Also inside functions, which no other import would notice."""
+    files = {module(p): p for p in walked()}
+    names = {name: bound(path) for name, path in files.items()}
+    public = set(phfmu.__all__)
+    wrong = [
+        (str(p), m)
+        for p in files.values()
+        for m in imported(p)
+        if m not in files and (m.rpartition(".")[2] not in names[known(m, files)] | (public if "." not in m else set()))
+    ]
+    assert wrong == []
 
 
 def test_imports_go_down() -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.bench.flat import Flat
-from phfmu.declare.phdae import PHDAE, _starts
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
 from phfmu.terms.extract import extract
 from phfmu.terms.hidden import Hidden
@@ -222,7 +222,7 @@ def _fixed(declaration: PHDAE, live: Collection[str]) -> tuple[ca.SX, ca.SX, ca.
         named += [(n, v.sx[j], s) for j, (n, s) in enumerate(zip(v.names(), v.start, strict=True))]
     for p in declaration.ports:
         if p.external:
-            named += [(n, p.u[j], s) for j, (n, s) in enumerate(zip(p.input_names(), _starts(p), strict=True))]
+            named += [(n, p.u[j], s) for j, (n, s) in enumerate(zip(p.input_names(), p.input_starts(), strict=True))]
     keep = [e for e in named if e[0] in live or e[0].partition("[")[0] in live]
     rest = [e for e in named if e not in keep]
     fixed = ca.vertcat(*(s for _, s, _ in rest)) if rest else ca.SX(0, 1)
