@@ -19,6 +19,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "rlc_load": ("component", _E + "rlc_load", "three-phase parallel R, L, C to ground"),
     "fault_resistor": ("component", _E + "switch", "three-phase shunt conductance, switched by events"),
     "breaker": ("component", _E + "breaker", "series R-L line whose poles open at their current zeros"),
+    "clearing_fault": ("component", _E + "breaker", "fault to ground that clears at the zeros of its currents"),
     "ideal_diode": ("component", _E + "breaker", "ideal diode in series with R and L"),
     "resistor": ("component", _E + "resistor", "resistor to ground: feedthrough, no state"),
     "transformer": ("component", _E + "resistor", "ideal transformer: feedthrough, no state"),
@@ -43,6 +44,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "smib": ("scene", _S + "smib", "turbo generator at an infinite bus, torque step"),
     "smib_hydro": ("scene", _S + "smib", "hydro generator at an infinite bus, torque step"),
     "smib_folded": ("scene", _S + "smib", "smib with the line folded into the machine: full order"),
+    "smib_breaker": ("scene", _S + "smib", "turbo generator, two lines: fault, line opened at its current zeros"),
     "ladder": ("scene", _S + "ladder", "two machines with loads along a line, torque step"),
     "two_machine": ("scene", _S + "two_machine", "two machines, line, load, three-phase fault"),
 }
@@ -52,6 +54,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "rl_line": {"R": 0.02, "L": 8e-4},
     "infinite_bus": {"amplitude": 18.7e3},
     "breaker": {"R": 0.5, "L": 0.01},
+    "clearing_fault": {"R": 0.05, "L": 5e-5, "there": True},
     "ideal_diode": {"R": 0.5, "L": 0.01, "conducts": True},
     "ladder": {"n": 2},
     "net": {"n": 3},

@@ -6,6 +6,7 @@ from cmath import phase
 from math import sqrt
 
 from phfmu import PHDAE, Event, Network, Scene
+from phfmu.components.electrical.breaker import breaker, clearing_fault
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.machine_data import MachineData, machine_set
 from phfmu.components.electrical.machine_init import OperatingPoint, steady_state
@@ -63,3 +64,39 @@ def _scene(name: str, net: Network, start: OperatingPoint) -> Scene:
 def smib_hydro() -> Scene:
     """`smib` with the salient hydro machine krause_hydro325."""
     return smib("krause_hydro325", name="smib_hydro")
+
+
+def smib_breaker(
+    machine: str = "kundur555_1q",
+    *,
+    t_fault: float = 0.02,
+    t_open: float = 0.08,
+    chop: float = 0.0,
+    forced: bool = False,
+) -> Scene:
+    """`smib` with two equal lines: a fault on one of them, a breaker at the machine opens it, the fault clears.
+
+    Each line has twice the R and X of `smib`; the fault, 1 mohm and 10 uH per phase to ground, is at 0.2 of the second one.
+    From `t_open` on each pole of the breaker and each phase of the fault opens at its next current zero, with `chop` [A] the
+    breaker below that current already, or `forced` at once.  Both nodes, at the machine and at the fault, have no capacitor.
+    """
+    data, start, R, L, grid = circuit(machine)
+    half, v = [-x / 2 for x in start.I[:3]], data.Vn_rms_ll * sqrt(2.0 / 3.0)
+    at, i = 0.2, sqrt(2.0 / 3.0) * data.Sn / data.Vn_rms_ll
+    net = Network("smib_breaker", description=f"{machine} on two lines, fault on one, which opens at its current zeros")
+    net.add("gen", synchronous_machine(data, start=start))
+    net.add("line", rl_line(2 * R, 2 * L, i=half, v=v))
+    net.add("breaker", breaker(2 * at * R, 2 * at * L, chop=chop, i=i, v=v, start=half))
+    net.add("rest", rl_line(2 * (1 - at) * R, 2 * (1 - at) * L, i=half, v=v))
+    net.add("fault", clearing_fault(1e-3, 1e-5, i=i, v=v))
+    net.add("grid", grid)
+    net.junction("bus1", ["gen.terminal", "line.a", "breaker.a"])
+    net.junction("spot", ["breaker.b", "rest.a", "fault.a"])
+    net.junction("bus2", ["line.b", "rest.b", "grid.terminal"])
+    command = 2.0 if forced else 0.0
+    events = (
+        Event(t_fault, "fault.command", 1.0),
+        Event(t_open, "breaker.command", command),
+        Event(t_open, "fault.command", 0.0),
+    )
+    return Scene("smib_breaker", net, stop=0.2, step=2e-4, events=events, description=net.description)

@@ -23,6 +23,7 @@ from phfmu import (
 from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.machine_data import machine_set
 from phfmu.components.electrical.synchronous_machine import synchronous_machine
+from phfmu.components.library import build
 from phfmu.components.scenes.smib import circuit
 from phfmu.network.run.result import Result
 
@@ -130,3 +131,50 @@ def test_fluxes_and_zeros_are_of_order_2k(k, steps):
 
 def zeros(result: Result) -> list[float]:
     return [float(t) for t in result.time[np.flatnonzero(np.diff(result.time) == 0)]]
+
+
+@pytest.mark.parametrize("engine", [NativeInstance, pytest.param(PythonInstance, marks=pytest.mark.slow)])
+def test_a_fault_on_one_of_two_lines_is_cleared(engine):
+    """`smib_breaker`: six poles open one by one at their zeros; nodes of inductors hold through all of it."""
+    scene = build("smib_breaker")
+    m = build_model(scene.declaration(), Collocated(2))
+    result = run(Monolithic(m, engine(m)), Options(stop=0.1, step=scene.step, events=scene.events))
+    summary = result.ledger.summary()
+    assert summary.closed and summary.events["state"] == 7  # the fault comes at once
+    assert max(result.worst.values()) <= 1e-8  # A
+    assert max(abs(c.jumps or 0.0) for c in summary.components) <= 1e-7  # J
+    for who in ("breaker", "fault"):
+        for phase in (1, 2, 3):
+            assert result.column(f"{who}.closed[{phase}]")[-1] == 0
+            assert abs(result.column(f"{who}.i[{phase}]")[-1]) <= 1e-9
+            assert np.abs(result.column(f"{who}.i[{phase}]")).max() > 2e4 if who == "fault" else True
+    assert result.column("rest.i[1]")[-1] == pytest.approx(0, abs=1e-8)  # nothing is left at the fault
+    assert np.abs(result.column("line.i[1]")).max() > 1e4
+
+
+def test_chopped_currents_lose_their_formula():
+    """Poles open below 2 kA: 1/2 L i^2 of the line, and 1/2 c S^-1 c of the machine; the others stay."""
+    data, start, R, L, grid = circuit("kundur555_1q")
+    net = Network("chopped")
+    net.add("gen", synchronous_machine(data, start=start))
+    i, v = [-x for x in start.I[:3]], data.Vn_rms_ll * sqrt(2 / 3)
+    net.add("line", breaker(R, L, chop=2e3, i=max(map(abs, i)), v=v, start=i))
+    net.add("grid", grid)
+    net.junction("bus1", ["gen.terminal", "line.a"])
+    net.junction("bus2", ["line.b", "grid.terminal"])
+    m = build_model(net.compose(), Collocated(2))
+    result = run(
+        Monolithic(m, PythonInstance(m)), Options(stop=0.009, step=2e-4, events=(Event(OPEN, "line.command", 0.0),))
+    )
+    before, after = jumps(result)[0]
+    names = result.names
+    i = np.array([before[names.index(f"line.i[{j}]")] for j in (1, 2, 3)])
+    S_machine = np.linalg.inv(inductances(before[names.index("gen.theta")]))[:3, :3]
+    chopped = np.abs(i) <= 2e3
+    assert chopped.sum() == 1  # phase a carries 1.1 kA when it is told to open
+    S = S_machine + np.diag(np.where(chopped, 0.0, 1 / L))  # the other phases stay joined with their lines
+    c = np.where(chopped, i, 0.0)
+    lost = c @ np.linalg.solve(S, c) / 2 + L * c @ c / 2
+    assert float(result.notes[0].split()[-2]) == pytest.approx(lost, rel=1e-8)  # nine digits are told
+    assert after[names.index("gen.theta")] == before[names.index("gen.theta")]
+    assert result.ledger.summary().closed
