@@ -73,6 +73,8 @@ from phfmu.network.run.loop import run as run
 from phfmu.network.run.options import Options as Options
 from phfmu.network.scene import Event as Event
 from phfmu.network.scene import Scene as Scene
+from phfmu.results.file import open_result as open_result
+from phfmu.results.table import Table as Table
 from phfmu.schemes.collocated import Collocated as Collocated
 from phfmu.schemes.dirac_dissipative import DiracDissipative as DiracDissipative
 from phfmu.schemes.gradient_pair import GradientPair as GradientPair

@@ -32,9 +32,9 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE, PROBLEMS
+    from phfmu.pick import pick
     from phfmu.report.compare import common, compare
     from phfmu.report.opening import opened
-    from phfmu.report.pick import pick
 
     for name in ("rtol", "atol"):
         if not 0 <= getattr(args, name) < float("inf"):

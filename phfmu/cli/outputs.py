@@ -14,9 +14,10 @@ from phfmu.cli.options import audit_file
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
-    from phfmu.cli.table import TableWriter
+    from phfmu.network.run.told import Told
     from phfmu.network.scene import Event
     from phfmu.report.rows import Rows
+    from phfmu.results.writer import TableWriter
 
 
 class Outputs:
@@ -33,6 +34,7 @@ class Outputs:
         self._table_path = self._audit_path = None
         self.table: TableWriter | None = None
         self.sink: AuditWriter | None = None
+        self._units_row = args.units_row
         self._picture: Path | None = None
         self._drawn: Rows | None = None
         #: wall time spent on the result table
@@ -40,7 +42,7 @@ class Outputs:
         #: what the picture does not show
         self.notes: tuple[str, ...] = ()
         if args.output:
-            from phfmu.cli.table import check_table
+            from phfmu.results.writer import check_table
 
             check_table(args.output)
             self._table_path = Path(args.output).absolute()
@@ -59,21 +61,26 @@ class Outputs:
             if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
-    def begin(self, names: Sequence[str], about: dict[str, str], marked: bool, events: Sequence[Event]) -> None:
-        """Open the files of a run with the columns `names`; `marked`: rows within steps are among them."""
+    def begin(self, told: Told, about: dict[str, str], marked: bool, events: Sequence[Event]) -> None:
+        """Open the files of a run with the columns `told`; `marked`: rows within steps are among them."""
         if self._picture:
             from phfmu.report.recording import Mark
             from phfmu.report.rows import Rows
 
-            self._drawn = Rows(about["target"], names, [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events])
+            self._drawn = Rows(
+                about["target"],
+                told.names,
+                [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events],
+                dict(zip(told.names, told.units, strict=True)),
+            )
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
             self.sink = AuditWriter(self._audit_path, about, self._table_path)
         if self._table_path:
-            from phfmu.cli.table import TableWriter
+            from phfmu.results.writer import TableWriter
 
-            self.table = TableWriter(self._table_path, names, marked)
+            self.table = TableWriter(self._table_path, told.names, told.units, marked, self._units_row)
 
     def keep(self, time: np.ndarray, values: np.ndarray, inside: np.ndarray) -> None:
         """Rows as the run makes them."""

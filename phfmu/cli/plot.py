@@ -23,11 +23,11 @@ def add_parser(verbs: Any) -> None:
 
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
+    from phfmu.pick import pick
     from phfmu.report.audit_signals import marks
     from phfmu.report.draw import check_picture, draw
     from phfmu.report.history import read_history
     from phfmu.report.opening import opened
-    from phfmu.report.pick import pick
     from phfmu.report.picture import picture, with_marks
 
     check_picture(args.output, "-o")

@@ -55,6 +55,13 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--input", metavar="FILE",
                         help="input and parameter values over time (.csv or .parquet, first column time), held")  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
+    parser.add_argument("--signals", action="append", default=[], metavar="PATTERN",
+                        help="columns to keep, by name or pattern ('gen.*'); may be repeated (default: all)")  # fmt: skip
+    parser.add_argument("--every", metavar="N|TIMEs",
+                        help="rows to keep: every Nth, or one each 0.01s; the last row stays (default: all)")  # fmt: skip
+    parser.add_argument(
+        "--units-row", action="store_true", help="a second line of units in CSV (Parquet has them always)"
+    )
     parser.add_argument("--audit", metavar="none|summary|full|FILE", default="summary",
                         help="energy ledger: none; sums, printed (default); a file per step, FILE.parquet or "
                              "(full) TARGET.audit.parquet")  # fmt: skip
@@ -83,13 +90,14 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import timeline
     from phfmu.network.run.loop import run
+    from phfmu.network.run.told import Told
     from phfmu.target import is_fmu
 
     outputs, job = Outputs(args), job_of(args)
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
     stepper = job.build()
     events, dropped = timeline(args, scene, stepper.settable(), chosen.stop)
-    chosen = replace(chosen, events=events)
+    chosen = replace(chosen, events=events, signals=tuple(args.signals), every=_every(args.every))
     changes = [e for e in events if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)
@@ -100,7 +108,8 @@ def call(args: argparse.Namespace) -> int:
             bar(t)
             signals.check()
 
-        outputs.begin(stepper.names, {"target": args.target, "run": label}, args.dense is not None, changes)
+        columns = Told(stepper, chosen.signals)
+        outputs.begin(columns, {"target": args.target, "run": label}, args.dense is not None, changes)
         result = run(stepper, replace(chosen, sink=outputs.sink, progress=progress, keep=outputs.keep))
         seconds = perf_counter() - begun - outputs.seconds
     summary = result.ledger.summary()
@@ -116,6 +125,16 @@ def call(args: argparse.Namespace) -> int:
             _print_signs_lost(scene, events, result, {v.name for v in summary.violations if v.kind == "dissipation"})
         return LEDGER
     return FINE
+
+
+def _every(text: str | None) -> int | float | None:
+    """A number of rows, or a time with its unit; ValueError for anything else."""
+    if text is None:
+        return None
+    try:
+        return float(text[:-1]) if text.endswith("s") else int(text)
+    except ValueError:
+        raise ValueError(f"--every {text}: expected a number of rows (10) or a time (0.01s)") from None
 
 
 def _print_signs_lost(scene: Scene, events: list[Event], result: Result, components: set[str]) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 
 from phfmu.audit import summarise
 from phfmu.audit.summary import LedgerSummary
+from phfmu.pick import pick
 from phfmu.report.audit_signals import AuditSignals, marks
 from phfmu.report.diagram import one_line
 from phfmu.report.flows import Book, books, links, ports
 from phfmu.report.history import History, read_history
 from phfmu.report.html import chart, part, write_page
-from phfmu.report.pick import pick
 from phfmu.report.picture import ALWAYS, picture, with_marks
 from phfmu.report.prefix import engineering
 from phfmu.report.recording import Mark

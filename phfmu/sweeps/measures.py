@@ -53,7 +53,7 @@ def measures(texts: Sequence[str], signals: Sequence[str]) -> list[Measure]:
 
     Errors: ValueError for another form, an unknown kind, or a pattern that means no signal.
     """
-    from phfmu.report.pick import pick
+    from phfmu.pick import pick
 
     found: dict[Measure, None] = {}
     for text in texts:

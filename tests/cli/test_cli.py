@@ -19,8 +19,9 @@ import pytest
 
 from phfmu.audit import AuditWriter, metadata, read
 from phfmu.cli import main
-from phfmu.cli.table import TableWriter, read_inputs
+from phfmu.cli.table import read_inputs
 from phfmu.components.library import LIBRARY, build
+from phfmu.results.writer import TableWriter
 from tests.wide import wide
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -350,14 +351,14 @@ ODD = ['a"b', "c,d", "e\nf", "größe ω", 'g"",\n"h', "plain[1]"]
 
 def test_names_of_any_kind_survive_a_table(tmp_path: Path) -> None:
     """Quotes, commas, newlines and letters beyond ASCII: what is written is read again, by both readers."""
-    writer = TableWriter(tmp_path / "o.csv", ODD, False)
+    writer = TableWriter(tmp_path / "o.csv", ODD, [""] * len(ODD))
     values = np.array([[0.1, 1 / 3, -0.0, 1e300, 5e-324, 7.0], [math.nan, math.inf, -math.inf, 1e-5, 123456789.0, 0.0]])
     writer.add(np.array([0.0, 0.1]), values, np.zeros(2, bool))
     writer.close()
     with open(tmp_path / "o.csv", newline="", encoding="utf-8") as file:
         head, *rows = csv.reader(file)
     assert head == ["time", *ODD] and np.array_equal(np.array(rows, float)[:, 1:], values, equal_nan=True)
-    writer = TableWriter(tmp_path / "in.csv", ODD, False)
+    writer = TableWriter(tmp_path / "in.csv", ODD, [""] * len(ODD))
     writer.add(np.array([0.0]), values[:1], np.zeros(1, bool))
     writer.close()
     held = read_inputs(str(tmp_path / "in.csv"), ODD)

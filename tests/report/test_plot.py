@@ -14,15 +14,16 @@ import pytest
 from phfmu.audit import AuditWriter, Booking, Ledger, PortKey, read
 from phfmu.cli import main
 from phfmu.engine.steps import Steps
+from phfmu.pick import pick
 from phfmu.report.history import read_history
 from phfmu.report.opening import opened
-from phfmu.report.pick import pick
 from phfmu.report.picture import COLOURS, panel, picture, with_marks
 from phfmu.report.prefix import engineering, scaled
 from phfmu.report.recording import Mark, Signal
-from phfmu.report.result_table import UNIT_KEY, ResultTable
+from phfmu.report.result_table import ResultTable
 from phfmu.report.rows import Rows
 from phfmu.report.thin import thin
+from phfmu.results.schema import UNIT_KEY
 
 NAMES = ["gen.I[1]", "gen.I[2]", "gen.I_step[1]", "gen.Te", "line.I[1]", "gen.energy.stored", "constraint.velocity.x"]
 

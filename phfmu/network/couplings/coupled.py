@@ -75,6 +75,14 @@ class Coupled:
 
         return master(self.joined, self.coupling, bool(self._works.keys))
 
+    @property
+    def units(self) -> dict[str, str]:
+        return dict.fromkeys(self._totals.names, "J") | self.joined.units | self._sums.units
+
+    def inputs(self) -> dict[str, float]:
+        """Free inputs of the members, which neither junctions nor signals feed, as they are now."""
+        return {n: value for n, value in self.joined.free_inputs().items() if not self._signals.feeds(n)}
+
     def settable(self) -> list[str]:
         return self.joined.settable()
 

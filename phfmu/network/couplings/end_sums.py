@@ -13,6 +13,7 @@ from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.matrices import DENSE
 from phfmu.network.junctions.hidden import hidden_part
 from phfmu.network.junctions.junction import Junction
+from phfmu.network.junctions.unknowns import junction_unknowns
 from phfmu.network.members.consistent import MONOLITHIC, inconsistent
 from phfmu.signals import SUM
 
@@ -38,6 +39,19 @@ class EndSums:
         self._single = np.array([len(own) == 1 for own in self._rows], bool)
         self._gathered = np.concatenate([*self._rows, np.zeros(0, int)]).astype(int)
         self._maps: tuple[Any, Any, Any] | None = None
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of the names: what is summed has the unit of the flow where the effort is common, and the reverse."""
+        network, told = self.joined.network, {}
+        for j in network.junctions:
+            common, domain = (
+                junction_unknowns(network.members, j).common,
+                next(iter(j.ports(network.members).values())).domain,
+            )
+            unit = domain.flow_unit if j.kind == "0" else domain.effort_unit
+            told |= {SUM + n: unit for n in common.names()}
+        return told
 
     def forget(self) -> None:
         """After parameters or inputs were set: outputs may follow other unknowns."""

@@ -19,6 +19,7 @@ from phfmu.network.couplings.matrices import assembled
 from phfmu.network.junctions.compose import require_members
 from phfmu.network.junctions.interface import interface
 from phfmu.network.junctions.network import Network
+from phfmu.network.junctions.unknowns import junction_unknowns
 from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
 from phfmu.network.members.stepped_last import SteppedLast
@@ -109,6 +110,27 @@ class Joined:
         return "; ".join(f"{m.name} {words}" for m in self.members if (words := m.unsteady(h)))
 
     # -- what can be set, what there is to tell -----------------------------------------------------------------------
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of the members' names and inputs, and of the junction unknowns."""
+        own = {f"{m.name}.{n}": unit for m in self.members for n, unit in m.units.items()}
+        for j in self.network.junctions:
+            unknown = junction_unknowns(self.network.members, j)
+            own |= {n: v.unit for v in (unknown.common, *unknown.dual.values()) for n in v.names()}
+        return own
+
+    def free_inputs(self) -> dict[str, float]:
+        """Inputs of ports that no junction feeds and signals, `member.name`, as they are now."""
+        joined = np.zeros(len(self.free), bool)
+        joined[self.face.fed] = True
+        told: dict[str, float] = {}
+        for m, place in zip(self.members, self.places, strict=True):
+            values = self.free[place] * m.input_sign
+            rows = zip(m.input_names, values.tolist(), joined[place], strict=True)
+            told |= {f"{m.name}.{n}": value for n, value, fed in rows if not fed}
+            told |= {f"{m.name}.{n}": value for n, value in m.signals().items()}
+        return told
 
     def settable(self) -> list[str]:
         return [f"{m.name}.{n}" for m in self.members for n in m.settable()]

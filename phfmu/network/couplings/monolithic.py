@@ -44,6 +44,14 @@ class Monolithic:
         #: makes rows within the steps, if asked for: (instance, row before, record, t0, h, first) -> (n x rows x width)
         self.between: Between | None = None
 
+    @property
+    def units(self) -> dict[str, str]:
+        return self._columns.units | self._inputs.units
+
+    def inputs(self) -> dict[str, float]:
+        """Free inputs of ports and signals, as they are now."""
+        return dict(zip(self._inputs.inputs, self._inputs.u.tolist(), strict=True)) | self._inputs.signals()
+
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]
 

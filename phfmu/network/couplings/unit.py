@@ -30,6 +30,15 @@ class FMUStepper:
         self.booking = self.member.booking
         self._u = unit.start_inputs()
 
+    @property
+    def units(self) -> dict[str, str]:
+        return self.member.units
+
+    def inputs(self) -> dict[str, float]:
+        """Inputs of ports and others, as they are now."""
+        given = self._u * self.member.input_sign
+        return dict(zip(self.member.input_names, given.tolist(), strict=True)) | self.member.signals()
+
     def settable(self) -> list[str]:
         return self.member.settable()
 

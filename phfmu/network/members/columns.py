@@ -28,6 +28,10 @@ class Columns:
         #: columns that are sums of several entries
         self._sums = [(i, own) for i, own in enumerate(entries) if len(own) > 1]
 
+    @property
+    def units(self) -> dict[str, str]:
+        return {q.name: q.unit for q in self._chosen}
+
     def pick(self, signals: Array) -> Array:
         """Rows of signals -> rows of columns."""
         rows = signals[:, self._first]

@@ -56,6 +56,17 @@ class EngineMember:
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names
 
+    @property
+    def units(self) -> dict[str, str]:
+        return self._columns.units | self._inputs.units
+
+    @property
+    def input_names(self) -> list[str]:
+        return list(self._inputs.inputs)
+
+    def signals(self) -> dict[str, float]:
+        return self._inputs.signals()
+
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]
 

@@ -75,6 +75,19 @@ class FMUMember:
     def saves(self) -> bool:
         return self.unit.interface.saves
 
+    @property
+    def units(self) -> dict[str, str]:
+        names = [*self.names, *self.input_names, *self.unit.other_inputs]
+        return {n: self.unit.variable(n).unit for n in names}
+
+    @property
+    def input_names(self) -> list[str]:
+        return list(self.unit.inputs)
+
+    def signals(self) -> dict[str, float]:
+        names = list(self.unit.other_inputs)
+        return dict(zip(names, self.unit.get(names).tolist(), strict=True)) if names else {}
+
     def settable(self) -> list[str]:
         return [*self.unit.inputs, *self._others]
 

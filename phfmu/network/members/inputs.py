@@ -37,6 +37,26 @@ class Inputs:
         #: name of a free input, or bare name of a vector -> its places in u
         self.free = {n: places(self.inputs, n) for n in named if not places(self.parameters, n)}
 
+    @property
+    def names(self) -> list[str]:
+        """Free inputs of ports, then signals."""
+        return [*self.inputs, *self._signal_places()]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of the names."""
+        d = self.model.declaration
+        ports = {n: p.input_unit for p in d.ports if p.external for n in p.input_names()}
+        return ports | {n: v.unit for v in d.parameters if v.signal for n in v.names()}
+
+    def signals(self) -> dict[str, float]:
+        """Signals as they are now."""
+        p = self.instance.parameters
+        return {n: float(p[i]) for n, i in self._signal_places().items()}
+
+    def _signal_places(self) -> dict[str, int]:
+        return {n: i for n, i in self.parameters.items() if n in self._signals}
+
     def rows(self, n: int, changes: Sequence[tuple[int, Event]]) -> NDArray[np.float64]:
         """Inputs of n steps (n x nu) from the present ones on; changes: (number of the step, event), in order."""
         u = np.full((n, len(self.u)), np.nan)

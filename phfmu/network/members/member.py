@@ -31,6 +31,20 @@ class Member(Protocol):
 
     @property
     def saves(self) -> bool: ...
+    @property
+    def units(self) -> dict[str, str]:
+        """Of `names`, of the inputs of ports and of the signals that it takes."""
+        ...
+
+    @property
+    def input_names(self) -> list[str]:
+        """The inputs of its ports, in their order."""
+        ...
+
+    def signals(self) -> dict[str, float]:
+        """The signals that it takes as they are now."""
+        ...
+
     def settable(self) -> list[str]: ...
     def input_places(self, name: str) -> list[int]: ...
     def set_parameter(self, name: str, value: float) -> str:

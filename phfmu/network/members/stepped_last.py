@@ -96,6 +96,17 @@ class SteppedLast:
 
     # -- as of any other member ---------------------------------------------------------------------------------------
 
+    @property
+    def units(self) -> dict[str, str]:
+        return self.inner.units
+
+    @property
+    def input_names(self) -> list[str]:
+        return self.inner.input_names
+
+    def signals(self) -> dict[str, float]:
+        return self.inner.signals()
+
     def settable(self) -> list[str]:
         return self.inner.settable()
 

@@ -17,6 +17,7 @@ from phfmu.network.run.options import Options
 from phfmu.network.run.result import Result
 from phfmu.network.run.rows import Rows
 from phfmu.network.run.stretches import stretches
+from phfmu.network.run.told import Told
 from phfmu.network.scene import Event
 from phfmu.words import counted
 
@@ -37,6 +38,7 @@ def run(stepper: Stepper, options: Options) -> Result:
 
     _check_events(stepper, options)
     ledger = Ledger(options.sink, options.audit_rtol) if options.audited else Unbooked()
+    told = Told(stepper, options.signals, options.step)
     book, rows = Book(stepper, ledger), Rows(options)
     march = _march(stepper, book, options)
     before, projection = stepper.rest_changes(), None
@@ -46,25 +48,29 @@ def run(stepper: Stepper, options: Options) -> Result:
             for stretch in stretches(segments(t0, stop, options.events, close), options.step, march.takes_inputs):
                 if stretch.start == t0:
                     projection = _begin(stepper, book, options, stretch.events, stretch.end)
-                    rows.take(np.array([t0]), stepper.read()[None], np.zeros(1, bool))
+                    told.begin(stretch)
+                    start = np.array([t0])
+                    rows.take(start, told.rows(start, stepper.read()[None]), np.zeros(1, bool))
                 else:
                     for e in stretch.events:
                         book.set_value(e)
-                for row in march.over(stretch, stretch.start > t0):
-                    rows.take(*row)
+                    told.begin(stretch)
+                for time, values, inside in march.over(stretch, stretch.start > t0):
+                    rows.take(time, told.rows(time, values), inside)
+        rows.end()
     except KeyboardInterrupt:
         ledger.event(rows.last, "interrupted")
         raise
     finally:
         ledger.flush()
-    time, values, inside = rows.joined(len(stepper.names))
+    time, values, inside = rows.joined(len(told.names))
     facts = march.facts()
     if options.dense is not None:
         facts["interpolated"] = inside
     rest_notes = _rest_notes(before, stepper.rest_changes())
     notes = (*_unreached(options.events, stop - close, stop), *book.notes, *book.told(), *march.notes(), *rest_notes)
     return Result(
-        stepper.names, time, values, ledger, book.steps, book.iterations, book.worst(), projection, notes=notes,
+        told.names, time, values, told.units, ledger, book.steps, book.iterations, book.worst(), projection, notes=notes,
         least=book.least, **facts,
     )  # fmt: skip
 

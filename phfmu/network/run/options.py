@@ -25,6 +25,8 @@ class Options:
         first trial, steps are within [min_step, max_step], multiples of `landing` after t0 and each event are landed on
     ecco:  tolerance of steps that follow the energy of junctions (see `ecco.py`), within [min_step, max_step]
     restart:  damping steps (Radau IIA) after each event
+    signals:  the columns of the rows, by name or pattern (`gen.*`); none: all
+    every:  rows this far apart only: an integer counts rows, any other number is a time in s; first and last row stay
     dense:  rows within each step, interpolated (see `dense.py`)
     project:  move an inconsistent start onto its constraints (booked as the event `reprojection`) instead of refusing it
     kept:  states that the projection leaves as they are
@@ -48,6 +50,8 @@ class Options:
     max_step: float = inf
     landing: float = inf
     restart: int = 0
+    signals: Sequence[str] = ()
+    every: int | float | None = None
     dense: int | None = None
     project: bool = False
     kept: Sequence[str] = ()
@@ -72,6 +76,8 @@ class Options:
             raise ValueError(f"--restart {self.restart}: expected a number of steps from 0")
         if self.dense is not None and self.dense < 1:
             raise ValueError(f"--dense {self.dense}: expected a number of rows per step from 1")
+        if self.every is not None and not (isfinite(self.every) and self.every > 0):
+            raise ValueError(f"--every {self.every:g}: expected a number of rows from 1, or a time in s above 0")
         if self.kept and not self.project:
             raise ValueError(f"--keep {self.kept[0]} says what a projection leaves alone; add --project")
         if self.sink is not None and not self.audited:

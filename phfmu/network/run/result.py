@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from phfmu.results.table import Table
+
 if TYPE_CHECKING:
     from phfmu.audit import Ledger
     from phfmu.audit.unbooked import Unbooked
@@ -15,13 +17,10 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-@dataclass
-class Result:
-    """Rows of a run: `time` (rows), `values` (rows x names); the ledger; step counts; how the start was projected."""
+@dataclass(repr=False)
+class Result(Table):
+    """Rows of a run, a table of its signals and free inputs; the ledger; step counts; how the start was projected."""
 
-    names: list[str]
-    time: Array
-    values: Array
     ledger: Ledger | Unbooked
     steps: int
     iterations: float
@@ -38,12 +37,3 @@ class Result:
     notes: tuple[str, ...] = ()
     #: component -> time and signals at the end of the step in which it dissipated least, where that was negative
     least: dict[str, tuple[float, Array]] = field(default_factory=dict)
-
-    def column(self, name: str) -> Array:
-        """One signal over time; KeyError lists close names."""
-        try:
-            return self.values[:, self.names.index(name)]
-        except ValueError:
-            from difflib import get_close_matches
-
-            raise KeyError(f"no signal '{name}'; close: {', '.join(get_close_matches(name, self.names, 5))}") from None

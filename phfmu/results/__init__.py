@@ -1,0 +1,1 @@
+"""Result tables: columns with units over time, written, read and handed to other packages."""
