@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from phfmu.fmu.words import plain
 from phfmu.ssp.structure import (
@@ -24,6 +24,7 @@ from phfmu.ssp.structure import (
     Structure,
     System,
     Unit,
+    entries,
 )
 from phfmu.ssp.units import conversion, named
 from phfmu.words import meant
@@ -113,7 +114,7 @@ class _Flattening:
     # -- connections --------------------------------------------------------------------------------------------------
 
     def _connect(self, system: System, path: Path) -> None:
-        for c in system.connections:
+        for c in (one for whole in system.connections for one in self._entries(system, path, whole)):
             a, b = (self._place(system, path, e, n) for e, n in c.ends)
             if a.gives == b.gives:
                 both = "give a value" if a.gives else "take a value"
@@ -127,6 +128,19 @@ class _Flattening:
         for name, element in system.elements.items():
             if isinstance(element, System):
                 self._connect(element, (*path, name))
+
+    def _entries(self, system: System, path: Path, c: Connection) -> Iterator[Connection]:
+        """The connection, or those of the entries of two arrays."""
+        shapes = []
+        for element, name in c.ends:
+            owner = system if not element else system.elements.get(element)
+            shapes.append(() if owner is None else owner.arrays.get(name, ()))
+        if shapes[0] != shapes[1]:
+            sizes = " and ".join("a scalar" if not s else f"an array of {' x '.join(map(str, s))}" for s in shapes)
+            ends = " - ".join(".".join((*path, *filter(None, end))) for end in c.ends)
+            raise SSPError(f"connection {ends}: joins {sizes}; connect entries by startIndices and endIndices")
+        for a, b in zip(*(entries(n, s) for (_, n), s in zip(c.ends, shapes, strict=True)), strict=True):
+            yield replace(c, start_connector=a, end_connector=b)
 
     def _place(self, system: System, path: Path, element: str, name: str) -> _Place:
         if not element:

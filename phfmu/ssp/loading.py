@@ -16,7 +16,6 @@ from phfmu.network.scene import Scene
 from phfmu.ssp.bonds import Bond, End, Ports, bonds, joins_plainly
 from phfmu.ssp.derived import derived_ports
 from phfmu.ssp.flat import Link, Value, flat, identifier
-from phfmu.ssp.package import Package
 from phfmu.ssp.reading import read_structure
 from phfmu.ssp.structure import Component, Joint, SSPError, Structure, Unit
 from phfmu.ssp.units import conversion
@@ -32,16 +31,15 @@ def load(path: str | Path) -> Scene:
     SSPError (with the file, the entry and the remedy), FMUError or ConnectionError for what cannot be read or joined.
     """
     try:
-        structure, package = read_structure(path)
-        return _load(structure, package)
+        return _load(read_structure(path))
     except SSPError as error:
         text = str(error)
         raise SSPError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
 
-def _load(structure: Structure, package: Package) -> Scene:
+def _load(structure: Structure) -> Scene:
     whole, notes = flat(structure), list(structure.notes)
-    units = {name: _unit(c, structure, package) for name, c in whole.units.items()}
+    units = {name: _unit(c, structure) for name, c in whole.units.items()}
     if not units:
         raise SSPError("the system has no components; add a Component whose source is an FMU")
     told, lines = derived_ports(whole.links, {n: u.port_maps for n, u in units.items()})
@@ -61,9 +59,9 @@ def _load(structure: Structure, package: Package) -> Scene:
     return Scene(net.name, net, stop, step, description=net.description, notes=tuple(notes))
 
 
-def _unit(component: Component, structure: Structure, package: Package) -> UnitFile:
+def _unit(component: Component, structure: Structure) -> UnitFile:
     """The unit of a component, whose connectors it must have."""
-    unit = unit_file(package.file(component.source))
+    unit = unit_file(component.files.file(component.source))
     known = unit.interface.variables
     for c in component.connectors.values():
         where = f"component '{component.name}', connector '{c.name}'"

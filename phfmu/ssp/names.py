@@ -18,6 +18,8 @@ ROOTS = {"ssd": "SystemStructureDescription", "ssv": "ParameterSet", "ssm": "Par
 VERSIONS = ("1.0", "2.0")
 STRUCTURE = "SystemStructure.ssd"
 FMU = "application/x-fmu-sharedlibrary"
+#: components that are systems: another description, another package
+DEFINITION, PACKAGE = "application/x-ssp-definition", "application/x-ssp-package"
 #: values of a parameter that are one number
 NUMBERS = (
     "Real",

@@ -41,6 +41,34 @@ def open_package(path: str | Path) -> Package:
     return _Folder(path) if path.suffix.lower() == ".ssd" else _Archive(path)
 
 
+class Within:
+    """A description in a folder of a package: paths are seen from there."""
+
+    def __init__(self, package: Package, uri: str):
+        self.path, self._package = package.path, package
+        self._folder, _, self.structure = uri.rpartition("/")
+
+    def read(self, uri: str) -> bytes:
+        return self._package.read(self._seen(uri))
+
+    def file(self, uri: str) -> Path:
+        return self._package.file(self._seen(uri))
+
+    def _seen(self, uri: str) -> str:
+        _local(self.path, uri)
+        return f"{self._folder}/{uri}" if self._folder else uri
+
+
+def inside(file: Path, uri: str) -> bytes:
+    """A document inside a unit.  SSPError, FMUError: it is not there, or is too long."""
+    with archive.opened(file) as content:
+        names = archive.checked(content, file)
+        name = posixpath.normpath(_local(file, uri))
+        if name not in names:
+            raise SSPError(f"{file.name} has no file '{plain(uri, 200)}'; {meant(name, sorted(names))}")
+        return archive.document(content, name, file)
+
+
 def _local(path: Path, uri: str) -> str:
     """The relative path that a URI names."""
     parts = urlsplit(uri)

@@ -8,7 +8,7 @@ from math import isfinite
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
 from phfmu.ssp.names import NUMBERS, tag
-from phfmu.ssp.package import Package
+from phfmu.ssp.package import Package, inside
 from phfmu.ssp.schema import require_valid
 from phfmu.ssp.structure import Binding, Linear, SSPError, Unit
 from phfmu.ssp.units import read_units
@@ -19,11 +19,13 @@ _TRUTH = {"true": 1.0, "false": 0.0}
 
 @dataclass(frozen=True)
 class Source:
-    """Where a description is: its package, its name for messages, and `notes` of what is left out."""
+    """Where a description is: its package, its name for messages, and `notes` of what is left out; `component`: file of the
+    unit whose bindings are read."""
 
     package: Package
     where: str
     notes: list[str]
+    component: str = ""
 
 
 def bindings(element: Element, source: Source) -> tuple[Binding, ...]:
@@ -52,12 +54,14 @@ def _document(element: Element, inline: str | None, kind: str, type_: str, sourc
             f"{source.where}: '{plain(uri, 200)}' is {plain(element.get('type', ''), 200)}; this reads {type_}"
         )
     if uri:
-        if element.get("sourceBase", "SSD") != "SSD":
-            raise SSPError(
-                f"{source.where}: '{plain(uri, 200)}' is inside a component, which is not read; put it into the package"
-            )
         where = f"{source.package.path}/{plain(uri, 200)}"
-        root = parse(source.package.read(uri), where)
+        if element.get("sourceBase", "SSD") == "SSD":
+            root = parse(source.package.read(uri), where)
+        elif source.component:
+            where = f"{source.package.path}/{plain(source.component, 200)}/{plain(uri, 200)}"
+            root = parse(inside(source.package.file(source.component), uri), where)
+        else:
+            raise SSPError(f"{source.where}: '{plain(uri, 200)}' is to be inside a unit, but a system binds it")
     else:
         holder, where = element if inline is None else element.find(inline), source.where
         if holder is None or not len(holder):

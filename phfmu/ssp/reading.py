@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from math import isfinite
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from math import isfinite, prod
 from pathlib import Path
 
+from phfmu.fmu import limits
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
-from phfmu.ssp.names import FMU, NAMESPACES, PORTS, tag
-from phfmu.ssp.package import Package, open_package
+from phfmu.ssp.names import DEFINITION, FMU, NAMESPACES, PACKAGE, PORTS, tag
+from phfmu.ssp.package import Package, Within, open_package
 from phfmu.ssp.parameters import Source, bindings
 from phfmu.ssp.schema import require_valid
 from phfmu.ssp.structure import (
@@ -22,31 +24,43 @@ from phfmu.ssp.structure import (
     SSPError,
     Structure,
     System,
+    Unit,
+    entries,
 )
 from phfmu.ssp.units import read_units
+from phfmu.words import counted, meant
 
 #: elements of a connection that are not read
 _MAPPINGS = ("BooleanMappingTransformation", "IntegerMappingTransformation", "EnumerationMappingTransformation")
 TRUE = ("true", "1")
+DEEPEST = 10  # descriptions within each other
 
 
-def read_structure(path: str | Path) -> tuple[Structure, Package]:
+def read_structure(path: str | Path) -> Structure:
     """The structure of a .ssp or .ssd, checked against its schema.  SSPError, FMUError say what is wrong."""
     package = open_package(path)
     where = f"{package.path}/{package.structure}" if package.path.name != package.structure else str(package.path)
+    return _read(package, where, [], 0)
+
+
+def _read(package: Package, where: str, notes: list[str], depth: int) -> Structure:
     root = parse(package.read(package.structure), where)
     require_valid(root, "ssd", where)
-    return _Reader(Source(package, where, [])).structure(root), package
+    if told := sum(1 for _ in root.iter(tag("ssc", "MetaData"))):
+        notes.append(f"{where}: {counted(told, 'MetaData element')} left out")
+    return _Reader(Source(package, where, notes), depth).structure(root)
 
 
 class _Reader:
-    """From tags to data; what lxml's schema checks is not checked again."""
+    """From tags to data; what lxml's schema checks is not checked again.  `depth`: descriptions around this one."""
 
-    def __init__(self, source: Source):
-        self.source, self.where = source, source.where
+    def __init__(self, source: Source, depth: int):
+        self.source, self.where, self.depth = source, source.where, depth
+        self.units: dict[str, Unit] = {}
 
     def structure(self, root: Element) -> Structure:
         system = root.find(tag("ssd", "System"))
+        self.units = read_units(root, "ssd")
         experiment = root.find(tag("ssd", "DefaultExperiment"))
         times = {} if experiment is None else experiment.attrib
         step = next((e.get("step") for e in _annotations(system, "Network") if e.get("step")), None)
@@ -54,7 +68,7 @@ class _Reader:
             root.get("version", ""),
             plain(root.get("name", "")),
             self.system(system),
-            read_units(root, "ssd"),
+            self.units,
             self._number(times.get("startTime", "0"), "startTime"),
             self._number(times["stopTime"], "stopTime") if "stopTime" in times else None,
             None if step is None else self._number(step, "step"),
@@ -77,49 +91,89 @@ class _Reader:
             if new.name in elements:
                 raise SSPError(f"{self.where}: two elements of the system '{name}' are called '{new.name}'")
             elements[new.name] = new
+        connectors, arrays = self.connectors(element, name)
         return System(
             name,
             elements,
             tuple(self.connection(c) for c in _children(element, "Connections")),
-            self.connectors(element, name),
+            connectors,
             bindings(element, self.source),
             tuple(self.joint(j) for n in _annotations(element, "Network") for j in n.findall(f"{{{PORTS}}}Junction")),
             tuple(self.signal(s) for n in _annotations(element, "Network") for s in n.findall(f"{{{PORTS}}}Signal")),
             plain(element.get("description", "")),
+            arrays,
         )
 
-    def component(self, element: Element) -> Component:
+    def component(self, element: Element) -> Component | System:
         name, kind, source = plain(element.get("name", "")), element.get("type", FMU), element.get("source", "")
+        if kind in (PACKAGE, DEFINITION) and source:
+            return self.nested(element, name, kind, source)
         if kind != FMU or not source or element.get("implementation", "any") not in ("any", "CoSimulation"):
             what = element.get("implementation") if kind == FMU and source else kind if source else "without a source"
             raise SSPError(
-                f"{self.where}: component '{name}' is {plain(str(what))}; this reads FMUs for Co-Simulation ({FMU}). Nest "
-                "systems in one description instead of packages in packages"
+                f"{self.where}: component '{name}' is {plain(str(what))}; this reads FMUs for Co-Simulation ({FMU}), "
+                f"descriptions ({DEFINITION}) and packages ({PACKAGE})"
             )
-        return Component(
-            name,
-            source,
-            self.connectors(element, name),
-            bindings(element, self.source),
-            plain(element.get("description", "")),
-        )
+        connectors, arrays = self.connectors(element, name)
+        bound = bindings(element, replace(self.source, component=source))
+        files = self.source.package
+        return Component(name, source, files, connectors, bound, plain(element.get("description", "")), arrays)
 
-    def connectors(self, element: Element, owner: str) -> dict[str, Connector]:
+    def nested(self, element: Element, name: str, kind: str, source: str) -> System:
+        """The system of another description, whose connectors the component has; what the component binds counts more."""
+        if self.depth >= DEEPEST:
+            raise SSPError(
+                f"{self.where}: '{name}' would be {self.depth + 1} packages deep; at most {DEEPEST} are read"
+            )
+        uri, _, chosen = source.partition("#")
+        package = self.source.package
+        if not uri:
+            raise SSPError(
+                f"{self.where}: '{name}' refers to '{plain(source, 200)}' of its own document; nest the system"
+            )
+        inner = Within(package, uri) if kind == DEFINITION else open_package(package.file(uri))
+        if kind == PACKAGE and chosen:
+            inner = Within(inner, chosen)
+        found = _read(inner, f"{package.path}/{plain(source, 200)}", self.source.notes, self.depth + 1)
+        for unit in found.units.values():
+            if self.units.setdefault(unit.name, unit) != unit:
+                raise SSPError(
+                    f"{self.where} and {plain(source, 200)} define the unit '{unit.name}' differently; rename one"
+                )
+        for c in self.connectors(element, name)[0]:
+            if c not in found.system.connectors:
+                known = found.system.connectors
+                raise SSPError(f"{self.where}: '{name}' has no connector '{plain(c, 200)}'; {meant(c, known)}")
+        bound = (*found.system.bindings, *bindings(element, self.source))
+        return replace(found.system, name=name, bindings=bound)
+
+    def connectors(self, element: Element, owner: str) -> tuple[dict[str, Connector], dict[str, tuple[int, ...]]]:
+        """Those of an element, of arrays their entries; and the sizes of the arrays."""
         found: dict[str, Connector] = {}
+        arrays: dict[str, tuple[int, ...]] = {}
         for c in _children(element, "Connectors"):
             name = plain(c.get("name", ""))
-            if name in found:
+            if name in found or name in arrays:
                 raise SSPError(f"{self.where}: '{owner}' has two connectors '{name}'")
-            types = [e for e in c if e.tag.startswith(f"{{{NAMESPACES['ssc']}}}")]
-            if types and types[0].tag == tag("ssc", "Clock"):
-                types = types[1:]
-            if any(e.tag == tag("ssc", "Dimension") for e in types):
-                raise SSPError(
-                    f"{self.where}: the connector '{owner}.{name}' is an array; connect its entries, '{name}[1]'"
-                )
+            own = [e for e in c if e.tag.startswith(f"{{{NAMESPACES['ssc']}}}")]
+            types = [e for e in own if e.tag not in (tag("ssc", "Clock"), tag("ssc", "Dimension"))]
             kind = types[0].tag.rpartition("}")[2] if types else "Real"
-            found[name] = Connector(name, c.get("kind", ""), kind, types[0].get("unit", "") if types else "")
-        return found
+            unit = types[0].get("unit", "") if types else ""
+            sizes = [e.get("size") for e in own if e.tag == tag("ssc", "Dimension")]
+            if sizes:
+                arrays[name] = self.shape(f"{owner}.{name}", sizes)
+            for entry in entries(name, arrays.get(name, ())):
+                found[entry] = Connector(entry, c.get("kind", ""), kind, unit)
+        return found, arrays
+
+    def shape(self, name: str, sizes: Sequence[str | None]) -> tuple[int, ...]:
+        if None in sizes:
+            raise SSPError(
+                f"{self.where}: the connector '{name}' is an array of unknown size; give each Dimension a size"
+            )
+        shape = tuple(int(size or 0) for size in sizes)
+        limits.within(self.where, prod(shape), limits.VARIABLES, f"entries of the connector '{plain(name, 200)}'")
+        return shape
 
     def connection(self, element: Element) -> Connection:
         start = plain(element.get("startElement", "")), plain(element.get("startConnector", ""))
@@ -132,8 +186,10 @@ class _Reader:
                 raise SSPError(f"{where} has a {name}, which is not read; use a linear one")
             if name == "LinearTransformation":
                 linear = Linear(*(self._number(e.get(k, d), k) for k, d in (("factor", "1"), ("offset", "0"))))
-        if element.get("startIndices") or element.get("endIndices"):
-            raise SSPError(f"{where} has indices; connect entries, '{start[1]}[1]'")
+        start, end = (
+            (e, f"{c}[{','.join(chosen)}]" if (chosen := plain(element.get(f"{side}Indices", "")).split()) else c)
+            for side, (e, c) in (("start", start), ("end", end))
+        )
         return Connection(*start, *end, linear, element.get("suppressUnitConversion", "") in TRUE)
 
     def joint(self, element: Element) -> Joint:

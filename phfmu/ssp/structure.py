@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Protocol
 
 #: kinds of connectors that give a value to what is connected with them, seen from inside their element
 SOURCES = ("output", "calculatedParameter", "constant", "local")
@@ -49,6 +52,13 @@ class Connector:
     unit: str = ""
 
 
+def entries(name: str, shape: tuple[int, ...]) -> list[str]:
+    """name[1,1], name[1,2], .. of an array; the name of a scalar."""
+    if not shape:
+        return [name]
+    return [f"{name}[{','.join(map(str, place))}]" for place in product(*(range(1, n + 1) for n in shape))]
+
+
 @dataclass(frozen=True)
 class Connection:
     """Between connectors of elements, or (element "") of the system itself; `suppress`: no conversion of units."""
@@ -92,20 +102,28 @@ class Signal:
     transformation: Linear = Linear()
 
 
+class Files(Protocol):
+    """Where the files are that a description names."""
+
+    def file(self, uri: str) -> Path: ...
+
+
 @dataclass(frozen=True)
 class Component:
-    """A unit; `source`: its file in the package."""
+    """A unit; `source`: its file in `files`; `arrays`: connectors whose entries `connectors` has, and their sizes."""
 
     name: str
     source: str
+    files: Files
     connectors: Mapping[str, Connector] = field(default_factory=dict)
     bindings: tuple[Binding, ...] = ()
     description: str = ""
+    arrays: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class System:
-    """Elements (components and systems) in their order, and what connects them."""
+    """Elements (components and systems) in their order, and what connects them; `arrays` as of a component."""
 
     name: str
     elements: Mapping[str, Component | System] = field(default_factory=dict)
@@ -115,6 +133,7 @@ class System:
     joints: tuple[Joint, ...] = ()
     signals: tuple[Signal, ...] = ()
     description: str = ""
+    arrays: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

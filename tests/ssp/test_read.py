@@ -250,11 +250,12 @@ BAD = {
     "schema": (system("<ssd:Part/>"), "not what SSP 1.0 allows: Element 'ssd:Part'"),
     "model exchange": (elsewhere('source="resources/mass.fmu" implementation="ModelExchange"'),
                        "component 'cart' is ModelExchange; this reads FMUs for Co-Simulation"),
-    "package in a package": (elsewhere('source="other.ssp" type="application/x-ssp-package"'),
-                             "component 'cart' is application/x-ssp-package"),
+    "package in a package": (elsewhere('source="other.ssp" type="application/x-ssp-package"'), "'other.ssp', which is not in it"),
+    "another type": (elsewhere('source="other.jar" type="application/java"'),
+                     "component 'cart' is application/java; this reads FMUs"),
     "binding": (system(*BOTH, more=binding("nothing.ssv")), "'nothing.ssv', which is not in it"),
     "circle": (ROUND, "connections go round in a circle at axle."),
-    "inside": (system(*BOTH, more=INSIDE), "'a.ssv' is inside a component, which is not read"),
+    "inside": (system(*BOTH, more=INSIDE), "'a.ssv' is to be inside a unit, but a system binds it"),
     "calculated": (bound("cart.energy.stored"), "cart.energy.stored is calculated"),
 }  # fmt: skip
 
