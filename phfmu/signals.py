@@ -62,8 +62,16 @@ STEP_LEDGER = (
     (f"dissipated{MEAN}", "row_dissipated", "energy dissipated in the last step"),
     (f"moved{MEAN}", "row_moved", "sum over the energies of |change| in the last step"),
 )
-#: the same of changes between steps, in models that have such
+#: the same of changes between steps and of jumps, in models that have such
 JUMPED = ("events", "jumped", "energy brought since the start by changes of parameters and signals between steps")
+#: of models with state events: name, unit and meaning of what is counted
+HAPPENED = (
+    ("events.count", "1", "state events since the start, those that happen together being one"),
+    ("events.last", "s", "time of the last state event, of the start before the first"),
+    ("events.lost", "J", "energy lost in jumps of the states since the start"),
+)
+#: begins the names of values that state events set
+MODE = "mode."
 #: ending, block and time of the outputs of a port
 OUTPUTS = (("", "y_end", "at the present time"), (MEAN, "y_step", "mean of the last step"))
 
@@ -198,9 +206,22 @@ def _totals(model: Model) -> Iterator[Quantity]:
 
 
 def jumps(model: Model) -> Iterator[Quantity]:
-    """Of a unit whose stored energy depends on what may be set between steps."""
+    """Of a unit whose stored energy depends on what may be set between steps, or jumps."""
     name, block, text = JUMPED
+    text += ", and by jumps of the states" if model.events is not None else ""
     yield Quantity(total(name), "output", block, 0, model.step.ncomp, None, "J", description=text)
+
+
+def state_events(model: Model) -> Iterator[Quantity]:
+    """Of a unit with state events: how many there were and when, and the modes."""
+    for i, (name, unit, text) in enumerate(HAPPENED):
+        yield Quantity(name, "output", "happened", i, 1, None, unit, description=text)
+    index = {n: i for i, n in enumerate(n for v in model.declaration.parameters for n in v.names())}
+    for name in model.declaration.modes:
+        i = index[name]
+        yield Quantity(
+            MODE + name, "local", "mode", i, 1, float(model.p0[i]), description=f"mode {name}, set by state events"
+        )
 
 
 def _observables(model: Model) -> Iterator[Quantity]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.compiled import compiled
+from phfmu.engine.event_step import require_no_events, run_told
 from phfmu.engine.handle import Handle
 from phfmu.engine.impulses import Ports
 from phfmu.engine.library import Column, Record, record_widths, view
@@ -18,7 +19,7 @@ from phfmu.engine.model import Model, require_one_mode
 from phfmu.engine.native_readings import NativeReadings
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.status import StepFailure
-from phfmu.events.happened import Landed
+from phfmu.events.happened import Happened, Landed
 
 if TYPE_CHECKING:
     from phfmu.engine.native_chain import NativeChain
@@ -43,6 +44,10 @@ class NativeInstance(NativeReadings):
         self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
         self._kicked: NativeImpulses | None = None
         self._landing: NativeLanding | None = None
+        #: state events of the last `do_step` or `run`
+        self.happened: tuple[Happened, ...] = ()
+        if model.events is not None:
+            self._step = self._steps = self._landed_step
         self.initialise()
 
     def reset(self) -> None:
@@ -99,6 +104,7 @@ class NativeInstance(NativeReadings):
 
     def set_impulses(self, s0: ArrayLike, s1: ArrayLike) -> None:
         """Impulses at start and end of the coming steps (n each), as of `PythonInstance`; a small library is compiled first."""
+        require_no_events(self.model)
         s = self._ports.checked(s0, s1)
         self._check(self._kicks.set(s))
         self._step, self._steps = self._kicked_step, self._kicked_step
@@ -128,7 +134,8 @@ class NativeInstance(NativeReadings):
         h < 0 goes back in time: the schemes are symmetric, so a step and the same step back give the old state
         to rounding.  h = 0 leaves the state as it is, books nothing, and gives the means their values at t.
         A sliver, what rounding leaves of a master's clock, books nothing and keeps state and means: |h| up to two
-        rounding units of t or 1e-9 of the last internal step.
+        rounding units of t or 1e-9 of the last internal step.  State events happen where they are, see `happened`; the
+        step is told as one, h < 0 and inputs that are not held are refused.
         """
         status = self._step(self._in, t, h) if parts == 1 else self._steps(self._in, t, h, parts)
         if status:
@@ -154,6 +161,9 @@ class NativeInstance(NativeReadings):
         that step; unknowns: w of its last solve; energy: H per component at its end; counts: iterations and
         solves; signals: see `layout`.
         """
+        if self.model.events is not None:
+            result, self.happened = run_told(self, t0, h, n, record, inputs, parts, first)
+            return result
         if self._kicked is not None:
             self._ports.require_none(self._kicked.values[:2])
             self._kicked.values[2:] = 0.0
@@ -178,11 +188,19 @@ class NativeInstance(NativeReadings):
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
     ) -> Iterator[Landed]:
         """Steps that end on the zeros of guards too, in compiled code; see `PythonInstance.land`."""
-        from phfmu.engine.native_landing import NativeLanding
+        return self._lands.over(t0, h, n, record, first, changed, self._check)
 
+    @property
+    def _lands(self) -> NativeLanding:
         if self._landing is None:
+            from phfmu.engine.native_landing import NativeLanding
+
             self._landing = NativeLanding(self.model, self._lib, self._in, self._tables.events, len(self._table))
-        return self._landing.over(t0, h, n, record, first, changed, self._check)
+        return self._landing
+
+    def _landed_step(self, _: int, t: float, h: float, parts: int = 1) -> int:
+        self.happened = self._lands.step(t, h, parts, self._check)
+        return 0
 
     @property
     def memory_size(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,8 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_landing_init": (pointer, [pointer, pointer, pointer]),
         "ph_land_from": (None, [pointer, real, real, integer, integer, integer]),
         "ph_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows)]),
+        "ph_land_begin": (integer, [pointer, real, real, integer]),
+        "ph_land_on": (integer, [pointer, ctypes.POINTER(LandedRows)]),
         "ph_land_refusal": (ctypes.POINTER(EventRefusal), [pointer]),
     }
     for name, (result, arguments) in signatures.items():
@@ -105,12 +108,45 @@ class NativeLanding:
                 self._refuse(status)
                 check(status)
 
+    def step(self, t: float, h: float, parts: int, check: Callable[[int], None]) -> tuple[Happened, ...]:
+        """A communication step in `parts` equal internal steps, told as one; the events in it."""
+        out, found = self._one.rows, list[Happened]()
+        code, out.done = self._lib.ph_land_begin(self._in, t, h, parts), 0
+        while not code and not out.done:
+            code = self._lib.ph_land_on(self._in, out)
+            if not code and out.events:
+                found.append(self._one.happened())
+        if code:
+            self._refuse(code)
+            check(code)
+        return tuple(found)
+
+    @cached_property
+    def _one(self) -> _Event:
+        return _Event(self._plan.n, self._model.step.ncomp, self._width)
+
     def _refuse(self, status: int) -> None:
         if tuple(Status)[status] is not Status.EVENT:
             return
         r = self._lib.ph_land_refusal(self._in).contents
         names = [self._plan.names[i] for i in np.flatnonzero(view(r.fired, self._plan.n, np.int8))]
         raise EventRefused(self._model.name, r.t, r.reason, names, r.value, r.limit)
+
+
+class _Event:
+    """Room for one event."""
+
+    def __init__(self, n: int, ncomp: int, width: int):
+        self._when, self._step, self._fired = np.zeros(1), np.zeros(1, np.int32), np.zeros(n, np.int8)
+        self._parts = np.zeros(ncomp), np.zeros(ncomp), np.zeros(width)
+        arrays = (self._when, self._step, self._fired, *self._parts)
+        self.rows = LandedRows(0, 0, 0, 0, 0, None, None, *(a.ctypes.data for a in arrays))
+
+    def happened(self) -> Happened:
+        energy, lost, signals = (part.copy() for part in self._parts)
+        return Happened(
+            float(self._when[0]), _numbers(self._fired > 0), _numbers(self._fired > 1), energy, lost, signals
+        )
 
 
 def _numbers(flags: NDArray[np.bool_]) -> tuple[int, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.engine.event_step import require_no_events, told
 from phfmu.engine.inputs import carried
 from phfmu.engine.landing import landed
 from phfmu.engine.limits import LIMITS
@@ -17,7 +18,7 @@ from phfmu.engine.python_readings import PythonReadings
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.steps import balance
-from phfmu.events.happened import Landed
+from phfmu.events.happened import Happened, Landed
 from phfmu.terms.port_impulses import PortImpulse
 
 Array = NDArray[Any]
@@ -33,6 +34,8 @@ class PythonInstance(PythonReadings):
     def __init__(self, model: Model):
         require_one_mode(model)
         super().__init__(model)
+        #: state events of the last `do_step` or `run`
+        self.happened: tuple[Happened, ...] = ()
         self.initialise()
 
     # -- state ------------------------------------------------------------------------------------------------------
@@ -137,6 +140,7 @@ class PythonInstance(PythonReadings):
         pair energies; outputs at nodes and means are without them.  They stay until set; 0 is as if they had never been.  Steps
         of no length and slivers take none.  ValueError names the ports.
         """
+        require_no_events(self.model)
         self._s.impulses = self._ports.checked(s0, s1)
 
     def jump(self) -> Array:
@@ -151,14 +155,30 @@ class PythonInstance(PythonReadings):
         h < 0 goes back in time: the schemes are symmetric, so a step and the same step back give the old state
         to rounding.  h = 0 leaves the state as it is, books nothing, and gives the means their values at t.
         A sliver, what rounding leaves of a master's clock, books nothing and keeps state and means: |h| up to two
-        rounding units of t or 1e-9 of the last internal step.
+        rounding units of t or 1e-9 of the last internal step.  State events happen where they are, see `happened`; the
+        step is told as one, h < 0 and inputs that are not held are refused.
         """
         if not (np.isfinite(t + h) and parts >= 1):
             raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
         if h != 0 and self._is_sliver(t, h):
             self._skip(t + h)
             return
+        if self.model.events is not None and h != 0:
+            self._land_step(t, h, parts)
+            return
         self.step_exactly(t, h, parts)
+
+    def _land_step(self, t: float, h: float, parts: int) -> None:
+        if h < 0 or (self._s.u.reshape(self.model.step.k, -1) != self.held_input).any():
+            raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
+        before = self.get_state()
+        try:
+            found = told(self, t, h, parts)
+        except StepFailure:
+            self.restore(before)
+            raise
+        found.put(self._s, self.model.step, t + h)
+        self.happened = found.happened
 
     def step_exactly(self, t: float, h: float, parts: int = 1) -> None:
         """`do_step`, however short the step is."""
@@ -236,6 +256,7 @@ class PythonInstance(PythonReadings):
         held = None if inputs is None else np.asarray(inputs, float)
         if held is not None and held.shape != (n, self.model.step.nu):
             raise ValueError(f"{self.model.name}: expected values of shape {(n, self.model.step.nu)}, got {held.shape}")
+        found: list[Happened] = []
         for k in range(n):
             if held is not None:
                 self.set_input(held[k])
@@ -245,8 +266,10 @@ class PythonInstance(PythonReadings):
                 failure.recorded = {name: np.array(kept) for name, kept in rows.items()}
                 raise
             now |= {"unknowns": self._s.w, "x": self.x, "a": self._s.a, "y_step": self._s.y_step}
+            found += self.happened
             for name, kept in rows.items():
                 kept.append(now[name].copy())
+        self.happened = tuple(found)
         return {name: np.array(kept) for name, kept in rows.items()}
 
     def land(

@@ -22,6 +22,22 @@ def balance(stored: Energy, dissipated: Energy, supplied: Energy, numerical: Ene
 
 
 @dataclass(frozen=True)
+class StepEvent:
+    """What happened at time t within a step that is told as one.
+
+    energy, lost (c): by component, what it added to H and what was lost [J];  names: of the guards;  message: with what they
+    set;  kind: as the audit calls it
+    """
+
+    t: float
+    energy: Array
+    lost: Array
+    names: str
+    message: str
+    kind: str = "state"
+
+
+@dataclass(frozen=True)
 class Steps:
     """n accepted steps of c components with q scalar port pairs; energies in joule, positive into the component."""
 
@@ -47,6 +63,8 @@ class Steps:
     signals: Array = field(default_factory=lambda: np.zeros((0, 0)))
     #: rows of it within each step (n x rows x names), None unless asked for
     between: Array | None = None
+    #: number of a step, and what happened within it, in order
+    events: tuple[tuple[int, StepEvent], ...] = ()
 
     @property
     def spent(self) -> float:
@@ -64,18 +82,29 @@ class Steps:
     @classmethod
     def stacked(cls, rows: Sequence[Mapping[str, Any]]) -> Steps:
         """From the values of each step by field; a field that a step lacks is None."""
-        names = [f.name for f in fields(cls) if all(f.name in row for row in rows)]
-        return cls(**{name: np.array([row[name] for row in rows]) for name in names})
+        names = [n for n in _ARRAYS if all(n in row for row in rows)]
+        events = tuple((i, e) for i, row in enumerate(rows) for e in row.get("events", ()))
+        return cls(**{name: np.array([row[name] for row in rows]) for name in names}, events=events)
 
     @classmethod
     def joined(cls, parts: Sequence[Steps]) -> Steps:
         """One after the other; a part without numerical loss has 0 where others have one, other fields are of all parts."""
-        columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(cls)}
+        columns = {name: [getattr(p, name) for p in parts] for name in _ARRAYS}
         if any(lost is not None for lost in columns["numerical"]):
             columns["numerical"] = [np.zeros_like(p.H) if p.numerical is None else p.numerical for p in parts]
         whole = {name: found for name, found in columns.items() if all(part is not None for part in found)}
-        return cls(**{name: np.concatenate(found) for name, found in whole.items()})
+        first = np.cumsum([0, *(len(p.H) for p in parts)]).tolist()
+        events = tuple((k + i, e) for k, p in zip(first, parts, strict=False) for i, e in p.events)
+        return cls(**{name: np.concatenate(found) for name, found in whole.items()}, events=events)
 
+    def part(self, begin: int, end: int) -> Steps:
+        """Steps begin..end-1, without what happened in them."""
+        found = {n: values[begin:end] for n in _ARRAYS if (values := getattr(self, n)) is not None}
+        return Steps(**found)
+
+
+#: fields that have a row for each step
+_ARRAYS = tuple(f.name for f in fields(Steps) if f.name != "events")
 
 #: what `Steps.recorded` needs of a run; `numerical` too where the scheme loses energy
 LEDGER = ("signals", "energy", "stored", "dissipated", "supplied", "moved", "pairs", "counts")

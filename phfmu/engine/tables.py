@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -132,9 +133,7 @@ class CTables:
         return ctypes.addressof(struct)
 
     def _events(self, plan: EventPlan) -> int:
-        """All rows of guards and jumps are reports."""
-        groups = [*plan.groups, *(() if plan.jump is None else (plan.jump.group,))]
-        rows = [self._fill("ph_group", g, group_values(g, 0, self._index)) for g in groups]
+        rows = [self._fill("ph_group", g, values) for g, values in _event_groups(plan, self._index)]
         array = (ctypes_structures()["ph_group"] * len(rows))(*rows)
         self._keep.append(array)
         at, size = ctypes.addressof(array), ctypes.sizeof(ctypes_structures()["ph_group"])
@@ -163,8 +162,14 @@ class CTables:
         return struct
 
 
+def _event_groups(plan: EventPlan, index: Callable[[Kernel], int]) -> list[tuple[Any, dict[str, Any]]]:
+    """Groups of the guards, then that of the jumps; all their rows are reports."""
+    groups = [*plan.groups, *(() if plan.jump is None else (plan.jump.group,))]
+    return [(g, group_values(g, 0, index)) for g in groups]
+
+
 def _array_text(ctype: str, name: str, values: NDArray[Any]) -> str:
-    items = [repr(v) for v in values.tolist()]
+    items = ["INFINITY" if v == inf else repr(v) for v in values.tolist()]
     lines, line = [], "   "
     for item in items:
         if len(line) + len(item) + 2 > 110:
@@ -236,4 +241,18 @@ def c_text(
         + _plan_text(model.instant, "instant", index)
         + arrays
         + f"extern const ph_model {symbol};\nconst ph_model {symbol} = {members};\n"
+    )
+
+
+def events_text(plan: EventPlan, index: Callable[[Kernel], int], symbol: str = "ph_the_events") -> str:
+    """C source that defines `const ph_events <symbol>`."""
+    groups = _array_of_structs("ph_group", "events_groups", _event_groups(plan, index))
+    derived = event_values(plan) | {"groups": "events_groups"}
+    derived["jump"] = "0" if plan.jump is None else f"events_groups + {len(plan.groups)}"
+    arrays, members = _struct_text("ph_events", "events", plan, derived)
+    return (
+        '#include <math.h>\n\n#include "events.h"\n\n'
+        + groups
+        + arrays
+        + f"extern const ph_events {symbol};\nconst ph_events {symbol} = {members};\n"
     )

@@ -24,7 +24,7 @@ from phfmu.fmu.schedule import UnitEvent
 from phfmu.fmu.variables import FMUVariable, variables
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
-from phfmu.signals import MEAN, jumps
+from phfmu.signals import MEAN, jumps, state_events
 
 #: category of messages -> its description
 LOG_CATEGORIES = {
@@ -103,7 +103,9 @@ class Unit:
     @cached_property
     def variables(self) -> tuple[FMUVariable, ...]:
         """The table; the place of a variable is its value reference."""
-        groups = [node_values] * self.at_nodes + [impulse_values] * (self.kernels is not None) + [jumps] * self.jumps
+        happen = self.model.events is not None
+        groups = [node_values] * self.at_nodes + [impulse_values] * (self.kernels is not None)
+        groups += [jumps] * (self.jumps or happen) + [state_events] * happen
         table = variables(self.model, groups, self.ledger_outputs, self.tunable)
         return turned(table, [p for p in self.declaration.ports if p.name in self.outward])
 

@@ -72,11 +72,19 @@ def export(
             f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
-    if model.events is not None:
+    if model.modes is not None:
+        names = ", ".join(s.name for s in model.modes.modes.switches[:4])
         raise FMUError(
-            f"{model.name}: has state events ({', '.join(model.events.names[:4])}), which units do not locate yet; run it with "
-            "--engine native or python"
+            f"{model.name}: has ideal switches ({names}), each mode of which is another plan; units have one. Export it with switches "
+            "that modulate the interconnection (breaker, ideal_diode), or run it with --engine native or python"
         )
+    if model.events is not None and (node_inputs or impulses):
+        raise FMUError(
+            f"{model.name}: has state events ({', '.join(model.events.names[:4])}), which do not go with inputs at the nodes of "
+            "a step in a unit; export it without --node-inputs and --impulses"
+        )
+    if set_inside := sorted(_scalars(model, tunable) & {*model.declaration.modes}):
+        raise FMUError(f"{model.name}: state events set {set_inside[0]}, which cannot be tunable as well")
     set_later, inside = _scalars(model, [*tunable, *(e.name for e in events)]), in_order(model, events)
     unit = Unit(
         model,

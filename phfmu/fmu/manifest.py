@@ -139,7 +139,7 @@ def manifest(unit: Unit) -> bytes:
     energy = etree.SubElement(root, "Energy")
     for what, _, _ in (*LEDGER, *STEP_LEDGER):
         energy.set(ENERGY.get(what, what), total(what))
-    if unit.jumps:
+    if unit.jumps or unit.model.events is not None:
         energy.set(JUMPED[0], total(JUMPED[0]))
     for v in unit.variables:
         if v.block == "FMU_TUNABLE" and v.causality == "parameter":

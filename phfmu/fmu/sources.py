@@ -16,9 +16,11 @@ from phfmu.engine.impulses import PortKernels
 from phfmu.engine.library import runtime_sources
 from phfmu.engine.model import kernels
 from phfmu.engine.port_text import port_text
-from phfmu.engine.tables import c_text
+from phfmu.engine.tables import c_text, events_text
 from phfmu.engine.tangent_text import tangent_text
+from phfmu.events.event_plan import EventPlan
 from phfmu.fmu.description import Unit
+from phfmu.fmu.variables import value_name
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.fmu.words import c_comment, c_string
 from phfmu.fmu.xml import number
@@ -31,20 +33,23 @@ HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 
 _PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
-#: files of units with inputs at the nodes of a step, and of those whose ports take impulses
-NODES, IMPULSES = ("fmu_nodes.c",), ("impulses.c", "impulses.h")
+#: files of units with inputs at the nodes of a step, of those whose ports take impulses, and of those with state events
+NODES, IMPULSES, LANDING = ("fmu_nodes.c",), ("impulses.c", "impulses.h"), ("fmu_landing.c",)
 Sources = dict[str, str | Path]
 
 
 def generated(unit: Unit) -> dict[str, str]:
-    """kernels.c and model.c, tangents.c where there are inputs, ports.c with impulses: nothing of the interface."""
+    """kernels.c and model.c, tangents.c where there are inputs, ports.c with impulses, guards.c with state events: nothing of the
+    interface.
+    """
     model = unit.model
     table = kernel_table(kernels(model), model.step.schur)
+    more = {} if model.events is None else {"guards.c": events_text(model.events, table.index)}
     if model.step.nu == 0:
-        return {"kernels.c": table.text, "model.c": c_text(model, table.index, table.token)}
+        return {"kernels.c": table.text, "model.c": c_text(model, table.index, table.token), **more}
     text = c_text(model, table.index, table.token, tangents="ph_tangents")
     plans = (model.step, model.instant) if unit.kernels else (model.step,)
-    made = {"kernels.c": table.text, "tangents.c": tangent_text(table, *plans), "model.c": text}
+    made = {"kernels.c": table.text, "tangents.c": tangent_text(table, *plans), "model.c": text, **more}
     return made | ({"ports.c": port_text(unit.kernels)} if unit.kernels else {})
 
 
@@ -61,9 +66,10 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
 
 def fixed(unit: Unit) -> Sources:
     """The hand-written part of it: name -> path."""
-    absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES)
+    events = unit.model.events is not None
+    absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES) + (() if events else LANDING)
     layers = {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
-    return {name: path for name, path in {**runtime_sources(), **layers}.items() if name not in absent}
+    return {name: path for name, path in {**runtime_sources(events), **layers}.items() if name not in absent}
 
 
 def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
@@ -87,7 +93,8 @@ def names_text(sources: Sources, identifier: str) -> str:
             text = source.read_text() if isinstance(source, Path) else source
             found.update(re.findall(own, text))
             found.update(re.findall(r"^extern const [^;=]*?(\w+)(?:\[\])?;", text, flags=re.M))
-    found.update(("ph_the_model", "ph_the_ports") if "ports.c" in sources else ("ph_the_model",))
+    tables = {"model.c": "ph_the_model", "ports.c": "ph_the_ports", "guards.c": "ph_the_events"}
+    found.update(symbol for file, symbol in tables.items() if file in sources)
     lines = "".join(f"#define {name} {identifier}_{name}\n" for name in sorted(found))
     return f"/* Generated. Names of {identifier}, for programs that several units are linked into. */\n{lines}"
 
@@ -124,7 +131,7 @@ def interface_text(unit: Unit, token: str) -> str:
         for i, v in enumerate(unit.variables)
         if v.limit is not None
     ]
-    events = [f"{{{number(e.t)}, {place[e.name]}, {number(e.value)}}}" for e in unit.events]
+    events = [f"{{{number(e.t)}, {place[value_name(model, e.name)]}, {number(e.value)}}}" for e in unit.events]
     equations, equations_name = _strings("equations", model.row_names)
     end_equations, end_name = _strings("end_equations", model.instant_names)
     checks = f"static const fmu_check checks[] = {{\n{_list(limits)}}};\n" if limits else ""
@@ -136,6 +143,9 @@ def interface_text(unit: Unit, token: str) -> str:
     if unit.kernels:
         include, nodes = '#include "impulses.h"\n', nodes + "    .impulses = &impulses,\n"
         checks += _impulses_text(unit.kernels)
+    if model.events is not None:
+        include, nodes = include + '#include "events.h"\n', nodes + "    .landing = &landing,\n"
+        checks += _landing_text(model.events)
     checks += f"static const fmu_event events[] = {{\n{_list(events)}}};\n" if events else ""
     checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
     return f"""\
@@ -167,6 +177,17 @@ const fmu_interface fmu_the_interface = {{
     .events = {"events" if events else "0"},
 {nodes}}};
 """
+
+
+def _landing_text(events: EventPlan) -> str:
+    """The functions of fmu_landing.c, and the names of the guards."""
+    names, _ = _strings("guards", events.names)
+    functions = ("create", "release", "step", "refused")
+    members = "".join(f"    .{n} = fmu_landing_{n},\n" for n in functions)
+    return (
+        f"extern const ph_events ph_the_events;\n{names}"
+        f"static const fmu_landing landing = {{\n    .events = &ph_the_events,\n    .names = guards,\n{members}}};\n"
+    )
 
 
 def _impulses_text(kernels: PortKernels) -> str:

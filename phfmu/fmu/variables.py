@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from phfmu.declare.parameter_limits import Limit, limits
 from phfmu.discretise.model import Model
 from phfmu.fmu.words import plain
-from phfmu.signals import Quantity, quantities
+from phfmu.signals import MODE, Quantity, quantities
 
 #: one part of a structured name of the standard: letters, digits and _, then indices
 _PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
@@ -33,6 +33,8 @@ class FMUVariable(Quantity):
 
     @property
     def variability(self) -> str:
+        if self.block in ("FMU_MODE", "FMU_HAPPENED"):
+            return "discrete"
         if self.causality != "parameter":
             return "continuous"
         return "tunable" if self.block == "FMU_TUNABLE" else "fixed"
@@ -53,10 +55,20 @@ class FMUVariable(Quantity):
 #: places of fmu.h; the others are blocks of phfmu.h
 _OF_UNITS = (
     *("parameter", "tunable", "input", "node_input", "node_output", "impulse", "jump", "gap", "jumped"),
+    *("mode", "happened"),
     *("row_stored", "row_supplied", "row_dissipated", "row_moved", "row_pairs"),
 )
 #: energies, which no input changes before the next step
-_OF_STATE = ("PH_ENERGY", "PH_H", "PH_SUPPLIED", "PH_DISSIPATED", "PH_RESIDUAL", "FMU_GAP", "FMU_JUMPED")
+_OF_STATE = (
+    "PH_ENERGY",
+    "PH_H",
+    "PH_SUPPLIED",
+    "PH_DISSIPATED",
+    "PH_RESIDUAL",
+    "FMU_GAP",
+    "FMU_JUMPED",
+    "FMU_HAPPENED",
+)
 #: where outputs of the ledger and residuals of constraints come from: to be looked at, not to be connected
 _BOOKS = (*_OF_STATE, "PH_OBSERVABLES")
 
@@ -73,11 +85,12 @@ def variables(
     `groups` come last, so that the references of the others stay.  `ledger_outputs`: energies and residuals of
     constraints are outputs, else local variables.  `tunable`: scalar names of parameters that may change between steps.
     """
-    limit, told = limits(model.declaration), (*quantities(model), *(q for group in groups for q in group(model)))
+    limit, modes = limits(model.declaration), {*model.declaration.modes}
+    told = (*(q for q in quantities(model) if q.name not in modes), *(q for group in groups for q in group(model)))
     table = tuple(
         _written(
             replace(q, block="tunable") if q.name in tunable and q.block == "parameter" else q,
-            limit.get(q.name) if q.block in ("parameter", "tunable") else None,
+            limit.get(q.name.removeprefix(MODE)) if q.block in ("parameter", "tunable", "mode") else None,
         )
         for q in told
     )
@@ -93,6 +106,11 @@ def variables(
     if problems:
         raise FMUError(f"{model.name}: " + "; ".join(problems))
     return table
+
+
+def value_name(model: Model, name: str) -> str:
+    """The variable of a parameter: those that state events set are no parameters of a unit, which are fixed or tunable."""
+    return MODE + name if name in model.declaration.modes else name
 
 
 def _written(q: Quantity, limit: Limit | None) -> FMUVariable:

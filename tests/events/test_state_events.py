@@ -14,7 +14,6 @@ from phfmu import (
     TRANSLATIONAL,
     Collocated,
     DeclarationError,
-    EngineMember,
     Guard,
     Jump,
     Monolithic,
@@ -27,7 +26,6 @@ from phfmu import (
     build_model,
     check,
     energy,
-    export,
     parameter,
     run,
     skew,
@@ -39,7 +37,6 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.translational import spring
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.model import kernels
-from phfmu.fmu.variables import FMUError
 from tests.wide import wide
 
 Q, P = state("q", unit="m", start=1.0), state("p", unit="kg.m/s", start=-3.0)
@@ -140,17 +137,6 @@ def test_events_of_a_network_carry_the_names_of_their_members(tmp_path: Path):
     assert (row["kind"], row["component"], row["message"]) == ("state", "body", "body.floor, body.w[2] = 2")
     lost = 0.75 * v[at] ** 2 / 2
     assert row["lost"] == pytest.approx(lost, rel=1e-13) and row["energy_jump"] == -row["lost"]
-
-
-def test_members_stepped_apart_are_refused():
-    with pytest.raises(ValueError, match="member 'body' has state events .floor."):
-        model = build_model(body())
-        EngineMember("body", model, PythonInstance(model))
-
-
-def test_units_are_refused(tmp_path: Path):
-    with pytest.raises(FMUError, match="body: has state events .floor., which units do not locate yet"):
-        export(build_model(body()), tmp_path, step=0.1)
 
 
 @pytest.mark.parametrize("option", [{"rtol": 1e-6}, {"restart": 2}, {"dense": 3}])

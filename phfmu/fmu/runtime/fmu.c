@@ -124,6 +124,7 @@ int fmu_enter(fmu *f, const char *function) {
     if (fmu_allow(f, function, FMU_INSTANTIATED))
         return FMU_ERROR;
     f->phase.mode = FMU_INITIALIZATION;
+    f->phase.happened[1] = fmu_time(f);
     return FMU_OK;
 }
 
@@ -263,9 +264,10 @@ static int step_parts(fmu *f, double t, double h, int n) {
 
 static int solve_step(fmu *f, const char *function, double t, double h, int n, int *early) {
     const double slack = clock_error(f, t, h);
+    const int sliver = h <= PH_SLIVER_STEP * f->about->step;
     int status = fmu_events_until(f, t + slack);
-    if (!status && fmu_events_within(f, t + h - slack))
-        return fmu_events_step(f, function, t, h, slack);
+    if (!status && (fmu_events_within(f, t + h - slack) || (f->about->landing && !sliver)))
+        return fmu_events_step(f, function, t, h, slack, early);
     if (!status)
         status = step_parts(f, t, h, n);
     if (status == PH_ARGUMENT)

@@ -29,12 +29,14 @@ enum {
     FMU_ROW_NUMERICAL,
     FMU_ROW_MOVED,
     FMU_GAP,
-    FMU_JUMPED, /* change of stored energy by tunable parameters since the start */
+    FMU_JUMPED, /* change of stored energy by tunable parameters and state events since the start */
     FMU_NODE_INPUT,
     FMU_NODE_OUTPUT,
     FMU_ROW_PAIRS,
     FMU_IMPULSE, /* at the start of the coming step, then those at its end */
-    FMU_JUMP     /* of all impulses, row-major */
+    FMU_JUMP,    /* of all impulses, row-major */
+    FMU_MODE,    /* a parameter that state events set */
+    FMU_HAPPENED /* how many state events there were, when the last one was, what they lost */
 };
 
 typedef struct fmu fmu;
@@ -78,6 +80,18 @@ typedef struct fmu_impulses {
     void (*jump)(struct ph_impulses *m, double *s);
     void (*along)(struct ph_impulses *m, int end, int count, const double *ds, double *dx);
 } fmu_impulses;
+
+/* Functions of fmu_landing.c, which only units with state events have. */
+struct ph_events;
+typedef struct fmu_landing {
+    const struct ph_events *events;
+    const char *const *names; /* of the guards */
+    int (*create)(fmu *f);
+    void (*release)(fmu *f);
+    int (*step)(fmu *f, double t, double h, int n, int *stopped);
+    int (*refused)(const fmu *f, const char *function);
+} fmu_landing;
+
 /* At `time` a parameter takes `value`. */
 typedef struct fmu_event {
     double time;
@@ -102,7 +116,8 @@ typedef struct fmu_interface {
     int (*node_map)(fmu *f);
     const fmu_impulses *impulses; /* NULL if ports take none */
     int nevent;
-    const fmu_event *events; /* nevent, in order of time */
+    const fmu_event *events;    /* nevent, in order of time */
+    const fmu_landing *landing; /* NULL without state events */
 } fmu_interface;
 
 #define FMU_TOKEN 38
@@ -121,9 +136,10 @@ typedef struct fmu_phase {
     int mode;
     int stop_defined;
     double start, stop;
-    double steps; /* taken since the start */
-    int passed;   /* events that have happened */
-    int crossed;  /* parameters changed in the last step or after it */
+    double steps;       /* taken since the start */
+    double happened[3]; /* state events since then: how many, the time of the last, energy they lost */
+    int passed;         /* events that have happened */
+    int crossed;        /* parameters changed in the last step or after it */
 } fmu_phase;
 
 /* The stored energy and what was booked as its change, ncomp each; one stretch of memory. */
@@ -131,7 +147,7 @@ typedef struct fmu_books {
     double *start;  /* H when initialization ended */
     double *booked; /* sum of its changes by the ledgers of all steps */
     double *rest;   /* what compensated summation still owes `booked`, to be subtracted */
-    double *jumped; /* sum of its changes by tunable parameters between steps */
+    double *jumped; /* sum of its changes by tunable parameters between steps, and by state events */
     double *before; /* H while they change, not saved */
 } fmu_books;
 
@@ -169,6 +185,7 @@ struct fmu {
     fmu_nodes nodes;
     double *kept; /* what of the parts of a step is summed; NULL without events */
     void *before; /* a saved state; NULL without events */
+    void *landed; /* memory of fmu_landing.c, owned; NULL without state events */
 };
 
 #if defined(__GNUC__)
@@ -220,8 +237,16 @@ int fmu_events_create(fmu *f);
 void fmu_events_free(fmu *f);
 int fmu_events_until(fmu *f, double t);          /* makes those happen; answers a ph_status */
 int fmu_events_within(const fmu *f, double end); /* whether one comes before `end` */
-/* A step from t by h in parts; times that differ by less than slack are one. */
-int fmu_events_step(fmu *f, const char *function, double t, double h, double slack);
+/* A step from t by h in parts; times that differ by less than slack are one. *early as of fmu_do_step. */
+int fmu_events_step(fmu *f, const char *function, double t, double h, double slack, int *early);
+
+/* fmu_landing.c, as fmu_landing: `step`: [t, t+h] in n internal steps with the state events in it, told as
+ * one; *stopped (may be NULL): it ended at one of them before its end. Answers a ph_status; after a refused
+ * one f is to be restored. `refused`: says why an event could not happen, answers FMU_DISCARD. */
+int fmu_landing_create(fmu *f);
+void fmu_landing_release(fmu *f);
+int fmu_landing_step(fmu *f, double t, double h, int n, int *stopped);
+int fmu_landing_refused(const fmu *f, const char *function);
 
 /* fmu_derivative.c. adjoint 0: result (nu) = S seed (nk); 1: result (nk) = S^T seed (nu), where S holds the
  * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk): all of these

@@ -10,13 +10,17 @@
 #include "fmu.h"
 
 int fmu_events_create(fmu *f) {
-    if (f->about->nevent == 0)
+    if (f->about->nevent == 0 && !f->about->landing)
         return FMU_OK;
+    if (f->about->landing && !f->about->landing->create(f))
+        return fmu_refuse(f, "no memory for state events");
     f->kept = calloc((size_t)ph_kept_size(f->about->model) + 1, sizeof(double));
     return f->kept ? fmu_save(f, __func__, &f->before) : FMU_ERROR;
 }
 
 void fmu_events_free(fmu *f) {
+    if (f->about->landing)
+        f->about->landing->release(f);
     free(f->kept);
     free(f->before);
 }
@@ -38,9 +42,16 @@ int fmu_events_until(fmu *f, double t) {
     return fmu_set_parameters(f, f->p);
 }
 
-/* [t, end] in parts; *reached: where the last one that was solved ends. */
-static int step_parts(fmu *f, double t, double end, double slack, double *reached) {
-    for (*reached = t; *reached < end;) {
+static int advance(fmu *f, double t, double h, int n, int *stopped) {
+    const fmu_landing *landing = f->about->landing;
+    return landing ? landing->step(f, t, h, n, stopped) : ph_step_parts(f->in, t, h, n);
+}
+
+/* [t, end] in parts; *reached: where the last one that was solved ends; *stopped (may be NULL): at a state
+ * event. */
+static int step_parts(fmu *f, double t, double end, double slack, double *reached, int *stopped) {
+    int halt = 0;
+    for (*reached = t; *reached < end && !halt;) {
         const double now = *reached;
         double goal, part;
         int status = fmu_events_until(f, now + slack);
@@ -48,15 +59,18 @@ static int step_parts(fmu *f, double t, double end, double slack, double *reache
             return status;
         goal = next_event(f) < end - slack ? next_event(f) : end;
         part = ceil((goal - now) / f->about->step - FMU_SLACK);
-        status = ph_step_parts(f->in, now, goal - now, part < 1.0 ? 1 : (int)part);
+        status = advance(f, now, goal - now, part < 1.0 ? 1 : (int)part, stopped ? &halt : NULL);
         if (status)
             return status;
+        goal = halt ? fmu_time(f) : goal;
         if (now > t)
             ph_join(f->in, f->kept, (now - t) / (goal - t));
-        f->phase.crossed = now > t;
+        f->phase.crossed |= now > t;
         ph_keep(f->in, f->kept);
         *reached = goal;
     }
+    if (stopped)
+        *stopped = halt && *reached < end;
     return PH_OK;
 }
 
@@ -64,9 +78,10 @@ int fmu_events_within(const fmu *f, double end) {
     return next_event(f) < end;
 }
 
-int fmu_events_step(fmu *f, const char *function, double t, double h, double slack) {
+int fmu_events_step(fmu *f, const char *function, double t, double h, double slack, int *early) {
     double reached = t;
     ph_report why;
+    int status;
     if (!fmu_held(f, ph_input(f->in)) || fmu_kicked(f)) {
         f->solved = next_event(f) - t;
         return fmu_say(f, FMU_DISCARD, FMU_LOG_ERRORS,
@@ -77,11 +92,14 @@ int fmu_events_step(fmu *f, const char *function, double t, double h, double sla
     }
     if (fmu_save(f, function, &f->before))
         return FMU_ERROR;
-    if (step_parts(f, t, t + h, slack, &reached) == PH_OK)
+    status = step_parts(f, t, t + h, slack, &reached, f->early ? early : NULL);
+    if (status == PH_OK)
         return FMU_OK;
     why = *ph_last_report(f->in);
     if (fmu_restore(f, function, f->before))
         return FMU_ERROR;
     f->solved = reached - t;
+    if (status == PH_EVENT)
+        return f->about->landing->refused(f, function);
     return fmu_step_refused(f, function, FMU_DISCARD, &why);
 }

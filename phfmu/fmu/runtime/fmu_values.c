@@ -38,7 +38,10 @@ static const double *block_of(const fmu *f, int block) {
     switch (block) {
     case FMU_PARAMETER:
     case FMU_TUNABLE:
+    case FMU_MODE:
         return ph_parameters(f->in);
+    case FMU_HAPPENED:
+        return f->phase.happened;
     case FMU_JUMPED:
         return f->books.jumped;
     case FMU_INPUT:
@@ -140,7 +143,7 @@ static int check_set(const fmu *f, const char *function, unsigned ref, double va
     int start, late;
     if (!v)
         return FMU_ERROR;
-    start = v->block == FMU_PARAMETER || (v->block == PH_X && v->first < nx);
+    start = v->block == FMU_PARAMETER || v->block == FMU_MODE || (v->block == PH_X && v->first < nx);
     late = !(f->phase.mode & (FMU_INSTANTIATED | FMU_INITIALIZATION));
     if (!start && v->block != FMU_INPUT && v->block != FMU_NODE_INPUT && v->block != FMU_TUNABLE &&
         v->block != FMU_IMPULSE)
@@ -162,6 +165,7 @@ static double *place_of(fmu *f, const fmu_variable *v, int *changed) {
     switch (v->block) {
     case FMU_PARAMETER:
     case FMU_TUNABLE:
+    case FMU_MODE:
         changed[0] = 1;
         return f->p + v->first;
     case FMU_INPUT:

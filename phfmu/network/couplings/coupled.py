@@ -71,6 +71,8 @@ class Coupled:
         plain = self._may_compile and not self.joined.network.wires
         if not plain or not all(isinstance(m, EngineMember) and m.parts == 1 for m in self.joined.members):
             return None
+        if any(isinstance(m, EngineMember) and m.model.events is not None for m in self.joined.members):
+            return None
         from phfmu.network.couplings.master import master
 
         return master(self.joined, self.coupling, bool(self._works.keys))
@@ -201,6 +203,7 @@ class Coupled:
             book = added(book, self.last.earlier)
             if self._works.keys:
                 book["works"] = self._works.grouped(book["works"])
+            known["events"] = (*self.last.happened, *self.joined.happened())
             if self._growth is not None:
                 self._growth.watch(t, h, known["H"], book["pairs"])
             return known | test | book

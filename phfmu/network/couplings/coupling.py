@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
+from phfmu.engine.steps import StepEvent
 from phfmu.network.couplings.joined import Joined
 
 Array = NDArray[Any]
@@ -33,7 +34,7 @@ class Step:
 class Solution:
     """Junction unknowns xi of a step and outputs y of the members under them; trials; by which test they were accepted.
 
-    `h`: of the last part of a step that was taken in parts, `earlier`: the ledger of those before it.
+    `h`: of the last part of a step that was taken in parts, `earlier`: the ledger of those before it, `happened`: what did in them.
     `works`: energy of each unknown at its junction [J], None where that is h xi r.
     """
 
@@ -44,6 +45,7 @@ class Solution:
     earlier: dict[str, Array] | None = None
     h: float = 0.0
     works: Array | None = None
+    happened: tuple[StepEvent, ...] = ()
 
 
 class Unconverged(StepFailure):

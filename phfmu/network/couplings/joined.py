@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
+from phfmu.engine.steps import StepEvent
 from phfmu.network.couplings.matrices import assembled
 from phfmu.network.junctions.compose import require_members
 from phfmu.network.junctions.interface import interface
@@ -162,6 +163,18 @@ class Joined:
     def end_outputs(self) -> Array:
         """Outputs at the present time (nu)."""
         return np.concatenate([m.end_output() for m in self.members])
+
+    def happened(self) -> list[StepEvent]:
+        """What happened within the last step of the members, in order of time."""
+        found, first, n = list[StepEvent](), 0, len(self.booking.components)
+        for m in self.members:
+            end = first + len(m.booking.components)
+            for e in m.happened():
+                energy, lost = np.zeros((2, n))
+                energy[first:end], lost[first:end] = e.energy, e.lost
+                found.append(replace(e, energy=energy, lost=lost))
+            first = end
+        return sorted(found, key=lambda e: e.t)
 
     def ledger(self) -> dict[str, Array]:
         """The ledgers of the last step side by side; what a member does not tell is zero, its moved energy all of its H."""

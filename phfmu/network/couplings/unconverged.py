@@ -61,9 +61,11 @@ class Halving:
         one = self._part(joined, last, Step(step.t, h, step.states), left - 1)
         joined.finish()
         book = added(joined.ledger() | {"works": works(joined, one, h)}, one.earlier)
+        happened = (*one.happened, *joined.happened())
         two = self._part(joined, one, Step(step.t + h, h, joined.states()), left - 1)
         trials, book = one.iterations + two.iterations, added(book, two.earlier)
-        return replace(two, iterations=trials, accepted_by=HALVED, earlier=book, h=two.h or h)
+        happened = (*happened, *two.happened)
+        return replace(two, iterations=trials, accepted_by=HALVED, earlier=book, h=two.h or h, happened=happened)
 
 
 def plain(coupling: Coupling) -> Coupling:

@@ -79,7 +79,7 @@ class FMUStepper:
         for k in range(n):
             try:
                 self.member.do_step(t0 + (first + k) * h, h)
-                known = {"signals": self.read(), "H": self.energies()}
+                known = {"signals": self.read(), "H": self.energies(), "events": self.member.happened()}
                 rows.append(known | self.member.ledger())
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}

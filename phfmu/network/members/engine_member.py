@@ -14,10 +14,12 @@ from phfmu.discretise.model import Model
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.steps import StepEvent
 from phfmu.network.members.booking import booking
 from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
+from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs, places
 
 Array = NDArray[np.float64]
@@ -29,10 +31,11 @@ class EngineMember:
     saves = True
 
     def __init__(self, name: str, model: Model, instance: Any, parts: int = 1):
-        if model.events is not None:
+        if model.modes is not None:
+            names = ", ".join(s.name for s in model.modes.modes.switches[:4])
             raise ValueError(
-                f"member '{name}' has state events ({', '.join(model.events.names[:4])}), which are landed on in one composed "
-                "model only; leave out --coupling newton, which composes the network"
+                f"member '{name}' has ideal switches ({names}), which are stepped in one composed model only; leave out "
+                "--coupling newton, which composes the network"
             )
         self.name, self.model, self.instance, self.parts = name, model, instance, parts
         self._inputs = Inputs(instance, model)
@@ -47,6 +50,7 @@ class EngineMember:
             [np.broadcast_to(np.asarray(p.nominal, float), p.n) for p in free] or [np.zeros(0)]
         )
         self.input_sign = np.ones(self.nu)
+        self._happenings = None if model.events is None else Happenings(model, name)
         own = booking(model)
         rename = {model.name: name}
         self.booking = Booking(
@@ -132,6 +136,10 @@ class EngineMember:
 
     def ledger(self) -> dict[str, Array]:
         return self.instance.ledger()
+
+    def happened(self) -> list[StepEvent]:
+        told = self._happenings
+        return [] if told is None else [told.told(h) for h in self.instance.happened]
 
     def energies(self) -> Array:
         return self.instance.signal("H")

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from phfmu.audit.booking import ESTIMATED, EXACT, Booking, PortKey
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.steps import StepEvent
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.refusal import UnitFailure
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.inputs import places
+from phfmu.network.members.unit_happenings import UnitHappenings
 from phfmu.signals import ENERGY, port_energy
 
 Array = NDArray[np.float64]
@@ -69,6 +71,7 @@ class FMUMember:
         self._others = [*unit.other_inputs, *unit.tunable]
         self._u = unit.start_inputs()
         self.input_sign = unit.input_sign
+        self._happened = UnitHappenings(unit, name)
         self.nominal = np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs])
 
     @property
@@ -141,7 +144,9 @@ class FMUMember:
         """All of the step; UnitFailure where the unit takes a part of it only, which is taken back, or not this length."""
         self._require_length(t, h)
         before = self.unit.get_state() if self.unit.early_return else None
+        self._happened.begin()
         reached = self.unit.do_step(t, h)
+        self._happened.end(reached)
         if before is not None and reached < t + h:
             self.unit.set_state(before)
             words = [f"last successful time {reached:.9g} s"]
@@ -190,6 +195,9 @@ class FMUMember:
         if self._inside:
             book["pairs"] = np.append(book["pairs"], book["supplied"].sum() - book["pairs"].sum())
         return book
+
+    def happened(self) -> list[StepEvent]:
+        return self._happened.found
 
     def energies(self) -> Array:
         return self.unit.energies()

@@ -202,6 +202,8 @@ class HeldNodes:
 
 def node_values(member: Member) -> NodeValues:
     """The most that a member offers; runs without units do not load their reader."""
+    if isinstance(member, EngineMember) and member.model.events is not None:
+        return HeldNodes(member)  # what happens within its step is in no polynomial
     if isinstance(member, EngineMember) and (scheme := member.model.scheme).node_values:
         offer = DeclaredOffer(member.name, member.model.declaration) if scheme.impulses else None
         return InstanceNodes(member, scheme.nodes, offer)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
+from phfmu.engine.steps import StepEvent
 from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]
@@ -127,6 +128,9 @@ class SteppedLast:
 
     def ledger(self) -> dict[str, Array]:
         return self.inner.ledger()
+
+    def happened(self) -> list[StepEvent]:
+        return self.inner.happened()
 
     def energies(self) -> Array:
         return self.inner.energies()

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
-from phfmu.engine.steps import Steps
-from phfmu.events.happened import Happened
+from phfmu.engine.steps import StepEvent, Steps
 from phfmu.network.couplings.coupling_names import HALVED, KEPT
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.members.consistent import InconsistentState
@@ -60,15 +61,17 @@ class Book:
         if changed:
             self._keep_consistent(e)
 
-    def happened(self, h: Happened, what: str) -> None:
+    def happened(self, e: StepEvent) -> None:
         """Book state events: what a jump added to the energy of each component, and what it lost."""
-        rows = [(c, float(e), float(x)) for c, e, x in zip(self.booking.components, h.energy, h.lost, strict=True)]
+        rows = [(c, float(j), float(x)) for c, j, x in zip(self.booking.components, e.energy, e.lost, strict=True)]
         changed = [row for row in rows if row[1] or row[2]]
         for component, energy, lost in changed:
-            self.ledger.event(h.t, "state", component, energy, what, lost)
+            self.ledger.event(e.t, e.kind, component, energy, e.message, lost)
         if not changed:
-            self.ledger.event(h.t, "state", message=what)
-        self._H = self._H + h.energy
+            self.ledger.event(e.t, e.kind, message=e.message)
+        self._H = self._H + e.energy
+        lost = float(e.lost.sum())
+        self.notes.append(f"t = {e.t:.12g} s: {e.names}" + (f", lost {lost:.9g} J" if lost else ""))
 
     def inputs(self, changes: Sequence[tuple[int, Event]]) -> None:
         """Book free inputs that changed between steps; they change no energy."""
@@ -125,7 +128,26 @@ class Book:
         self.ledger.flush()
 
     def add(self, t: Array, h: Array, s: Steps) -> None:
-        """Book n accepted steps that start at t (n) and have the sizes h (n)."""
+        """Book n accepted steps that start at t (n) and have the sizes h (n), and what happened in them.
+
+        A step is one row: what happened in its first half comes before it, the rest after it, as a log is read again.
+        """
+        first = 0
+        for i, inside in groupby(s.events, key=itemgetter(0)):
+            events = [e for _, e in inside]
+            middle = t[i] + 0.5 * h[i]
+            later = [e for e in events if e.t > middle]
+            self._add(t[first:i], h[first:i], s.part(first, i))
+            for e in events[: len(events) - len(later)]:
+                self.happened(e)
+            part = s.part(i, i + 1)
+            self._add(t[i : i + 1], h[i : i + 1], replace(part, H=part.H - sum(e.energy for e in later)))
+            for e in later:
+                self.happened(e)
+            first = i + 1
+        self._add(t[first:], h[first:], s.part(first, len(s.H)) if first else s)
+
+    def _add(self, t: Array, h: Array, s: Steps) -> None:
         n = len(s.H)
         if n == 0:
             return

@@ -10,6 +10,7 @@ import numpy as np
 from phfmu.engine.status import StepFailure
 from phfmu.events.happened import Happened
 from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.members.happenings import Happenings
 from phfmu.network.run.book import Book
 from phfmu.network.run.march import Pace, pieces
 from phfmu.network.run.options import Options
@@ -31,9 +32,7 @@ class EventSteps:
             if given:
                 raise ValueError(f"{option} does not go with state events yet; take equal steps without it")
         self.stepper, self.book, self.step = stepper, book, options.step
-        assert stepper.model.events is not None
-        self._plan = stepper.model.events
-        self._values = {e.guard.name: e for e in stepper.model.declaration.state_events}
+        self._words = Happenings(stepper.model)
         self._pace = Pace()
 
     def takes_inputs(self, name: str) -> bool:
@@ -70,17 +69,6 @@ class EventSteps:
 
     def _happened(self, h: Happened) -> Row:
         """Books it; the row after it."""
-        self.book.happened(h, "; ".join([*(self._said(i, i in h.rests) for i in h.events), *h.switched]))
-        lost = float(h.lost.sum())
-        named = [self._plan.names[i] + (" (comes to rest)" if i in h.rests else "") for i in h.events]
-        names = ", ".join([*named, *h.switched])
-        self.book.notes.append(f"t = {h.t:.12g} s: {names}" + (f", lost {lost:.9g} J" if lost else ""))
+        self.book.happened(self._words.told(h))
         self.stepper.check_start()
         return np.array([h.t]), h.signals[None], np.zeros(1, bool)
-
-    def _said(self, i: int, rests: bool) -> str:
-        """Event i in words: what it sets."""
-        name = self._plan.names[i]
-        event = self._values[name]
-        values = {**event.sets, **(event.rest if rests else {})}
-        return name + "".join(f", {n} = {v:.9g}" for n, v in values.items())

@@ -49,6 +49,8 @@ static size_t lay_out(ph_landing *l, char *base) {
     l->refused = place(base, &used, (size_t)e->n);
     l->before = place(base, &used, ph_state_size(l->in));
     l->after = place(base, &used, ph_state_size(l->in));
+    l->kept = doubles(base, &used, ph_kept_size(l->in->model));
+    l->begun = place(base, &used, ph_state_size(l->in));
     return used;
 }
 

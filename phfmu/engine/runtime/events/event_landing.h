@@ -35,6 +35,11 @@ struct ph_landing {
     int *whose;               /* njump: and the events of the jumps */
     signed char *fired, *rests, *looked, *from_zero, *refused; /* n */
     void *before, *after;                                      /* states of the instance */
+    /* of a communication step that is told as one */
+    double told_from, told_until;
+    int told;     /* 1: a step of it was taken */
+    double *kept; /* ph_kept_size */
+    void *begun;  /* state of the instance at its start */
 };
 
 static inline double ph_larger(double a, double b) {

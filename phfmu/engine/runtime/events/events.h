@@ -89,6 +89,13 @@ PH_API void ph_land_from(ph_landing *l, double t0, double h, int first, int n, i
 /* Takes them, until all are taken or there is no more room; again goes on. record: a row a step. After a
  * status other than PH_OK the instance is at the last step written. */
 PH_API int ph_land(ph_landing *l, const ph_record *record, ph_landed *out);
+/* A communication step [t, t+h], h >= 0, of n equal grid steps under held inputs, told as one: rows of the
+ * ledger, means and outputs at nodes are those of the whole, and have no derivative if an event is in it. */
+PH_API int ph_land_begin(ph_landing *l, double t, double h, int n);
+/* On to the next event of it, which is written to out (events 1), or to its end (done); again goes on. After
+ * a status other than PH_OK the instance is where the step began. */
+PH_API int ph_land_on(ph_landing *l, ph_landed *out);
+PH_API double ph_land_reached(const ph_landing *l); /* the time up to which it was solved */
 PH_API const ph_event_refusal *ph_land_refusal(const ph_landing *l);
 
 /* event_roots.c: b, Bernstein coefficients of degree n. */

@@ -1,0 +1,135 @@
+"""State events of members that are stepped apart: inside their steps, booked at each member, of order 2 with held inputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from phfmu import (
+    Collocated,
+    Coupled,
+    EngineMember,
+    Event,
+    FMUInstance,
+    FMUMember,
+    Monolithic,
+    NativeInstance,
+    Options,
+    PythonInstance,
+    build_model,
+    export,
+    run,
+)
+from phfmu.audit import AuditWriter
+from phfmu.cli import main
+from phfmu.components.electrical.switches import diode
+from phfmu.components.scenes.breaker_opening import breaker_opening
+from phfmu.fmu.variables import FMUError
+from phfmu.network.couplings.gauss_seidel import GaussSeidel
+
+OPENED, STOP, CHOP, L = 0.0203, 0.03, 0.5, 0.01
+EVENTS = (Event(OPENED, "line.command", 0.0),)
+#: states that say all: what the capacitors keep after the last pole has opened
+KEPT = ["load.charge[1]", "load.charge[2]", "load.charge[3]"]
+
+
+@pytest.fixture(scope="module")
+def network() -> Any:
+    return breaker_opening(OPENED, chop=CHOP).system
+
+
+def apart(network: Any, engine: Any, k: int = 1) -> Coupled:
+    models = {n: build_model(d, Collocated(k)) for n, d in network.declared.items()}
+    return Coupled(network, [EngineMember(n, m, engine(m)) for n, m in models.items()])
+
+
+@pytest.fixture(scope="module")
+def reference(network: Any) -> Any:
+    model = build_model(network.compose(), Collocated(3))
+    return run(Monolithic(model, NativeInstance(model)), Options(stop=STOP, step=2e-5, events=EVENTS))
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_events_inside_a_member_keep_order_two(network: Any, reference: Any, k: int) -> None:
+    """Members of order 2 and 4 with held inputs: slope 2 in states and times of events, ledgers and junctions closed."""
+    expected = np.array([reference.column(n)[-1] for n in KEPT])
+    times = [float(note.split()[2]) for note in reference.notes if "chop" in note]
+    errors, late = [], []
+    for h in (4e-4, 2e-4, 1e-4):
+        result = run(apart(network, NativeInstance, k), Options(stop=STOP, step=h, events=EVENTS))
+        errors.append(np.abs([result.column(n)[-1] for n in KEPT] - expected).max())
+        summary = result.ledger.summary()
+        assert summary.closed and summary.events == {"parameter": 1, "state": 3}
+        notes = [note for note in result.notes if "chop" in note]
+        assert ["pole1" in notes[0], "pole3" in notes[1], "pole2" in notes[2]] == [True] * 3
+        late.append(np.abs(np.array([float(note.split()[2]) for note in notes]) - times).max())
+        jumps = {c.component: c.jumps for c in summary.components if c.jumps}
+        assert jumps == {"line": pytest.approx(-3 * L * CHOP**2 / 2, rel=1e-9)}  # L i^2/2 of each pole
+    slopes = np.log2(np.array([errors[:-1], late[:-1]]) / [errors[1:], late[1:]])
+    assert (np.abs(slopes[:, -1] - 2) < 0.2).all(), slopes
+
+
+def test_engines_agree_and_units_too(network: Any, tmp_path: Path) -> None:
+    """A breaker that is a unit gives what it gives as a member of an engine, in the run and in the audit."""
+    options = Options(stop=STOP, step=2.5e-4, events=EVENTS)
+    native, python = (run(apart(network, e), options) for e in (NativeInstance, PythonInstance))
+    members: list[Any] = []
+    for name, d in network.declared.items():
+        model = build_model(d, Collocated(1))
+        if name != "line":
+            members.append(EngineMember(name, model, NativeInstance(model)))
+            continue
+        (path,) = export(model, tmp_path, ("3.0",), step=2.5e-4, tunable=["command"])
+        members.append(FMUMember(name, FMUInstance(path)))
+    mixed = run(Coupled(network, members), options)
+    for other in (python, mixed):
+        for name in (*KEPT, "line.flux[1]"):
+            scale = np.abs(native.column(name)).max()
+            np.testing.assert_allclose(other.column(name), native.column(name), atol=1e-10 * scale)
+        summary = other.ledger.summary()
+        assert summary.closed and summary.events == native.ledger.summary().events == {"parameter": 1, "state": 3}
+        jumps = {c.component: c.jumps for c in summary.components if c.jumps}
+        assert jumps == {"line": pytest.approx(-3 * L * CHOP**2 / 2, rel=1e-9)}
+    assert any("line: 1 state event in the unit, lost 0.00125 J" in note for note in mixed.notes)
+
+
+def test_the_audit_has_a_row_for_each_event_of_a_member(network: Any, tmp_path: Path, capsys: Any) -> None:
+    """With time, member, energy and loss; the file closes when it is read again."""
+    with AuditWriter(tmp_path / "a.parquet") as sink:
+        run(apart(network, NativeInstance), Options(stop=STOP, step=2.5e-4, events=EVENTS, sink=sink))
+    rows = [r for r in pq.read_table(tmp_path / "a.parquet").to_pylist() if r["row"] == "event"]
+    state = [r for r in rows if r["kind"] == "state"]
+    assert [r["component"] for r in state] == ["line"] * 3
+    assert [r["message"] for r in state] == [f"pole{i}.chop, closed[{i}] = 0" for i in (1, 3, 2)]
+    assert all(r["lost"] == -r["energy_jump"] == pytest.approx(L * CHOP**2 / 2, rel=1e-9) for r in state)
+    assert main(["audit", str(tmp_path / "a.parquet")]) == 0
+    assert "VIOLATED" not in capsys.readouterr().out
+
+
+def test_steps_that_are_halved_book_the_events_of_both_halves(network: Any) -> None:
+    """Explicit exchange books them as well; what it makes at its junctions is told there."""
+    models = {n: build_model(d, Collocated(1)) for n, d in network.declared.items()}
+    members: list[Any] = [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]
+    result = run(Coupled(network, members, GaussSeidel()), Options(stop=STOP, step=1e-5, events=EVENTS))
+    summary = result.ledger.summary()
+    assert summary.events["state"] == 3
+    assert all(c.verdict != "VIOLATED" for c in summary.components)
+
+
+def test_run_by_command(capsys: Any) -> None:
+    assert main(["run", "breaker_opening", "--coupling", "newton", "--stop", "0.03"]) == 0
+    out = capsys.readouterr().out
+    assert "3 state" in out and "VIOLATED" not in out
+
+
+def test_ideal_switches_are_refused_by_name_in_members_and_units(tmp_path: Path) -> None:
+    """Each of their modes is another plan."""
+    model = build_model(diode())
+    with pytest.raises(ValueError, match="member 'd' has ideal switches .*; leave out --coupling newton"):
+        EngineMember("d", model, None)
+    with pytest.raises(FMUError, match="has ideal switches .* units have one"):
+        export(model, tmp_path, ("3.0",), step=1e-3)
