@@ -34,7 +34,7 @@ class Step:
 class Solution:
     """Junction unknowns xi of a step and outputs y of the members under them; trials; by which test they were accepted.
 
-    `h`: of the last part of a step that was taken in parts, `earlier`: the ledger of those before it, `happened`: what did in them.
+    `h`: of the last part of a step that was taken in parts, `earlier`: the ledger of those before it, `happened`: what did there.
     `works`: energy of each unknown at its junction [J], None where that is h xi r.
     """
 
