@@ -75,8 +75,8 @@ def export(
     if model.modes is not None:
         names = ", ".join(s.name for s in model.modes.modes.switches[:4])
         raise FMUError(
-            f"{model.name}: has ideal switches ({names}), each mode of which is another plan; units have one. Export it with switches "
-            "that modulate the interconnection (breaker, ideal_diode), or run it with --engine native or python"
+            f"{model.name}: has ideal switches ({names}), each mode of which is another plan; units have one. Export it with "
+            "switches that modulate the interconnection (breaker, ideal_diode), or run it with --engine native or python"
         )
     if model.events is not None and (node_inputs or impulses):
         raise FMUError(
