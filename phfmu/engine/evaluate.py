@@ -45,7 +45,7 @@ class Stage:
     def take(self, *sources: Array) -> None:
         for taken, index, source in zip(self._taken, self._index, sources, strict=True):
             if len(index):
-                np.take(source, index, out=taken, mode="clip")  # no index is out of bounds: no check, no copy
+                source.take(index, out=taken, mode="clip")  # no index is out of bounds: no check, no copy
 
     def sums(self, h: float, size: int, *sources: Array) -> Array:
         """Per row the sum of the results at `sources`, each times its power of h."""
@@ -85,12 +85,17 @@ class Evaluator:
         self.rests, self.gap = plan.hold.rests.copy(), np.zeros(len(plan.hold))
         self._entry = {id(p): np.repeat(np.arange(p.nnz), np.diff(p.ptr)) for p in (plan.matrix, plan.derivative)}
 
+    @property
+    def resting(self) -> Array:
+        """Rows that are left out, and unknowns that are 0 for them."""
+        return self.plan.hold.of(self.rests)
+
     def residual(self, x: Array, v: Array, p: Array, h: float) -> Array:
         """R at (x, v, p, h); fills Y and V on the way."""
         plan, y = self.plan, self.Y
         y[: plan.nv] = v
         y[plan.nv :] = 0.0
-        y[plan.hold.of(self.rests)] = 0.0  # exactly, whatever rounding the factor leaves
+        y[self.resting] = 0.0  # exactly, whatever rounding the factor leaves
         y[plan.nv :] += self._stages[0].sums(h, plan.nz, x, y, p)
         r = np.bincount(plan.const_row, plan.const_val * h**plan.const_pow * y[plan.const_src], plan.nrow).astype(float)
         r += self._stages[1].sums(h, plan.nrow, x, y, p)
@@ -110,7 +115,9 @@ class Evaluator:
         """Values of A from the current slots; rows at rest have 1 on the diagonal."""
         lists = self.plan.matrix
         values = self.products(lists, h)
-        rests = np.isin(lists.row, self.plan.hold.of(self.rests))
+        if not self.rests.any():
+            return values
+        rests = np.isin(lists.row, self.resting)
         return np.where(rests, (lists.row == lists.col).astype(float), values)
 
     def products(self, lists: Products, h: float) -> Array:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ CRAWLING, CRAWL, SHRINKING = LIMITS["CRAWLING"], LIMITS["CRAWL"], LIMITS["SHRINK
 STALLS, GROWN, FLOOR, SUMS = LIMITS["STALLS"], LIMITS["GROWN"], LIMITS["FLOOR"], LIMITS["CONSTRAINT_SUMS"]
 DELTA, DELTA_PART, DEPENDENT = LIMITS["DELTA"], LIMITS["DELTA_PART"], LIMITS["DEPENDENT"]
 LEAST_DAMPING, ITERATIONS = LIMITS["LEAST_DAMPING"], int(LIMITS["NEWTON_ITERATIONS"])
+#: up to so many unknowns a full matrix is factored faster than a sparse one
+FULL = 128
 
 
 @dataclass
@@ -40,13 +43,21 @@ class Outcome:
     floor: float = 0.0
 
 
+@cache
+def _lapack() -> list[Callable[..., Any]]:
+    """Factor, and solve with factors."""
+    from scipy.linalg import get_lapack_funcs
+
+    return get_lapack_funcs(("getrf", "getrs"), dtype=np.float64)
+
+
 class Newton:
     """Solves R[0:nw](w) = 0 for one plan."""
 
     def __init__(self, evaluator: Evaluator):
         self.evaluator = evaluator
         self.plan = evaluator.plan
-        self._lu = None
+        self._factors: Callable[[Array], Array] | None = None
         self._scale = np.ones(self.plan.nw)
         #: factors without delta where there are pivots, see `bare_too`
         self.bare = False
@@ -93,21 +104,38 @@ class Newton:
 
     def _split(self, a: Array) -> bool:
         """LU of the matrix with entries a; False if a column cancels to rounding: it depends on the others."""
+        pivots = self._split_full(a) if 0 < self.plan.nw <= FULL else self._split_sparse(a)
+        if pivots is None:
+            return False
+        original = np.maximum.reduceat(np.abs(a), self.plan.colptr[:-1])
+        return bool((np.abs(pivots) > DEPENDENT * EPS * original).all())
+
+    def _split_full(self, a: Array) -> Array | None:
+        """Pivots of the columns, by LAPACK; None if singular."""
+        getrf, getrs = _lapack()
+        m, n = self.plan.matrix, self.plan.nw
+        full = np.zeros((n, n), order="F")
+        full[m.row, m.col] = a
+        lu, pivots, singular = getrf(full, overwrite_a=True)
+        self._factors = lambda r: getrs(lu, pivots, r)[0]
+        return None if singular else lu.diagonal()
+
+    def _split_sparse(self, a: Array) -> Array | None:
+        """Pivots of the columns, by SuperLU; None if singular."""
         from scipy.sparse.linalg import splu
 
-        plan = self.plan
         self._sparse.data[:] = a
         try:
-            self._lu = splu(self._sparse)
+            lu = splu(self._sparse)
         except RuntimeError:
-            return False
-        original = np.maximum.reduceat(np.abs(a), plan.colptr[:-1])
-        return bool((np.abs(self._lu.U.diagonal()[self._lu.perm_c]) > DEPENDENT * EPS * original).all())
+            return None
+        self._factors = lu.solve
+        return lu.U.diagonal()[lu.perm_c]
 
     def solve(self, r: Array) -> Array:
         """The Newton correction -A^-1 r with the last factor."""
-        assert self._lu is not None
-        return -self._lu.solve(self._scale * r)
+        assert self._factors is not None
+        return -self._factors(self._scale * r)
 
     def refined(self, r: Array, h: float) -> Array:
         """-A^-1 r, with one refinement that takes out the delta of the factor."""
@@ -118,7 +146,7 @@ class Newton:
         """Iterate from w until rounding, then polish once with the old factor."""
         plan, h = self.plan, fixed[3]
         w, last, stalls, grew = w.copy(), np.inf, 0, False
-        w[plan.hold.of(self.evaluator.rests)] = 0.0
+        w[self.evaluator.resting] = 0.0
         out = Outcome(Status.NO_CONVERGENCE, w)
         r = self.residual(w, fixed)
         for i in range(ITERATIONS):

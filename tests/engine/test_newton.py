@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import phfmu.engine
-from phfmu import NativeInstance, PythonInstance, Status, StepFailure, build_model
+from phfmu import PHDAE, NativeInstance, PythonInstance, Status, StepFailure, TwoLevel, build_model
 from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.engine import newton
 from phfmu.engine.limits import LIMITS
 from phfmu.schemes.named import named_scheme
+from phfmu.stress.mechanisms import doubled
 
 ENGINE = Path(phfmu.engine.__path__[0])
 ENGINES = (PythonInstance, NativeInstance)
@@ -75,3 +77,16 @@ def test_no_constant_of_the_solvers_stands_twice() -> None:
     shared = set(whole.pop(ENGINE / "runtime" / "step_limits.h"))
     assert {n for names in whole.values() for n in names} & shared == set()
     assert {(name, n) for name, n in python if n in c or n in LIMITS} == set()
+
+
+@pytest.mark.parametrize("declaration", [four_particle(), doubled()], ids=["four particles", "redundant bars"])
+def test_full_and_sparse_factors_lead_to_the_same_steps(declaration: PHDAE, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By LAPACK and by SuperLU, also where columns depend on each other."""
+    model, found = build_model(declaration, TwoLevel(1)), []
+    assert 0 < model.step.nw <= newton.FULL
+    for limit in (newton.FULL, 0):
+        monkeypatch.setattr(newton, "FULL", limit)
+        instance = PythonInstance(model)
+        found.append((instance.run(0.0, 0.01, 10, ("x",))["x"], instance.counts))
+    assert np.abs(found[0][0] - found[1][0]).max() <= 1e-13
+    assert found[0][1] == found[1][1]
