@@ -13,11 +13,13 @@ reports no energy) lies outside the balance: what it takes from a junction leave
 
 import math
 from dataclasses import replace
+from html import escape
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from phfmu.engine.steps import Steps
+from phfmu.words import counted
 
 from .block import Block, make_block
 from .booking import ESTIMATED, EXACT, LOOSE, Booking, PartKey
@@ -51,6 +53,15 @@ class Ledger:
         self._steps = 0
         self._t_start = self._t_end = math.nan
         self._events = EventCount()
+
+    def __repr__(self) -> str:
+        return f"<Ledger: {counted(self._steps, 'step')}, {self._t_start:g} to {self._t_end:g} s>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the table that `phfmu run` prints."""
+        from .report import audit_table
+
+        return f"<pre>{escape(audit_table(self.summary()))}</pre>"
 
     def add(
         self,

@@ -13,6 +13,7 @@ from typing import Any
 
 import casadi as ca
 
+from phfmu.declare import shown
 from phfmu.declare.block import Block
 from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
 from phfmu.declare.error import DeclarationError
@@ -25,7 +26,7 @@ from phfmu.declare.switch import Switch, renamed_switches
 from phfmu.declare.variable import Variable, _sx
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PHDAE:
     """A frozen declaration; lists of small terms, so that a network of models is a concatenation.
 
@@ -176,6 +177,12 @@ class PHDAE:
         close = get_close_matches(name, self.settable_names(), 5)
         hint = f"; did you mean {', '.join(close)}?" if close else ""
         return f"{self.name} has no parameter, state or input '{name}'{hint}"
+
+    def __repr__(self) -> str:
+        return f"<{shown.line(self)}>"
+
+    def _repr_html_(self) -> str:
+        return shown.table(self)
 
 
 #: field, type of its items, how they are made

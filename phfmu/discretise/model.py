@@ -21,6 +21,7 @@ from phfmu.discretise.scales import check_scales
 from phfmu.events.event_plan import EventPlan, event_plan
 from phfmu.events.modes import Modes
 from phfmu.events.polynomial import Polynomial
+from phfmu.html import grid
 from phfmu.plan.plan import Kernel, Plan
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.scheme import Scheme
@@ -37,7 +38,7 @@ R = TypeVar("R")
 CONSISTENCY = 1e-8
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Model:
     """Plans and start values of one declaration under one scheme.
 
@@ -67,6 +68,15 @@ class Model:
     events: EventPlan | None = None
     #: of a declaration with switches: the model of each mode; this one tells what they have in common, in the mode at the start
     modes: ModeModels | None = None
+
+    def __repr__(self) -> str:
+        return f"<Model {self.name}: {self.scheme.name}, order {self.scheme.order}; {repr(self.declaration)[1:-1]}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the scheme and the declaration."""
+        return grid(f"Model {self.name}", ("scheme", "order"), [(self.scheme.name, str(self.scheme.order))]) + (
+            self.declaration._repr_html_()
+        )
 
     @property
     def kernels(self) -> list[Kernel]:

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.html import grid
 from phfmu.network.junctions.network import Network
+from phfmu.words import counted
 
 if TYPE_CHECKING:
     from phfmu.fmu.reader import FMUInstance
@@ -22,7 +24,7 @@ class Event:
     value: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene:
     """What `phfmu run NAME` runs: stop time and step in seconds, events of the first kind; the grid lands on them.
 
@@ -38,6 +40,16 @@ class Scene:
     description: str = ""
     restart: int = 0
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        events = f", {counted(len(self.events), 'event')}" if self.events else ""
+        return f"<Scene {self.name}: {self.stop:g} s in steps of {self.step:g} s{events}; {repr(self.system)[1:-1]}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the run, its events, what is run."""
+        events = [(f"{e.t:g} s", e.name, f"{e.value:.6g}") for e in self.events]
+        run = f"{self.name}: {self.stop:g} s in steps of {self.step:g} s"
+        return grid(run, ("event at", "sets", "to"), events, self.description) + self.system._repr_html_()
 
     @property
     def units(self) -> dict[str, UnitFile]:

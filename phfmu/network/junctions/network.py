@@ -15,16 +15,17 @@ from typing import TYPE_CHECKING, Any
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.units import parse_unit
+from phfmu.html import grid
 from phfmu.network.junctions.compose import compose
 from phfmu.network.junctions.junction import ConnectionError, End, Junction, Kind
 from phfmu.network.junctions.wires import Wire, in_order, wires_between
-from phfmu.words import meant
+from phfmu.words import counted, meant
 
 if TYPE_CHECKING:
     from phfmu.fmu.unit_file import UnitFile
 
 
-@dataclass
+@dataclass(repr=False)
 class Network:
     """Members and junctions under construction; `compose()` turns them into one PHDAE.
 
@@ -37,6 +38,17 @@ class Network:
     description: str = ""
     #: signals between members, each after those it depends on at once
     wires: list[Wire] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        sizes = ((len(self.members), "member"), (len(self.junctions), "junction"), (len(self.wires), "signal"))
+        return f"<Network {self.name}: {', '.join(counted(n, noun) for n, noun in sizes if n) or 'empty'}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: members and what joins them."""
+        rows = [("member", name, getattr(m, "description", "") or m.name) for name, m in self.members.items()]
+        rows += [("junction", j.name, ", ".join(map(str, j.ends))) for j in self.junctions]
+        rows += [("signal", "", str(w)) for w in self.wires]
+        return grid(repr(self)[1:-1], ("", "name", ""), rows, self.description)
 
     def add(
         self, name: str, member: PHDAE | UnitFile | str | PathLike[str], ports: Mapping[str, Any] | None = None
