@@ -153,6 +153,24 @@ def ring(n: int) -> Outcome:
     return Outcome(text, r.balance <= 1e-11 and r.drift <= 1e-11 and momentum <= 1e-11)
 
 
+def star(n: int) -> Outcome:
+    """A mass at a junction of n ports, all others of springs: together one spring, of which the midpoint rule is known."""
+    from phfmu import Network
+    from phfmu.components.mechanical.translational import mass, spring
+
+    net, m, k, h, steps = Network("star"), 2.0, 40.0, 0.01, 100
+    net.add("hub", mass(m, v=1.0))
+    springs = [f"s{i}" for i in range(n - 1)]
+    for name in springs:
+        net.add(name, spring(k / len(springs)))
+    net.junction("centre", ["hub.flange", *(f"{name}.a" for name in springs)])
+    r = record(instance(net.compose()), h, steps)
+    turn = 2 * np.arctan(np.sqrt(k / m) * h / 2)
+    off = float(np.abs(r.x[:, 1] - np.cos(turn * np.arange(1, steps + 1))).max())
+    text = f"balance {r.balance:.1e}, energy {r.drift:.1e} H0, speed {off:.1e} m/s from the midpoint rule by hand; {effort(r)}"
+    return Outcome(text, r.balance <= 1e-11 and r.drift <= 1e-11 and off <= 1e-11)
+
+
 def apart() -> Outcome:
     """Two parts that share nothing, in one network: each as alone."""
     from phfmu import Network
@@ -204,6 +222,7 @@ CASES = (
     *(Case("mass", f"{m:g} kg on a spring, gain of a step", "h/2 / (m + k h2/4) to 1e-12", lambda m=m: light(m))
       for m in (1.0, 1e-6, 1e-12)),
     Case("mass", "no mass, no spring, no damper", "refused with a reason", nothing_moves),
+    Case("star", "a junction of 1000 ports", "balance, energy, midpoint rule <= 1e-11", lambda: star(1000), long=True),
     Case("ring", "closed ring of 100 masses and springs", "balance, energy, momentum <= 1e-11", lambda: ring(100)),
     Case("apart", "two parts that share nothing", "as each alone, 1e-13", apart),
     *(Case("wrong", label, "refused when made", lambda w=w: wrong(w)) for w, label in (

@@ -391,6 +391,7 @@ def test_info_and_check_know_scenes_with_units(folder: Path, capsys: pytest.Capt
     assert (
         "translational  input F; output v; work by q" in said and "String: 1 (label)" in said and "cart: mass" in said
     )
+    assert "order 2; pump is a unit of another tool, which takes held inputs" in said
     assert main(["info", str(folder / "pump.fmu")]) == 0
     assert "translational  input F; output v; work by q" in capsys.readouterr().out
     assert main(["check", str(path)]) == 0
@@ -425,3 +426,26 @@ def test_predictions_that_run_away_end_the_run_with_advice(
     assert (
         "what pump will do in a step is predicted, since it cannot take one back" in said and "smaller step" not in said
     )
+
+
+def test_members_that_hold_a_value_are_told_with_the_reason(tmp_path: Path) -> None:
+    """A two-level member, and a unit of this package without inputs at nodes."""
+    from phfmu.components.mechanical.multibody import Multibody
+    from phfmu.network.couplings.told import exchanged
+
+    body = Multibody("swing", dim=1)
+    tip = body.particle(1.0, [0.0], weight=False)
+    body.bar(tip, body.particle(1.0, [1.0], weight=False))
+    body.port("tip", tip)
+    (plain,) = export(build_model(replace(mass(1.0), name="plain")), tmp_path, ("3.0",), step=0.01)
+    net = Network("held")
+    net.add("swing", body.build())
+    net.add("other", replace(body.build(), name="other"))
+    net.add("plain", plain)
+    net.add("cart", mass(2.0))
+    net.junction("a", ["swing.tip", "other.tip"], kind="1")
+    net.junction("b", ["plain.flange", "cart.flange"])
+    told = exchanged(net)
+    assert told["a"].startswith("one held value")
+    assert "; swing is stepped by two-level, which takes the mean of its inputs over a step; other is" in told["a"]
+    assert told["b"].endswith("; plain was exported without inputs at nodes (--node-inputs, --order 4)")

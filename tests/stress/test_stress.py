@@ -220,3 +220,8 @@ def test_an_honest_unit_is_not_blamed_for_an_iteration_that_is_given_up(monkeypa
     with pytest.raises(StepFailure) as failure:
         units.lied_to(units.HONEST)
     assert not failure.value.unsteady and "restore" not in str(failure.value)
+
+
+def test_a_star_moves_as_one_spring():
+    found = coupled.star(40)
+    assert found.holds, found.happened

@@ -41,12 +41,23 @@ def exchanged(network: Network) -> dict[str, str]:
     out = {}
     for j in network.junctions:
         own = face.sums[j.name]
-        one = any(e.member in held for e in j.ends)
+        one = list(dict.fromkeys(e.member for e in j.ends if e.member in held))
         values, order = ("one held value", "2") if one else ("k values", "2k")
         pair = " and a pair of impulses" if own.start in found.columns else ""
         why = "" if pair else found.why.get(j.name)
-        out[j.name] = f"{values}, no impulses ({why})" if why else f"{values}{pair}, order {order}"
+        text = f"{values}, no impulses ({why})" if why else f"{values}{pair}, order {order}"
+        out[j.name] = "; ".join([text, *(_why_held(network, n) for n in one)])
     return out
+
+
+def _why_held(network: Network, member: str) -> str:
+    """Why a member takes one value a step."""
+    if member not in network.units:
+        scheme = default_scheme(network.declared[member]).name
+        return f"{member} is stepped by {scheme}, which takes the mean of its inputs over a step"
+    if network.units[member].interface.energy:
+        return f"{member} was exported without inputs at nodes (--node-inputs, --order 4)"
+    return f"{member} is a unit of another tool, which takes held inputs"
 
 
 def kicked(network: Network, projected: bool = False) -> set[str]:
