@@ -39,10 +39,10 @@ def rendered(lines: Sequence[str]) -> Iterator[str]:
 def escaped(line: str) -> str:
     """`code` becomes literal, all other marks of reStructuredText stay what they are."""
     parts = line.split("`")
-    literal = len(parts) % 2 == 1  # marks come in pairs
-    parts = parts if literal else [line]
+    parts = parts if len(parts) % 2 else [line]  # marks come in pairs
     marks = re.compile(r"([\\*`|_])")
-    return "".join(f"``{p}``" if i % 2 and p else marks.sub(r"\\\1", p) for i, p in enumerate(parts))
+    words = (f"\\ ``{p}``\\ " if i % 2 and p.strip() else marks.sub(r"\\\1", p) for i, p in enumerate(parts))
+    return "".join(words)
 
 
 def set_docstring(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
