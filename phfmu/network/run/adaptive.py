@@ -12,6 +12,7 @@ lower order (Radau IIA, Itoh-Abe; p < q = order of the estimate), steps keep tol
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -83,31 +84,55 @@ class Adaptive:
         `restart`: accept the damping solution of the pair (see `restart.py`) unless it would gain energy.
         ToleranceMissed, StepFailure: the stepper is at t.
         """
+        own, taken = self.stepper.instance, list[tuple[Steps | None, Steps]]()
+
+        def take(h: float, spent: list[float]) -> None:
+            damped, used = self._companion_step(t, h, restart)
+            spent.append(used)
+            steps = self.stepper.taken(own, t, h, 1)
+            spent.append(steps.spent)
+            taken[:] = [(damped, steps)]
+
+        goal, spent = self._accepted(t, end, take)
+        damped, steps = taken[0]
+        if damped is not None and not gains(damped):
+            own.continue_from(self.other)
+            steps = damped
+        return goal, replace(steps, iterations=np.array([spent]))
+
+    def sized(self, t: float, end: float) -> tuple[float, float]:
+        """Where one accepted step from t ends, and its iterations; guards are not looked at, and the step is not recorded."""
         own = self.stepper.instance
-        state, before, limit, spent = own.get_state(), own.x, GROW, 0.0
+
+        def take(h: float, spent: list[float]) -> None:
+            self.other.continue_from(own)
+            for instance in (self.other, own):
+                count = instance.counts["iterations"]
+                instance.step_exactly(t, h)
+                spent.append(float(instance.counts["iterations"] - count))
+
+        return self._accepted(t, end, take)
+
+    def _accepted(self, t: float, end: float, take: Callable[[float, list[float]], None]) -> tuple[float, float]:
+        """Steps that `take` takes with both schemes, shorter ones until the tolerance is met: where it ends, all iterations."""
+        own, spent = self.stepper.instance, list[float]()
+        state, before, limit = own.get_state(), own.x, GROW
         while True:
             h, goal = self._fitted(t, end)
             try:
-                damped, used = self._companion_step(t, h, restart)
-                spent += used
-                steps = self.stepper.taken(own, t, h, 1)
+                take(h, spent)
             except StepFailure as failure:
                 own.set_state(state)
                 self._shrink(t, h, SHRINK, failure)
                 continue
-            spent += steps.spent
             error, worst = self._error(before, own.x)
             if error <= 1.0:
-                break
+                self._grow(h, error, limit)
+                return goal, sum(spent)
             own.set_state(state)
             missed = ToleranceMissed(self.stepper.model.name, t, h, error, self._names[worst], self._advice(t))
             self._shrink(t, h, max(SHRINK, SAFETY * error ** (-1.0 / self.order)), missed)
             limit = 1.0
-        if damped is not None and not gains(damped):
-            own.continue_from(self.other)
-            steps = damped
-        self._grow(h, error, limit)
-        return goal, replace(steps, iterations=np.array([spent]))
 
     def _companion_step(self, t: float, h: float, wanted: bool) -> tuple[Steps | None, float]:
         """The trial of the other scheme, its rows if wanted, and its iterations."""

@@ -1,39 +1,68 @@
-"""Equal steps that end on the zeros of guards too, where state events happen."""
+"""Steps that end on the zeros of guards too, where state events happen: equal ones, or within a tolerance."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
+from phfmu.engine.steps import Steps
 from phfmu.events.happened import Happened
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.run.book import Book
-from phfmu.network.run.march import Pace, pieces
+from phfmu.network.run.march import Pace, goals, pieces
 from phfmu.network.run.options import Options
 from phfmu.network.run.rows import Row
 from phfmu.network.run.stretches import Stretch
 
+Array = NDArray[Any]
 Rows = Iterator[Row]
+Parts = Iterable[tuple[Array, Array, Steps | None, Happened | None]]
+
+CROWD = 3
+
+
+class Booked:
+    """Books landed steps and what happens at their end; their rows, with one before and one after each event."""
+
+    def __init__(self, stepper: Monolithic, book: Book):
+        self.stepper, self.book, self._words = stepper, book, Happenings(stepper.model)
+
+    def rows(self, parts: Parts, also: float = 0.0) -> Rows:
+        """Of parts that `Monolithic.land` yields; `also`: iterations of trials that are booked with the first step."""
+        try:
+            for begun, size, steps, happened in parts:
+                if steps is not None:
+                    if also and steps.iterations is not None:
+                        steps = replace(steps, iterations=steps.iterations + np.eye(1, len(size))[0] * also)
+                    also = 0.0
+                    self.book.add(begun, size, steps)
+                    yield begun + size, steps.signals, np.zeros(len(size), bool)
+                if happened is not None:
+                    yield self._happened(happened)
+        except StepFailure as failure:
+            self.book.failed(failure)
+            raise
+
+    def _happened(self, h: Happened) -> Row:
+        """Books it; the row after it."""
+        self.book.happened(self._words.told(h))
+        self.stepper.check_start()
+        return np.array([h.t]), h.signals[None], np.zeros(1, bool)
 
 
 class EventSteps:
-    """Grid steps of a model with state events; rows before and after each of them."""
+    """Grid steps of a model with state events."""
 
     def __init__(self, stepper: Monolithic, book: Book, options: Options):
-        for option, given in (
-            ("--rtol", options.rtol is not None),
-            ("--restart", options.restart > 0),
-            ("--dense", options.dense is not None),
-        ):
-            if given:
-                raise ValueError(f"{option} does not go with state events yet; take equal steps without it")
-        self.stepper, self.book, self.step = stepper, book, options.step
-        self._words = Happenings(stepper.model)
-        self._pace = Pace()
+        _require_fit(options)
+        self.stepper, self.step = stepper, options.step
+        self._booked, self._pace = Booked(stepper, book), Pace()
 
     def takes_inputs(self, name: str) -> bool:
         """Stretches end where an input changes."""
@@ -46,16 +75,7 @@ class EventSteps:
             first = 0
             while first < n:
                 count = min(self._pace.steps, n - first)
-                try:
-                    for begun, size, steps, happened in self.stepper.land(t, h, count, first, changed):
-                        if steps is not None:
-                            self.book.add(begun, size, steps)
-                            yield begun + size, steps.signals, np.zeros(len(size), bool)
-                        if happened is not None:
-                            yield self._happened(happened)
-                except StepFailure as failure:
-                    self.book.failed(failure)
-                    raise
+                yield from self._booked.rows(self.stepper.land(t, h, count, first, changed))
                 first, changed = first + count, False
                 self._pace.handed_over(count)
 
@@ -67,8 +87,72 @@ class EventSteps:
         """What was not as asked for, one line each."""
         return []
 
-    def _happened(self, h: Happened) -> Row:
-        """Books it; the row after it."""
-        self.book.happened(self._words.told(h))
-        self.stepper.check_start()
-        return np.array([h.t]), h.signals[None], np.zeros(1, bool)
+
+class AdaptiveEventSteps:
+    """Steps within a tolerance that end on events too.
+
+    A step is sized as without events.  Where one happens in it the step ends there: it is shorter than what was accepted and
+    needs no estimate, and the next one starts from there with the same size.  After `CROWD` steps in a row with events a
+    step is landed whole, with all of its events, so that those that pile up come to rest.
+    """
+
+    def __init__(self, stepper: Monolithic, book: Book, options: Options):
+        from phfmu.network.run.adaptive import Adaptive
+
+        _require_fit(options)
+        if stepper.model.declaration.switches:
+            raise ValueError("--rtol does not go with ideal switches yet; take equal steps without it")
+        assert options.rtol is not None
+        self.stepper, self.book, self.landing = stepper, book, options.landing
+        self._booked, self._adaptive = Booked(stepper, book), Adaptive(stepper, options, options.rtol)
+
+    def takes_inputs(self, name: str) -> bool:
+        """Steps of any length stop where an input changes."""
+        return False
+
+    def over(self, stretch: Stretch, event: bool) -> Rows:
+        """The rows in (start, end]; `event`: something changed at the start."""
+        t, crowd = stretch.start, 0
+        yield from self._booked.rows(self.stepper.land(t, 0.0, 1))  # what happens at once
+        self._adaptive.after_event()
+        for goal in goals(stretch.start, stretch.end, self.landing):
+            while t < goal:
+                before = self.stepper.instance.get_state()
+                try:
+                    end, spent = self._adaptive.sized(t, goal)
+                except StepFailure as failure:
+                    self.book.failed(failure)
+                    raise
+                self.stepper.instance.restore(before)
+                first = self._first(t, end)
+                self.stepper.instance.restore(before)
+                end, crowd = (end, 0) if first is None or crowd == CROWD else (first, crowd + 1)
+                yield from self._booked.rows(self.stepper.land(t, end - t, 1, 0, False), spent)
+                if first is not None:
+                    self._adaptive.after_event()
+                t = end
+
+    def _first(self, t: float, end: float) -> float | None:
+        """When something happens first in the step, None for nothing; as far as it does not fail."""
+        try:
+            parts = self.stepper.land(t, end - t, 1, 0, False)
+            return next((p[3].t for p in parts if p[3] is not None and t < p[3].t < end), None)
+        except StepFailure:
+            return None
+
+    def facts(self) -> dict[str, Any]:
+        """What the result says about the steps."""
+        a = self._adaptive
+        return {"rejected": a.rejected, "smallest": a.smallest, "largest": a.largest}
+
+    def notes(self) -> list[str]:
+        """What was not as asked for, one line each."""
+        return []
+
+
+def _require_fit(options: Options) -> None:
+    """ValueError for options that state events do not go with."""
+    given = {"--restart": options.restart > 0, "--dense": options.dense is not None, "--ecco": options.ecco is not None}
+    for option, there in given.items():
+        if there:
+            raise ValueError(f"{option} does not go with state events yet; leave it out")

@@ -11,7 +11,7 @@ import numpy as np
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.run.book import Book
-from phfmu.network.run.event_steps import EventSteps
+from phfmu.network.run.event_steps import AdaptiveEventSteps, EventSteps
 from phfmu.network.run.march import AdaptiveSteps, FixedSteps, monolithic
 from phfmu.network.run.options import Options
 from phfmu.network.run.result import Result
@@ -75,10 +75,12 @@ def run(stepper: Stepper, options: Options) -> Result:
     )  # fmt: skip
 
 
-def _march(stepper: Stepper, book: Book, options: Options) -> FixedSteps | AdaptiveSteps | EventSteps:
+def _march(
+    stepper: Stepper, book: Book, options: Options
+) -> FixedSteps | AdaptiveSteps | EventSteps | AdaptiveEventSteps:
     """How the run gets from event to event."""
     if isinstance(stepper, Monolithic) and stepper.model.events is not None:
-        return EventSteps(stepper, book, options)
+        return (AdaptiveEventSteps if options.adaptive else EventSteps)(stepper, book, options)
     return AdaptiveSteps(stepper, book, options) if options.adaptive else FixedSteps(stepper, book, options)
 
 

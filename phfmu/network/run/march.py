@@ -46,6 +46,17 @@ def pieces(start: float, end: float, h: float) -> Iterator[tuple[float, float, i
     yield start + n * h, end - (start + n * h), 1
 
 
+def goals(start: float, end: float, landing: float) -> Iterator[float]:
+    """Times in (start, end] that steps land on: multiples of `landing` after the start, and the end."""
+    if not np.isfinite(landing):
+        yield end
+        return
+    for t, h, n in pieces(start, end, landing):
+        for i in range(1, n + 1):
+            goal = t + i * h
+            yield end if abs(goal - end) <= 1e-9 * h else goal
+
+
 class Pace:
     """How many steps to take before their rows are handed over, from the wall time that steps took."""
 
@@ -161,7 +172,7 @@ class AdaptiveSteps:
         self.adaptive.after_event()
         times, rows, left, t = [start], [], self.restart if event else 0, start
         try:
-            for goal in self._goals(start, end):
+            for goal in goals(start, end, self.landing):
                 while t < goal:
                     t, steps = self.adaptive.advance(t, goal, left > 0)
                     self._wanted += left > 0
@@ -189,15 +200,6 @@ class AdaptiveSteps:
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""
         return _not_damped(self._wanted - self._restarted, self._wanted)
-
-    def _goals(self, start: float, end: float) -> Iterator[float]:
-        if not np.isfinite(self.landing):
-            yield end
-            return
-        for t, h, n in pieces(start, end, self.landing):
-            for i in range(1, n + 1):
-                goal = t + i * h
-                yield end if abs(goal - end) <= 1e-9 * h else goal
 
     def _booked(self, times: list[float], rows: list[Steps]) -> Row:
         steps, t = Steps.joined(rows), np.array(times)
