@@ -33,7 +33,7 @@ class Row:
     trials: float
 
 
-def coupled(network: Network, k: int, compiled: bool = True, same: bool = False) -> Stepper:
+def coupled(network: Network, k: int, compiled: bool = True, same: bool = False, threads: int = 1) -> Stepper:
     """Members under `Collocated(k)` in native engines; `same`: those of one name are alike and share a model."""
     from phfmu.discretise.model import build_model
     from phfmu.engine.native import NativeInstance
@@ -48,7 +48,7 @@ def coupled(network: Network, k: int, compiled: bool = True, same: bool = False)
         if own.name not in models:
             models[own.name] = build_model(own, Collocated(k))
         members.append(EngineMember(name, models[own.name], NativeInstance(models[own.name])))
-    return Coupled(network, members, compiled=compiled)
+    return Coupled(network, members, compiled=compiled, threads=threads)
 
 
 def composed(network: Network, k: int) -> Stepper:

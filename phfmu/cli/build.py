@@ -36,6 +36,10 @@ def job_of(args: argparse.Namespace) -> Job:
     name, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
     if asked_apart(args) and (name == "monolithic" or not isinstance(s.system, Network)):
         raise ValueError(f"{args.target}: --member and --parts are for members of a network that are stepped apart")
+    if name == "monolithic" and args.threads is not None:
+        raise ValueError(
+            f"--threads {args.threads} is for members that are stepped apart (--coupling newton); this is one model"
+        )
     if name == "monolithic":
         return job_whole.whole(args, s, s.declaration(), why)
     if not isinstance(s.system, Network):

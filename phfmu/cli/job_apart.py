@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from phfmu.cli.engines import as_fmu, engine_of, instance_of
 from phfmu.cli.job import Job, label
 from phfmu.cli.options import scheme_of
-from phfmu.cli.stepping import Stepping, engines_asked, parts_asked
+from phfmu.cli.stepping import Stepping, engines_asked, parts_asked, threads_asked
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
@@ -38,7 +38,7 @@ def apart(
     own_engines = {member: engine_of(e) for member, e in engines_asked(args, network).items()}
     stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, network))
     step = s.step if args.step is None else args.step
-    notes = list(why)
+    threads, notes = threads_asked(args), list(why)
 
     some_fmu = "fmu" in map(stepping.engine_of, schemes)
     with_impulses = kicked(network, args.project) if some_fmu and coupling.nodes else set()
@@ -65,7 +65,9 @@ def apart(
     def build() -> Stepper:
         from phfmu.network.couplings.coupled import Coupled
 
-        return Coupled(network, [member(name, d) for name, d in network.members.items()], coupling.make)
+        return Coupled(
+            network, [member(name, d) for name, d in network.members.items()], coupling.make, threads=threads
+        )
 
     most = _most(coupling, schemes.values(), network.units.values(), bool(network.wires))
     held = coupling.held if most <= coupling.order else f"units of order {most:g}"

@@ -16,11 +16,14 @@ ENGINES = ("auto", "python", "native", "fmu")
 
 
 def add_stepping(parser: argparse.ArgumentParser) -> None:
-    """--member, --parts."""
+    """--member, --parts, --threads."""
     parser.add_argument("--member", action="append", default=[], metavar="NAME=ENGINE",
                         help="the engine of one member of a network that is stepped apart; may be repeated")  # fmt: skip
     parser.add_argument("--parts", action="append", default=[], metavar="NAME=N",
                         help="internal steps that a member takes in each communication step; may be repeated")  # fmt: skip
+    parser.add_argument("--threads", type=int, metavar="N",
+                        help="threads that step the native members of a network; results do not depend on it (default: as many "
+                             "as pay)")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,13 @@ def parts_asked(args: argparse.Namespace, network: Network) -> dict[str, int]:
             raise ValueError(f"--parts {name}={text}: expected a number of internal steps from 1")
         out[name] = int(text)
     return out
+
+
+def threads_asked(args: argparse.Namespace) -> int | None:
+    """--threads; None: as many as pay.  ValueError below one."""
+    if args.threads is not None and args.threads < 1:
+        raise ValueError(f"--threads {args.threads}: expected a number of threads from 1")
+    return args.threads
 
 
 def _pairs(items: list[str], option: str, what: str, network: Network) -> dict[str, str]:

@@ -40,6 +40,7 @@ from phfmu.components.scenes.two_machine import two_machine
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings import master_library
 from phfmu.network.couplings.coupling import Coupling, Solution, Step
+from phfmu.network.couplings.crew import worth
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.master_pattern import Pattern, exchanged
 from phfmu.network.couplings.newton import Newton
@@ -177,6 +178,53 @@ def test_steps_start_from_what_the_last_ones_missed(k: int) -> None:
     stepper.check_start()
     iterations = stepper.advance(0.0, 2.5e-4, 40).iterations
     assert iterations is not None and iterations[5:].mean() <= 2.2 < 3.0 <= iterations[0]
+
+
+@pytest.mark.parametrize("make", [lambda: smib().system, lambda: coupling_bench.star(40)], ids=["smib", "star"])
+def test_threads_change_no_bit(make: Callable[[], Any]) -> None:
+    """However many step the members, more than there are processors too; their rows, books, trials and tests."""
+    found = []
+    for threads in (1, 2, 3):
+        stepper = coupling_bench.coupled(make(), 2, same=True, threads=threads)
+        stepper.check_start()
+        found.append(stepper.advance(0.0, 1e-3, 30))
+        made = stepper._master  # pyright: ignore[reportAttributeAccessIssue]
+        assert made.taken == 30 and made.threads == threads
+    for other in found[1:]:
+        for name in ("signals", "H", "iterations", "accepted_by", *BOOKS):
+            assert np.array_equal(getattr(found[0], name), getattr(other, name)), name
+
+
+def test_threads_are_started_where_they_pay() -> None:
+    """Not for trials below 50 us, for few steps, or where one member takes nearly all of the time."""
+    us = 1e-6
+    assert worth(np.full(40, 5 * us), 1000, 8) == 8 and worth(np.full(3, 50 * us), 1000, 8) == 3
+    assert worth(np.full(40, us), 1000, 8) == 1
+    assert worth(np.full(40, 5 * us), 4, 8) == 1
+    assert worth(np.array([100 * us, us, us]), 1000, 8) == 1
+    stepper = Coupled(pulled(), members(pulled(), 1))
+    stepper.check_start()
+    stepper.advance(0.0, 1e-3, 10)
+    assert stepper._master is not None and stepper._master.threads == 1
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_members_with_steps_of_their_own(k: int) -> None:
+    """Three internal steps of the machine, two of the line: rows and books are those of the loop in Python."""
+    net: Any = smib().system
+    found = []
+    for compiled in (True, False):
+        own = members(net, k)
+        for m in own:
+            m.parts = {"gen": 3, "line": 2}.get(m.name, 1)
+        stepper = Coupled(net, own, compiled=compiled)
+        stepper.check_start()
+        found.append(stepper.advance(0.0, 1e-3, 8))
+        assert not compiled or (stepper._master is not None and stepper._master.taken == 8)
+    one, two = found
+    scale = np.abs(two.H).sum()
+    assert np.abs(one.H - two.H).max() <= SAME * scale
+    assert all(np.abs(getattr(one, b) - getattr(two, b)).max() <= SAME * scale for b in BOOKS)
 
 
 def test_blocks_of_any_length_give_the_same_bits() -> None:

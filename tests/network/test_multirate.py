@@ -94,6 +94,8 @@ def test_engines_are_chosen_for_each_member(tmp_path: Any, capsys: pytest.Captur
         ("--member mass1", "expected NAME=ENGINE"),
         ("--parts mass1=0", "a number of internal steps from 1"),
         ("--parts mass1=2 --parts mass1=3", "--parts mass1=2 already"),
+        ("--threads 0 --coupling newton", "expected a number of threads from 1"),
+        ("--threads 2", "for members that are stepped apart (--coupling newton)"),
         ("--parts mass1=2 --coupling monolithic", "for members of a network that are stepped apart"),
     ],
 )

@@ -37,7 +37,8 @@ Array = NDArray[Any]
 class Coupled:
     """Members of a network, one per member, joined by a coupling; `last`: its junction unknowns for the step before.
 
-    `compiled`: False steps native members by the loop in Python, too, to compare.
+    `compiled`: False steps native members by the loop in Python, too, to compare.  `threads`: so many step native members
+    between them, None: as many as pay; results do not depend on it.
     """
 
     what, instead = "members stepped apart", "leave out --coupling newton, which composes them"
@@ -48,8 +49,9 @@ class Coupled:
         members: list[Member],
         coupling: Coupling | Callable[[Joined], Coupling] = newton,
         compiled: bool = True,
+        threads: int | None = None,
     ):
-        self._may_compile = compiled
+        self._may_compile, self._threads = compiled, threads
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
         closes = self.coupling.closes and not self.joined.put_off
@@ -69,13 +71,13 @@ class Coupled:
     def _master(self) -> Master | None:
         """The steps in compiled code, where there are such."""
         plain = self._may_compile and not self.joined.network.wires
-        if not plain or not all(isinstance(m, EngineMember) and m.parts == 1 for m in self.joined.members):
+        if not plain or not all(isinstance(m, EngineMember) for m in self.joined.members):
             return None
         if any(isinstance(m, EngineMember) and m.model.events is not None for m in self.joined.members):
             return None
         from phfmu.network.couplings.master import master
 
-        return master(self.joined, self.coupling, bool(self._works.keys))
+        return master(self.joined, self.coupling, bool(self._works.keys), self._threads)
 
     @property
     def units(self) -> dict[str, str]:

@@ -19,10 +19,11 @@ from phfmu.engine.structures import Structures
 from phfmu.network.couplings import newton
 from phfmu.network.couplings.acceptance import ITERATIONS
 from phfmu.network.couplings.coupling import Coupling, Solution
+from phfmu.network.couplings.crew import cores, crew, worth
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.master_library import HEADER, library
-from phfmu.network.couplings.master_pattern import Exchanged, Pattern, exchanged
+from phfmu.network.couplings.master_pattern import Exchanged, Part, Pattern, exchanged
 from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknowns
 from phfmu.network.couplings.unconverged import plain
 from phfmu.network.members.engine_member import EngineMember
@@ -33,14 +34,19 @@ Array = NDArray[Any]
 
 #: words for ph_accepted
 ACCEPTED = np.array(["", "energy", "rounding floor"])
+MEASURED = 4  # steps that tell how long a trial takes
+TRIALS = 2  # of a step, at least
 LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 
 
 class Master:
     """Compiled steps of `joined` under `coupling`; ledger rows and columns are those of `Coupled`."""
 
-    def __init__(self, joined: Joined, coupling: Coupling, found: Exchanged, works: bool):
+    def __init__(self, joined: Joined, coupling: Coupling, found: Exchanged, works: bool, threads: int | None = None):
         self.joined, self.coupling, self.found, self._works = joined, coupling, found, works
+        #: asked for, None: as many as pay;  used last
+        self._threads, self.threads = threads, 1
+        self._cost, self._measured = np.zeros(len(found.parts)), 0
         self._pattern, self._memory = Pattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs: list[Array] = []
@@ -56,8 +62,17 @@ class Master:
     def advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
         """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as go as usual, and the last of their solutions.
 
-        The members are at the end of these.
+        The members are at the end of these.  The first steps of a run tell how long a trial takes.
         """
+        if self._threads is None and not self._measured and n > MEASURED and cores() > 1:
+            one, last = self._advance(last, sums, grid, MEASURED)
+            if len(one.H) < MEASURED:
+                return one, last
+            two, last = self._advance(last, sums, (*grid[:2], grid[2] + MEASURED), n - MEASURED)
+            return Steps.joined([one, two]) if len(two.H) else one, last
+        return self._advance(last, sums, grid, n)
+
+    def _advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
         t0, h, first = grid
         e, s = self.found, self._struct
         next_ = self._begin(last, h)
@@ -69,8 +84,14 @@ class Master:
         works = np.empty((n, e.size)) if self._works else None
         s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
         s.work = None if works is None else works.ctypes.data
-        done = self._lib.ph_master_run(ctypes.addressof(s), t0, h, n, first, next_)
+        self.threads = self._crew_of(n)
+        with crew(self._lib, self.threads) as s.crew:
+            done = self._lib.ph_master_run(ctypes.addressof(s), t0, h, n, first, next_)
+        s.crew = None
         self.taken += done
+        if s.cost:
+            self._measured += int(trials.sum())
+            s.cost = None if self._measured else s.cost
         if done == 0:
             return Steps.stacked([]), last
         rows = self._steps([m[:done] for m in members], xi[:done], sums)
@@ -78,6 +99,12 @@ class Master:
             rows["works"] = works[:done, e.unpacked]
         solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
         return Steps(**rows, iterations=trials[:done], accepted_by=ACCEPTED[accepted[:done]]), solution
+
+    def _crew_of(self, n: int) -> int:
+        """Threads for n steps."""
+        if self._threads is not None:
+            return min(self._threads, len(self._cost))
+        return worth(self._cost / self._measured, TRIALS * n, cores()) if self._measured else 1
 
     def _begin(self, last: Solution, h: float) -> int:
         """Where the first step starts from; 1: the continuation of the step before, which is made there."""
@@ -144,12 +171,13 @@ class Master:
         values = {
             "calls": m.calls(handle.lib), "in": handle.instance, "kicks": kicks.address if kicks else None,
             "chain_calls": m.calls(chain.lib) if chain else None, "chain": chain.address if chain else None,
-            "nu": nu, "nq": plan.nq, "k": part.k, "ncomp": plan.ncomp, "nsignal": part.signals, "width": width,
+            "parts": part.member.parts, "nu": nu, "nq": plan.nq, "k": part.k, "ncomp": plan.ncomp,
+            "nsignal": part.signals, "width": width,
             "ninput": len(part.inputs), "nkick": part.kicks, "impulses": own, "ncol": len(part.col),
             "nrow": len(part.row), "nright": len(part.right), "nleft": len(part.left), "col": part.col, "row": part.row,
             "entry": self._pattern.entries[i], "input": part.inputs, "right_direction": part.right_direction,
             "right_col": part.right_col, "right": part.right, "left_output": part.left_output, "left_row": part.left_row,
-            "left": part.left, "bare": part.bare, "weights": part.weights,
+            "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
             "free": self.joined.free[self.joined.places[i]].ctypes.data,
             "outputs": start + 8 * layout["y_step"].start if part.held else handle.node_outputs,
             "signals": start, "energies": start + 8 * layout["H"].start, "end": start + 8 * layout["y_end"].start,
@@ -184,16 +212,26 @@ class Master:
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
             "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
             "found": self._last, "missed": self._missed[0], "missed_before": self._missed[1], "known": 0,
-            "lu": lu, "xi": None, "work": None, "trials": None,
+            "lu": lu, "crew": None,
+            "status": np.zeros(len(e.parts), np.int32), "cost": self._cost, "xi": None, "work": None, "trials": None,
             "accepted": None,
         }  # fmt: skip
 
 
-def master(joined: Joined, coupling: Coupling, works: bool = False) -> Master | None:
+def _jump_entries(part: Part, found: Exchanged) -> Array:
+    """Where the S of a member is among the blocks of all clusters, -1: at no bare node."""
+    cluster = np.searchsorted(found.cluster, part.bare, "right") - 1
+    at = np.where(part.bare >= 0, part.bare - found.cluster[cluster], -1)
+    width = np.diff(found.cluster)[cluster[part.bare >= 0][:1]] if len(part.bare) else 0
+    entries = found.square[cluster][:, None] + at[:, None] * width + at
+    return np.where((at[:, None] >= 0) & (at >= 0), entries, -1).astype(np.int32).ravel()
+
+
+def master(joined: Joined, coupling: Coupling, works: bool = False, threads: int | None = None) -> Master | None:
     """The compiled twin of a coupling; None for couplings, or members, that have none.
 
     What is done with steps that do not converge is done in Python, with these only.  `works`: whether energies of unknowns at
-    their junctions are wanted.
+    their junctions are wanted;  `threads`: None chooses.
     """
     coupling = plain(coupling)
     if not isinstance(coupling, newton.Newton | NodeNewton):
@@ -201,6 +239,6 @@ def master(joined: Joined, coupling: Coupling, works: bool = False) -> Master | 
     if not all(isinstance(m, EngineMember) and isinstance(m.instance, NativeInstance) for m in joined.members):
         return None
     try:
-        return Master(joined, coupling, exchanged(joined, coupling), works)
+        return Master(joined, coupling, exchanged(joined, coupling), works, threads)
     except StructurallySingular:  # the twin tells where
         return None

@@ -35,4 +35,8 @@ def library() -> ctypes.CDLL:
         integer,
         [pointer, *[ctypes.c_double] * 2, integer, ctypes.c_longlong, integer],
     )
+    lib.ph_crew_size.restype, lib.ph_crew_size.argtypes = ctypes.c_size_t, []
+    for name in ("ph_crew_init", "ph_crew_help", "ph_crew_end"):
+        function = getattr(lib, name)
+        function.restype, function.argtypes = None, [pointer]
     return lib

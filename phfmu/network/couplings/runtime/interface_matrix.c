@@ -55,11 +55,11 @@ int ph_matrix_take(ph_master *m) {
     ph_clear(m->a, m->nnz);
     for (int e = 0; e < m->nskew; e++)
         m->a[m->skew_entry[e]] += m->skew[e];
-    for (int i = 0; i < m->nshare; i++) {
-        status = ph_share_matrix(m, &m->shares[i]);
-        if (status)
-            return status;
-    }
+    status = ph_shares_along(m);
+    if (status)
+        return status;
+    for (int i = 0; i < m->nshare; i++)
+        ph_share_add_matrix(m, &m->shares[i]);
     status = ph_pair_root(m);
     if (status)
         return status;

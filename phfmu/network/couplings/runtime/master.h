@@ -15,6 +15,7 @@
 #define PH_MASTER_H
 
 #include "acceptance.h"
+#include "crew.h"
 #include "impulses.h"
 #include "phfmu.h"
 
@@ -24,7 +25,7 @@ typedef struct ph_calls {
     int (*load)(ph_instance *, const void *);
     int (*set_input)(ph_instance *, const double *);
     int (*set_node_inputs)(ph_instance *, const double *);
-    int (*step)(ph_instance *, double, double);
+    int (*step_parts)(ph_instance *, double, double, int);
     int (*refresh)(ph_instance *);
     int (*sensitivity)(ph_instance *, double *);
     int (*step_along)(ph_instance *, const ph_directions *);
@@ -47,7 +48,8 @@ typedef struct ph_share {
     ph_instance *chain; /* the instance with tangents; NULL: inputs are held */
     int nu;
     int nq;
-    int k; /* values of each input: its nodes, or 1 where they are held */
+    int parts; /* internal steps of a step */
+    int k;     /* values of each input: its nodes, or 1 where they are held */
     int ncomp;
     int nsignal;
     int width; /* nx+1+na */
@@ -68,7 +70,7 @@ typedef struct ph_share {
     const int *left_output;     /* nleft: row += value * output, of k*nu at nodes, then nu at the end */
     const int *left_row;        /* nleft */
     const double *left;         /* nleft */
-    const int *bare;            /* nkick: bare column of each impulse, or -1 */
+    const int *jump_entry;      /* nkick*nkick: entry in the blocks of S, or -1 */
     const double *weights;      /* k */
     const double *free;         /* nu: inputs besides those of junctions */
     const double *outputs;      /* k*nq, of the instance */
@@ -148,6 +150,9 @@ typedef struct ph_master {
     void *lu;      /* ph_lu with room for its parts behind it */
     double *xi;    /* a row a step: means of the common variables, ncolumn */
     double *work;  /* a row a step: energy of each unknown at its junction, nz; NULL: not wanted */
+    ph_crew *crew; /* threads that help, or NULL */
+    int *status;   /* nshare: of the parts of members */
+    double *cost;  /* nshare: seconds of their steps are added, NULL: nobody asks */
     int *trials;   /* a step each */
     int *accepted; /* a step each: ph_accepted */
 } ph_master;
@@ -188,10 +193,17 @@ void ph_continue_keep(ph_master *m, int ahead);
 /* work.c: what the accepted trial did at the junctions. */
 void ph_work_record(const ph_master *m, double h, int row);
 
-/* share.c */
-int ph_share_trial(ph_master *m, const ph_share *s, double t, double h, double *through);
-int ph_share_end(ph_master *m, const ph_share *s, double *S, double *sums);
-int ph_share_matrix(ph_master *m, const ph_share *s);
+/* shares.c: steps of all members, and their derivatives, by all threads. */
+int ph_shares_step(ph_master *m, double t, double h);
+int ph_shares_along(ph_master *m);
+
+/* share.c: of one member its step under z, alone, then what that adds to the rows; its derivatives, alone,
+ * then what they add to the matrix; what it adds to S and the sums where it is. */
+int ph_share_step(const ph_master *m, const ph_share *s, double t, double h);
+void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *through);
+int ph_share_along(const ph_share *s);
+void ph_share_add_matrix(ph_master *m, const ph_share *s);
+int ph_share_end(const ph_share *s, int nxi, double *S, double *sums);
 void ph_share_keep(const ph_share *s);
 int ph_share_restore(const ph_share *s);
 void ph_share_record(const ph_share *s, int row);

@@ -21,28 +21,28 @@ int ph_share_restore(const ph_share *s) {
     return s->calls->load(s->in, s->kept);
 }
 
-/* The bare columns of the cluster of b are neighbours in S. */
-static double *square(const ph_master *m, double *S, int a, int b) {
-    int c = 0;
-    while (m->cluster[c + 1] <= a)
-        c++;
-    return S + m->square[c] + (a - m->cluster[c]) * (m->cluster[c + 1] - m->cluster[c]) + b - m->cluster[c];
+static int look(const ph_share *s) {
+    int status = s->nkick ? s->calls->refresh(s->in) : PH_OK;
+    if (s->nkick && status == PH_OK)
+        s->calls->jump(s->kicks, s->jump);
+    return status;
 }
 
 /* sums += of outputs at the present time, S += of the jumps. */
-int ph_share_end(ph_master *m, const ph_share *s, double *S, double *sums) {
-    int status = s->nkick ? s->calls->refresh(s->in) : PH_OK;
-    if (!s->nkick || status)
-        return status;
-    for (int e = 0; e < s->nleft; e++)
+static void add_end(const ph_share *s, int nxi, double *S, double *sums) {
+    for (int e = 0; s->nkick && e < s->nleft; e++)
         if (s->left_output[e] >= s->k * s->nu)
-            sums[s->row[s->left_row[e]] - m->nxi] += s->left[e] * s->end[s->left_output[e] - s->k * s->nu];
-    s->calls->jump(s->kicks, s->jump);
-    for (int i = 0; i < s->nkick; i++)
-        for (int j = 0; j < s->nkick; j++)
-            if (s->bare[i] >= 0 && s->bare[j] >= 0)
-                *square(m, S, s->bare[i], s->bare[j]) += s->jump[i * s->nkick + j];
-    return PH_OK;
+            sums[s->row[s->left_row[e]] - nxi] += s->left[e] * s->end[s->left_output[e] - s->k * s->nu];
+    for (int i = 0; i < s->nkick * s->nkick; i++)
+        if (s->jump_entry[i] >= 0)
+            S[s->jump_entry[i]] += s->jump[i];
+}
+
+int ph_share_end(const ph_share *s, int nxi, double *S, double *sums) {
+    int status = look(s);
+    if (status == PH_OK)
+        add_end(s, nxi, S, sums);
+    return status;
 }
 
 static int step(const ph_share *s, double t, double h) {
@@ -51,10 +51,11 @@ static int step(const ph_share *s, double t, double h) {
         status = s->calls->set_impulses(s->kicks, s->s);
     if (status)
         return status;
-    return s->kicks ? s->calls->step_impulses(s->kicks, t, h, 1) : s->calls->step(s->in, t, h);
+    return s->kicks ? s->calls->step_impulses(s->kicks, t, h, s->parts)
+                    : s->calls->step_parts(s->in, t, h, s->parts);
 }
 
-int ph_share_trial(ph_master *m, const ph_share *s, double t, double h, double *through) {
+int ph_share_step(const ph_master *m, const ph_share *s, double t, double h) {
     const int kn = s->k * s->nu;
     int status;
     ph_clear(s->u, kn);
@@ -67,10 +68,12 @@ int ph_share_trial(ph_master *m, const ph_share *s, double t, double h, double *
     for (int i = 0; i < kn; i++)
         s->u[i] += s->free[i % s->nu];
     status = step(s, t, h);
-    if (status == PH_OK)
-        status = ph_share_end(m, s, m->S1, m->rows + m->nxi);
-    if (status)
-        return status;
+    return status ? status : look(s);
+}
+
+void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *through) {
+    const int kn = s->k * s->nu;
+    add_end(s, m->nxi, m->S1, m->rows + m->nxi);
     for (int i = 0; i < s->k; i++)
         for (int j = 0; j < s->nu; j++) {
             const double y = s->outputs[i * s->nq + j];
@@ -84,7 +87,6 @@ int ph_share_trial(ph_master *m, const ph_share *s, double t, double h, double *
             m->rows[r] += s->left[e] * y;
         m->size[r] += fabs(s->left[e]) * fabs(y);
     }
-    return PH_OK;
 }
 
 /* dy of held inputs, one value each. */
@@ -116,8 +118,7 @@ static int along(const ph_share *s) {
     return s->chain_calls->end_along(s->chain, &end);
 }
 
-/* Matrix += left (d outputs / d directions) right. */
-int ph_share_matrix(ph_master *m, const ph_share *s) {
+int ph_share_along(const ph_share *s) {
     const int all = s->ninput + 2 * s->nkick, kn = s->k * s->nu;
     int status;
     if (all == 0)
@@ -133,11 +134,15 @@ int ph_share_matrix(ph_master *m, const ph_share *s) {
         for (int d = 0; d < all; d++)
             to[d] += s->left[e] * from[d * (i < kn ? kn : s->nu)];
     }
-    for (int e = 0; e < s->nright; e++)
+    return PH_OK;
+}
+
+void ph_share_add_matrix(ph_master *m, const ph_share *s) {
+    const int all = s->ninput + 2 * s->nkick;
+    for (int e = 0; all && e < s->nright; e++)
         for (int r = 0; r < s->nrow; r++)
             m->a[s->entry[r * s->ncol + s->right_col[e]]] +=
                 s->across[r * all + s->right_direction[e]] * s->right[e];
-    return PH_OK;
 }
 
 void ph_share_record(const ph_share *s, int row) {

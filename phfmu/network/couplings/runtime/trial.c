@@ -28,7 +28,7 @@ int ph_trial_before(ph_master *m) {
     ph_clear(m->S0, m->square[m->ncluster]);
     ph_clear(m->sums, m->nbare);
     for (int i = 0; i < m->nshare; i++) {
-        int status = ph_share_end(m, &m->shares[i], m->S0, m->sums);
+        int status = ph_share_end(&m->shares[i], m->nxi, m->S0, m->sums);
         if (status)
             return status;
     }
@@ -49,11 +49,11 @@ int ph_trial_take(ph_master *m, double t, double h, ph_trial *found) {
         m->rows[m->skew_row[e]] += term;
         m->size[m->skew_row[e]] += fabs(term);
     }
-    for (int i = 0; i < m->nshare; i++) {
-        status = ph_share_trial(m, &m->shares[i], t, h, &found->through);
-        if (status)
-            return status;
-    }
+    status = ph_shares_step(m, t, h);
+    if (status)
+        return status;
+    for (int i = 0; i < m->nshare; i++)
+        ph_share_add_rows(m, &m->shares[i], h, &found->through);
     status = ph_pair_moved(m);
     if (status)
         return status;

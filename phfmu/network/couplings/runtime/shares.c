@@ -1,0 +1,56 @@
+/* What members do in a step each for itself, by all threads that help: with what comes of it in the order of
+ * the members, the results are the same bits whoever took which. */
+#define _POSIX_C_SOURCE 199309L
+#include <time.h>
+
+#include "master.h"
+#include "system.h"
+
+typedef struct step {
+    ph_master *m;
+    double t;
+    double h;
+} step;
+
+/* Of this thread where the system tells, so that what else the machine does counts for nothing. */
+static double seconds(void) {
+    struct timespec now;
+#ifdef CLOCK_THREAD_CPUTIME_ID
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+#else
+    timespec_get(&now, TIME_UTC);
+#endif
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+static void one_step(void *with, int i) {
+    const step *s = with;
+    ph_master *m = s->m;
+    const double before = m->cost ? seconds() : 0.0;
+    m->status[i] = ph_share_step(m, &m->shares[i], s->t, s->h);
+    if (m->cost)
+        m->cost[i] += seconds() - before;
+}
+
+static void one_along(void *with, int i) {
+    ph_master *m = with;
+    m->status[i] = ph_share_along(&m->shares[i]);
+}
+
+static int first_failure(const ph_master *m) {
+    for (int i = 0; i < m->nshare; i++)
+        if (m->status[i])
+            return m->status[i];
+    return PH_OK;
+}
+
+int ph_shares_step(ph_master *m, double t, double h) {
+    step s = {m, t, h};
+    ph_crew_each(m->crew, m->nshare, one_step, &s);
+    return first_failure(m);
+}
+
+int ph_shares_along(ph_master *m) {
+    ph_crew_each(m->crew, m->nshare, one_along, m);
+    return first_failure(m);
+}
