@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -18,6 +19,7 @@ from hypothesis.extra.numpy import arrays
 import phfmu as ph
 from phfmu import PHDAE, Collocated, NativeInstance, Port, PythonInstance, block, build_model, check, energy
 from phfmu.gradients.gradient_names import GRADIENTS
+from tests.wide import wide
 
 N = 4  # states x (2) and y (2)
 
@@ -43,12 +45,18 @@ STRUCTURES = {
 }
 SCHEMES = {f"order {2 * k}": Collocated(k) for k in (1, 2, 3)}
 SCHEMES |= {g: Collocated(1, gradient=g) for g in GRADIENTS if g != "per-term"}
-#: cases of both engines; by default order 4 where J, R and E vary
-COMPILED = [
-    pytest.param(n, o, marks=[] if o == "order 2" or (o, n[-7:]) == ("order 4", "varying") else pytest.mark.slow)
-    for o in ("order 2", "order 4", "order 6")
-    for n in STRUCTURES
-]
+#: cases of both engines
+COMPILED = wide(
+    product(STRUCTURES, ("order 2", "order 4", "order 6")),
+    *(("ode", "order 2"), ("index 1 strain", "order 2"), ("index 1 varying", "order 4")),
+)
+#: each structure and each scheme
+CLOSED = wide(
+    product(STRUCTURES, SCHEMES),
+    *product(("index 1 varying",), SCHEMES),
+    *product(STRUCTURES, ("order 2",)),
+    *(("index 1 strain", "order 6"), ("ode strain", "order 4")),
+)
 STEP = 0.05
 PHASES = [Phase.explicit, Phase.reuse, Phase.generate]  # 150 coefficients are not worth shrinking
 
@@ -173,8 +181,7 @@ def gap(rows) -> np.ndarray:
     return np.abs(total) / (1e-3 + moved)
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize(("name", "scheme"), CLOSED)
 @settings(max_examples=6, deadline=None, phases=PHASES)
 @given(p=numbers, x=starts, seed=seeds)
 def test_every_scheme_closes_the_balance(name, scheme, p, x, seed):
@@ -226,7 +233,7 @@ def mutant(model: PHDAE, rule: str, i: int, j: int, size: float) -> PHDAE:
 
 
 @pytest.mark.parametrize("rule", ["skew", "symmetry", "passivity"])
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", wide(STRUCTURES, "ode", "index 1 varying"))
 @settings(max_examples=4, deadline=None, phases=PHASES)
 @given(p=numbers, x=starts, place=st.tuples(st.integers(0, 3), st.integers(0, 3)), size=st.floats(0.01, 10.0))
 def test_check_catches_mutants(name, rule, p, x, place, size):

@@ -42,6 +42,7 @@ from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.variables import FMUError, variables
 from phfmu.network.junctions.network import Network
 from phfmu.schemes.collocated import Collocated
+from tests.wide import wide
 
 HERE = Path(__file__).parent
 SCHEMA = Path(str(fmpy.__file__)).parent / "schema" / "fmi3"
@@ -91,6 +92,8 @@ MODELS = {
     "four_particle": (four_particle, None, 1e-2),
     "chain": (chain, None, 1e-3),
 }
+#: with parameters, with ports of many entries, with constraints
+QUICK = ("mass", "line", "four_particle")
 
 
 def build(name: str) -> tuple[PHDAE, Model, float]:
@@ -115,7 +118,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory):
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", wide(MODELS, *QUICK))
 def test_units_are_valid(exported, name: str, version: str) -> None:
     path = exported(name)[3][version]
     assert validate_fmu(str(path)) == []
@@ -133,7 +136,7 @@ def test_units_are_valid(exported, name: str, version: str) -> None:
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", wide(MODELS, *QUICK))
 def test_unit_equals_the_engines(exported, name: str, version: str) -> None:
     declaration, model, h, paths = exported(name)
     n, nu = 100, model.step.nu

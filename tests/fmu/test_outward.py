@@ -22,6 +22,7 @@ from phfmu.components.mechanical.translational import mass, spring
 from phfmu.fmu import FMUError, FMUInstance
 from phfmu.fmu.manifest import PATH
 from phfmu.network.members.fmu_member import FMUMember
+from tests.wide import wide
 
 pytestmark = pytest.mark.usefixtures("compiler")
 VERSIONS = ("2.0", "3.0")
@@ -171,7 +172,7 @@ def coupled(net: Network, folder: Path, outward: dict[str, list[str]], version: 
     return Coupled(net, members)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
 @pytest.mark.parametrize(
     ("net", "units", "outward", "event"),
     [

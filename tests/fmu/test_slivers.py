@@ -18,6 +18,7 @@ from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.fmu import sources
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.variables import variables
+from tests.wide import slow
 
 HERE = Path(__file__).parent
 ENGINES = (PythonInstance, NativeInstance)
@@ -95,7 +96,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=() if n in ("four_particle", "heavy_top", "smib") else pytest.mark.slow)
+        n if n == "four_particle" else slow(n)
         for n in LIBRARY
         if not n.endswith(("breaker", "breaker_opening", "fault", "ball", "diode"))  # state events, in no unit yet
     ],

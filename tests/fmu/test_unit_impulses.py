@@ -17,6 +17,7 @@ from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.refusal import UnitFailure
 from phfmu.fmu.variables import FMUError
 from tests.engine.test_impulses import body, stiffening
+from tests.wide import wide
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
@@ -56,7 +57,7 @@ def drawn(model: Model, n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("k", [1, 2])
+@pytest.mark.parametrize("k", wide([1, 2], 2))
 def test_steps_energies_and_derivatives_are_those_of_the_engine(units: Any, version: str, k: int) -> None:
     """Over one and several internal steps, with impulses, to rounding."""
     model = model_of("synchronous_machine", k)
@@ -114,7 +115,7 @@ def test_derivatives_are_the_differences_of_steps(units: Any, version: str) -> N
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("k", [1, 2])
+@pytest.mark.parametrize("k", wide([1, 2], 2))
 def test_without_impulses_a_unit_gives_the_bits_of_one_that_has_none(units: Any, version: str, k: int) -> None:
     """Never set, and set to the declared 0; through saved states."""
     names = ["terminal.i[1]", "terminal.i_step[2]", "flux[4]", "theta", "energy.stored", "energy.residual"]

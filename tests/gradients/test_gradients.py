@@ -17,6 +17,7 @@ from hypothesis.extra.numpy import arrays
 from phfmu import discrete_gradient, strain_energy
 from phfmu.gradients import gradients
 from phfmu.gradients.quadrature import gauss, nodes
+from tests.wide import wide
 
 EPS = np.finfo(float).eps
 LEAST = np.finfo(float).smallest_subnormal  # what a product of such small numbers loses, whatever they are
@@ -50,6 +51,17 @@ SMOOTH = ("exponential", "pendulum", "strain_root", "strain_exp")  # not polynom
 CASES = [("quadratic", "quadratic"), *(("strain", n) for n in STRAIN), *(("general", n) for n in GENERAL)]
 CASES_AND_ORDERS = [(rule, name, k) for rule, name in CASES for k in ORDERS]
 CASES_AND_ORDERS += [("joint", name, 1) for name in ENERGIES]
+#: each rule with energies that are polynomials and such that are not, each order
+CASES_AND_ORDERS = wide(
+    CASES_AND_ORDERS,
+    *(("quadratic", "quadratic", k) for k in ORDERS),
+    *(
+        ("strain", name, k)
+        for name, k in (("strain_cubic", 1), ("strain_product", 2), ("strain_exp", 2), ("strain_root", 3))
+    ),
+    *(("general", name, k) for name, k in (("pendulum", 1), ("sextic", 2), ("exponential", 2), ("quartic", 3))),
+    *(("joint", name, 1) for name in ("quartic", "pendulum", "strain_linear")),
+)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from phfmu import (
     state,
 )
 from phfmu.importers import matrices
+from tests.wide import wide
 
 Array = np.ndarray
 
@@ -113,7 +114,7 @@ def test_names_units_and_ports_are_those_given() -> None:
     assert check(plain, strict=True) == []
 
 
-@pytest.mark.parametrize("seed", [None, 1])
+@pytest.mark.parametrize("seed", wide([None, 1], 1))
 def test_a_long_chain_keeps_its_equations_and_short_code(seed: int | None) -> None:
     """Springs of 200 masses as a sum: the same rates as the matrices, few functions, none of them long."""
     k = 200
@@ -241,7 +242,7 @@ def test_all_that_is_wrong_is_told_at_once() -> None:
     assert [(p.entry, p.rule) for p in error.value.problems] == [("linear: J", "skew"), ("linear: R", "symmetry")]
 
 
-@pytest.mark.parametrize("k", [5, 300])
+@pytest.mark.parametrize("k", wide([5, 300], 5))
 def test_one_damper_of_the_wrong_sign_is_found_in_a_chain(k: int) -> None:
     """Small parts are diagonalised, large ones factorised: both name the masses beside the damper."""
     s = chain(k)

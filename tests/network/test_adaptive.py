@@ -32,6 +32,7 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.network.run.adaptive import ToleranceMissed
+from tests.wide import wide
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 
@@ -87,7 +88,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", wide(CASES, "circuit, order 4", "circuit, radau 3", "four_particle, order 2"))
 def test_the_error_is_proportional_to_the_tolerance_and_of_its_size(case):
     (declaration, exact, stop), scheme, tolerances, bound = CASES[case]
     d = declaration()

@@ -43,6 +43,7 @@ from phfmu.schemes.midpoint import Midpoint
 from phfmu.schemes.radau import Radau
 from phfmu.schemes.two_level import TwoLevel
 from phfmu.signals import SUM
+from tests.wide import wide
 
 
 def members(net: Network, k: int, engine: Any = PythonInstance, **others: Any) -> list[Any]:
@@ -91,8 +92,8 @@ CASES = [
         scene, k, engine, marks=() if (k, engine) in quick else WIDE, id=f"{scene.__name__}-{k}-{engine.__name__}"
     )
     for scene, quick in (
-        (smib_scene, ((1, PythonInstance), (2, NativeInstance))),
-        (fault_scene, ((2, NativeInstance), (3, NativeInstance))),
+        (smib_scene, ((1, PythonInstance),)),
+        (fault_scene, ((2, NativeInstance),)),
     )
     for k in (1, 2, 3)
     for engine in (PythonInstance, NativeInstance)
@@ -188,7 +189,7 @@ def _joined_pairs(joined: Joined) -> list[int]:
     return [i for i, p in enumerate(joined.booking.ports) if p.junction]
 
 
-@pytest.mark.parametrize("stiffness", [1e2, 1e6, 1e10])
+@pytest.mark.parametrize("stiffness", wide([1e2, 1e6, 1e10], 1e10))
 def test_a_stiff_spring_without_force_is_solved_to_rounding(stiffness: float) -> None:
     """Two equal masses that move together: the force between them is only rounding, its rows never get small against it."""
     w = 2 * np.pi

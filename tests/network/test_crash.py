@@ -18,6 +18,7 @@ import pytest
 from phfmu.audit import AuditWriter, read, recover, summarise
 from phfmu.cli import main
 from phfmu.network.run import march
+from tests.wide import slow, wide
 
 LOST = 0.6  # s, what a kill may cost
 
@@ -121,7 +122,7 @@ def lost(run: Started, killed: float) -> float:
 # -- kill -9 -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["python", "newton"])
+@pytest.mark.parametrize("kind", wide(["python", "newton"], "python"))
 def test_kill_loses_a_moment(started: Callable[[str], Started], kind: str, compiler: None) -> None:
     run = started(RUNS[kind])
     run.wait_for(1.5)
@@ -129,7 +130,7 @@ def test_kill_loses_a_moment(started: Callable[[str], Started], kind: str, compi
     assert code == -signal.SIGKILL and lost(run, at) <= LOST
 
 
-@pytest.mark.parametrize("table", ["o.csv", "o.parquet"])
+@pytest.mark.parametrize("table", wide(["o.csv", "o.parquet"], "o.csv"))
 def test_recover_tells_where_the_table_is(
     started: Callable[[str], Started], table: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,7 +174,8 @@ def test_log_is_readable_from_the_start(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "number, code, table", [(signal.SIGINT, 130, "o.csv"), (signal.SIGTERM, 143, "o.parquet"), (signal.SIGHUP, 129, "")]
+    "number, code, table",
+    [(signal.SIGINT, 130, "o.csv"), slow((signal.SIGTERM, 143, "o.parquet")), slow((signal.SIGHUP, 129, ""))],
 )
 def test_signals_end_a_run_well(started: Callable[[str], Started], number: int, code: int, table: str) -> None:
     run = started(RUNS["python"] + (f" -o {table}" if table else ""))
@@ -290,7 +292,7 @@ raise SystemExit(main(sys.argv[1:]))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits to the size of files")
-@pytest.mark.parametrize("option, file", [("-o", "o.csv"), ("-o", "o.parquet"), ("--audit", "a.parquet")])
+@pytest.mark.parametrize("option, file", [("-o", "o.csv"), slow(("-o", "o.parquet")), ("--audit", "a.parquet")])
 def test_a_full_disk_keeps_whole_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, file: str, compiler: None
 ) -> None:
@@ -314,7 +316,7 @@ def test_a_full_disk_keeps_whole_rows(
 # -- blocks --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("line", ["drive --engine native --step 1e-4", "oscillator --engine python --step 3e-4"])
+@pytest.mark.parametrize("line", ["drive --engine native --step 1e-4", slow("oscillator --engine python --step 3e-4")])
 def test_results_do_not_depend_on_the_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str) -> None:
     """Blocks are cut by wall time; every number, the time included, is the same bits however they are cut."""
     found = []

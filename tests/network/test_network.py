@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import cycle
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.run.result import Result
+from tests.wide import wide
 
 PHASES = (1.0, -0.5, -0.5)
 ENGINES = {"python": PythonInstance, "native": NativeInstance}
@@ -153,7 +154,7 @@ def test_inconsistent_starts_are_refused(net: Network, words: tuple[str, str, st
         assert np.array_equal(stepper.energies(), before)
 
 
-@pytest.mark.parametrize("what", ["line", "capacitor", "both"])
+@pytest.mark.parametrize("what", wide(["line", "capacitor", "both"], "both"))
 def test_resistors_at_a_bus(what: str) -> None:
     """Three resistors with an inductive line, a capacitor, or both: the parallel resistance decides."""
     parts = {f"r{i}": rlc_load(R=float(i)) for i in (1, 2, 3)}
@@ -220,11 +221,17 @@ SCENES = {
     "two_machine": (lambda: two_machine(t_fault=0.01, t_clear=0.02015), 0.025, 2e-4),
 }
 MIXED = "native python fmu"
-WAYS = [(n, k) for n in SCENES for k in ("native", MIXED)]
-WAYS += [("oscillator", "python"), pytest.param("drive", "python", marks=pytest.mark.slow)]
+WAYS = [*product(SCENES, ("native", MIXED)), ("oscillator", "python"), ("drive", "python")]
+QUICK = [
+    ("oscillator", "native"),
+    ("drive", "native"),
+    ("two_machine", "native"),
+    ("oscillator", MIXED),
+    ("smib", MIXED),
+]
 
 
-@pytest.mark.parametrize("name, kinds", WAYS)
+@pytest.mark.parametrize("name, kinds", wide(WAYS, *QUICK))
 def test_coupled_is_composed(name: str, kinds: str, tmp_path: Path) -> None:
     """Members in Python, compiled, and as units in one network; events fall between the grid points.
 

@@ -28,6 +28,7 @@ from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
 from phfmu.network.junctions.interface import interface
+from tests.wide import wide
 
 
 def quartic_on_cosh() -> Network:
@@ -227,7 +228,7 @@ def composed(case, k):
     return np.array(x), np.maximum(np.abs(x).max(axis=0), nominal)
 
 
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 @pytest.mark.parametrize("case", CASES)
 def test_coupled_at_order_2k_they_are_the_composed_model(case, k):
     make, h, n, factors, bare = CASES[case]

@@ -20,6 +20,7 @@ from phfmu.fmu.variables import FMUError
 from phfmu.network.junctions.junction import ConnectionError
 from phfmu.network.members.unit_member import tried, unit_member
 from tests.fmu import foreign
+from tests.wide import wide
 
 VERSIONS = ["2.0", "3.0"]
 SIDECAR = '[flange]\neffort = "F"\nflow = "v"\nsign = 1\n'
@@ -144,7 +145,7 @@ def test_values_before_the_start_are_set_by_name(folder: Path, run: Cli, capsys:
     assert "no parameter, state or input 'pump.mm'; did you mean" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
 @pytest.mark.parametrize(
     "forgets, said_of_it",
     [
@@ -201,7 +202,7 @@ def test_what_a_prediction_misses_is_booked_and_shrinks_with_the_step(folder: Pa
 KILO = '<UnitDefinitions><Unit name="kilonewton"><BaseUnit kg="1" m="1" s="-2" factor="1000"/></Unit></UnitDefinitions>'
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
 @pytest.mark.parametrize("how", ["defined", "told", "terminal"])
 def test_units_and_signs_of_the_variables_are_converted(folder: Path, run: Cli, version: str, how: str) -> None:
     """A force of 1 kN that the unit takes for 1 moves a mass of 1 as 1 N moves one of 1 g; so with force and sign turned."""
@@ -309,7 +310,7 @@ def test_a_unit_that_breaks_its_process_ends_the_run_and_no_more(
     assert "pump" in capfd.readouterr().out
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", wide(VERSIONS, "2.0"))
 def test_an_isolated_unit_gives_the_same_bits_and_its_output_goes_to_stderr(
     isolated: Path, tmp_path: Path, version: str, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,6 +23,7 @@ from phfmu.plan.ordering import StructurallySingular, elimination_order
 from phfmu.plan.planner import make_plan
 from phfmu.plan.spec import Spec
 from phfmu.terms.extract import extract
+from tests.wide import wide
 
 SEEDS, EL = range(4), ph.ELECTRICAL
 
@@ -146,7 +147,7 @@ def assert_plan_is_the_derivative(plan, model, seed, h):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 1, 2))
 def test_matrix_of_a_random_model_is_the_derivative_of_its_residual(seed, k):
     model = random_plan(seed, k)
     assert_plan_is_the_derivative(model.step, model, seed, 0.13)
@@ -210,7 +211,7 @@ def test_sensitivity_is_the_derivative_of_the_step_map(seed, k):
     assert instance.sensitivity() == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("k", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 1))
 def test_sensitivity_of_the_native_engine_is_the_derivative_of_the_step_map(k):
     instance, u, h, expected = step_map(0, k)
     native = ph.NativeInstance(instance.model)

@@ -192,6 +192,7 @@ def _times(b: object, n: int, matrix: np.ndarray) -> object:
     return ca.mtimes(ca.SX(b) if ca.SX(b).numel() > 1 else ca.SX(b) * ca.SX.eye(n), ca.DM(matrix))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_abc_flux_machine() -> None:
     """H depends on the angle: corrected gradient there, the node stays exact."""
     found = np.array([errors(h, Collocated(2), smib(coordinates="abc-flux")) for h in (5e-4, 2.5e-4)])

@@ -32,6 +32,7 @@ from phfmu.engine.steps import balance
 from phfmu.gradients.quadrature import nodes, radau_nodes
 from phfmu.network.run.restart import Restart
 from phfmu.schemes.named import named_scheme
+from tests.wide import wide
 
 ENGINES = (PythonInstance, NativeInstance)
 
@@ -91,7 +92,7 @@ def circuit_end(t):
     return solve_ivp(rate, (0.0, t), (0.9, -0.4), method="DOP853", rtol=3e-14, atol=1e-15).y[:, -1]
 
 
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2, 3))
 def test_index_one_circuit_has_order_2k_minus_1_and_closes_with_its_loss(k):
     instance, exact, errors = PythonInstance(build_model(circuit(), Radau(k))), circuit_end(2.0), []
     steps = {1: (200, 400, 800), 2: (20, 40, 80), 3: (8, 16, 32)}[k]

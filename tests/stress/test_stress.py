@@ -14,6 +14,7 @@ from phfmu.stress import coupled, couplings, linkage, machine, matrix, particles
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
 from phfmu.words import counted
+from tests.wide import wide
 
 
 def case(measure):
@@ -142,9 +143,13 @@ def test_flat_linkage_keeps_its_branch():
     assert found.holds, found.happened
 
 
-def test_redundant_constraints_are_supported():
-    found = [answer(c) for name in ("frame", "doubled", "hinge") for c in matrix.cases(name)]
-    assert {line.verdict for line in found} == {Verdict.PASS} and len(found) == 12
+@pytest.mark.parametrize("name", wide(["frame", "doubled", "hinge"], "frame"))
+def test_redundant_constraints_are_supported(name):
+    found = [answer(c) for c in matrix.cases(name)]
+    assert {line.verdict for line in found} == {Verdict.PASS} and len(found) == 4
+
+
+def test_rows_that_rest_take_the_way_back():
     cases = {c.name: c for c in matrix.cases("bricard")}
     back = answer(cases["150 steps of 0.01 s and back, order 6"])
     assert len(cases) == 5 and back.verdict is Verdict.PASS, back.happened
