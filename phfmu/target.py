@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +59,7 @@ def scene(target: str) -> Scene:
     raise TargetError(f"{target} gives a {type(item).__name__}; expected a PHDAE, a Network or a Scene")
 
 
-def _functions(path: Path) -> list[str]:
+def functions(path: Path) -> list[str]:
     """Functions of a file that can be called without arguments, found without running it."""
     import ast
 
@@ -73,7 +75,7 @@ def _functions(path: Path) -> list[str]:
 
 def _choices(path: Path) -> str:
     """The targets that a file may hold."""
-    return " or ".join(f"{path}:{name}" for name in _functions(path)) or f"{path}:function"
+    return " or ".join(f"{path}:{name}" for name in functions(path)) or f"{path}:function"
 
 
 def _from_file(target: str) -> Any:
@@ -86,7 +88,7 @@ def _from_file(target: str) -> Any:
     path = Path(path_text)
     if not path.is_file():
         raise TargetError(f"no file '{path_text}'")
-    if not function and len(only := _functions(path)) == 1:
+    if not function and len(only := functions(path)) == 1:
         function = only[0]
     if not function:
         raise TargetError(f"say which function of {path.name} builds the model: {_choices(path)}")
@@ -96,7 +98,7 @@ def _from_file(target: str) -> Any:
     module = importlib.util.module_from_spec(spec)
     sys.modules[module.__name__] = module
     try:
-        with seen_from(path.parent):
+        with seen_from(path.parent), modules_beside(path):
             spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise TargetError(f"{_place(path, error)}: {_said(error)}") from error
@@ -107,10 +109,43 @@ def _from_file(target: str) -> Any:
     if not callable(found):
         return found
     try:
-        with seen_from(path.parent):
+        with seen_from(path.parent), modules_beside(path):
             return found()
     except (Exception, SystemExit) as error:
         raise TargetError(f"{_place(path, error)}, {function}: {_said(error)}") from error
+
+
+@contextmanager
+def modules_beside(file: Path) -> Iterator[None]:
+    """Within the block modules in the folder of `file` can be imported, if no other has their name.
+
+    They are forgotten at its end: targets of other folders may have modules of the same names, and files change.
+    """
+    import sys
+    from importlib import invalidate_caches
+
+    folder, before = file.absolute().parent, set(sys.modules)
+    if any(Path(entry).absolute() == folder for entry in sys.path):
+        yield
+        return
+    sys.path.append(str(folder))
+    invalidate_caches()
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))
+        own = [name for name in set(sys.modules) - before if _lies_in(folder, name.partition(".")[0])]
+        for name in own:
+            del sys.modules[name]
+
+
+def _lies_in(folder: Path, module: str) -> bool:
+    """Whether a module or package was found in this folder, not below it."""
+    import sys
+
+    spec = getattr(sys.modules.get(module), "__spec__", None)
+    places = [] if spec is None else [spec.origin or "", *(spec.submodule_search_locations or ())]
+    return any(p in (str(folder / f"{module}.py"), str(folder / module)) for p in places)
 
 
 def _place(path: Path, error: BaseException) -> str:

@@ -17,15 +17,46 @@ from phfmu.cli.codes import FINE, NO_CONVERGENCE, USAGE
 
 def _parser() -> argparse.ArgumentParser:
     from phfmu import __version__
-    from phfmu.cli import audit, bench, check, compare, export, info, list_, plot, report, run, stress, sweep
+    from phfmu.cli import (
+        audit,
+        bench,
+        check,
+        compare,
+        completion,
+        export,
+        info,
+        list_,
+        new,
+        plot,
+        report,
+        run,
+        stress,
+        sweep,
+    )
 
     parser = argparse.ArgumentParser(
         prog="phfmu", description="Port-Hamiltonian DAEs as co-simulation components with exact energy balance."
     )
     parser.add_argument("--version", action="version", version=f"phfmu {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for module in (list_, info, check, run, sweep, plot, report, compare, export, audit, bench, stress):
+    for module in (
+        list_,
+        new,
+        info,
+        check,
+        run,
+        sweep,
+        plot,
+        report,
+        compare,
+        export,
+        audit,
+        bench,
+        stress,
+        completion,
+    ):
         module.add_parser(verbs)
+    completion.complete(parser, verbs)
     return parser
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from os import PathLike
 from typing import Any
 
 import casadi as ca
@@ -227,6 +228,8 @@ def require_declaration(item: Any, what: str) -> PHDAE:
         remedy = "take its declaration"
     elif callable(item):
         remedy = "call the function"
+    elif isinstance(item, str | PathLike):
+        remedy = f"load it: phfmu.target.load({str(item)!r}) takes a name of the library or file.py:function"
     else:
         remedy = "build it in Python, e.g. phfmu.components.library.build('dc_motor'); the command line takes names and files"
     raise DeclarationError(what, shown, remedy, "type")

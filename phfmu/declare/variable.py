@@ -75,6 +75,17 @@ class _Arithmetic:
             f"write functions of CasADi, e.g. casadi.cos({name}.sx), not of math",
         )
 
+    def __abs__(self) -> ca.SX:
+        return ca.fabs(self.sx)
+
+    def __lt__(self, other: Any) -> ca.SX:
+        """No order between symbols: `if flux > 0` and `max(flux, 0)` would have to be decided now."""
+        name = getattr(self, "name", "it")
+        remedy = f"write casadi.if_else({name}.sx > .., a, b), casadi.fmax or casadi.fmin"
+        raise DeclarationError(f"'{name}'", "is a symbol, which is larger or smaller only in a run", remedy)
+
+    __gt__ = __le__ = __ge__ = __lt__
+
     def __getitem__(self, index: Any) -> ca.SX:
         return self.sx[index]
 

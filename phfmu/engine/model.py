@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import Protocol
 
 import numpy as np
@@ -54,6 +55,18 @@ def kernels(model: Model) -> list[Kernel]:
     """Kernels of both plans, then of the state events, in order of appearance; an object may appear more than once."""
     more = [] if model.events is None else model.events.kernels
     return [*(g.kernel for plan in (model.step, model.instant) for g in plan.groups), *more]
+
+
+def require_built(model: object, engine: str) -> None:
+    """TypeError with the remedy for what only leads to a model."""
+    if isinstance(model, PHDAE | str | PathLike):
+        shown = f"{type(model).__name__} {str(getattr(model, 'name', model))[:60]!r}"
+        how = (
+            "build_model(declaration)"
+            if isinstance(model, PHDAE)
+            else f"build_model(phfmu.target.load({str(model)!r}))"
+        )
+        raise TypeError(f"{engine} takes a model, got the {shown}; build it: {how}")
 
 
 def require_one_mode(model: Model) -> None:

@@ -15,7 +15,7 @@ from phfmu.engine.event_step import require_no_events, run_told
 from phfmu.engine.handle import Handle
 from phfmu.engine.impulses import Ports
 from phfmu.engine.library import Column, Record, record_widths, view
-from phfmu.engine.model import Model, require_one_mode
+from phfmu.engine.model import Model, require_built, require_one_mode
 from phfmu.engine.native_readings import NativeReadings
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.status import StepFailure
@@ -39,6 +39,7 @@ class NativeInstance(NativeReadings):
     """
 
     def __init__(self, model: Model, announce: Callable[[], None] | None = None) -> None:
+        require_built(model, "NativeInstance")
         require_one_mode(model)
         super().__init__(model, compiled(model, announce))
         self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts

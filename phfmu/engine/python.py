@@ -13,7 +13,7 @@ from phfmu.engine.event_step import require_no_events, told
 from phfmu.engine.inputs import carried
 from phfmu.engine.landing import landed
 from phfmu.engine.limits import LIMITS
-from phfmu.engine.model import require_one_mode
+from phfmu.engine.model import require_built, require_one_mode
 from phfmu.engine.python_readings import PythonReadings
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
@@ -32,6 +32,7 @@ class PythonInstance(PythonReadings):
     """
 
     def __init__(self, model: Model):
+        require_built(model, "PythonInstance")
         require_one_mode(model)
         super().__init__(model)
         #: state events of the last `do_step` or `run`

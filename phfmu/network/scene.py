@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from phfmu.declare.phdae import PHDAE
+from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.html import grid
 from phfmu.network.junctions.network import Network
 from phfmu.words import counted
@@ -40,6 +40,10 @@ class Scene:
     description: str = ""
     restart: int = 0
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.system, Network):
+            require_declaration(self.system, f"scene {self.name}")
 
     def __repr__(self) -> str:
         events = f", {counted(len(self.events), 'event')}" if self.events else ""

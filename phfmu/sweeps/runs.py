@@ -70,6 +70,7 @@ def sweep(
 def _task(
     target: Scene | PHDAE, design: Design, texts: Sequence[str], options: Options | None, scheme: Scheme | None
 ) -> Task:
+    from phfmu.declare.phdae import require_declaration
     from phfmu.discretise.model import build_model
     from phfmu.network.run.options import Options
     from phfmu.network.scene import Scene
@@ -78,7 +79,7 @@ def _task(
     from phfmu.sweeps.places import Places
 
     scene = target if isinstance(target, Scene) else None
-    declaration = target.declaration() if isinstance(target, Scene) else target
+    declaration = target.declaration() if isinstance(target, Scene) else require_declaration(target, "sweep")
     if options is None:
         if scene is None:
             raise ValueError(f"{declaration.name} is no scene: options=Options(stop=.., step=..) say how it is run")

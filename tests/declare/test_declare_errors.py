@@ -20,7 +20,9 @@ from phfmu import (
     PHDAE,
     Event,
     Holonomic,
+    NativeInstance,
     Network,
+    Options,
     Port,
     PythonInstance,
     Scene,
@@ -30,9 +32,12 @@ from phfmu import (
     damping,
     energy,
     export,
+    grid,
     parameter,
+    run,
     skew,
     state,
+    sweep,
 )
 from phfmu.cli import main
 from phfmu.components.electrical.dc_motor import dc_motor
@@ -98,12 +103,35 @@ def test_parts_of_a_declaration_are_lists_of_what_they_should_be():
 def test_where_a_declaration_is_wanted():
     net = Network("n")
     for call, name in (check, "check"), (build_model, "build_model"):
-        refused(
-            lambda call=call: call("dc_motor"), f"{name}: needs a declaration (PHDAE), got the str 'dc_motor'", "build("
-        )
-        refused(lambda call=call: call(Path("a.py")), "got the PosixPath" if sys.platform != "win32" else "got the")
+        got = f"{name}: needs a declaration (PHDAE), got the str 'dc_motor'"
+        refused(lambda call=call: call("dc_motor"), got, "phfmu.target.load('dc_motor')")
+        got = "got the PosixPath" if sys.platform != "win32" else "got the"
+        refused(lambda call=call: call(Path("a.py")), got, "load('a.py')")
         refused(lambda call=call: call(dc_motor), "call the function")
         refused(lambda call=call: call(net), "compose the network first")
+
+
+def test_what_only_leads_to_a_model_or_stepper_is_named_with_the_way_there():
+    motor, wanted = dc_motor(), "needs a declaration (PHDAE), got the str 'motor.py'"
+    refused(lambda: Scene("s", "motor.py", 1.0, 0.1), f"scene s: {wanted}", "load('motor.py')")
+    refused(lambda: sweep("motor.py", grid({"J": [1.0]}), ["max(i)"]), f"sweep: {wanted}")
+    for call, words in (
+        (lambda: PythonInstance(motor), "PythonInstance takes a model, got the PHDAE 'dc_motor'; build it: build_model("),
+        (lambda: NativeInstance(motor), "NativeInstance takes a model, got the PHDAE 'dc_motor'"),
+        (lambda: PythonInstance("motor.py"), "build_model(phfmu.target.load('motor.py'))"),
+        (lambda: run(motor, Options(stop=1.0, step=0.1)), "got the PHDAE 'dc_motor'; make one: Monolithic("),
+        (lambda: run("motor.py", Options(stop=1.0, step=0.1)), "run takes a stepper, got the str 'motor.py'"),
+    ):  # fmt: skip
+        with pytest.raises(TypeError) as caught:
+            call()
+        assert words in str(caught.value)
+
+
+def test_symbols_have_no_order_and_have_a_magnitude():
+    x = state("flux")
+    for call in (lambda: max(x, 0), lambda: x > 0, lambda: 1.0 <= x):
+        refused(call, "'flux': is a symbol", "casadi.if_else(flux.sx > .., a, b), casadi.fmax")
+    assert str(abs(x)) == "fabs(flux)"
 
 
 def test_an_export_takes_the_model_which_carries_its_declaration(tmp_path):

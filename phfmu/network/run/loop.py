@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phfmu.declare.phdae import PHDAE
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper
+from phfmu.network.junctions.network import Network
 from phfmu.network.run.book import Book
 from phfmu.network.run.event_steps import AdaptiveEventSteps, EventSteps
 from phfmu.network.run.march import AdaptiveSteps, FixedSteps, monolithic
@@ -18,7 +21,7 @@ from phfmu.network.run.result import Result
 from phfmu.network.run.rows import Rows
 from phfmu.network.run.stretches import stretches
 from phfmu.network.run.told import Told
-from phfmu.network.scene import Event
+from phfmu.network.scene import Event, Scene
 from phfmu.words import counted
 
 if TYPE_CHECKING:
@@ -36,6 +39,7 @@ def run(stepper: Stepper, options: Options) -> Result:
     from phfmu.audit import Ledger
     from phfmu.audit.unbooked import Unbooked
 
+    _require_stepper(stepper)
     _check_events(stepper, options)
     ledger = Ledger(options.sink, options.audit_rtol) if options.audited else Unbooked()
     told = Told(stepper, options.signals, options.step)
@@ -127,6 +131,14 @@ def segments(
             start, here = e.t, []
         here.append(e)
     yield start, stop, here
+
+
+def _require_stepper(item: object) -> None:
+    """TypeError with the remedy for what only leads to a stepper."""
+    if isinstance(item, str | PathLike | PHDAE | Scene | Network):
+        name = str(getattr(item, "name", item))[:60]
+        remedy = "Monolithic(model, NativeInstance(model)) with model = build_model(declaration)"
+        raise TypeError(f"run takes a stepper, got the {type(item).__name__} {name!r}; make one: {remedy}")
 
 
 def _check_events(stepper: Stepper, options: Options) -> None:
