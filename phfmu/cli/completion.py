@@ -17,7 +17,7 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from argcomplete import shellcode
+    from argcomplete.shell_integration import shellcode
 
     from phfmu.cli.codes import FINE
 
@@ -42,7 +42,7 @@ def targets(prefix: str, **_: Any) -> list[str]:
     """Names of the library, files, and functions of a file whose name is complete."""
     from pathlib import Path
 
-    from argcomplete import FilesCompleter
+    from argcomplete.completers import FilesCompleter
 
     from phfmu.components.library import LIBRARY
     from phfmu.target import functions
