@@ -11,6 +11,7 @@ import pytest
 
 from phfmu.cli import main
 from phfmu.cli.completion import SHELLS, targets
+from phfmu.components.library import LIBRARY
 
 CALL = "import sys; sys.argv[0] = 'phfmu'; from phfmu.cli import main; raise SystemExit(main())"
 
@@ -44,7 +45,8 @@ def test_targets_are_names_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.chdir(tmp_path)
     for name in ("smile.py", "smooth.fmu", "small.txt"):
         Path(name).touch()
-    assert set(targets("sm")) == {"smib", "smib_hydro", "smib_folded", "smile.py", "smooth.fmu"}
+    assert set(targets("sm")) == {n for n in LIBRARY if n.startswith("sm")} | {"smile.py", "smooth.fmu"}
+    assert set(targets("dc_m")) == {"dc_motor"}
     assert targets("none.py:") == []
 
 
