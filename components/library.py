@@ -21,6 +21,15 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "breaker": ("component", _E + "breaker", "series R-L line whose poles open at their current zeros"),
     "clearing_fault": ("component", _E + "breaker", "fault to ground that clears at the zeros of its currents"),
     "ideal_diode": ("component", _E + "breaker", "ideal diode in series with R and L"),
+    "diode": ("component", _E + "switches", "ideal diode between two nodes"),
+    "thyristor": ("component", _E + "switches", "ideal thyristor with a gate"),
+    "ideal_switch": ("component", _E + "switches", "ideal switch between two nodes"),
+    "chopper": ("component", _E + "switches", "ideal switch, pulse-width modulated by a duty"),
+    "rectifier_bridge": ("component", _E + "rectifiers", "bridge of four ideal diodes"),
+    "six_pulse_bridge": ("component", _E + "rectifiers", "three-phase bridge of six ideal diodes"),
+    "rl_branch": ("component", _E + "branches", "inductance and resistance, with a source or not"),
+    "rl_link": ("component", _E + "branches", "inductance and resistance between two nodes"),
+    "rc_node": ("component", _E + "branches", "capacitor and resistor to ground"),
     "resistor": ("component", _E + "resistor", "resistor to ground: feedthrough, no state"),
     "transformer": ("component", _E + "resistor", "ideal transformer: feedthrough, no state"),
     "dc_motor": ("component", _E + "dc_motor", "permanent-magnet DC motor"),
@@ -38,6 +47,10 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "pi_controller": ("component", _C + "pi_controller", "proportional and integral control: signals, no power"),
     "bouncing_ball": ("scene", _S + "bouncing_ball", "ball on a hard floor: impacts with restitution, until it rests"),
     "breaker_opening": ("scene", _S + "breaker_opening", "grid, breaker, load: opened at its current zeros"),
+    "rectifier": ("scene", _S + "rectifier", "single-phase diode bridge with overlap"),
+    "six_pulse": ("scene", _S + "rectifier", "three-phase diode bridge with overlap"),
+    "buck": ("scene", _S + "buck", "step-down converter: chopper, diode, filter; duty step"),
+    "bead": ("scene", _S + "bead", "bead on a cylinder that it leaves where its force is zero"),
     "oscillator": ("scene", _S + "oscillator", "two masses and three springs, cut in three"),
     "drive": ("scene", _S + "drive", "DC motor, flexible shaft and load inertia"),
     "speed_control": ("scene", _S + "speed_control", "rotor with PI speed control by signals, load step"),
@@ -54,6 +67,10 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "rl_line": {"R": 0.02, "L": 8e-4},
     "infinite_bus": {"amplitude": 18.7e3},
     "breaker": {"R": 0.5, "L": 0.01},
+    "chopper": {"f": 1e3},
+    "rl_branch": {"R": 0.5, "L": 0.01},
+    "rl_link": {"R": 0.5, "L": 0.01},
+    "rc_node": {"R": 10.0, "C": 1e-4},
     "clearing_fault": {"R": 0.05, "L": 5e-5, "there": True},
     "ideal_diode": {"R": 0.5, "L": 0.01, "conducts": True},
     "ladder": {"n": 2},
@@ -63,6 +80,13 @@ EXAMPLES: dict[str, dict[str, Any]] = {
 
 #: Customary stop and step in seconds of components whose motion 1 s at 1 ms does not suit; scenes have their own.
 RUNS: dict[str, tuple[float, float]] = {"four_particle": (10.0, 0.01), "synchronous_machine": (0.1, 1e-4)}
+
+
+#: those with switches: stepped by `SwitchedInstance`, in no unit
+SWITCHED = (
+    *("diode", "thyristor", "ideal_switch", "chopper", "rectifier_bridge", "six_pulse_bridge"),
+    *("rectifier", "six_pulse", "buck", "bead"),
+)
 
 
 def builder(name: str) -> Callable[..., Any]:

@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-from math import inf
+from dataclasses import replace
+from math import inf, pi
 
-from phfmu import ELECTRICAL, PHDAE, Port, Switch, Variable, algebraic, observable, parameter
+import casadi as ca
+
+from phfmu import (
+    ELECTRICAL,
+    PHDAE,
+    Guard,
+    Port,
+    StateEvent,
+    Switch,
+    Variable,
+    algebraic,
+    observable,
+    parameter,
+    signal_input,
+    time,
+)
 from phfmu.declare.switch import Law
 
 
@@ -61,3 +77,28 @@ def ideal_switch(*, conducts: bool = True, force: bool = False, i: float = 1.0, 
     refused, with `force` it loses L i^2/2, booked.  Ports and modes as of `diode`.
     """
     return _between("switch", "free", conducts, i, v, "ideal switch", most=inf if force else 0.0)
+
+
+def chopper(f: float, *, duty: float = 0.5, i: float = 1.0, v: float = 1.0) -> PHDAE:
+    """Ideal switch between `a` and `b` that conducts for the first `duty` of every period 1/f.
+
+        conducts while h < 0,   h = cos(pi d) - cos(2 pi f t - pi d),   which is zero at f t = n and f t = n + d
+
+    As `ideal_switch`; signal input: duty (0 to 1), which may change at any time;  parameters: f [Hz]
+    """
+    base = ideal_switch(conducts=False, i=i, v=v)
+    frequency = parameter("f", f, unit="Hz", positive=True, description="switching frequency")
+    d = signal_input("duty", duty, min=0.0, max=1.0, description="part of the period in which it conducts")
+    h = ca.cos(pi * d.sx) - ca.cos(2 * pi * frequency.sx * time - pi * d.sx)
+    on, off = {"conducts": 1.0}, {"conducts": 0.0}
+    events = (
+        StateEvent(Guard("begins", h, -1), when=off, sets=on),
+        StateEvent(Guard("ends", h, 1), when=on, sets=off),
+    )
+    return replace(
+        base,
+        name="chopper",
+        parameters=(*base.parameters, frequency, d),
+        state_events=events,
+        description="ideal switch, pulse-width modulated",
+    )

@@ -61,7 +61,8 @@ class Location:
 
     def _located(self, before: Any, t: float, h: float) -> tuple[float, list[int]]:
         instance = self.instance
-        x, start = instance.x, self._values()
+        x, start, whole = instance.x, self._values(), h
+        inside = dict[int, bool]()  # at the ends of all steps so far, well inside
         for shorter in range(int(LIMITS["LEAVING_HALVINGS"]) + 1):
             h = self._tried(before, t, h)
             trial = self._trial(t, h, start, x)
@@ -69,6 +70,13 @@ class Location:
             if not leaving:
                 break
             instance.restore(before)
+            for i in leaving:
+                returned = self.plan.direction[i] * trial.end[i] < 0 and not self._is_zero(trial, i, trial.end[i], 1.0)
+                inside[i] = inside.get(i, True) and returned
+            if shorter == LIMITS["LEAVING_CHORD"] and all(inside[i] for i in leaving):
+                h = self._tried(before, t, whole)
+                trial = self._trial(t, h, start, x)
+                break
             if shorter == LIMITS["LEAVING_HALVINGS"]:
                 return 0.0, leaving
             h /= 2

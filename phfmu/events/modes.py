@@ -17,7 +17,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.block import Block, block, damping, skew
+from phfmu.declare.block import Block, block, skew
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import Variable, _sx
 from phfmu.events.switch_system import SwitchSystem, Undetermined
@@ -34,16 +34,15 @@ class Modes:
 
     @cached_property
     def whole(self) -> PHDAE:
-        """The declaration with the modes as symbols in J and R: what is declared, in any mode."""
-        d, switches = self.declaration, self.switches
-        on = [skew(v, s.multiplier, _sx(c) * s.mode.sx, owner=s.owner) for s in switches for v, c in s.on.items()]
-        off = [damping(s.multiplier, (1 - s.mode.sx) * s.scale, owner=s.owner) for s in switches]
-        return self._plain((*d.structure, *on), (*d.dissipation, *off))
+        """The declaration with the modes as symbols in J, without the rows of multipliers that are off."""
+        on = (skew(v, s.multiplier, _sx(c) * s.mode.sx, owner=s.owner) for s in self.switches for v, c in s.on.items())
+        return self._plain((*self.declaration.structure, *on))
 
     @cached_property
     def system(self) -> SwitchSystem:
         """Its equations with the modes as numbers."""
-        return SwitchSystem(self.declaration, self.whole)
+        off = (block([s.multiplier], -(1 - s.mode.sx) * s.scale) for s in self.switches)
+        return SwitchSystem(self.declaration, replace(self.whole, structure=(*self.whole.structure, *off)))
 
     @property
     def start(self) -> Mode:
@@ -64,12 +63,12 @@ class Modes:
             else:
                 structure.append(block([s.multiplier], -s.scale))
         structure += [_least(self.declaration.algebraics, found) for found in self.system.undetermined(mode)]
-        return self._plain((*self.declaration.structure, *structure), self.declaration.dissipation)
+        return self._plain((*self.declaration.structure, *structure))
 
-    def _plain(self, structure: tuple[Block, ...], dissipation: tuple[Block, ...]) -> PHDAE:
-        events = tuple(e for s in self.switches for e in s.events(self.declaration.effort))
-        both = {"structure": structure, "dissipation": dissipation}
-        return replace(self.declaration, **both, state_events=(*self.declaration.state_events, *events), switches=())
+    def _plain(self, structure: tuple[Block, ...]) -> PHDAE:
+        d = self.declaration
+        events = tuple(e for s in self.switches for e in s.events(d.effort))
+        return replace(d, structure=structure, state_events=(*d.state_events, *events), switches=())
 
 
 def _least(variables: Sequence[Variable], found: Undetermined) -> Block:

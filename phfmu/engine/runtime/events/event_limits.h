@@ -21,6 +21,10 @@
  * times halved, for the polynomial shows its mean rate; then it happens at once. */
 #define PH_LEAVING_HALVINGS 20
 
+/* After so many of these halvings it does not leave if it was inside at the end of every step: then only the
+ * polynomial was beyond, the chord of an arc. */
+#define PH_LEAVING_CHORD 2
+
 /* What is left of a step after an event is no step in so many units of rounding of the time. */
 #define PH_REST_OF_STEP 4
 

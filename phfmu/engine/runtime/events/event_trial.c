@@ -137,18 +137,39 @@ int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *
     return found;
 }
 
+/* Which guards in l->fired were inside at the ends of all steps so far; 1 if they all were. */
+static int kept_inside(ph_landing *l, signed char *inside) {
+    const ph_events *e = l->events;
+    const double *end = l->values + (e->npoint - 1) * e->n;
+    int all = 1;
+    for (int i = 0; i < e->n; i++) {
+        const double slope = l->fired[i] ? ph_guard_rate(l, i, 1.0) : 0.0;
+        if (!l->fired[i])
+            continue;
+        inside[i] = inside[i] && e->direction[i] * end[i] < 0.0 &&
+                    fabs(end[i]) > ph_zero_below(l, i, l->t + l->h, fabs(slope));
+        all = all && inside[i];
+    }
+    return all;
+}
+
 int ph_try_step(ph_landing *l, int *leaves) {
+    const double whole = l->h;
+    signed char *inside = l->refused; /* which is used after this */
+    int chord = 0;
+    memset(inside, 1, (size_t)l->events->n);
     for (int shorter = 0;; shorter++) {
         int status = tried(l, &l->h);
         status = status ? status : look(l);
         if (status)
             return status;
-        *leaves = leaving(l);
+        *leaves = chord ? 0 : leaving(l);
         if (!*leaves)
             return PH_OK;
         ph_load(l->in, l->before);
+        chord = kept_inside(l, inside) && shorter == PH_LEAVING_CHORD;
         if (shorter == PH_LEAVING_HALVINGS)
             return PH_OK;
-        l->h /= 2;
+        l->h = chord ? whole : l->h / 2;
     }
 }
