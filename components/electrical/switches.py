@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import inf, pi
+from typing import Literal, TypeAlias
 
 import casadi as ca
 
@@ -21,10 +22,20 @@ from phfmu import (
     signal_input,
     time,
 )
-from phfmu.declare.switch import Law
+
+Law: TypeAlias = Literal["free", "unilateral"]
 
 
-def _between(name: str, law: Law, on: bool, i: float, v: float, what: str, *more: Variable, most: float = 0.0) -> PHDAE:
+def _between(
+    name: str,
+    law: Law,
+    on: bool,
+    i: float,
+    v: float,
+    what: str,
+    *more: Variable,
+    most: float = 0.0,
+) -> PHDAE:
     """One switch from `a` to `b`: 0 = v_a - v_b while it conducts, 0 = i while it does not."""
     current = algebraic("i", unit="A", nominal=i, description="current from a to b")
     mode = parameter("conducts", float(on), min=0.0, max=1.0, description="1 conducts, 0 blocks")
@@ -84,12 +95,13 @@ def chopper(f: float, *, duty: float = 0.5, i: float = 1.0, v: float = 1.0) -> P
 
         conducts while h < 0,   h = cos(pi d) - cos(2 pi f t - pi d),   which is zero at f t = n and f t = n + d
 
-    As `ideal_switch`; signal input: duty (0 to 1), which may change at any time;  parameters: f [Hz]
+    As `ideal_switch`; signal input: duty d (0 to 1, beyond as at these), which may change at any time;  parameters: f [Hz]
     """
     base = ideal_switch(conducts=False, i=i, v=v)
     frequency = parameter("f", f, unit="Hz", positive=True, description="switching frequency")
-    d = signal_input("duty", duty, min=0.0, max=1.0, description="part of the period in which it conducts")
-    h = ca.cos(pi * d.sx) - ca.cos(2 * pi * frequency.sx * time - pi * d.sx)
+    d = signal_input("duty", duty, description="part of the period in which it conducts")
+    within = ca.fmax(0.0, ca.fmin(1.0, d.sx))
+    h = ca.cos(pi * within) - ca.cos(2 * pi * frequency.sx * time - pi * within)
     on, off = {"conducts": 1.0}, {"conducts": 0.0}
     events = (
         StateEvent(Guard("begins", h, -1), when=off, sets=on),

@@ -74,7 +74,9 @@ def targets(names: Sequence[str] = ()) -> Iterator[tuple[str, PHDAE]]:
     for name in names or LIBRARY:
         found = build(name)
         declaration = found if isinstance(found, PHDAE) else found.declaration()
-        if 1 <= sum(v.n for v in declaration.states) <= LARGEST and not (declaration.state_events or declaration.switches):
+        if 1 <= sum(v.n for v in declaration.states) <= LARGEST and not (
+            declaration.state_events or declaration.switches
+        ):
             yield name, declaration
 
 

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Generic, TypeVar
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.events.modes import Mode, Modes
 
-if TYPE_CHECKING:
-    from phfmu.discretise.model import Model
+M = TypeVar("M")
 
 
-class ModeModels:
+class ModeModels(Generic[M]):
     """Models by mode; `make` discretises a declaration without switches."""
 
-    def __init__(self, modes: Modes, make: Callable[[PHDAE], Model]):
+    def __init__(self, modes: Modes, make: Callable[[PHDAE], M]):
         self.modes, self._make = modes, make
-        self._known: dict[Mode, Model] = {}
+        self._known: dict[Mode, M] = {}
 
-    def __getitem__(self, mode: Mode) -> Model:
+    def __getitem__(self, mode: Mode) -> M:
         if mode not in self._known:
             self._known[mode] = self._make(self.modes.declared(mode))
         return self._known[mode]

@@ -67,7 +67,7 @@ class Model:
     #: its state events, None without
     events: EventPlan | None = None
     #: of a declaration with switches: the model of each mode; this one tells what they have in common, in the mode at the start
-    modes: ModeModels | None = None
+    modes: ModeModels[Model] | None = None
 
     def __repr__(self) -> str:
         return f"<Model {self.name}: {self.scheme.name}, order {self.scheme.order}; {repr(self.declaration)[1:-1]}>"

@@ -9,7 +9,7 @@ import pytest
 
 from phfmu import Collocated, NativeInstance, PythonInstance, Scene, StepFailure, TwoLevel, build_model
 from phfmu.components.electrical import fault_resistor, rlc_load, synchronous_machine
-from phfmu.components.library import LIBRARY, build
+from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.components.mechanical.translational import mass, spring
 from tests.wide import wide
 
@@ -24,7 +24,7 @@ FORMS = {
     "machine_abc_flux": lambda: synchronous_machine(coordinates="abc-flux"),
     "machine_current": lambda: synchronous_machine(coordinates="current"),
 }
-NAMES = [*LIBRARY, *FORMS]
+NAMES = [*(n for n in LIBRARY if n not in SWITCHED), *FORMS]
 #: those that the Python engine takes long for, and forms of others
 LONG = (
     "net",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cmath import exp as cexp
 from dataclasses import replace
-from math import atan, exp, pi, sin
+from math import asin, atan, cos, exp, pi, sin
 
 import casadi as ca
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from phfmu import (
     ELECTRICAL,
     PHDAE,
+    TRANSLATIONAL,
     Collocated,
     Event,
     Monolithic,
@@ -31,6 +32,7 @@ from phfmu import (
     energy,
     parameter,
     run,
+    skew,
     state,
     time,
 )
@@ -344,3 +346,50 @@ def test_units_of_a_switch_are_checked():
 def test_an_instance_of_one_mode_is_refused(bridges, engine):
     with pytest.raises(ValueError, match=r"SwitchedInstance\(model, PythonInstance\)"):
         engine(bridges[1])
+
+
+G, F0, OMEGA = 9.81, 15.0, 8.0
+LIFT = asin(G / F0) / OMEGA
+
+
+def flight(t: float) -> float:
+    """Height of the mass after it was lifted."""
+    s = t - LIFT
+    return -F0 / OMEGA * ((sin(OMEGA * t) - sin(OMEGA * LIFT)) / OMEGA - cos(OMEGA * LIFT) * s) - G * s**2 / 2
+
+
+def lifted() -> PHDAE:
+    """A mass of 1 kg on a floor, lifted by F0 sin(OMEGA t)."""
+    q, p = state("q", unit="m"), state("p", unit="kg.m/s")
+    force, rests = algebraic("N", unit="N", nominal=10.0), parameter("rests", 1.0)
+    lift = Port("lift", TRANSLATIONAL, "effort", {p: 1.0}, source=F0 * ca.sin(OMEGA * time))
+    return PHDAE(
+        "lifted",
+        states=(q, p),
+        algebraics=(force,),
+        parameters=(rests,),
+        energies=(energy(p**2 / 2), energy(G * q.sx)),
+        structure=(skew(q, p, 1.0),),
+        ports=(lift,),
+        switches=(Switch("floor", force, {p: 1.0}, rests, gap=q, unit="m"),),
+    )
+
+
+@pytest.mark.parametrize(("engine", "k", "n"), [(PythonInstance, 2, 40), *((NativeInstance, k, 40) for k in (1, 2, 3))])
+def test_a_mass_lifts_off_its_floor_and_lands(engine, k, n):
+    """Lift-off where the force falls to zero, landing with its whole speed lost; times of order 2k."""
+    lands = brentq(flight, LIFT + 0.05, LIFT + 0.6, xtol=1e-16, rtol=9e-16)
+    model, errors = build_model(lifted(), Collocated(k)), []
+    for steps in (n // 2, n):
+        instance = SwitchedInstance(model, engine)
+        parts = list(instance.land(0.0, (lands + 0.02) / steps, steps, record=("supplied",)))
+        first, second = (part.happened for part in parts if part.happened)
+        supplied = sum(part.rows["supplied"].sum() for part in parts if part.rows)
+        assert first.switched == ("floor off",) and second.switched == ("floor on",)
+        assert first.t == pytest.approx(LIFT, abs=1e-14)
+        assert second.lost.sum() > 0.1 and instance.signal("H").sum() + second.lost.sum() == pytest.approx(
+            supplied, abs=1e-13
+        )
+        assert abs(instance.x[0]) < 1e-14
+        errors.append(abs(second.t - lands))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * k, abs=0.4)

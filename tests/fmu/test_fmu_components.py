@@ -9,12 +9,20 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from phfmu import FMUInstance, NativeInstance, Scene, build_model, export
-from phfmu.components.library import LIBRARY, build
+from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.network.members.columns import Columns
 
 STEPS = 1000
 #: units do not locate them
-STATE_EVENTS = ("bouncing_ball", "breaker", "breaker_opening", "clearing_fault", "ideal_diode", "smib_breaker")
+STATE_EVENTS = (
+    "bouncing_ball",
+    "breaker",
+    "breaker_opening",
+    "clearing_fault",
+    "ideal_diode",
+    "smib_breaker",
+    *SWITCHED,
+)
 #: scenes bring their own step; components take one at which they move
 STEP = {"four_particle": 0.01, "mass": 0.01, "mass_spring": 0.01, "spring": 0.01, "damper": 0.01}
 

@@ -12,7 +12,7 @@ import pytest
 
 from phfmu import NativeInstance, PythonInstance, Scene, build_model, export
 from phfmu.components.electrical.dc_motor import dc_motor
-from phfmu.components.library import LIBRARY, build
+from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.fmu import sources
@@ -98,7 +98,8 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         n if n == "four_particle" else slow(n)
         for n in LIBRARY
-        if not n.endswith(("breaker", "breaker_opening", "fault", "ball", "diode"))  # state events, in no unit yet
+        if n not in SWITCHED
+        and not n.endswith(("breaker", "breaker_opening", "fault", "ball", "diode"))  # state events, in no unit yet
     ],
 )
 def test_units_take_slivers(host: Path, tmp_path: Path, name: str, version: str) -> None:

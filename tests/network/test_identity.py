@@ -25,7 +25,7 @@ from phfmu import (
     build_model,
     run,
 )
-from phfmu.components.library import LIBRARY, build
+from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.network.couplings.matrices import update
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
@@ -35,7 +35,7 @@ STEPS = 6
 #: what its junction exchanges is held by a signal, so no coupling can be late
 HELD = {"speed_control"}
 #: landed on in one composed model only
-STATE_EVENTS = {"bouncing_ball", "breaker_opening", "smib_breaker"}
+STATE_EVENTS = {"bouncing_ball", "breaker_opening", "smib_breaker", *SWITCHED}
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in STATE_EVENTS]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
 BARE = {"smib", "smib_hydro", "two_machine"}
