@@ -10,16 +10,15 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
-from phfmu.fmu.words import plain
+from phfmu.ssp.places import Path, Place, connector_of
 from phfmu.ssp.structure import (
-    SINKS,
-    SOURCES,
     Binding,
     Component,
     Connection,
     Connector,
     Joint,
     Linear,
+    Reference,
     SSPError,
     Structure,
     System,
@@ -28,9 +27,6 @@ from phfmu.ssp.structure import (
 )
 from phfmu.ssp.units import conversion, named
 from phfmu.words import meant
-
-#: names of elements from the outermost system down to an element
-Path = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -71,27 +67,12 @@ def flat(structure: Structure) -> Flat:
     return _Flattening(structure).result()
 
 
-@dataclass(frozen=True)
-class _Place:
-    """A connector of an element, as the system around it sees it: whether it gives or takes a value there."""
-
-    path: Path
-    connector: Connector
-    inside: bool
-
-    @property
-    def gives(self) -> bool:
-        return self.connector.kind in (SINKS if self.inside else SOURCES)
-
-    def __str__(self) -> str:
-        return ".".join((*self.path, self.connector.name))
-
-
 class _Flattening:
     def __init__(self, structure: Structure):
         self.structure = structure
         self.components = dict(_components(structure.system, ()))
         self.names = _members(self.components)
+        self.dictionaries = dict(_dictionaries(structure.system, ()))
         #: what feeds a connector: (path, name) -> (path, name) and the map
         self.fed: dict[tuple[Path, str], tuple[tuple[Path, str], Linear]] = {}
         self.values: dict[tuple[Path, str], Value] = {}
@@ -117,9 +98,11 @@ class _Flattening:
         for c in (one for whole in system.connections for one in self._entries(system, path, whole)):
             a, b = (self._place(system, path, e, n) for e, n in c.ends)
             if a.gives == b.gives:
-                both = "give a value" if a.gives else "take a value"
+                both = (
+                    "are entries of dictionaries" if a.gives is None else "give a value" if a.gives else "take a value"
+                )
                 raise SSPError(f"connection {a} - {b}: both {both} ({a.connector.kind}, {b.connector.kind})")
-            source, target = (a, b) if a.gives else (b, a)
+            source, target = (a, b) if a.gives or b.gives is False else (b, a)
             key = (target.path, target.connector.name)
             if key in self.fed:
                 other, name = self.fed[key][0]
@@ -142,17 +125,36 @@ class _Flattening:
         for a, b in zip(*(entries(n, s) for (_, n), s in zip(c.ends, shapes, strict=True)), strict=True):
             yield replace(c, start_connector=a, end_connector=b)
 
-    def _place(self, system: System, path: Path, element: str, name: str) -> _Place:
+    def _place(self, system: System, path: Path, element: str, name: str) -> Place:
         if not element:
-            return _Place(path, _connector(system, name, ".".join(path) or system.name), True)
+            return Place(path, connector_of(system, name, ".".join(path) or system.name), True)
         if element not in system.elements:
             where = ".".join(path) or system.name
             raise SSPError(
                 f"a connection of '{where}' names the element '{element}'; {meant(element, system.elements)}"
             )
-        return _Place((*path, element), _connector(system.elements[element], name, ".".join((*path, element))), False)
+        found, where = system.elements[element], ".".join((*path, element))
+        if isinstance(found, Reference):
+            return self._entry(found, path, name, where)
+        return Place((*path, element), connector_of(found, name, where), False)
 
-    def _linear(self, c: Connection, source: _Place, target: _Place) -> Linear:
+    def _entry(self, reference: Reference, path: Path, name: str, where: str) -> Place:
+        """An entry of the dictionary of that name in this system, or in the nearest around it."""
+        scopes = [
+            s for s in (path[:n] for n in range(len(path), -1, -1)) if reference.dictionary in self.dictionaries[s]
+        ]
+        if not scopes:
+            raise SSPError(
+                f"'{where}' refers to the signal dictionary '{reference.dictionary}', which no system around it has"
+            )
+        entries = self.dictionaries[scopes[0]][reference.dictionary]
+        if name not in entries:
+            raise SSPError(
+                f"the signal dictionary '{reference.dictionary}' has no entry '{name}'; {meant(name, entries)}"
+            )
+        return Place((*scopes[0], f"dictionary {reference.dictionary}"), connector_of(reference, name, where), False)
+
+    def _linear(self, c: Connection, source: Place, target: Place) -> Linear:
         """The transformation, after the conversion of units unless it stands for that."""
         a, b = (self._unit(p.connector) for p in (source, target))
         if c.suppress:
@@ -186,7 +188,7 @@ class _Flattening:
         for name, element in system.elements.items():
             if isinstance(element, System):
                 self._bind(element, (*path, name))
-            else:
+            elif isinstance(element, Component):
                 for key, value in _bound(element.bindings).items():
                     self.values[(*path, name), key] = value
         for key, value in _bound(system.bindings).items():
@@ -228,8 +230,15 @@ def _components(system: System, path: Path) -> Iterator[tuple[Path, Component]]:
     for name, element in system.elements.items():
         if isinstance(element, System):
             yield from _components(element, (*path, name))
-        else:
+        elif isinstance(element, Component):
             yield (*path, name), element
+
+
+def _dictionaries(system: System, path: Path) -> Iterator[tuple[Path, Mapping[str, tuple[str, ...]]]]:
+    yield path, system.dictionaries
+    for name, element in system.elements.items():
+        if isinstance(element, System):
+            yield from _dictionaries(element, (*path, name))
 
 
 def _members(components: Mapping[Path, Component]) -> dict[Path, str]:
@@ -250,17 +259,6 @@ def identifier(text: str) -> str:
     return name if name and not name[0].isdigit() else f"m_{name}"
 
 
-def _connector(element: Component | System, name: str, where: str) -> Connector:
-    found = element.connectors.get(name)
-    if found is None:
-        raise SSPError(f"'{where}' has no connector '{plain(name, 200)}'; {meant(name, element.connectors)}")
-    if found.kind not in (*SINKS, *SOURCES):
-        raise SSPError(
-            f"'{where}.{name}' is of the kind '{plain(found.kind, 50)}', whose direction is open; say input or output"
-        )
-    return found
-
-
 def _bound(bindings: tuple[Binding, ...]) -> dict[str, Value]:
     out: dict[str, Value] = {}
     for b in bindings:
@@ -278,5 +276,5 @@ def _named_by(system: System, path: Path, name: str) -> Iterator[tuple[tuple[Pat
             continue
         if isinstance(inner, System):
             yield from _named_by(inner, (*path, element), rest)
-        else:
+        elif isinstance(inner, Component):
             yield ((*path, element), rest), None

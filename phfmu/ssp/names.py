@@ -9,17 +9,24 @@ NAMESPACES = {
     "ssc": f"{_BASE}Common",
     "ssv": f"{_BASE}ParameterValues",
     "ssm": f"{_BASE}ParameterMapping",
+    "ssb": f"{_BASE}SignalDictionary",
 }
 #: of our annotation: junctions of power ports, and the step
 PORTS = "org.phfmu.ports"
 
 #: prefix -> root element
-ROOTS = {"ssd": "SystemStructureDescription", "ssv": "ParameterSet", "ssm": "ParameterMapping"}
+ROOTS = {
+    "ssd": "SystemStructureDescription",
+    "ssv": "ParameterSet",
+    "ssm": "ParameterMapping",
+    "ssb": "SignalDictionary",
+}
 VERSIONS = ("1.0", "2.0")
 STRUCTURE = "SystemStructure.ssd"
 FMU = "application/x-fmu-sharedlibrary"
 #: components that are systems: another description, another package
 DEFINITION, PACKAGE = "application/x-ssp-definition", "application/x-ssp-package"
+DICTIONARY = "application/x-ssp-signal-dictionary"
 #: values of a parameter that are one number
 NUMBERS = (
     "Real",

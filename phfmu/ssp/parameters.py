@@ -35,19 +35,19 @@ def bindings(element: Element, source: Source) -> tuple[Binding, ...]:
 
 
 def _binding(element: Element, source: Source) -> Binding:
-    root, where = _document(element, tag("ssd", "ParameterValues"), "ssv", _SET, source)
+    root, where = document(element, tag("ssd", "ParameterValues"), "ssv", _SET, source)
     bare, units_of = _values(root, where, source.notes)
     prefix = element.get("prefix", "")
     values, units = {prefix + n: v for n, v in bare.items()}, {prefix + n: u for n, u in units_of.items()}
     mapping = element.find(tag("ssd", "ParameterMapping"))
     if mapping is None:
         return Binding(values, units)
-    root, where = _document(mapping, None, "ssm", _MAPPING, source)
+    root, where = document(mapping, None, "ssm", _MAPPING, source)
     return _mapped(root, where, values, units)
 
 
-def _document(element: Element, inline: str | None, kind: str, type_: str, source: Source) -> tuple[Element, str]:
-    """The document that a binding or mapping names or holds (in its child `inline`, or itself), checked."""
+def document(element: Element, inline: str | None, kind: str, type_: str, source: Source) -> tuple[Element, str]:
+    """The document that a binding, mapping or dictionary names or holds (in its child `inline`, or itself), checked."""
     uri = element.get("source", "")
     if element.get("type", type_) != type_:
         raise SSPError(
@@ -65,7 +65,7 @@ def _document(element: Element, inline: str | None, kind: str, type_: str, sourc
     else:
         holder, where = element if inline is None else element.find(inline), source.where
         if holder is None or not len(holder):
-            raise SSPError(f"{source.where}: a binding has neither a source nor values")
+            raise SSPError(f"{source.where}: {element.tag.rpartition('}')[2]} has neither a source nor content")
         root = holder[0]
     require_valid(root, kind, where)
     return root, where

@@ -10,9 +10,9 @@ from pathlib import Path
 from phfmu.fmu import limits
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
-from phfmu.ssp.names import DEFINITION, FMU, NAMESPACES, PACKAGE, PORTS, tag
+from phfmu.ssp.names import DEFINITION, DICTIONARY, FMU, NAMESPACES, PACKAGE, PORTS, tag
 from phfmu.ssp.package import Package, Within, open_package
-from phfmu.ssp.parameters import Source, bindings
+from phfmu.ssp.parameters import Source, bindings, document
 from phfmu.ssp.schema import require_valid
 from phfmu.ssp.structure import (
     Component,
@@ -20,6 +20,7 @@ from phfmu.ssp.structure import (
     Connector,
     Joint,
     Linear,
+    Reference,
     Signal,
     SSPError,
     Structure,
@@ -77,17 +78,15 @@ class _Reader:
 
     def system(self, element: Element) -> System:
         name = plain(element.get("name", ""))
-        elements: dict[str, Component | System] = {}
+        elements: dict[str, Component | System | Reference] = {}
         for child in _children(element, "Elements"):
             if child.tag == tag("ssd", "System"):
-                new: Component | System = self.system(child)
+                new: Component | System | Reference = self.system(child)
             elif child.tag == tag("ssd", "Component"):
                 new = self.component(child)
             else:
-                raise SSPError(
-                    f"{self.where}: '{plain(child.get('name', ''))}' is a signal dictionary, which is not read; connect its "
-                    "signals directly"
-                )
+                called = plain(child.get("name", ""))
+                new = Reference(called, plain(child.get("dictionary", "")), *self.connectors(child, called))
             if new.name in elements:
                 raise SSPError(f"{self.where}: two elements of the system '{name}' are called '{new.name}'")
             elements[new.name] = new
@@ -102,7 +101,13 @@ class _Reader:
             tuple(self.signal(s) for n in _annotations(element, "Network") for s in n.findall(f"{{{PORTS}}}Signal")),
             plain(element.get("description", "")),
             arrays,
+            {plain(d.get("name", "")): self.entries(d) for d in _children(element, "SignalDictionaries")},
         )
+
+    def entries(self, element: Element) -> tuple[str, ...]:
+        """Names of the entries of a signal dictionary."""
+        root, _ = document(element, None, "ssb", DICTIONARY, self.source)
+        return tuple(plain(e.get("name", "")) for e in root.findall(tag("ssb", "DictionaryEntry")))
 
     def component(self, element: Element) -> Component | System:
         name, kind, source = plain(element.get("name", "")), element.get("type", FMU), element.get("source", "")

@@ -19,6 +19,7 @@ _FILES = {
     "ssd": "SystemStructureDescription.xsd",
     "ssv": "SystemStructureParameterValues.xsd",
     "ssm": "SystemStructureParameterMapping.xsd",
+    "ssb": "SystemStructureSignalDictionary.xsd",
 }
 #: version -> package that brings its schemas, and their folder there
 _FOLDERS = {"1": ("fmpy", "ssp/schema"), "2": ("pyssp_standard", "resources/ssp2")}

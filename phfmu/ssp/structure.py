@@ -122,11 +122,21 @@ class Component:
 
 
 @dataclass(frozen=True)
-class System:
-    """Elements (components and systems) in their order, and what connects them; `arrays` as of a component."""
+class Reference:
+    """An element by which signals are put into the dictionary called `dictionary`, and taken out of it."""
 
     name: str
-    elements: Mapping[str, Component | System] = field(default_factory=dict)
+    dictionary: str
+    connectors: Mapping[str, Connector] = field(default_factory=dict)
+    arrays: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class System:
+    """Elements in their order, and what connects them; `arrays` as of a component; `dictionaries`: name -> entries."""
+
+    name: str
+    elements: Mapping[str, Component | System | Reference] = field(default_factory=dict)
     connections: tuple[Connection, ...] = ()
     connectors: Mapping[str, Connector] = field(default_factory=dict)
     bindings: tuple[Binding, ...] = ()
@@ -134,6 +144,7 @@ class System:
     signals: tuple[Signal, ...] = ()
     description: str = ""
     arrays: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    dictionaries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

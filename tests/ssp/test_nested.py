@@ -216,3 +216,59 @@ def test_meta_data_that_are_left_out_are_told(tmp_path: Path) -> None:
         "SystemStructure.ssd": text.replace("</ssd:SystemStructureDescription>", f"{told}</ssd:SystemStructureDescription>"),
     })  # fmt: skip
     assert any("1 MetaData element left out" in note for note in load(path).notes)
+
+
+BUS = ("speed", "inout", "m/s"), ("push", "inout", "N")
+
+
+def dictionary(*names: str, called: str = "bus") -> str:
+    listed = "".join(f'<ssb:DictionaryEntry name="{n}"><ssc:Real/></ssb:DictionaryEntry>' for n in names)
+    inline = f'<ssb:SignalDictionary version="1.0">{listed}</ssb:SignalDictionary>'
+    own = f'<ssd:SignalDictionary name="{called}">{inline}</ssd:SignalDictionary>'
+    return f"<ssd:SignalDictionaries>{own}</ssd:SignalDictionaries>"
+
+
+def reference(name: str, of=BUS, called: str = "bus") -> str:
+    return f'<ssd:SignalDictionaryReference name="{name}" dictionary="{called}">{connectors(of)}</ssd:SignalDictionaryReference>'
+
+
+def by_dictionary(coil: str = reference("there"), signals: str = dictionary("speed", "push")) -> str:
+    """The mass in a system of its own puts its speed into a dictionary around it, and takes the force out."""
+    inner = system(
+        component("cart", "mass", MASS), reference("here"),
+        connections=(connection("cart:flange.velocity", "here:speed"), connection("here:push", "cart:flange.force")),
+    )  # fmt: skip
+    ends = connection("there:speed", "coil:a.velocity"), connection("coil:a.force", "there:push", linear(-1))
+    outer = system(
+        f'<ssd:System name="axle">{inner}</ssd:System>', component("coil", "spring", SPRING), coil, connections=ends
+    )
+    return outer + signals
+
+
+def test_signals_go_through_dictionaries(units: dict[str, bytes], tmp_path: Path) -> None:
+    rows = ran(package(tmp_path, units, by_dictionary()))
+    assert np.abs(rows["axle_cart.v"] - expected(rows["time"])).max() <= 1e-3
+    same = ran(package(tmp_path, units, around(f'<ssd:System name="axle">{AXLE}</ssd:System>')))
+    np.testing.assert_array_equal(rows["axle_cart.v"], same["axle_cart.v"])
+
+
+def test_dictionaries_that_do_not_fit_are_refused(units: dict[str, bytes], tmp_path: Path) -> None:
+    def refused(content: str, match: str) -> None:
+        with pytest.raises(SSPError, match=match):
+            load(package(tmp_path, units, content))
+
+    refused(
+        by_dictionary(reference("there", called="rail")),
+        "'there' refers to the signal dictionary 'rail', which no system",
+    )
+    refused(
+        by_dictionary(signals=dictionary("speed", "pull")),
+        "'bus' has no entry 'push'; there are: speed, pull|did you mean",
+    )
+    twice = by_dictionary().replace(
+        connection("there:speed", "coil:a.velocity"), connection("coil:a.force", "there:push")
+    )
+    refused(twice, "is fed twice")
+    both = system(reference("one"), reference("two"), connections=(connection("one:speed", "two:push"),))
+    refused(both + dictionary("speed", "push"), "both are entries of dictionaries")
+    refused(by_dictionary(signals=""), "refers to the signal dictionary 'bus'")
