@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 HEADING = re.compile(r"^## (.+)$")
-ENTRY = re.compile(r"\[([^\]]+)\]\(([^)#]+\.md)\)")
+ENTRY = re.compile(r"\[([^\]]+)\]\(([^)#]+\.(?:md|ipynb))\)")
 
 
 def tables(text: str) -> str:

@@ -53,7 +53,7 @@ class Scene:
         """For notebooks: the run, its events, what is run."""
         events = [(f"{e.t:g} s", e.name, f"{e.value:.6g}") for e in self.events]
         run = f"{self.name}: {self.stop:g} s in steps of {self.step:g} s"
-        return grid(run, ("event at", "sets", "to"), events, self.description) + self.system._repr_html_()
+        return grid(run, ("event at", "sets", "to"), events) + self.system._repr_html_()
 
     @property
     def units(self) -> dict[str, UnitFile]:
