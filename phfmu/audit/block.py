@@ -53,8 +53,9 @@ def make_block(
         if q:
             in_play += per_owner(booking, np.abs(s.pairs))
         members = list(booking.junctions.values())
-        created = _stack(n, [across(s.pairs[:, m]) for m in members])
-        exchanged = _stack(n, [0.5 * across(np.abs(s.pairs[:, m])) for m in members])
+        size = np.abs(s.pairs)
+        created = _stack(n, [across(s.pairs, m) for m in members])
+        exchanged = _stack(n, [0.5 * across(size, m) for m in members])
         residual = balance(s.stored, s.dissipated, s.supplied, gone)
         return Block(
             booking, numbers, _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,)), starts, s, residual,

@@ -27,10 +27,14 @@ from .events import EventCount, EventRow
 from .judge import COMPONENT, DEFAULT_RTOL, JUNCTION, Judge, Violation, word
 from .sink import Sink
 from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
-from .sums import Floats, Sums, larger, largest
+from .sums import Floats, Sums, larger, largest, use_compiled
 
 #: columns of the network that have running sums beside them
 CUMULATIVE = ("dissipated", "external", "junction_residual", "unexplained")
+
+
+#: steps after which sums are worth a compiled library
+LONG = 1 << 14
 
 
 class Ledger:
@@ -89,6 +93,8 @@ class Ledger:
         relative = self._judge.steps(block, stored)
         if self._steps == 0:
             self._t_start = float(block.t0[0])
+        if self._steps < LONG <= self._steps + len(block.step):
+            use_compiled()
         self._steps += len(block.step)
         self._t_end = float(block.t0[-1] + block.h[-1])
         return replace(block, relative=relative)

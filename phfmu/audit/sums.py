@@ -1,8 +1,10 @@
-"""Compensated sums: the same bits however a run is cut into rows and blocks."""
+"""Compensated sums: the same bits however a run is cut into rows and blocks, by arrays or in compiled code."""
 
 import math
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,12 +57,28 @@ class _Scratch(threading.local):
 
 
 _SCRATCH = _Scratch()
+#: the library of `compiled_sums.py` once a run is long enough for it
+_library: Any = None
+
+
+def use_compiled() -> None:
+    """Sums in compiled code from now on: the same bits; where there is no compiler they stay as they are."""
+    global _library
+    if _library is None:
+        from phfmu.engine.compile import CompileError, CompilerMissing
+
+        from .compiled_sums import library
+
+        with suppress(CompilerMissing, CompileError, OSError):
+            _library = library()
 
 
 def extend(sums: Sequence[CompensatedSum], x: Floats) -> Floats:
     """Add column j of x [n,m] to sum j, row after row, and return the running sums [n,m]."""
     if len(x) == 1:
         return np.array([[each.add(value) for each, value in zip(sums, x[0].tolist(), strict=True)]])
+    if _library is not None:
+        return _down(sums, x, np.empty(x.shape))
     high, low = _running(sums, x)
     return (high + low).T
 
@@ -69,8 +87,20 @@ def add(sums: Sequence[CompensatedSum], x: Floats) -> None:
     """`extend` without the running sums."""
     if len(x) == 1:
         extend(sums, x)
+    elif _library is not None:
+        _down(sums, x, None)
     else:
         _running(sums, x)
+
+
+def _down(sums: Sequence[CompensatedSum], x: Floats, running: Floats | None) -> Any:
+    """`_running` in compiled code; into `running` [n,m] the running sums."""
+    x, ends = np.ascontiguousarray(x), np.array([[s.high for s in sums], [s.low for s in sums]])
+    out = None if running is None else running.ctypes.data
+    _library.ph_sums_down(*x.shape, x.ctypes.data, ends[0].ctypes.data, ends[1].ctypes.data, out)
+    for s, h, w in zip(sums, *ends.tolist(), strict=True):
+        s.high, s.low = h, w
+    return running
 
 
 def _running(sums: Sequence[CompensatedSum], x: Floats) -> tuple[Floats, Floats]:
@@ -123,8 +153,17 @@ class Sums:
         return self._parts[key].value if key in self._parts else None
 
 
-def across(x: Floats) -> Floats:
-    """Sum over the columns of x [n,m], each row compensated; zeros for m = 0."""
+def across(x: Floats, at: Sequence[int] | None = None) -> Floats:
+    """Sum over the columns `at` of x [n,m], default all, each row compensated; zeros for none."""
+    if _library is not None:
+        x, chosen, out = (
+            np.ascontiguousarray(x),
+            np.array(range(x.shape[1]) if at is None else at, np.intp),
+            np.empty(len(x)),
+        )
+        _library.ph_sums_across(*x.shape, x.ctypes.data, len(chosen), chosen.ctypes.data, out.ctypes.data)
+        return out
+    x = x if at is None else x[:, at]
     high, low, error, part = np.zeros(len(x)), np.zeros(len(x)), np.empty(len(x)), np.empty(len(x))
     with np.errstate(invalid="ignore", over="ignore"):
         for column in np.ascontiguousarray(x.T):

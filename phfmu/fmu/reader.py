@@ -75,13 +75,16 @@ class FMUInstance:
 
     # -- life -----------------------------------------------------------------------------------------------
 
-    def _initialise(self) -> None:
+    def _initialise(self, given: Mapping[str, float] | None = None, inputs: ArrayLike | None = None) -> None:
         start, stop = self._span
         self._slave.enter(start, stop)
-        if self._starts:
-            self.set(self._starts)
+        if first := self._starts | dict(given or {}):
+            self.set(first)
+        if inputs is not None:
+            self.set_input(inputs)
         self._slave.leave()
-        self._values.begin(self._starts)
+        if inputs is None:
+            self._values.begin(self._starts)
         self.time, self._h = start, 0.0
         self._books.begin(self._slave)
 
@@ -95,10 +98,10 @@ class FMUInstance:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def reset(self) -> None:
-        """Back to the start values."""
+    def reset(self, given: Mapping[str, float] | None = None, inputs: ArrayLike | None = None) -> None:
+        """Back to the start values; `given`: values set by name since, `inputs` (nu): of the ports, both before it begins."""
         self._slave.reset()
-        self._initialise()
+        self._initialise(given, inputs)
 
     # -- steps ----------------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ import pytest
 from phfmu import StepFailure
 from phfmu.cli import main
 from phfmu.engine.status import remedy
-from phfmu.stress import coupled, couplings, linkage, machine, matrix, particles, units
+from phfmu.stress import coupled, couplings, crash, linkage, machine, matrix, particles, units
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
 from phfmu.words import counted
@@ -206,6 +206,13 @@ def test_whole_matrix():
 def test_couplings_at_their_limits(given):
     line = answer(given)
     assert line.verdict is Verdict.PASS, line.happened
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", crash.CASES, ids=lambda c: c.name)
+def test_coupled_runs_that_end_early_are_recovered(given):
+    line = answer(given)
+    assert line.verdict in (Verdict.PASS, Verdict.NOT_SUPPORTED), line.happened
 
 
 def test_a_unit_whose_steps_do_not_repeat_is_named_only_if_it_lies():

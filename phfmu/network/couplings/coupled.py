@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import NodeNewton, newton
+from phfmu.network.couplings.start_values import at_instant, limit
 from phfmu.network.couplings.totals import Totals
 from phfmu.network.couplings.unconverged import added, plain
 from phfmu.network.couplings.works import Works, works
@@ -63,6 +64,8 @@ class Coupled:
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
         self._signals = HeldSignals(network, members)
         self._sums = EndSums(self.joined)
+        #: junction unknowns of the instant before the first step
+        self._at_start: Array | None = None
         own = [*self.joined.names, *face.names, *self._sums.names]
         self._totals = Totals([m.name for m in members], own)
         self.names = [*self._totals.names, *own]
@@ -106,7 +109,7 @@ class Coupled:
 
     def read(self) -> Array:
         """Values of `names` now."""
-        xi = self.last.xi
+        xi = self.last.xi if self._at_start is None else self._at_start
         return self._totals.before(np.concatenate([self.joined.read(), xi, self._sums.values(xi)]))
 
     def energies(self) -> Array:
@@ -133,7 +136,7 @@ class Coupled:
         return found
 
     def prepare(self, t0: float, h: float) -> None:
-        """Junction values before the first step: those of a trial step, then everything back.
+        """Junction values before the first step: those of the instant, and for the iteration those of a trial step.
 
         Where steps are not repeated, those that the outputs at the start give.
         """
@@ -141,14 +144,32 @@ class Coupled:
             self._growth.given(self.energies())
         if not self.coupling.repeats:
             self.last = Solution(Instant().solve(self.joined, self.last.xi, t0), self.last.y)
+            self.joined.begin(self.last.xi)
             return
+        found = self._tried(t0, h)
+        xi = self._instant(t0, h)
+        self.last = Solution(found.xi, found.y)
+        self._at_start = found.xi if xi is None else xi
+        self.joined.begin(self._at_start)
+
+    def _tried(self, t0: float, h: float) -> Solution:
+        """A step from the start, which is taken back."""
         states = self.joined.states()
         try:
-            self.last = self._solved(Step(t0, h, states))
+            return self._solved(Step(t0, h, states))
         finally:
             self.joined.restore(states)
-        self.last = Solution(self.last.xi, self.last.y)
-        self.joined.apply(self.last.xi)
+
+    def _instant(self, t0: float, h: float) -> Array | None:
+        """Junction unknowns at the start; None where they cannot be found."""
+        joined, inner = self.joined, plain(self.coupling)
+        self._sums.values(self.last.xi)
+        if not self._sums.hide:
+            return at_instant(joined, self.last.xi, t0)
+        if joined.put_off:
+            return None
+        exchange = inner.exchange if isinstance(inner, NodeNewton) else None
+        return limit(partial(self._tried, t0), exchange, joined.face.nominal, h)
 
     def _solved(self, step: Step) -> Solution:
         """Of an iteration that is given up, units that do not repeat a step are told."""
@@ -161,7 +182,7 @@ class Coupled:
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         parts: list[Steps] = []
-        done = 0
+        done, self._at_start = 0, None
         while done < n:
             if (steps := self._compiled(t0, h, first + done, n - done)) is not None:
                 parts.append(steps)

@@ -68,6 +68,11 @@ class EndSums:
         """Whether `of_rows` knows which outputs follow the junction unknowns."""
         return self._maps is not None
 
+    @property
+    def hide(self) -> bool:
+        """Whether there are sums that no junction unknown changes at an instant, once `values` was asked for."""
+        return self._maps is not None and bool(len(self.names)) and float(abs(self._maps[2]).max()) > UNIT
+
     def of_rows(self, xi: Array, y: Array) -> Array:
         """The sums (steps x names) with junction unknowns xi and outputs y at ends, a row a step."""
         assert self._maps is not None

@@ -64,6 +64,12 @@ class Joined:
         for m, place in zip(self.members, self.places, strict=True):
             m.set_input(u[place])
 
+    def begin(self, xi: Array) -> None:
+        """Give every member its inputs before its first step: what it tells is then that of the instant under them."""
+        u = self.inputs(xi)
+        for m, place in zip(self.members, self.places, strict=True):
+            m.begin(u[place])
+
     def trial(self, xi: Array, t: float, h: float) -> Array:
         """Step every member from t by h under xi; their outputs Y (nu)."""
         self.apply(xi)

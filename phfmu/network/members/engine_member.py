@@ -100,6 +100,10 @@ class EngineMember:
         names = [n for v in self.model.declaration.states for n in v.names()]
         return dict(zip(names, map(float, self.instance.x), strict=True))
 
+    def begin(self, u: Array) -> None:
+        self.set_input(u)
+        self.instance.initialise()
+
     def shift(self, s: Array, t: float) -> None:
         """Moves the states as an impulse s at the ports that take some does, for a start at time t."""
         kernels, x = port_kernels(self.model.declaration), self.instance.x

@@ -70,6 +70,9 @@ class FMUMember:
         self._tunable = frozenset(unit.tunable)
         self._others = [*unit.other_inputs, *unit.tunable]
         self._u = unit.start_inputs()
+        #: what was set by name
+        self._given: dict[str, float] = {}
+        self._moved = False
         self.input_sign = unit.input_sign
         self._happened = UnitHappenings(unit, name)
         self.nominal = np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs])
@@ -101,6 +104,7 @@ class FMUMember:
         """Tunable parameters and inputs without power; ValueError for parameters that are fixed once it is initialised."""
         found = [n for n in self._others if n == name or n.partition("[")[0] == name]
         if found:
+            self._given |= dict.fromkeys(found, value)
             self.unit.set(dict.fromkeys(found, value))
             return "parameter" if found[0] in self._tunable else "input"
         variables = self.unit.interface.variables.items()
@@ -116,7 +120,9 @@ class FMUMember:
         return self.unit.get(names)
 
     def write_signals(self, names: Sequence[str], values: Array) -> None:
-        self.unit.set(dict(zip(names, values.tolist(), strict=True)))
+        now = dict(zip(names, values.tolist(), strict=True))
+        self._given |= now
+        self.unit.set(now)
 
     def start_inputs(self) -> Array:
         return self.unit.start_inputs()
@@ -133,12 +139,20 @@ class FMUMember:
 
     def shift(self, s: Array, _: float) -> None:
         """Moves the states as an impulse s at the ports that take some does, by a step too short to be one."""
-        at, nothing = self.unit.at_nodes, np.zeros(len(s))
+        at, nothing, self._moved = self.unit.at_nodes, np.zeros(len(s)), True
         at.set_impulses(s, nothing)
         try:
             self.unit.do_step(self.unit.time, SHORT)
         finally:
             at.set_impulses(nothing, nothing)
+
+    def begin(self, u: Array) -> None:
+        """A unit of this package begins anew with its inputs; one that was moved, or is another tool's, is given them."""
+        if self._moved or self.unit.estimated:
+            self.set_input(u)
+            return
+        self._u = np.array(u)
+        self.unit.reset(self._given, u)
 
     def do_step(self, t: float, h: float) -> None:
         """All of the step; UnitFailure where the unit takes a part of it only, which is taken back, or not this length."""

@@ -50,6 +50,9 @@ class SteppedLast:
         self._u = np.array(u)
         self.inner.set_input(u)
 
+    def begin(self, u: Array) -> None:
+        self.set_input(u)
+
     def do_step(self, t: float, h: float) -> None:
         if h != self._h:
             self._b, self._G, self._h = self._b * (h / self._h), self._G * (h / self._h), h

@@ -1,0 +1,23 @@
+"""The sums of `sums.py` in compiled code, for runs of many steps: the same bits in a tenth of the time."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from phfmu.engine.compile import compile
+
+RUNTIME = Path(__file__).parent / "runtime"
+
+
+@cache
+def library() -> Any:
+    """`ph_sums_down`, `ph_sums_across` of runtime/sums.c; CompilerMissing, CompileError."""
+    lib = ctypes.CDLL(str(compile({p.name: p for p in sorted(RUNTIME.iterdir())}).path))
+    size, pointer = ctypes.c_ssize_t, ctypes.c_void_p
+    lib.ph_sums_down.restype = lib.ph_sums_across.restype = None
+    lib.ph_sums_down.argtypes = [size, size, *[pointer] * 4]
+    lib.ph_sums_across.argtypes = [size, size, pointer, size, *[pointer] * 2]
+    return lib
