@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from phfmu import NativeInstance, build_model
+from phfmu.components.electrical.switches import diode
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.bouncing_ball import bouncing_ball
@@ -101,6 +102,13 @@ def test_the_compiler_is_announced_only_when_it_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(objects, "build", lambda *a: None)
     build_library(table, lambda: said.append("compiles"))
     assert said == ["compiles"]
+
+
+def test_a_model_without_switches_is_what_it_was() -> None:
+    """Modes are of what has switches, and built when they come up."""
+    plain, switched = build_model(mass(1.0, k=4.0)), build_model(diode())
+    assert plain.modes is None and switched.modes is not None and switched.modes.known == [(0,)]
+    assert plain.events is None and not plain.declaration.switches
 
 
 def test_only_models_with_state_events_have_code_for_them(compiler: None) -> None:

@@ -36,7 +36,7 @@ ROWS = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 def fits(task: Task) -> bool:
     """Whether the compiled loop takes these runs: equal steps without damping, a projected start or state events."""
     o = task.options
-    return o.rtol is None and not o.restart and not o.project and not task.model.declaration.state_events
+    return o.rtol is None and not o.restart and not o.project and task.model.events is None
 
 
 @cache

@@ -219,6 +219,29 @@ def test_what_is_switched_in_the_library_is_sound(name):
     assert check(declaration, strict=True) == [] and declaration.switches
 
 
+def test_info_tells_the_switches(capsys):
+    assert main(["info", "rectifier"]) == 0
+    assert (
+        "bridge.pair1                 unilateral, bridge.blocks[1] = 0, bridge.u on bridge.ac, bridge.dc"
+        in capsys.readouterr().out
+    )
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_saved_state_has_its_mode(engine):
+    """A state brings its mode back: the same bits follow."""
+    scene = build("rectifier")
+    instance = SwitchedInstance(build_model(scene.declaration(), Collocated(2)), engine)
+    list(instance.land(0.0, 1e-3, 3))
+    kept, mode = instance.get_state(), instance.mode
+    list(instance.land(0.0, 1e-3, 3, first=3, changed=False))
+    x, after = instance.x, instance.mode
+    instance.set_state(kept)
+    assert instance.mode == mode != after
+    list(instance.land(0.0, 1e-3, 3, first=3, changed=False))
+    assert (instance.x == x).all() and instance.mode == after
+
+
 def test_a_rectifier_runs_from_the_command_line(capsys):
     assert main(["run", "rectifier", "--engine", "python", "--stop", "0.004"]) == 0
     said = capsys.readouterr()
