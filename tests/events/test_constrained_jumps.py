@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from phfmu import (
     build_model,
     damping,
     energy,
+    parameter,
     run,
     skew,
     state,
@@ -163,3 +165,64 @@ def test_a_jump_that_pushes_a_moving_constraint_is_refused():
     hit = StateEvent(Guard("clock", time - 0.1, 1, unit="s"), jump=Jump({v: [1.0, 0.0]}))
     with pytest.raises(DeclarationError, match="moves with time"):
         build_model(replace(declaration, state_events=(hit,)))
+
+
+def square(redundant: bool) -> PHDAE:
+    """Four masses and five bars, or six of which one depends on the others, that fall on the corner at the origin."""
+    body = Multibody("square", 2)
+    body.gravity([0.0, -9.81])
+    corners = [body.particle(m, q, [0.0, 0.0]) for m, q in zip(WEIGHTS, CORNERS, strict=True)]
+    for i, j in ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), *([(1, 3)] if redundant else [])):
+        body.bar(corners[i], corners[j])
+    declaration = body.build()
+    q, v = declaration.states
+    hit = StateEvent(Guard("floor", q.sx[1], -1, unit="m"), jump=Jump({v: [0.0, 1.0, *[0.0] * 6]}, 0.5))
+    return replace(declaration, state_events=(hit,))
+
+
+WEIGHTS = (1.0, 2.0, 1.5, 0.5)
+CORNERS = ([0.0, 1.0], [1.0, 1.2], [1.0, 2.2], [0.0, 2.0])
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("redundant", [False, True])
+def test_a_rigid_body_is_hit_as_one(engine, redundant):
+    """lost = (1 - e^2)/2 v^2 / (1/M + r^2/I), r the distance of the centre of mass from the line of the impulse."""
+    _, happened, instance = landed(engine, square(redundant), 0.05, 20)
+    m, q = np.array(WEIGHTS), np.array(CORNERS)
+    centre = m @ q / m.sum()
+    inertia = m @ ((q - centre) ** 2).sum(axis=1)
+    weight = 1 / (1 / m.sum() + centre[0] ** 2 / inertia)
+    assert happened.lost.sum() == pytest.approx(0.75 * 9.81 * weight, rel=1e-12)
+    v = after(instance, happened)[8:].reshape(4, 2)
+    spin = weight * 1.5 * sqrt(2 * 9.81) * -centre[0] / inertia
+    fall = -sqrt(2 * 9.81) + weight * 1.5 * sqrt(2 * 9.81) / m.sum()
+    arms = q - centre
+    assert v == pytest.approx(np.array([0.0, fall]) + spin * np.array([[-y, x] for x, y in arms]), abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_jump_with_a_full_mass_matrix(engine):
+    """Velocities with E = M: the impulse on the first one moves both."""
+    M = np.array([[2.0, 0.7], [0.7, 1.0]])
+    q, v = state("q", 2, unit="m", start=[1.0, 0.0]), state("v", 2, unit="m/s", start=[-3.0, 1.0])
+    kinetic = sum(0.5 * M[i, j] * v.sx[i] * v.sx[j] for i in range(2) for j in range(2))
+    hit = StateEvent(Guard("floor", q.sx[0], -1, unit="m"), jump=Jump({v: [1.0, 0.0]}, 0.5))
+    model = PHDAE("pair", states=(q, v), E={v: M}, energies=(energy(kinetic), energy(0 * q.sx[0])),
+                  structure=(skew(q, v, np.eye(2)),), state_events=(hit,))  # fmt: skip
+    _, happened, instance = landed(engine, model, 0.1, 10)
+    column = np.linalg.solve(M, [1.0, 0.0])
+    m = 1.5 * 3.0 / column[0]
+    assert after(instance, happened)[2:] == pytest.approx([-3.0, 1.0] + column * m, rel=1e-14)
+    assert happened.t == pytest.approx(1 / 3, abs=1e-15)
+    assert happened.lost.sum() == pytest.approx(0.75 / 2 * 9.0 / column[0], rel=1e-14)
+
+
+def test_a_jump_in_which_its_own_mode_stands_is_refused():
+    s = parameter("s", 1.0)
+    p = state("p", start=-1.0)
+    hit = StateEvent(Guard("clock", time - 0.1, 1, unit="s"), when={"s": 1.0}, sets={"s": 0.0}, jump=Jump({p: s.sx}))
+    model = PHDAE("body", states=(p,), parameters=(s,), energies=(energy(p**2 / 2),), dissipation=(damping(p, s.sx),),
+                  state_events=(hit,))  # fmt: skip
+    with pytest.raises(DeclarationError, match="jump 'clock': depends on 's', which its event sets"):
+        build_model(model, Collocated(1))
