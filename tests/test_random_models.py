@@ -202,7 +202,7 @@ def test_engines_agree_and_the_native_ledger_closes(name, scheme, p, x, seed):
         assert np.max(np.abs(native[what] - values), initial=0.0) <= 1e-10 * size, what
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", wide(STRUCTURES, "ode strain", "index 1 varying"))
 @settings(max_examples=5, deadline=None, phases=PHASES)
 @given(p=numbers, x=starts)
 def test_check_finds_nothing_to_complain_about(name, p, x):

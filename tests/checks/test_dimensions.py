@@ -30,6 +30,7 @@ from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
 from phfmu.declare.dimension import JOULE, Dimension, Walk, of_unit
 from phfmu.declare.units import unit_text
+from tests.wide import wide
 
 
 def told(model: PHDAE) -> list[str]:
@@ -43,7 +44,9 @@ def with_units(model: PHDAE, **units: str) -> PHDAE:
     return model.mapped(lambda v: replace(v, unit=units.get(v.name, v.unit)), lambda p: p)
 
 
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize(
+    "name", wide(LIBRARY, "synchronous_machine", "dc_motor", "four_particle", "pi_controller", "drive", "breaker")
+)
 def test_the_units_of_the_library_fit(name):
     item = build(name)
     assert told(item if isinstance(item, PHDAE) else item.declaration()) == []

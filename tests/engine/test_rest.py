@@ -47,7 +47,7 @@ def errors(instance: Any, h: float, steps: int, t: float = 0.0) -> tuple[float, 
 
 
 @pytest.mark.parametrize("order", wide([2, 6], 2))
-@pytest.mark.parametrize("name", MECHANISMS)
+@pytest.mark.parametrize("name", wide(MECHANISMS, "frame", "hinge"))
 def test_redundant_bars_and_pins_cost_no_accuracy(name: str, order: int) -> None:
     m = model(MECHANISMS[name](), order)
     g, w, energy = errors(NativeInstance(m), 0.01, 200)
@@ -60,7 +60,7 @@ def test_redundant_bars_and_pins_cost_no_accuracy(name: str, order: int) -> None
 
 @pytest.mark.parametrize(
     ("name", "order"),
-    wide(product(MECHANISMS, (2, 6)), ("frame", 2), ("doubled", 2)),
+    wide(product(MECHANISMS, (2, 6)), ("frame", 2)),
 )
 def test_short_steps_cost_no_accuracy(name: str, order: int) -> None:
     """2000 steps.  The chord stops at 1e-15 of the velocities; what that leaves in the energy adds up, some 1e-17 a step."""

@@ -139,7 +139,7 @@ def exact(end: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("k", "others", "order"),
     [
-        (1, {}, 2),
+        pytest.param(1, {}, 2, marks=WIDE),
         (2, {}, 4),
         (2, {"spring": NativeInstance}, 4),
         (3, {"spring": 2}, 4),

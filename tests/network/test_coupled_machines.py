@@ -48,6 +48,7 @@ from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
 from tests.network.test_coupled_units import states_differ
 from tests.schemes.test_bare_nodes import RATED, STOP, lumped, mean_voltage, saturable
+from tests.wide import slow
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
@@ -80,7 +81,7 @@ def errors(k: int, h: float) -> tuple[float, float, float]:
     return float(np.max(np.abs(I - reference)) / RATED), float(np.max(np.abs(v - mean_voltage(h)))), float(left)
 
 
-@pytest.mark.parametrize(("k", "steps"), [(1, (5e-4, 2.5e-4)), (2, (5e-4, 2.5e-4)), (3, (2e-3, 1e-3))])
+@pytest.mark.parametrize(("k", "steps"), [slow((1, (5e-4, 2.5e-4))), (2, (5e-4, 2.5e-4)), slow((3, (2e-3, 1e-3)))])
 def test_smib_has_order_2k_in_currents_and_node_voltage(k: int, steps: tuple[float, ...]) -> None:
     found = np.array([errors(k, h) for h in steps])
     slopes = np.log2(found[0, :2] / found[1, :2])

@@ -25,6 +25,7 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.network.run.dense import polynomial_of
+from tests.wide import wide
 
 ENGINES = (PythonInstance, NativeInstance)
 
@@ -61,7 +62,7 @@ def test_rows_between_the_ends_have_order_k_plus_1(scheme, order):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("name", ["four_particle", "two_machine"])
+@pytest.mark.parametrize("name", wide(["four_particle", "two_machine"], "four_particle"))
 def test_the_rows_at_step_ends_are_those_of_a_run_without(name, engine):
     made = build(name)
     d, h = (made, 0.01) if isinstance(made, PHDAE) else (made.declaration(), made.step)

@@ -37,6 +37,7 @@ from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.run.loop import run
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
+from tests.wide import slow
 
 RATED = 18881.48  # A, peak, of kundur555_1q
 STOP = 0.02
@@ -114,7 +115,9 @@ def errors(h: float, scheme: Collocated, scene=None) -> tuple[float, float, floa
     return np.max(np.abs(current - reference)) / RATED, np.max(np.abs(voltage - mean_voltage(h))), kirchhoff
 
 
-@pytest.mark.parametrize(("k", "steps"), [(1, (1e-3, 5e-4, 2.5e-4)), (2, (1e-3, 5e-4, 2.5e-4)), (3, (2e-3, 1e-3))])
+@pytest.mark.parametrize(
+    ("k", "steps"), [slow((1, (1e-3, 5e-4, 2.5e-4))), (2, (1e-3, 5e-4, 2.5e-4)), slow((3, (2e-3, 1e-3)))]
+)
 def test_order_of_currents_and_mean_node_voltage(k: int, steps: tuple[float, ...]) -> None:
     """Against the same circuit without a node: order 2, 4, 6; Kirchhoff at the step ends to rounding."""
     found = np.array([errors(h, Collocated(k)) for h in steps])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,7 @@ from phfmu.schemes.collocated import Collocated
 from phfmu.schur import lane_groups, text
 from phfmu.schur.elimination import eliminate
 from phfmu.schur.lanes import spectrum
+from tests.wide import wide
 
 #: the stepper of order 2 is a case of that of order 6, with one node
 ORDERS = (pytest.param(2, marks=pytest.mark.slow), 6)
@@ -95,8 +97,7 @@ BODIES = {"chain": lambda: chain(4), "stiff chain": lambda: chain(4, 1e5), "push
 
 @pytest.mark.parametrize(
     ("name", "order"),
-    [("chain", 2), ("stiff chain", 6), ("pushed", 6)]
-    + [pytest.param(*case, marks=pytest.mark.slow) for case in (("chain", 6), ("stiff chain", 2), ("pushed", 2))],
+    wide(product(("chain", "stiff chain", "pushed"), (2, 6)), ("chain", 2), ("pushed", 6)),
 )
 def test_the_schur_stepper_finds_the_solution_of_newton(name: str, order: int) -> None:
     m = model(BODIES[name](), order)
