@@ -99,9 +99,10 @@ class Landing:
         self, t: float, end: float, h: float, read: Callable[[], dict[str, Array]], changed: bool
     ) -> Iterator[Taken | Happened]:
         """The steps and events in [t, end]."""
-        events, self._last = 0, np.full(self.plan.n, -np.inf)
+        events = 0
+        self.begin()
         if changed and self.structure is not None and self.structure.unsettled:
-            settled = self._happen(t, h, [], 0)
+            settled = self.happen(t, h, [], 0)
             if settled.switched:
                 events = 1
                 yield settled
@@ -112,7 +113,7 @@ class Landing:
                 events, passes = events + 1, passes + 1
                 if passes > self.plan.n + 1:
                     self.jumps.refuse(t, AGAIN, fired)
-                yield self._happen(t, h, fired, events)
+                yield self.happen(t, h, fired, events)
                 fired = self.location.already(t)
             if end - t <= (LIMITS["REST_OF_STEP"] * EPS * max(abs(t), abs(end)) if events else 0.0):
                 return
@@ -121,7 +122,12 @@ class Landing:
                 yield t, taken, read()
                 t = end if taken == end - t else t + taken
 
-    def _happen(self, t: float, h: float, fired: list[int], events: int) -> Happened:
+    def begin(self) -> None:
+        """A grid step begins."""
+        self._last = np.full(self.plan.n, -np.inf)
+
+    def happen(self, t: float, h: float, fired: list[int], events: int) -> Happened:
+        """Events number `events` of a grid step of length h, at t: the states jump, parameters are set."""
         instance, plan = self.instance, self.plan
         crowded = events >= LIMITS["MOST_EVENTS"]
         piled = [i for i in fired if crowded or t - self._last[i] < LIMITS["PILE_UP"] * h]

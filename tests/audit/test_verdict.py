@@ -102,6 +102,8 @@ def test_energy_that_the_engine_changes_unbooked_is_found(tmp_path) -> None:
 class Unit:
     """A unit of another tool: it takes 1 W from its port and says what `books` says."""
 
+    lands = False
+
     def __init__(self, pairs: Sequence[float], supplied: float, estimated: bool = False):
         self.names: list[str] = []
         quality = ESTIMATED if estimated else EXACT

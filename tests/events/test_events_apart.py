@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,11 @@ from phfmu.audit import AuditWriter
 from phfmu.cli import main
 from phfmu.components.electrical.switches import diode
 from phfmu.components.scenes.breaker_opening import breaker_opening
+from phfmu.engine.event_failure import EventRefused
 from phfmu.fmu.variables import FMUError
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
+from phfmu.network.couplings.newton import Newton
+from phfmu.network.couplings.node_newton import newton
 
 OPENED, STOP, CHOP, L = 0.0203, 0.03, 0.5, 0.01
 EVENTS = (Event(OPENED, "line.command", 0.0),)
@@ -42,9 +46,9 @@ def network() -> Any:
     return breaker_opening(OPENED, chop=CHOP).system
 
 
-def apart(network: Any, engine: Any, k: int = 1) -> Coupled:
+def apart(network: Any, engine: Any, k: int = 1, coupling: Any = newton) -> Coupled:
     models = {n: build_model(d, Collocated(k)) for n, d in network.declared.items()}
-    return Coupled(network, [EngineMember(n, m, engine(m)) for n, m in models.items()])
+    return Coupled(network, [EngineMember(n, m, engine(m)) for n, m in models.items()], coupling)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +64,7 @@ def test_events_inside_a_member_keep_order_two(network: Any, reference: Any, k: 
     times = [float(note.split()[2]) for note in reference.notes if "chop" in note]
     errors, late = [], []
     for h in (4e-4, 2e-4, 1e-4):
-        result = run(apart(network, NativeInstance, k), Options(stop=STOP, step=h, events=EVENTS))
+        result = run(apart(network, NativeInstance, k, Newton()), Options(stop=STOP, step=h, events=EVENTS))
         errors.append(np.abs([result.column(n)[-1] for n in KEPT] - expected).max())
         summary = result.ledger.summary()
         assert summary.closed and summary.events == {"parameter": 1, "state": 3}
@@ -71,6 +75,52 @@ def test_events_inside_a_member_keep_order_two(network: Any, reference: Any, k: 
         assert jumps == {"line": pytest.approx(-3 * L * CHOP**2 / 2, rel=1e-9)}  # L i^2/2 of each pole
     slopes = np.log2(np.array([errors[:-1], late[:-1]]) / [errors[1:], late[1:]])
     assert (np.abs(slopes[:, -1] - 2) < 0.2).all(), slopes
+
+
+@pytest.mark.parametrize(("k", "steps"), [(2, (4e-4, 2e-4)), (3, (8e-4, 4e-4))])
+def test_all_land_together_with_node_values_and_keep_order_2k(
+    network: Any, reference: Any, k: int, steps: tuple[float, float]
+) -> None:
+    """The composed run to rounding, its rows before and after events too; times of events and states of order 2k."""
+    expected = np.array([reference.column(n)[-1] for n in KEPT])
+    model, errors = build_model(network.compose(), Collocated(k)), []
+    for h in steps:
+        options = Options(stop=STOP, step=h, events=EVENTS)
+        coupled = apart(network, NativeInstance, k)
+        assert coupled.lands
+        result, whole = run(coupled, options), run(Monolithic(model, NativeInstance(model)), options)
+        errors.append(np.abs([result.column(n)[-1] for n in KEPT] - expected).max())
+        np.testing.assert_allclose(result.time, whole.time, rtol=1e-13)
+        for name in (*KEPT, "line.flux[2]"):
+            np.testing.assert_allclose(
+                result.column(name), whole.column(name), atol=1e-12 * np.abs(whole.column(name)).max()
+            )
+        told, other = result.ledger.summary(), whole.ledger.summary()
+        assert told.closed and told.events == other.events == {"parameter": 1, "state": 3}
+        jumps = [{c.component: c.jumps for c in s.components if c.jumps} for s in (told, other)]
+        assert jumps[0] == {"line": pytest.approx(jumps[1]["line"], rel=1e-12)}
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * k, abs=0.3)
+
+
+def test_engines_land_together_alike(network: Any) -> None:
+    options = Options(stop=0.024, step=8e-4, events=EVENTS)
+    native, python = (run(apart(network, e, 2), options) for e in (NativeInstance, PythonInstance))
+    np.testing.assert_allclose(python.time, native.time, rtol=1e-12)
+    for name in KEPT:
+        np.testing.assert_allclose(python.column(name), native.column(name), atol=1e-16)
+
+
+def test_an_event_that_is_refused_leaves_all_members_at_the_last_step(network: Any) -> None:
+    """A row for the refusal, all members at one time."""
+    declared = dict(network.declared)
+    line = declared["line"]
+    events = tuple(replace(e, jump=e.jump and replace(e.jump, most=1e-3)) for e in line.state_events)
+    declared["line"] = replace(line, state_events=events)
+    models = {n: build_model(d, Collocated(2)) for n, d in declared.items()}
+    members = [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]
+    with pytest.raises(EventRefused, match="pole1.chop' would jump with"):
+        run(Coupled(network, members), Options(stop=STOP, step=4e-4, events=EVENTS))
+    assert len({m.instance.time for m in members}) == 1
 
 
 def test_engines_agree_and_units_too(network: Any, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,10 @@ from phfmu.network.members.member import Member
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
+    from phfmu.network.couplings.exchange import Exchange
     from phfmu.network.couplings.master import Master
+    from phfmu.network.couplings.stepper import Landing
+    from phfmu.network.couplings.together import Together
 
 Array = NDArray[Any]
 
@@ -63,12 +66,37 @@ class Coupled:
         self._works = Works(self.joined, inner.exchange if isinstance(inner, NodeNewton) else None, inner.repeats)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
         self._signals = HeldSignals(network, members)
+        self._together = self._landing(inner.exchange) if isinstance(inner, NodeNewton) else None
         self._sums = EndSums(self.joined)
         #: junction unknowns of the instant before the first step
         self._at_start: Array | None = None
         own = [*self.joined.names, *face.names, *self._sums.names]
         self._totals = Totals([m.name for m in members], own)
         self.names = [*self._totals.names, *own]
+
+    def _landing(self, exchange: Exchange) -> Together | None:
+        members = exchange.landing()
+        if not members:
+            return None
+        from phfmu.network.couplings.together import Together
+
+        for m in members:
+            m.together = True
+        return Together(members, self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
+
+    def _all_step(self, t: float, h: float) -> bool:
+        """Whether it went in one part."""
+        self.last = self._solved(Step(t, h, self.joined.states()))
+        return self.last.earlier is None
+
+    def _all_back(self, saved: tuple[list[Any], Solution]) -> None:
+        states, self.last = saved
+        self.joined.restore(states)
+
+    @property
+    def lands(self) -> bool:
+        """Whether steps end on the zeros of guards, all members together."""
+        return self._together is not None
 
     @cached_property
     def _master(self) -> Master | None:
@@ -218,20 +246,49 @@ class Coupled:
             self.last = self._solved(Step(t, h, states))
             self.joined.finish()
             self._signals.stepped(h)
-            known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
-            test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
-            book = self.joined.ledger()
-            if self._works.keys:
-                book["works"] = works(self.joined, self.last, h)
-            book = added(book, self.last.earlier)
-            if self._works.keys:
-                book["works"] = self._works.grouped(book["works"])
-            known["events"] = (*self.last.happened, *self.joined.happened())
-            if self._growth is not None:
-                self._growth.watch(t, h, known["H"], book["pairs"])
-            return known | test | book
+            return self._known(t, h)
         except BaseException:
             self.joined.restore(states)
             self._signals.restore(samples)
             self.last = last
             raise
+
+    def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
+        """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
+        assert self._together is not None
+        components = self.booking.components
+        for k in range(first, first + n):
+            for t, taken, happened in self._together.over(t0 + k * h, t0 + (k + 1) * h, changed):
+                if taken:
+                    try:
+                        steps = Steps.stacked([self._known(t, taken)])
+                    except BaseException:
+                        self._together.back()
+                        raise
+                    yield np.array([t]), np.array([taken]), steps, None
+                    continue
+                self._sums.forget()
+                self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
+                self.joined.apply(self.last.xi)
+                for member, event in happened:
+                    energy, lost = np.zeros((2, len(components)))
+                    own = [components.index(c) for c in member.booking.components]
+                    energy[own], lost[own] = event.energy, event.lost
+                    told = replace(event, energy=energy, lost=lost)
+                    yield np.zeros(0), np.zeros(0), None, (told, self.read())
+            changed = False
+
+    def _known(self, t: float, h: float) -> dict[str, Any]:
+        """What is known of the step just taken: the fields of `Steps`."""
+        known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
+        test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
+        book = self.joined.ledger()
+        if self._works.keys:
+            book["works"] = works(self.joined, self.last, h)
+        book = added(book, self.last.earlier)
+        if self._works.keys:
+            book["works"] = self._works.grouped(book["works"])
+        known["events"] = (*self.last.happened, *self.joined.happened())
+        if self._growth is not None:
+            self._growth.watch(t, h, known["H"], book["pairs"])
+        return known | test | book

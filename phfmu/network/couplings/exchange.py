@@ -10,6 +10,7 @@ R* is the adjoint of R in the weights: h sum_i b_i xi_i . r_i is what the juncti
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,9 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.bare_columns import bare
 from phfmu.network.couplings.clusters import Clusters
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.members.node_values import NodeValues, node_values
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.member import Member
+from phfmu.network.members.node_values import HeldNodes, NodeValues, node_values
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -50,6 +53,11 @@ class Share:
         return bool(self.Q.any())
 
 
+def has_events(member: Member) -> TypeGuard[EngineMember]:
+    """Whether an engine steps a model with state events."""
+    return isinstance(member, EngineMember) and member.model.events is not None
+
+
 class Exchange:
     """Unknowns xi (N): of each column of the interface its k_J values; `bare`: columns with impulses.
 
@@ -58,7 +66,8 @@ class Exchange:
 
     def __init__(self, joined: Joined):
         self.joined, face = joined, joined.face
-        parts = [node_values(m) for m in joined.members]
+        parts = [node_values(m, together=not joined.network.wires) for m in joined.members]
+        self._hold_at_bare_nodes(parts)
         #: values per column
         self.k = columns_k(joined, {v.member.name: v.rule.k for v in parts})
         self.columns = np.repeat(np.arange(len(self.k)), self.k)
@@ -76,6 +85,19 @@ class Exchange:
         self.signs = (-1.0) ** self.k[self.bare]
         self.shares = [self._share(v, *p) for v, p in zip(parts, enumerate(joined.places), strict=True)]
         self.clusters = Clusters([s.bare for s in self.shares if s.kicked], len(self.bare))
+
+    def _hold_at_bare_nodes(self, parts: list[NodeValues]) -> None:
+        """Members with state events take no impulses: where they meet at bare nodes, they land inside and take held values."""
+        joined = self.joined
+        found = bare(joined.network, joined.face, joined.places, [v.offer for v in parts])
+        for i, values in enumerate(parts):
+            if has_events(values.member) and not set(joined.reach(i)[0].tolist()).isdisjoint(found.columns):
+                parts[i] = HeldNodes(values.member)
+
+    def landing(self) -> list[EngineMember]:
+        """Members with state events that land together with all others."""
+        found = (s.values.member for s in self.shares if not isinstance(s.values, HeldNodes))
+        return [m for m in found if has_events(m)]
 
     @property
     def held(self) -> bool:

@@ -13,11 +13,12 @@ from phfmu.discretise.model import Model, build_model
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import LEDGER, Steps
-from phfmu.events.happened import Happened
 from phfmu.network.couplings.projections import Projections
+from phfmu.network.couplings.stepper import Landing
 from phfmu.network.members.booking import booking
 from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import require_consistent
+from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs
 from phfmu.schemes.scheme import Scheme
 
@@ -100,18 +101,21 @@ class Monolithic:
                 failure.recorded = {"steps": self._steps(self.instance, failure.recorded)}
             raise
 
-    def land(
-        self, t0: float, h: float, n: int, first: int = 0, changed: bool = True
-    ) -> Iterator[tuple[Array, Array, Steps | None, Happened | None]]:
+    def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         """Starts and sizes of steps, the steps, and the state events at their end, over grid steps first..first+n-1.
 
         None for no steps, and for the steps before the end or a failure.  `changed`: something was set since the last step.
         """
+        words = Happenings(self.model)
         for part in self.instance.land(t0, h, n, self._wanted(self.instance), first, changed):
-            happened = part.happened and replace(
-                part.happened, signals=self._columns.pick(part.happened.signals[None])[0]
-            )
-            yield part.t, part.h, self._steps(self.instance, part.rows) if part.rows else None, happened
+            steps, happened = self._steps(self.instance, part.rows) if part.rows else None, part.happened
+            row = happened and (words.told(happened), self._columns.pick(happened.signals[None])[0])
+            yield part.t, part.h, steps, row
+
+    @property
+    def lands(self) -> bool:
+        """Whether the model has state events."""
+        return self.model.events is not None
 
     @property
     def free_inputs(self) -> Mapping[str, Any]:

@@ -9,13 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
-from phfmu.engine.steps import Steps
+from phfmu.engine.steps import StepEvent, Steps
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.engine.rest_changes import RestChange
 
 Array = NDArray[np.float64]
+
+
+#: starts and sizes of steps, the steps, or an event and the row after it
+Landing = tuple[Array, Array, Steps | None, tuple[StepEvent, Array] | None]
 
 
 class Stepper(Protocol):
@@ -37,6 +41,11 @@ class Stepper(Protocol):
 
     def inputs(self) -> dict[str, float]:
         """Free inputs, which nothing inside feeds, as they are now."""
+        ...
+
+    @property
+    def lands(self) -> bool:
+        """Whether its steps end on the zeros of guards too, by `land`."""
         ...
 
     def settable(self) -> list[str]: ...

@@ -39,6 +39,11 @@ class FMUStepper:
         given = self._u * self.member.input_sign
         return dict(zip(self.member.input_names, given.tolist(), strict=True)) | self.member.signals()
 
+    @property
+    def lands(self) -> bool:
+        """It does that inside its steps."""
+        return False
+
     def settable(self) -> list[str]:
         return self.member.settable()
 

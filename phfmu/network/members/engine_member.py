@@ -50,6 +50,8 @@ class EngineMember:
             [np.broadcast_to(np.asarray(p.nominal, float), p.n) for p in free] or [np.zeros(0)]
         )
         self.input_sign = np.ones(self.nu)
+        #: its steps look at no guard: all members land together
+        self.together = False
         self._happenings = None if model.events is None else Happenings(model, name)
         own = booking(model)
         rename = {model.name: name}
@@ -111,8 +113,17 @@ class EngineMember:
         self.instance.set_x(t, x)
         self.instance.initialise()
 
+    @property
+    def guards_states(self) -> bool:
+        """Whether its state events read states only, so that they can be looked at on the polynomial of a step."""
+        events = self.model.events
+        return self.parts == 1 and events is not None and not any(g.yi.size for g in events.groups)
+
     def do_step(self, t: float, h: float) -> None:
-        self.instance.do_step(t, h, self.parts)
+        if self.together:
+            self.instance.step_exactly(t, h)
+        else:
+            self.instance.do_step(t, h, self.parts)
 
     def output(self) -> Array:
         return self.instance.output()
@@ -143,7 +154,7 @@ class EngineMember:
 
     def happened(self) -> list[StepEvent]:
         told = self._happenings
-        return [] if told is None else [told.told(h) for h in self.instance.happened]
+        return [] if told is None or self.together else [told.told(h) for h in self.instance.happened]
 
     def energies(self) -> Array:
         return self.instance.signal("H")

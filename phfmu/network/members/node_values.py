@@ -200,10 +200,15 @@ class HeldNodes:
         return np.zeros((0, 0))
 
 
-def node_values(member: Member) -> NodeValues:
-    """The most that a member offers; runs without units do not load their reader."""
+def node_values(member: Member, together: bool = True) -> NodeValues:
+    """The most that a member offers; runs without units do not load their reader.
+
+    `together`: whether members with state events may land together, which those of order 4 and 6 do.
+    """
     if isinstance(member, EngineMember) and member.model.events is not None:
-        return HeldNodes(member)  # what happens within its step is in no polynomial
+        together = together and member.guards_states and member.model.step.k > 1
+        if not together:  # what happens within its step is in no polynomial
+            return HeldNodes(member)
     if isinstance(member, EngineMember) and (scheme := member.model.scheme).node_values:
         offer = DeclaredOffer(member.name, member.model.declaration) if scheme.impulses else None
         return InstanceNodes(member, scheme.nodes, offer)

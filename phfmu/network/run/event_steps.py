@@ -4,25 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
-from phfmu.engine.steps import Steps
-from phfmu.events.happened import Happened
+from phfmu.engine.steps import StepEvent
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.members.happenings import Happenings
+from phfmu.network.couplings.stepper import Landing
 from phfmu.network.run.book import Book
 from phfmu.network.run.march import Pace, goals, pieces
 from phfmu.network.run.options import Options
 from phfmu.network.run.rows import Row
 from phfmu.network.run.stretches import Stretch
 
+if TYPE_CHECKING:
+    from phfmu.network.couplings.coupled import Coupled
+
 Array = NDArray[Any]
 Rows = Iterator[Row]
-Parts = Iterable[tuple[Array, Array, Steps | None, Happened | None]]
 
 CROWD = 3
 
@@ -30,11 +31,11 @@ CROWD = 3
 class Booked:
     """Books landed steps and what happens at their end; their rows, with one before and one after each event."""
 
-    def __init__(self, stepper: Monolithic, book: Book):
-        self.stepper, self.book, self._words = stepper, book, Happenings(stepper.model)
+    def __init__(self, stepper: Monolithic | Coupled, book: Book):
+        self.stepper, self.book = stepper, book
 
-    def rows(self, parts: Parts, also: float = 0.0) -> Rows:
-        """Of parts that `Monolithic.land` yields; `also`: iterations of trials that are booked with the first step."""
+    def rows(self, parts: Iterable[Landing], also: float = 0.0) -> Rows:
+        """Of parts that `land` of the stepper yields; `also`: iterations of trials that are booked with the first step."""
         try:
             for begun, size, steps, happened in parts:
                 if steps is not None:
@@ -44,22 +45,22 @@ class Booked:
                     self.book.add(begun, size, steps)
                     yield begun + size, steps.signals, np.zeros(len(size), bool)
                 if happened is not None:
-                    yield self._happened(happened)
+                    yield self._happened(*happened)
         except StepFailure as failure:
             self.book.failed(failure)
             raise
 
-    def _happened(self, h: Happened) -> Row:
+    def _happened(self, e: StepEvent, row: Array) -> Row:
         """Books it; the row after it."""
-        self.book.happened(self._words.told(h))
+        self.book.happened(e)
         self.stepper.check_start()
-        return np.array([h.t]), h.signals[None], np.zeros(1, bool)
+        return np.array([e.t]), row[None], np.zeros(1, bool)
 
 
 class EventSteps:
-    """Grid steps of a model with state events."""
+    """Grid steps of a model with state events, or of members that land together."""
 
-    def __init__(self, stepper: Monolithic, book: Book, options: Options):
+    def __init__(self, stepper: Monolithic | Coupled, book: Book, options: Options):
         _require_fit(options)
         self.stepper, self.step = stepper, options.step
         self._booked, self._pace = Booked(stepper, book), Pace()
@@ -136,7 +137,7 @@ class AdaptiveEventSteps:
         """When something happens first in the step, None for nothing; as far as it does not fail."""
         try:
             parts = self.stepper.land(t, end - t, 1, 0, False)
-            return next((p[3].t for p in parts if p[3] is not None and t < p[3].t < end), None)
+            return next((p[3][0].t for p in parts if p[3] is not None and t < p[3][0].t < end), None)
         except StepFailure:
             return None
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.junctions.network import Network
 from phfmu.network.run.book import Book
@@ -83,8 +82,10 @@ def _march(
     stepper: Stepper, book: Book, options: Options
 ) -> FixedSteps | AdaptiveSteps | EventSteps | AdaptiveEventSteps:
     """How the run gets from event to event."""
-    if isinstance(stepper, Monolithic) and stepper.model.events is not None:
-        return (AdaptiveEventSteps if options.adaptive else EventSteps)(stepper, book, options)
+    if stepper.lands and options.adaptive:
+        return AdaptiveEventSteps(monolithic(stepper, "--rtol"), book, options)
+    if stepper.lands:
+        return EventSteps(stepper, book, options)  # pyright: ignore[reportArgumentType]
     return AdaptiveSteps(stepper, book, options) if options.adaptive else FixedSteps(stepper, book, options)
 
 

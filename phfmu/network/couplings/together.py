@@ -1,0 +1,178 @@
+"""Members of order 2k that land together: all end their steps where a guard of one of them is zero.
+
+The polynomials of node values do not reach over an event, so a step of all members is tried, the guards are looked at on the
+polynomials of their members, and the step that ends on the first zero of all is taken by all, with an iteration of the interface
+for each trial.  Rules and words are those of `engine/locate.py`, which sees one instance with the states of all such members.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.event_jump import AGAIN
+from phfmu.engine.guards import Guards
+from phfmu.engine.landing import Landing
+from phfmu.engine.limits import LIMITS
+from phfmu.engine.locate import EPS, Location
+from phfmu.engine.steps import StepEvent
+from phfmu.events.event_plan import EventPlan, Settings
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.happenings import Happenings
+
+Array = NDArray[Any]
+
+
+class Together:
+    """Steps of `members` with state events and of all they are joined with.
+
+    solve: takes a step (t, h) of all, True if in one part;  save, restore: of where all are
+    """
+
+    def __init__(
+        self,
+        members: list[EngineMember],
+        solve: Callable[[float, float], bool],
+        save: Callable[[], Any],
+        restore: Callable[[Any], None],
+    ):
+        self.members, self._solve = members, solve
+        self._save, self.restore, self._saved, self._in_parts = save, restore, save(), 0
+        self._landings = [Landing(m.instance) for m in members]
+        self._words = [Happenings(m.model, m.name) for m in members]
+        plans = [m.model.events for m in members]
+        self._plan = _Stacked(members, [p for p in plans if p is not None])
+        k = max(m.model.step.k for m in members)
+        self.model = SimpleNamespace(step=SimpleNamespace(k=k, na=0))
+        self._location: Any = Location(self, self._plan, self._plan)  # type: ignore[arg-type]
+
+    # -- an instance ----------------------------------------------------------------------------------------------------
+
+    @property
+    def x(self) -> Array:
+        return np.concatenate([m.instance.x for m in self.members])
+
+    @property
+    def unknowns(self) -> Array:
+        return np.concatenate([m.instance.unknowns for m in self.members])
+
+    @property
+    def parameters(self) -> Array:
+        return np.concatenate([m.instance.parameters for m in self.members])
+
+    @property
+    def held_input(self) -> Array:
+        """Guards that read inputs do not land together."""
+        return np.zeros(0)
+
+    @property
+    def time(self) -> float:
+        return float(self.members[0].instance.time)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often steps were halved, by members or by all: such a step has no polynomial."""
+        return {"substeps": self._in_parts + sum(m.instance.counts["substeps"] for m in self.members)}
+
+    def step_exactly(self, t: float, h: float) -> None:
+        self._in_parts += not self._solve(t, h)
+
+    def get_state(self) -> Any:
+        self._saved = self._save()
+        return self._saved
+
+    def back(self) -> None:
+        """To where the last step began."""
+        self.restore(self._saved)
+
+    # -- a grid step ----------------------------------------------------------------------------------------------------
+
+    def over(
+        self, t: float, end: float, changed: bool
+    ) -> Iterator[tuple[float, float, tuple[tuple[EngineMember, StepEvent], ...]]]:
+        """(start, length, nothing) of each step taken in [t, end], (time, 0, what happened at members) of each event."""
+        h, events = end - t, 0
+        for landing in self._landings:
+            landing.begin()
+        fired = self._location.already(t) if changed else []
+        while True:
+            passes = 0
+            while fired:
+                events, passes = events + 1, passes + 1
+                if passes > self._plan.n + 1:
+                    member, own = next(self._plan.of(fired))
+                    self._landings[member].jumps.refuse(t, AGAIN, own)
+                yield t, 0.0, self._happen(t, h, fired, events)
+                fired = self._location.already(t)
+            if end - t <= (LIMITS["REST_OF_STEP"] * EPS * max(abs(t), abs(end)) if events else 0.0):
+                return
+            taken, fired = self._location.advance(t, end - t)
+            if taken:
+                yield t, taken, ()
+                t = end if taken == end - t else t + taken
+
+    def _happen(self, t: float, h: float, fired: list[int], events: int) -> tuple[tuple[EngineMember, StepEvent], ...]:
+        before, found = self.get_state(), []
+        try:
+            for i, own in self._plan.of(fired):
+                found.append((self.members[i], self._words[i].told(self._landings[i].happen(t, h, own, events))))
+        except BaseException:
+            self.restore(before)
+            raise
+        return tuple(found)
+
+
+class _Stacked:
+    """The guards of all members as those of one plan: x = [states of each | t], p = [parameters of each]."""
+
+    solves = 0
+
+    def __init__(self, members: list[EngineMember], plans: list[EventPlan]):
+        self._plans, self._guards = plans, [Guards(p) for p in plans]
+        steps = [m.model.step for m in members]
+        self._first = np.cumsum([0, *(p.n for p in plans)])
+        self._x, self._w, self._p = (
+            np.cumsum([0, *(getattr(s, size) for s in steps)]).tolist() for size in ("nx", "nw", "np")
+        )
+        self._y = [np.zeros(s.na + s.nu) for s in steps]
+        self.n = int(self._first[-1])
+        self.direction = np.concatenate([p.direction for p in plans])
+        self.nominal = np.concatenate([p.nominal for p in plans])
+        self.when, self.sets = (self._settings([getattr(p, name) for p in plans]) for name in ("when", "sets"))
+
+    def _settings(self, own: list[Settings]) -> Settings:
+        ends = np.cumsum([0, *(len(s.p) for s in own)])
+        ptr = [s.ptr[:-1] + at for s, at in zip(own, ends, strict=False)]
+        places = [s.p + at for s, at in zip(own, self._p, strict=False)]
+        return Settings(
+            np.append(np.concatenate(ptr), ends[-1]), np.concatenate(places), np.concatenate([s.value for s in own])
+        )
+
+    def of(self, fired: list[int]) -> Iterator[tuple[int, list[int]]]:
+        """Members with their own numbers of the guards `fired`."""
+        for i, (a, b) in enumerate(zip(self._first[:-1], self._first[1:], strict=True)):
+            if own := [int(j - a) for j in fired if a <= j < b]:
+                yield i, own
+
+    def values(self, x: Array, y: Array, p: Array) -> Array:
+        """All guards (n)."""
+        found = [
+            g.values(np.append(x[a:b], x[-1]), own, p[c:d])
+            for g, own, a, b, c, d in zip(
+                self._guards, self._y, self._x[:-1], self._x[1:], self._p[:-1], self._p[1:], strict=True
+            )
+        ]
+        return np.concatenate(found)
+
+    def polynomial(self, x: Array, w: Array, tau: float) -> Array:
+        """States of all at the fraction tau of a step."""
+        return np.concatenate(
+            [
+                p.polynomial(x[a:b], w[c:d], tau)
+                for p, a, b, c, d in zip(self._plans, self._x[:-1], self._x[1:], self._w[:-1], self._w[1:], strict=True)
+            ]
+        )
