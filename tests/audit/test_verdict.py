@@ -103,6 +103,7 @@ class Unit:
     """A unit of another tool: it takes 1 W from its port and says what `books` says."""
 
     lands = False
+    units: dict[str, str] = {}
 
     def __init__(self, pairs: Sequence[float], supplied: float, estimated: bool = False):
         self.names: list[str] = []
@@ -110,6 +111,9 @@ class Unit:
         port = (PortKey("unit", "shaft", quality=quality),) if len(pairs) else ()
         self.booking = Booking(("unit",), port, frozenset({"unit"} if estimated and not port else ()))
         self._pairs, self._supplied, self._H = np.array(pairs, float), supplied, 0.0
+
+    def inputs(self) -> dict[str, float]:
+        return {}
 
     def settable(self) -> list[str]:
         return []
