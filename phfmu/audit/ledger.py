@@ -34,7 +34,7 @@ CUMULATIVE = ("dissipated", "external", "junction_residual", "unexplained")
 
 
 #: steps after which sums are worth a compiled library
-LONG = 1 << 14
+LONG = 1 << 13
 
 
 class Ledger:

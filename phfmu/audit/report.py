@@ -11,7 +11,7 @@ from .alarms import Alarms, alarms
 from .analysis import summarise
 from .events import EventRow
 from .judge import DEFAULT_RTOL, VIOLATED
-from .sheets import JOULE, Column, Scale, Sheet, sheets
+from .sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
 from .summary import LedgerSummary
 
 if TYPE_CHECKING:
@@ -58,10 +58,13 @@ def audit_table(
 
 
 def audit_csv(summary: LedgerSummary, kind: str, scale: Scale = JOULE, events: Sequence[EventRow] = ()) -> str:
-    """One kind of table (component, port, junction, event) as CSV, with all digits; the header row has the unit of energies."""
+    """One kind of table (component, port, junction, part, event) as CSV, with all digits.
+
+    The header, which is there without rows too, has the unit of energies.
+    """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    for sheet in sheets(summary, events):
+    for sheet in all_sheets(summary, events):
         if sheet.title == kind:
             writer.writerow(f"{c.header} [{scale.label}]" if c.kind == "energy" else c.header for c in sheet.columns)
             writer.writerows(
@@ -85,9 +88,10 @@ def _parts(
         if scale.whole is not None:
             unit = f"percent of {scale.whole:.4g} J, which came in or was there"
         yield f"Energy in {unit}, positive into the component; {span}"
-    for sheet in sheets(summary, events):
-        if not by or sheet.title in by:
-            yield _drawn(sheet, scale)
+    chosen = [sheet for sheet in sheets(summary, events) if not by or sheet.title in by]
+    yield from (_drawn(sheet, scale) for sheet in chosen)
+    if by and summary.steps and not chosen:
+        yield f"there is no {' and no '.join(by)} in it"
     if summary.violations:
         yield _table(
             f"{VIOLATED}: what does not close; allowed: {summary.rtol:.1e} of the energies in play, and rounding"

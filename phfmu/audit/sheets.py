@@ -69,24 +69,20 @@ def whole(summary: LedgerSummary) -> float:
 
 def sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> Iterator[Sheet]:
     """All sheets of a summary; `events`: those to be listed."""
-    made = (
-        _components(summary),
-        _ports(summary),
-        _junctions(summary),
-        _parts(summary),
-        _network(summary),
-        _events(events),
-    )
-    yield from (sheet for sheet in made if sheet is not None)
+    yield from (sheet for sheet in all_sheets(summary, events) if sheet.rows)
 
 
-def _sheet(title: str, columns: Sequence[Column], entries: Sequence[Any]) -> Sheet | None:
-    if not entries:
-        return None
+def all_sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> tuple[Sheet, ...]:
+    """Those without rows too."""
+    flows = (_components(summary), _ports(summary), _junctions(summary), _parts(summary))
+    return (*flows, _network(summary), _events(events))
+
+
+def _sheet(title: str, columns: Sequence[Column], entries: Sequence[Any]) -> Sheet:
     return Sheet(title, tuple(columns), tuple(tuple(c.value(e) for c in columns) for e in entries))
 
 
-def _components(summary: LedgerSummary) -> Sheet | None:
+def _components(summary: LedgerSummary) -> Sheet:
     columns = [
         Column("component", lambda c: c.component, "name"),
         Column("H start", lambda c: c.H_start),
@@ -100,7 +96,7 @@ def _components(summary: LedgerSummary) -> Sheet | None:
     return _sheet("component", columns, summary.components)
 
 
-def _ports(summary: LedgerSummary) -> Sheet | None:
+def _ports(summary: LedgerSummary) -> Sheet:
     columns = [
         Column("port", lambda p: f"{p.component}.{p.port}", "name"),
         Column("supplied", lambda p: p.supplied),
@@ -112,7 +108,7 @@ def _ports(summary: LedgerSummary) -> Sheet | None:
     return _sheet("port", columns, summary.ports)
 
 
-def _junctions(summary: LedgerSummary) -> Sheet | None:
+def _junctions(summary: LedgerSummary) -> Sheet:
     columns = [
         Column("junction", lambda j: j.junction, "name"),
         Column("residual", lambda j: j.residual),
@@ -123,7 +119,7 @@ def _junctions(summary: LedgerSummary) -> Sheet | None:
     return _sheet("junction", columns, summary.junctions)
 
 
-def _parts(summary: LedgerSummary) -> Sheet | None:
+def _parts(summary: LedgerSummary) -> Sheet:
     columns = [
         Column("junction", lambda p: p.junction, "name"),
         Column("part", lambda p: p.part, "word"),
@@ -133,10 +129,10 @@ def _parts(summary: LedgerSummary) -> Sheet | None:
     return _sheet("part", columns, summary.parts)
 
 
-def _network(summary: LedgerSummary) -> Sheet | None:
+def _network(summary: LedgerSummary) -> Sheet:
     network = summary.network
     if network is None:
-        return None
+        return Sheet("network", (), ())
     jumps = [c.jumps for c in summary.components if c.jumps]
     guessed = [p.supplied for p in summary.ports if p.quality == ESTIMATED]
     values = {
@@ -158,7 +154,7 @@ def _network(summary: LedgerSummary) -> Sheet | None:
     return _sheet("network", columns, [(k, v) for k, v in values.items() if v is not None])
 
 
-def _events(events: Sequence[EventRow]) -> Sheet | None:
+def _events(events: Sequence[EventRow]) -> Sheet:
     columns = [Column("event", lambda e: e.kind, "name"), Column("t [s]", lambda e: e.t, "time")]
     if any(e.component for e in events):
         columns.append(Column("component", lambda e: e.component or "", "word"))

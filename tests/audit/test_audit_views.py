@@ -24,7 +24,7 @@ from phfmu import (
     build_model,
     run,
 )
-from phfmu.audit import AuditWriter, audit_table, summarise
+from phfmu.audit import AuditWriter, audit_table, summarise, sums
 from phfmu.audit.alarms import Alarms, alarms
 from phfmu.audit.sheets import Scale, fitting, sheets, whole
 from phfmu.audit.window import Window
@@ -188,3 +188,37 @@ def test_how_much_a_run_keeps(
     assert main("run s.py:carts --engine python --stop 0.05 --audit full".split()) == 0
     assert Path("carts.audit.parquet").is_file()
     assert summarise("carts.audit.parquet").steps == 5
+
+
+def test_a_table_without_rows_says_so(log: tuple[Path, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    """A composed run has no parts of junctions: a line, and as CSV the header that programs read."""
+    assert main(["audit", str(log[0]), "--by", "part"]) == 0
+    assert "there is no part in it" in capsys.readouterr().out
+    assert main(["audit", str(log[0]), "--by", "part", "--export", "csv"]) == 0
+    assert list(csv.reader(io.StringIO(capsys.readouterr().out))) == [
+        ["junction", "part", "residual [J]", "worst step [J]"]
+    ]
+    assert main(["audit", str(log[0]), "--window", "0.9:", "--by", "event", "--export", "csv"]) == 0
+    assert capsys.readouterr().out.startswith("event,t [s]")
+
+
+@pytest.mark.usefixtures("compiler")
+def test_compiled_sums_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of any size and sign, with what is no number, in rows of any cut; a run changes over after some steps."""
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(3000, 7)) * 10.0 ** rng.integers(-12, 12, (3000, 7))
+    x[77, 3], x[900, 4] = np.inf, np.nan
+    monkeypatch.setattr(sums, "_library", None)
+
+    def found() -> list[np.ndarray]:
+        own = [sums.CompensatedSum() for _ in range(7)]
+        running = sums.extend(own, x).copy()
+        sums.add(own, x[:700])
+        ends = np.array([(s.high, s.low) for s in own])
+        return [running, ends, sums.across(x), sums.across(x, [5, 0, 3])]
+
+    by_arrays = found()
+    sums.use_compiled()
+    assert sums._library is not None
+    for one, two in zip(by_arrays, found(), strict=True):
+        np.testing.assert_array_equal(one, two)
