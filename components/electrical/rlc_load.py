@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from phfmu import (
     ELECTRICAL,
@@ -51,64 +52,71 @@ def rlc_load(
     for name, value in (("R", R), ("L", L), ("C", C)):
         if value is not None and not value > 0:
             raise ValueError(f"rlc_load: {name} = {value} must be positive; leave it out (None) for an open branch")
-    resistance = None if R is None else parameter("R", R, unit="ohm", description="resistance per phase")
-    inductance = None if L is None else parameter("L", L, unit="H", description="inductance per phase")
-    capacitance = None if C is None else parameter("C", C, unit="F", description="capacitance per phase")
-    parameters = tuple(p for p in (resistance, inductance, capacitance) if p is not None)
-    states: list[Variable] = []
-    algebraics: list[Variable] = []
-    energies: list[Energy] = []
-    structure: list[Block] = []
-    dissipation: list[Block] = []
-    observables: list[Observable] = []
-    on: dict[Variable, float] = {}
-    flux = None
-    if inductance is not None and L is not None:
-        start = [L * k for k in i]
-        flux = state("flux", 3, unit="Wb", start=start, nominal=max([nominal / 377.0, *map(abs, start)]),
-                     description="flux of the inductor per phase")  # fmt: skip
-        states.append(flux)
-        energies.append(energy(sum(flux[k] ** 2 for k in range(3)) / (2 * inductance)))
-        observables.append(observable("i_L", flux.z, unit="A", description="current of the inductor"))
-    if capacitance is not None and C is not None:
-        charge = state("charge", 3, unit="C", start=[C * k for k in v], nominal=C * nominal,
-                       description="charge of the capacitor per phase")  # fmt: skip
-        states.append(charge)
-        energies.append(energy(sum(charge[k] ** 2 for k in range(3)) / (2 * capacitance)))
-        observables.append(observable("v", charge.z, unit="V", description="voltage to ground"))
-        on[charge] = 1
-        if flux is not None:
-            structure.append(skew(flux, charge, 1))
-        if resistance is not None:
-            dissipation.append(damping(charge, 1 / resistance))
-            observables.append(
-                observable("i_R", charge.z / resistance.sx, unit="A", description="current of the resistor")
-            )
-    else:
-        if flux is not None:
-            on[flux] = 1
-        if resistance is not None:
-            current, volt, blocks = conductance_pair(1 / resistance, nominal)
-            algebraics += [current, volt]
-            structure.append(blocks[0])
-            dissipation.append(blocks[1])
-            on[current] = 1
-            observables.append(observable("i_R", current.sx, unit="A", description="current of the resistor"))
-    given = "effort" if capacitance is None else "flow"
+    coil = None if L is None else _inductor(L, i, nominal)
+    plate = None if C is None else _capacitor(C, v, nominal)
+    resistor = None if R is None else _resistor(R, plate, nominal)
+    parts = [b for b in (coil, plate, resistor) if b is not None]
+    parameters = [b.parameter for b in (resistor, coil, plate) if b is not None]
+    between = () if coil is None or plate is None else (skew(coil.on, plate.on, 1),)
+    given = "effort" if plate is None else "flow"
+    on = {b.on: 1 for b in parts} if plate is None else {plate.on: 1}
     port = Port("terminal", ELECTRICAL, given, on, size=3, nominal=nominal if given == "effort" else 1.0,
                 description="phases a, b, c to ground; current into the load")  # fmt: skip
     return PHDAE(
         "rlc_load",
-        states=tuple(states),
-        algebraics=tuple(algebraics),
-        parameters=parameters,
-        energies=tuple(energies),
-        structure=tuple(structure),
-        dissipation=tuple(dissipation),
+        states=tuple(b.on for b in parts if b.energies),
+        algebraics=tuple(v for b in parts for v in b.algebraics),
+        parameters=tuple(parameters),
+        energies=tuple(e for b in parts for e in b.energies),
+        structure=(*between, *(s for b in parts for s in b.structure)),
+        dissipation=tuple(d for b in parts for d in b.dissipation),
         ports=(port,),
-        observables=tuple(observables),
+        observables=tuple(b.observable for b in parts),
         description="three-phase parallel R-L-C to ground",
     )
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One of R, L, C: its parameter, the variable that the terminal acts on (a state if it stores energy), what it adds."""
+
+    parameter: Variable
+    on: Variable
+    observable: Observable
+    energies: tuple[Energy, ...] = ()
+    algebraics: tuple[Variable, ...] = ()
+    structure: tuple[Block, ...] = ()
+    dissipation: tuple[Block, ...] = ()
+
+
+def _inductor(L: float, i: Phases, nominal: float) -> Branch:
+    inductance = parameter("L", L, unit="H", description="inductance per phase")
+    start = [L * k for k in i]
+    flux = state("flux", 3, unit="Wb", start=start, nominal=max([nominal / 377.0, *map(abs, start)]),
+                 description="flux of the inductor per phase")  # fmt: skip
+    stored = energy(sum(flux[k] ** 2 for k in range(3)) / (2 * inductance))
+    told = observable("i_L", flux.z, unit="A", description="current of the inductor")
+    return Branch(inductance, flux, told, energies=(stored,))
+
+
+def _capacitor(C: float, v: Phases, nominal: float) -> Branch:
+    capacitance = parameter("C", C, unit="F", description="capacitance per phase")
+    charge = state("charge", 3, unit="C", start=[C * k for k in v], nominal=C * nominal,
+                   description="charge of the capacitor per phase")  # fmt: skip
+    stored = energy(sum(charge[k] ** 2 for k in range(3)) / (2 * capacitance))
+    return Branch(capacitance, charge, observable("v", charge.z, unit="V", description="voltage to ground"), (stored,))
+
+
+def _resistor(R: float, plate: Branch | None, nominal: float) -> Branch:
+    """Across the capacitor if there is one, else on algebraic variables of its own."""
+    resistance = parameter("R", R, unit="ohm", description="resistance per phase")
+    what = "current of the resistor"
+    if plate is not None:
+        told = observable("i_R", plate.on.z / resistance.sx, unit="A", description=what)
+        return Branch(resistance, plate.on, told, dissipation=(damping(plate.on, 1 / resistance),))
+    current, volt, (turned, lost) = conductance_pair(1 / resistance, nominal)
+    told = observable("i_R", current.sx, unit="A", description=what)
+    return Branch(resistance, current, told, (), (current, volt), (turned,), (lost,))
 
 
 def conductance_pair(G, nominal: float) -> tuple[Variable, Variable, tuple[Block, Block]]:

@@ -59,21 +59,13 @@ def mass_spring(
     k1s, k2s = parameter("k1", k1, unit="N/m"), parameter("k2", k2, unit="N/m")
     d1s, d2s = parameter("d1", d1, unit="N.s/m"), parameter("d2", d2, unit="N.s/m")
     length, width = parameter("l10", l10, unit="m"), parameter("w", w, unit="m")
-    mass = ca.SX(3, 3)
-    mass[0, 0] = m1s.sx
-    mass[1:, 1:] = m2s.sx
     descriptor = PHDAE(
         "mass_spring",
         states=(q, v),
         algebraics=(multiplier,),
         parameters=(m1s, m2s, k1s, k2s, d1s, d2s, length, width),
-        energies=(
-            energy(0.5 * m1s * v[0] ** 2),
-            energy(0.5 * m2s * (v[1] + v[2]) ** 2),
-            energy(0.5 * k1s * q[0] ** 2),
-            energy(0.5 * k2s * q[2] ** 2),
-        ),
-        E={v: mass},
+        energies=tuple(energy(0.5 * c * x**2) for c, x in ((m1s, v[0]), (m2s, v[1] + v[2]), (k1s, q[0]), (k2s, q[2]))),
+        E={v: ca.diagcat(m1s.sx, ca.repmat(m2s.sx, 2, 2))},
         z={v: v.sx},
         structure=(skew(q, v, 1.0),),
         dissipation=(damping(v, ca.vertcat(d1s.sx, 0.0, d2s.sx)),),

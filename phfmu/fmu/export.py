@@ -62,11 +62,31 @@ def export(
     (`energy.events`).  `events`: values that parameters take at given times inside the unit (`schedule.py`).
     The same model gives the same bytes.  Errors: TypeError for anything but a model; FMUError, CompilerMissing, CompileError.
     """
+    rows = _rows(versions)
+    _require_writable(model, step, tunable, node_inputs or impulses)
+    set_later, inside = _scalars(model, [*tunable, *(e.name for e in events)]), in_order(model, events)
+    unit = Unit(
+        model, step, stop, node_inputs, ledger_outputs, terminals, tuple(left_out), arrays, tuple(outward), set_later, impulses,
+        inside,
+    )  # fmt: skip
+    equations = sources.generated(unit)
+    token = sources.token(unit, equations)
+    code = sources.complete(unit, equations, token)
+    libraries = _libraries(code, [host_platform()] if platforms is None else platforms)
+    paths = []
+    for version in rows:
+        path = Path(directory) / f"{unit.identifier}_{version.prefix}.fmu"
+        package.write(path, _files(unit, version, token, code, libraries))
+        paths.append(path)
+    return paths
+
+
+def _require_writable(model: Model, step: float, tunable: Collection[str], exchanged: bool) -> None:
+    """FMUError for what no unit can be; `exchanged`: values at the nodes of a step, or impulses."""
     if bad := unwritable(model.declaration):
         raise FMUError("; ".join(str(p) for p in bad))
     if not (math.isfinite(step) and step > 0):
         raise FMUError(f"{model.name}: step = {step} s must be positive")
-    rows = _rows(versions)
     if model.loses_energy:
         raise FMUError(
             f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
@@ -78,38 +98,13 @@ def export(
             f"{model.name}: has ideal switches ({names}), each mode of which is another plan; units have one. Export it with "
             "switches that modulate the interconnection (breaker, ideal_diode), or run it with --engine native or python"
         )
-    if model.events is not None and (node_inputs or impulses):
+    if model.events is not None and exchanged:
         raise FMUError(
             f"{model.name}: has state events ({', '.join(model.events.names[:4])}), which do not go with inputs at the nodes of "
             "a step in a unit; export it without --node-inputs and --impulses"
         )
     if set_inside := sorted(_scalars(model, tunable) & {*model.declaration.modes}):
         raise FMUError(f"{model.name}: state events set {set_inside[0]}, which cannot be tunable as well")
-    set_later, inside = _scalars(model, [*tunable, *(e.name for e in events)]), in_order(model, events)
-    unit = Unit(
-        model,
-        step,
-        stop,
-        node_inputs,
-        ledger_outputs,
-        terminals,
-        tuple(left_out),
-        arrays,
-        tuple(outward),
-        set_later,
-        impulses,
-        inside,
-    )
-    equations = sources.generated(unit)
-    token = sources.token(unit, equations)
-    code = sources.complete(unit, equations, token)
-    libraries = _libraries(code, [host_platform()] if platforms is None else platforms)
-    paths = []
-    for version in rows:
-        path = Path(directory) / f"{unit.identifier}_{version.prefix}.fmu"
-        package.write(path, _files(unit, version, token, code, libraries))
-        paths.append(path)
-    return paths
 
 
 def _scalars(model: Model, tunable: Collection[str]) -> frozenset[str]:

@@ -56,10 +56,7 @@ def from_sympy(
     x, E = _split(name, x, H, E, n)
     symbols = {s: v.sx[i] for v in (*x, *p) for i, s in enumerate(v.names())}
     convert = Converter(name, symbols)
-    given = {"J": (J, (n, n)), "R": (R, (n, n)), "E": (E, (n, n)), "B": (B, (n, m))}
-    matrix = {
-        k: convert.matrix(k, _shaped(name, k, value, shape)) for k, (value, shape) in given.items() if value is not None
-    }
+    matrix = _converted(name, convert, {"J": (J, (n, n)), "R": (R, (n, n)), "E": (E, (n, n)), "B": (B, (n, m))})
     if m and B is None:
         raise DeclarationError(f"{name}: B", f"is missing, there are {m} inputs", "give B, n x m", "shape")
     hamiltonian = convert.expression("H", H)
@@ -80,6 +77,12 @@ def from_sympy(
         ports=_acting(ports, x, matrix.get("B")),
         description=description,
     )
+
+
+def _converted(name: str, convert: Converter, given: Mapping[str, tuple[Any, tuple[int, int]]]) -> dict[str, Any]:
+    """Those of the matrices that are there, of the shapes that they should have."""
+    there = {k: _shaped(name, k, value, shape) for k, (value, shape) in given.items() if value is not None}
+    return {k: convert.matrix(k, value) for k, value in there.items()}
 
 
 def _parameters(given: Mapping[Any, float] | Sequence[Variable]) -> tuple[Variable, ...]:

@@ -12,7 +12,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.value import Value
 from phfmu.plan.layout import Layout
 from phfmu.plan.ordering import StructurallySingular, elimination_order
-from phfmu.plan.plan import Group, Holds, Kernel, Plan, Products
+from phfmu.plan.plan import Group, Holds, Ints, Kernel, Plan, Products
 from phfmu.plan.spec import Spec, build
 from phfmu.terms.term import Term
 
@@ -72,18 +72,7 @@ def make_plan(
     resting = hold.of(hold.rests)
     used = ~np.isin(matrix.row, resting) | (matrix.row == matrix.col)
     zero = np.setdiff1d(weak, resting).astype(np.int32)
-    try:
-        order, pivot = elimination_order(layout.nw, matrix.row[used], matrix.col[used], zero)
-    except StructurallySingular as e:
-        names, unknowns = layout.names(), layout.unknowns
-        raise DeclarationError(
-            terms.model.name,
-            f"structurally singular: {', '.join(names[r] for r in e.rows)} cannot be solved for "
-            f"{', '.join(unknowns[c].variable for c in e.cols)}",
-            "check for an ideal loop of sources or a port without "
-            "inertia, compliance or resistance" + (", or for redundant constraints" if terms.model.constraints else ""),
-            "singular",
-        ) from None
+    order, pivot = _ordered(layout, matrix, used, zero)
     regularised = np.flatnonzero((matrix.row == matrix.col) & np.isin(matrix.col, weak)).astype(np.int32)
     guess = [(len(g), [i for i, _, _ in g], [c for _, c, _ in g], [q for _, _, q in g]) for g in maps.guess]
     nq = len(terms.pairs)
@@ -113,6 +102,22 @@ def make_plan(
         nominal=layout.nominals(),
         carries=int(maps.carries),
     )  # fmt: skip
+
+
+def _ordered(layout: Layout, matrix: Products, used: NDArray[np.bool_], zero: NDArray[np.int32]) -> tuple[Ints, Ints]:
+    """Pivot columns and rows of A without the rows at rest; DeclarationError if it is structurally singular."""
+    try:
+        return elimination_order(layout.nw, matrix.row[used], matrix.col[used], zero)
+    except StructurallySingular as e:
+        names, unknowns, model = layout.names(), layout.unknowns, layout.terms.model
+        raise DeclarationError(
+            model.name,
+            f"structurally singular: {', '.join(names[r] for r in e.rows)} cannot be solved for "
+            f"{', '.join(unknowns[c].variable for c in e.cols)}",
+            "check for an ideal loop of sources or a port without "
+            "inertia, compliance or resistance" + (", or for redundant constraints" if model.constraints else ""),
+            "singular",
+        ) from None
 
 
 def _groups(layout: Layout, work: Sequence[tuple[Term, list[Spec]]]) -> list[Group]:

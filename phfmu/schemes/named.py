@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
@@ -16,8 +19,15 @@ from phfmu.schemes.scheme_names import CLOSURES, ORDERS, SCHEMES
 from phfmu.schemes.semi_explicit import SemiExplicit
 from phfmu.schemes.two_level import TwoLevel
 
-#: schemes of order 2 only, and what to use for more
-ONE_NODE = ("gradient-pair", "dirac-dissipative")
+
+@dataclass(frozen=True)
+class Asked:
+    """What was asked for, each from the lists of names; closure None = the default of the scheme."""
+
+    name: str
+    order: int
+    gradient: str
+    closure: str | None
 
 
 def named_scheme(
@@ -42,59 +52,13 @@ def named_scheme(
     """
     order = order if order is not None else 3 if name == "radau" else 2
     _require_known(order, gradient, closure)
-    if name == "radau":
-        return _radau(declaration, order, gradient, closure)
-    if order % 2:
+    if name not in MAKERS:
+        raise DeclarationError(f"scheme '{name}'", "is unknown", f"choose from {', '.join(SCHEMES)}")
+    if name != "radau" and order % 2:
         raise DeclarationError(
             f"scheme {name}", "has the orders 2, 4 and 6", f"order {order} is one of --scheme radau", "order"
         )
-    holonomic = bool(declaration.constraints)
-    if name == "auto":
-        name = "two-level" if holonomic else "collocated"
-    if name in ONE_NODE and order != 2:
-        raise DeclarationError(
-            f"scheme {name}", "has order 2 only", f"use --scheme collocated for order {order}", "order"
-        )
-    if name == "gradient-pair":
-        if closure == "minimal":
-            raise DeclarationError(
-                "closure minimal", "is for --scheme dirac-dissipative", "use --closure midpoint or end", "closure"
-            )
-        return GradientPair(gradient, closure or "midpoint")
-    if name == "dirac-dissipative":
-        return DiracDissipative(closure or "midpoint", gradient=gradient)
-    if closure is not None and name not in ("collocated", "semi-explicit"):
-        fits = "semi-explicit, gradient-pair or dirac-dissipative"
-        raise DeclarationError(
-            f"scheme {name}", "has no closure", f"leave out --closure, or use --scheme {fits}", "closure"
-        )
-    if closure == "minimal":
-        raise DeclarationError(
-            "closure minimal", "is for --scheme dirac-dissipative", "use that, or --closure midpoint or end", "closure"
-        )
-    if name == "midpoint":
-        if order != 2 or gradient != "per-term":
-            raise DeclarationError(
-                "scheme midpoint", "has order 2 and no discrete gradient", "leave out --order and --gradient", "order"
-            )
-        return Midpoint()
-    if name == "two-level":
-        if not holonomic:
-            raise DeclarationError(
-                declaration.name, "has no holonomic constraints", "use --scheme collocated", "constraint"
-            )
-        if order == 4:
-            raise DeclarationError("scheme two-level", "has odd stages only", "use --order 2 or 6", "stages")
-        return TwoLevel(order // 2, gradient)
-    if name in ("collocated", "semi-explicit"):
-        if closure is None:
-            return Collocated(order // 2, gradient, name)
-        if order != 2:
-            raise DeclarationError(
-                f"closure {closure} of {name}", "is for order 2 only", "use --order 2, or leave out --closure", "order"
-            )
-        return SemiExplicit(closure, gradient, name)
-    raise DeclarationError(f"scheme '{name}'", "is unknown", f"choose from {', '.join(SCHEMES)}")
+    return MAKERS[name](declaration, Asked(name, order, gradient, closure))
 
 
 def _require_known(order: int, gradient: str, closure: str | None) -> None:
@@ -110,16 +74,98 @@ def _require_known(order: int, gradient: str, closure: str | None) -> None:
         raise DeclarationError.of(found)
 
 
-def _radau(declaration: PHDAE, order: int, gradient: str, closure: str | None) -> Scheme:
-    if order % 2 == 0:
+def _require_order_2(a: Asked) -> None:
+    if a.order != 2:
         raise DeclarationError(
-            "scheme radau", "has the orders 1, 3 and 5", f"order {order} is one of --scheme collocated", "order"
+            f"scheme {a.name}", "has order 2 only", f"use --scheme collocated for order {a.order}", "order"
         )
-    if gradient != "per-term" or closure is not None:
+
+
+def _require_no_closure(a: Asked) -> None:
+    if a.closure is not None:
+        fits = "semi-explicit, gradient-pair or dirac-dissipative"
+        remedy = f"leave out --closure, or use --scheme {fits}"
+        raise DeclarationError(f"scheme {a.name}", "has no closure", remedy, "closure")
+
+
+def _require_not_minimal(a: Asked, remedy: str) -> None:
+    if a.closure == "minimal":
+        raise DeclarationError("closure minimal", "is for --scheme dirac-dissipative", remedy, "closure")
+
+
+def _auto(declaration: PHDAE, a: Asked) -> Scheme:
+    name = "two-level" if declaration.constraints else "collocated"
+    return MAKERS[name](declaration, replace(a, name=name))
+
+
+def _collocated(declaration: PHDAE, a: Asked) -> Scheme:
+    del declaration
+    _require_not_minimal(a, "use that, or --closure midpoint or end")
+    if a.closure is None:
+        return Collocated(a.order // 2, a.gradient, a.name)
+    if a.order != 2:
+        remedy = "use --order 2, or leave out --closure"
+        raise DeclarationError(f"closure {a.closure} of {a.name}", "is for order 2 only", remedy, "order")
+    return SemiExplicit(a.closure, a.gradient, a.name)
+
+
+def _two_level(declaration: PHDAE, a: Asked) -> Scheme:
+    _require_no_closure(a)
+    if not declaration.constraints:
+        raise DeclarationError(
+            declaration.name, "has no holonomic constraints", "use --scheme collocated", "constraint"
+        )
+    if a.order == 4:
+        raise DeclarationError("scheme two-level", "has odd stages only", "use --order 2 or 6", "stages")
+    return TwoLevel(a.order // 2, a.gradient)
+
+
+def _gradient_pair(declaration: PHDAE, a: Asked) -> Scheme:
+    del declaration
+    _require_order_2(a)
+    _require_not_minimal(a, "use --closure midpoint or end")
+    return GradientPair(a.gradient, a.closure or "midpoint")
+
+
+def _dirac_dissipative(declaration: PHDAE, a: Asked) -> Scheme:
+    del declaration
+    _require_order_2(a)
+    return DiracDissipative(a.closure or "midpoint", gradient=a.gradient)
+
+
+def _midpoint(declaration: PHDAE, a: Asked) -> Scheme:
+    del declaration
+    _require_no_closure(a)
+    if a.order != 2 or a.gradient != "per-term":
+        raise DeclarationError(
+            "scheme midpoint", "has order 2 and no discrete gradient", "leave out --order and --gradient", "order"
+        )
+    return Midpoint()
+
+
+def _radau(declaration: PHDAE, a: Asked) -> Scheme:
+    if a.order % 2 == 0:
+        raise DeclarationError(
+            "scheme radau", "has the orders 1, 3 and 5", f"order {a.order} is one of --scheme collocated", "order"
+        )
+    if a.gradient != "per-term" or a.closure is not None:
         raise DeclarationError("scheme radau", "takes gradients and algebraic variables at its nodes",
                                "leave out --gradient and --closure", "gradient")  # fmt: skip
     if declaration.constraints:
         raise DeclarationError(
             declaration.name, "Radau nodes let the holonomic constraints drift", "use --scheme two-level", "drift"
         )
-    return Radau((order + 1) // 2)
+    return Radau((a.order + 1) // 2)
+
+
+#: the names of `scheme_names.py`, and what makes the scheme or says why it does not fit
+MAKERS: dict[str, Callable[[PHDAE, Asked], Scheme]] = {
+    "auto": _auto,
+    "collocated": _collocated,
+    "two-level": _two_level,
+    "semi-explicit": _collocated,
+    "gradient-pair": _gradient_pair,
+    "dirac-dissipative": _dirac_dissipative,
+    "midpoint": _midpoint,
+    "radau": _radau,
+}
