@@ -144,6 +144,18 @@ class Kicks:
         s.last["moved"] += np.bincount(forms.owner, np.abs(work), count)
         s.last["pairs"][list(forms.pairs)] += work
 
+    def more(self, s: State, impulse: Array) -> None:
+        """One more impulse at the end of the last step, in its ledger and in the cumulative sums."""
+        booked, s.last = s.last, {name: np.zeros_like(rows) for name, rows in s.last.items()}
+        try:
+            self.kick(s, impulse)
+            s.energy += s.last["pairs"]
+            s.supplied += s.last["supplied"]
+        finally:
+            s.last = {name: rows + s.last[name] for name, rows in booked.items()}
+        s.impulses_old[1] += impulse
+        s.end = None
+
     def start_along(self, s: State, dx: Array, ds: Array) -> Array:
         """Directions of the states after the impulse at the start of the last step, from `ds` (m x n)."""
         return self._along(s.x_old, s.p, np.zeros(self.ports.kernels.n), dx, ds)

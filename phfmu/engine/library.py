@@ -131,6 +131,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_set_impulses": (integer, [pointer, pointer]),
         "ph_impulse_values": (pointer, [pointer]),
         "ph_step_impulses": (integer, [pointer, real, real, integer]),
+        "ph_kick_more": (integer, [pointer, pointer]),
         "ph_jump": (None, [pointer, pointer]),
         "ph_impulses_along": (None, [pointer, integer, integer, pointer, pointer]),
         "ph_state_size": (ctypes.c_size_t, [pointer]),

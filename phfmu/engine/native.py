@@ -110,6 +110,10 @@ class NativeInstance(NativeReadings):
         self._check(self._kicks.set(s))
         self._step, self._steps = self._kicked_step, self._kicked_step
 
+    def add_impulse(self, s: ArrayLike) -> None:
+        """One more impulse (n) at the end of the last step, which counts as part of it."""
+        self._check(self._kicks.more(self._array(s, self._ports.kernels.n)))
+
     def jump(self) -> Floats:
         """S = L^T H'' L at the present time (n x n): by how much impulses change the outputs, y* = y + S s (A/(V s))."""
         return self._kicks.jump() if self._ports.kernels.n else np.zeros((0, 0))

@@ -38,6 +38,10 @@ class NativeImpulses:
         """Status of a step with impulses."""
         return self._lib.ph_step_impulses(self.address, t, h, parts)
 
+    def more(self, s: Floats) -> int:
+        """Status of one more impulse (n) at the end of the last step."""
+        return self._lib.ph_kick_more(self.address, s.ctypes.data)
+
     def jump(self) -> Floats:
         """S at the present time (n x n)."""
         s = np.empty((self.n, self.n))

@@ -144,6 +144,10 @@ class PythonInstance(PythonReadings):
         require_no_events(self.model)
         self._s.impulses = self._ports.checked(s0, s1)
 
+    def add_impulse(self, s: ArrayLike) -> None:
+        """One more impulse (n) at the end of the last step, which counts as part of it."""
+        self._kicks.more(self._s, np.asarray(s, float))
+
     def jump(self) -> Array:
         """S = L^T H'' L at the present time (n x n): by how much impulses change the outputs, y* = y + S s (A/(V s))."""
         return np.array(self._ports.kernels.jump(self._s.x[:-1], self._s.p))

@@ -99,8 +99,7 @@ def test_two_machines_have_order_2k_through_fault_and_clearing(k: int, steps: tu
     for h in steps:
         net: Any = scene.system
         r = run(couple(net, k), Options(stop=0.1, step=h, events=scene.events))
-        currents = sum(np.max(np.abs(r.column(n))) for n in ("m1.terminal.i[1]", "line.a.i[1]"))
-        assert max(v for n, v in r.worst.items() if n.startswith(SUM + "bus1")) <= 1e-13 * currents
+        assert max(v for n, v in r.worst.items() if n.startswith(SUM + "bus1")) <= 1e-9
         assert r.ledger.summary().closed
         on = [s for s in t if abs(s / h - round(s / h)) < 1e-6]
         rows = [int(np.argmin(np.abs(r.time - s))) for s in on]

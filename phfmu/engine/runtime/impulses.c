@@ -141,6 +141,23 @@ int ph_kick(ph_impulses *m, double t) {
     return PH_OK;
 }
 
+int ph_kick_more(ph_impulses *m, const double *s) {
+    const int size = m->ports->n;
+    double *old = m->value + 3 * size;
+    int status;
+    ph_save(m->in, m->backup);
+    ph_clear(m->work, size);
+    status = kick(m, s);
+    if (status) {
+        ph_load(m->in, m->backup);
+        return status;
+    }
+    for (int j = 0; j < size; j++)
+        old[j] += s[j];
+    book(m);
+    return PH_OK;
+}
+
 int ph_step_impulses(ph_impulses *m, double t, double h, int n) {
     const int size = m->ports->n;
     double *now = m->value, *old = m->value + 2 * size;

@@ -41,6 +41,9 @@ PH_API int ph_step_impulses(ph_impulses *m, double t, double h, int n);
 /* The impulses at once, without a step: time becomes t, the state moves, their work is booked. On failure the
  * instance is where it was. */
 PH_API int ph_kick(ph_impulses *m, double t);
+/* One more impulse s (n) at the end of the last step, which counts as part of it. On failure the instance is
+ * where it was. */
+PH_API int ph_kick_more(ph_impulses *m, const double *s);
 /* S at the present time: n*n, symmetric. */
 PH_API void ph_jump(ph_impulses *m, double *s);
 /* Directions of the last step: dx (count rows of nx+1+na) of the states goes through the impulse at its

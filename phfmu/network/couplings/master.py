@@ -133,7 +133,7 @@ class Master:
         missed = tuple(unpack(m) for m in self._missed[: self._struct.known])
         return NodeSolution(xi, y, trials, accepted_by, found=found, h=h, missed=missed)
 
-    def _steps(self, members: list[Array], xi: Array, sums: EndSums) -> dict[str, Array]:
+    def _steps(self, members: list[Array], xi: Array, sums: EndSums) -> dict[str, Any]:
         """Fields of `Steps` from what was recorded."""
         signals, H, ends = [], [], []
         books: dict[str, list[Array]] = {name: [] for name in LEDGER}

@@ -103,6 +103,15 @@ class NodeValues(Protocol):
 
     def jump(self) -> Array: ...
 
+    @property
+    def settles(self) -> bool:
+        """Whether it takes one more impulse at the end of a step that it has taken."""
+        ...
+
+    def add_impulse(self, s: Array) -> None:
+        """That impulse, which counts as part of the step."""
+        ...
+
 
 class UnitOffer:
     """The offer of a unit, as its manifest says."""
@@ -146,6 +155,14 @@ class InstanceNodes:
 
     def jump(self) -> Array:
         return self._instance.jump()
+
+    @property
+    def settles(self) -> bool:
+        return isinstance(self.member, EngineMember)
+
+    def add_impulse(self, s: Array) -> None:
+        if isinstance(self.member, EngineMember):
+            self.member.instance.add_impulse(s)
 
     def _differences(
         self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
@@ -198,6 +215,13 @@ class HeldNodes:
 
     def jump(self) -> Array:
         return np.zeros((0, 0))
+
+    @property
+    def settles(self) -> bool:
+        return False
+
+    def add_impulse(self, s: Array) -> None:
+        """It takes none."""
 
 
 def node_values(member: Member, together: bool = True) -> NodeValues:

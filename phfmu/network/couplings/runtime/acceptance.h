@@ -16,6 +16,10 @@
 #define PH_COUPLED_ROUNDING 1e-13
 #define PH_COUPLED_STAGNATION 1e-9
 
+/* Where sums at ends of an accepted step are more than this part of their terms, one more impulse makes them
+ * zero. */
+#define PH_COUPLED_END 1e-15
+
 /* A scaled residual that shrinks to more than this part of the last hardly shrinks: it stalls. Where values
  * are held, to more than the second: halving is what rounding in members can do. */
 #define PH_COUPLED_SHRINKING 0.5

@@ -33,6 +33,7 @@ typedef struct ph_calls {
     const double *(*ledger)(const ph_instance *, int);
     int (*set_impulses)(ph_impulses *, const double *);
     int (*step_impulses)(ph_impulses *, double, double, int);
+    int (*kick_more)(ph_impulses *, const double *);
     void (*jump)(ph_impulses *, double *);
     void (*impulses_along)(ph_impulses *, int, int, const double *, double *);
 } ph_calls;
@@ -190,6 +191,9 @@ int ph_matrix_at_floor(ph_master *m);
 void ph_continue_ahead(ph_master *m);
 void ph_continue_keep(ph_master *m, int ahead);
 
+/* settle.c: sums at the end of an accepted step made zero. */
+int ph_settle(ph_master *m);
+
 /* work.c: what the accepted trial did at the junctions. */
 void ph_work_record(const ph_master *m, double h, int row);
 
@@ -203,6 +207,7 @@ int ph_share_step(const ph_master *m, const ph_share *s, double t, double h);
 void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *through);
 int ph_share_along(const ph_share *s);
 void ph_share_add_matrix(ph_master *m, const ph_share *s);
+int ph_share_more(const ph_master *m, const ph_share *s, const double *more);
 int ph_share_end(const ph_share *s, int nxi, double *S, double *sums);
 void ph_share_keep(const ph_share *s);
 int ph_share_restore(const ph_share *s);
@@ -211,5 +216,7 @@ void ph_share_record(const ph_share *s, int row);
 /* pair.c: T of r_T and what it makes of m. */
 int ph_pair_moved(ph_master *m);
 int ph_pair_root(ph_master *m);
+/* moved = -S1^-1 of the sums at ends. */
+int ph_pair_left(ph_master *m);
 
 #endif

@@ -1,6 +1,7 @@
 /* Impulse pairs: T m = 1/n sum_l (cos^2 t_l S1 + sin^2 t_l S0)^-1 S0 m, cluster by cluster. The matrices are
  * symmetric and, as inverse inductances, positive definite. */
 #include <math.h>
+#include <string.h>
 
 #include "master.h"
 #include "system.h"
@@ -61,6 +62,22 @@ int ph_pair_moved(ph_master *m) {
             for (int i = 0; i < n; i++)
                 m->moved[from + i] += m->move[i] / m->points;
         }
+    }
+    return PH_OK;
+}
+
+int ph_pair_left(ph_master *m) {
+    const double *sums = m->rows + m->nxi;
+    for (int c = 0; c < m->ncluster; c++) {
+        const int from = m->cluster[c], at = m->square[c], n = m->cluster[c + 1] - from;
+        int status;
+        memcpy(m->mixed + at, m->S1 + at, sizeof(double) * (size_t)(n * n));
+        status = cholesky(m->mixed + at, n);
+        if (status)
+            return status;
+        for (int i = 0; i < n; i++)
+            m->moved[from + i] = -sums[from + i];
+        solve(m->mixed + at, n, m->moved + from, 1);
     }
     return PH_OK;
 }

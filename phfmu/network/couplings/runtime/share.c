@@ -71,6 +71,15 @@ int ph_share_step(const ph_master *m, const ph_share *s, double t, double h) {
     return status ? status : look(s);
 }
 
+int ph_share_more(const ph_master *m, const ph_share *s, const double *more) {
+    const int ends = s->ninput + s->nkick, first = m->nxi + m->nbare;
+    ph_clear(s->s, s->nkick);
+    for (int e = 0; e < s->nright; e++)
+        if (s->right_direction[e] >= ends)
+            s->s[s->right_direction[e] - ends] += s->right[e] * more[s->col[s->right_col[e]] - first];
+    return s->nkick ? s->calls->kick_more(s->kicks, s->s) : PH_OK;
+}
+
 void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *through) {
     const int kn = s->k * s->nu;
     add_end(s, m->nxi, m->S1, m->rows + m->nxi);
