@@ -114,9 +114,8 @@ def _print_declaration(d: PHDAE, target: str) -> None:
     if d.switches:
         print("switches:")
     for s in d.switches:
-        print(
-            f"  {s.name:<28} {s.law}, {s.mode_name} = {s.mode.start[0]:g}, {s.multiplier.name} on {', '.join(v.name for v in s.on)}"
-        )
+        on = ", ".join(v.name for v in s.on)
+        print(f"  {s.name:<28} {s.law}, {s.mode_name} = {s.mode.start[0]:g}, {s.multiplier.name} on {on}")
     if d.ports:
         print("ports (power positive into the component):")
     for p in d.ports:

@@ -119,9 +119,6 @@ class Unit:
     def settable(self) -> list[str]:
         return []
 
-    def inputs(self) -> dict[str, float]:
-        return {}
-
     def read(self) -> np.ndarray:
         return np.zeros(0)
 
