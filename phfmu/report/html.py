@@ -20,6 +20,7 @@ p.note {{ color: #555; font-size: .85rem; }} table {{ border-collapse: collapse;
 td, th {{ padding: .15rem .8rem .15rem 0; text-align: left; }} td.n, th.n {{ text-align: right; }}
 th {{ border-bottom: 1px solid #999; font-weight: 600; }} .bad {{ color: #b00020; font-weight: 600; }}
 .wide {{ overflow-x: auto; }}
+.wide svg {{ max-width: 100%; min-width: 600px; height: auto; }}
 """
 
 
