@@ -189,6 +189,11 @@ class NativeInstance(NativeReadings):
             raise
         return result
 
+    @property
+    def landing(self) -> tuple[NativeLanding, Callable[[int], None]]:
+        """Its landing, and what raises the status of one."""
+        return self._lands, self._check
+
     def land(
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
     ) -> Iterator[Landed]:

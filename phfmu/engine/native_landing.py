@@ -52,6 +52,9 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows)]),
         "ph_land_begin": (integer, [pointer, real, real, integer]),
         "ph_land_on": (integer, [pointer, ctypes.POINTER(LandedRows)]),
+        "ph_land_stops": (None, [pointer, pointer]),
+        "ph_land_stopped": (pointer, [pointer, ctypes.POINTER(real), ctypes.POINTER(integer)]),
+        "ph_land_after": (integer, [pointer, pointer]),
         "ph_land_refusal": (ctypes.POINTER(EventRefusal), [pointer]),
     }
     for name, (result, arguments) in signatures.items():
@@ -81,6 +84,26 @@ class NativeLanding:
         check: Callable[[int], None],
     ) -> Iterator[Landed]:
         """Grid steps first..first+n-1; `check` raises what a status means."""
+        self._lib.ph_land_from(self._in, t0, h, first, n, int(changed))
+        yield from self.on(n, record, check)
+
+    def stop_before(self, events: NDArray[np.int8]) -> None:
+        """Events with 1 (n) happen elsewhere: `on` ends before them."""
+        self._stops = np.ascontiguousarray(events, np.int8)
+        self._lib.ph_land_stops(self._in, self._stops.ctypes.data)
+
+    def stopped(self) -> tuple[float, list[int], int] | None:
+        """Time of the events that it ended before, these, and how many there were in the grid step; None: it did not."""
+        t, happened = ctypes.c_double(), ctypes.c_int()
+        found = self._lib.ph_land_stopped(self._in, t, happened)
+        return found and (t.value, list(_numbers(view(found, self._plan.n, np.int8) > 0)), happened.value)
+
+    def after(self, other: NativeLanding, check: Callable[[int], None]) -> None:
+        """Goes on after the events that `other`, of another mode or itself, ended before."""
+        check(self._lib.ph_land_after(self._in, other._in))
+
+    def on(self, n: int, record: Iterable[str], check: Callable[[int], None]) -> Iterator[Landed]:
+        """What is left of n grid steps."""
         widths = record_widths(self._model, self._width)
         rows = {name: np.full((n + STEPS, widths[name]), np.nan) for name in record}
         request = Record(parts=1)
@@ -93,8 +116,7 @@ class NativeLanding:
         signals = np.zeros((EVENTS, self._width))
         arrays = (t, size, when, step, fired, energy, lost, signals)
         out = LandedRows(n + STEPS, EVENTS, 0, 0, 0, *(a.ctypes.data for a in arrays))
-        self._lib.ph_land_from(self._in, t0, h, first, n, int(changed))
-        while not out.done:
+        while not out.done and not self.stopped():
             status = self._lib.ph_land(self._in, request, out)
             begin = 0
             for i in range(out.events):

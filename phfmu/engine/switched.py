@@ -63,6 +63,12 @@ class SwitchedInstance:
         return self._instances[mode]
 
     @property
+    def changes(self) -> Array:
+        """Per state event 1 if it sets the mode of a switch."""
+        events, modes = self.model.declaration.state_events, {s.mode_name for s in self._models.modes.switches}
+        return np.array([int(bool(modes & e.changed)) for e in events], np.int8)
+
+    @property
     def unsettled(self) -> bool:
         """Modes were set, or it has not landed yet, so that its modes may not fit its state."""
         return self._asked != self._mode or not self._started
@@ -114,6 +120,10 @@ class SwitchedInstance:
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
     ) -> Iterator[Landed]:
         """Grid steps that end on the zeros of guards too, where modes change; see `PythonInstance.land`."""
+        if hasattr(self.present, "landing"):
+            from phfmu.engine.native_switched import landed_natively
+
+            return landed_natively(self, t0, h, n, record, first, changed)
         return landed(self, t0, h, n, record, first, changed, self)
 
     # -- an instance ---------------------------------------------------------------------------------------------------
@@ -174,10 +184,6 @@ class SwitchedInstance:
         self._started = False
         self.present.reset()
 
-    def do_step(self, t: float, h: float, parts: int = 1) -> None:
-        """A step in the present mode, which looks at no guard: `land` does."""
-        self.present.do_step(t, h, parts)
-
     def ledger(self) -> dict[str, Array]:
         return self.present.ledger()
 
@@ -200,6 +206,12 @@ class SwitchedInstance:
         """One block of `signals`."""
         found = self.present.signal(block)
         return found[: len(self.model.observable_names)] if block == "observables" else found
+
+    def trimmed(self, signals: Array) -> Array:
+        """Rows of signals of the present mode -> those of the model, which have no hidden constraints."""
+        where = self.present.layout
+        end = where["observables"].start + len(self.model.observable_names)
+        return np.concatenate([signals[..., :end], signals[..., where["H"]]], axis=-1)
 
     def get_state(self) -> Any:
         """A complete copy, modes included."""

@@ -18,6 +18,8 @@ struct ph_landing {
     int nfired;     /* flags in fired */
     long long counted[2];
     ph_event_refusal refusal;
+    const signed char *stops; /* n: events that happen elsewhere, or NULL; the caller's */
+    int stopped;              /* 1: at one of them */
     double *last;             /* n: when each event of the grid step happened last */
     double *start, *now;      /* n: guards at the start of the step, and at its end */
     double *values;           /* npoint*n: guards over the trial */

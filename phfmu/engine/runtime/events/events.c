@@ -46,6 +46,13 @@ static int begin(ph_landing *l) {
     return ph_already(l);
 }
 
+static int stops(const ph_landing *l) {
+    int found = 0;
+    for (int i = 0; l->stops && i < l->events->n; i++)
+        found = found || (l->fired[i] && l->stops[i]);
+    return found;
+}
+
 /* The events in l->fired, and those that follow at once; 0 in *room: there is no room for the next. */
 static int happen(ph_landing *l, ph_landed *out, int *room) {
     *room = 1;
@@ -57,6 +64,11 @@ static int happen(ph_landing *l, ph_landed *out, int *room) {
         l->happened++;
         if (++l->passes > l->events->n + 1)
             return ph_refuse_event(l, PH_REFUSED_AGAIN, 0.0, 0.0);
+        l->stopped = stops(l);
+        if (l->stopped) {
+            *room = 0;
+            return PH_OK;
+        }
         status = ph_happen(l, out);
         status = status ? status : ph_already(l);
         if (status)
@@ -89,11 +101,37 @@ int ph_land(ph_landing *l, const ph_record *record, ph_landed *out) {
     return PH_OK;
 }
 
+void ph_land_stops(ph_landing *l, const signed char *stops) {
+    l->stops = stops;
+}
+
+const signed char *ph_land_stopped(const ph_landing *l, double *t, int *happened) {
+    *t = l->t;
+    *happened = l->happened;
+    return l->stopped ? l->fired : NULL;
+}
+
+int ph_land_after(ph_landing *l, const ph_landing *from) {
+    l->t0 = from->t0;
+    l->grid = from->grid;
+    l->k = from->k;
+    l->end = from->end;
+    l->t = from->t;
+    l->stop = from->stop;
+    l->happened = from->happened;
+    l->passes = from->passes;
+    for (int i = 0; i < l->events->n; i++)
+        l->last[i] = from->fired[i] ? from->t : from->last[i];
+    l->changed = l->stopped = 0;
+    l->under_way = 1;
+    return ph_already(l);
+}
+
 void ph_land_from(ph_landing *l, double t0, double h, int first_step, int n, int changed) {
     l->t0 = t0;
     l->grid = h;
     l->k = first_step;
     l->end = (long long)first_step + n;
     l->changed = changed;
-    l->under_way = 0;
+    l->under_way = l->stopped = 0;
 }

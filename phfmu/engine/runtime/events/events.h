@@ -96,6 +96,13 @@ PH_API int ph_land_begin(ph_landing *l, double t, double h, int n);
  * a status other than PH_OK the instance is where the step began. */
 PH_API int ph_land_on(ph_landing *l, ph_landed *out);
 PH_API double ph_land_reached(const ph_landing *l); /* the time up to which it was solved */
+/* Events with 1 in `stops` (n; the caller's, which outlives the landing) happen elsewhere: ph_land ends
+ * before them. */
+PH_API void ph_land_stops(ph_landing *l, const signed char *stops);
+/* The events (n) it ended before, their time and their number in the grid step; NULL if it did not. */
+PH_API const signed char *ph_land_stopped(const ph_landing *l, double *t, int *happened);
+/* Goes on after them where `from`, of a model with the same events, perhaps l itself, ended. */
+PH_API int ph_land_after(ph_landing *l, const ph_landing *from);
 PH_API const ph_event_refusal *ph_land_refusal(const ph_landing *l);
 
 /* event_roots.c: b, Bernstein coefficients of degree n. */

@@ -1,0 +1,54 @@
+"""Steps of a model with switches in compiled code; modes change in Python, between its calls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from phfmu.engine.landing import Landing
+from phfmu.events.happened import Landed
+
+if TYPE_CHECKING:
+    from phfmu.engine.switched import SwitchedInstance
+
+
+def landed_natively(
+    switched: SwitchedInstance, t0: float, h: float, n: int, record: Iterable[str], first: int, changed: bool
+) -> Iterator[Landed]:
+    """`land` of a `SwitchedInstance` of native instances: to the next change of a mode without leaving C."""
+    names, landing = tuple(record), Landing(switched.present, switched)
+    landing.begin()
+    if changed and switched.unsettled:
+        settled = landing.happen(t0 + first * h, h, [], 0)
+        if settled.switched:
+            yield Landed.of([], settled)
+    native, check = _landing(switched)
+    parts = native.over(t0, h, n, names, first, changed, check)
+    while True:
+        for part in parts:
+            yield _trimmed(switched, part)
+        stopped = native.stopped()
+        if not stopped:
+            return
+        t, fired, events = stopped
+        yield Landed.of([], landing.happen(t, h, fired, events))
+        before, (native, check) = native, _landing(switched)
+        native.after(before, check)
+        parts = native.on(n, names, check)
+
+
+def _landing(switched: SwitchedInstance) -> Any:
+    """That of the present mode, which stops before events that set modes of switches."""
+    native, check = switched.present.landing
+    native.stop_before(switched.changes)
+    return native, check
+
+
+def _trimmed(switched: SwitchedInstance, part: Landed) -> Landed:
+    """With the signals of the model, not of the mode."""
+    rows = {name: switched.trimmed(r) if name == "signals" else np.asarray(r) for name, r in part.rows.items()}
+    found = part.happened and replace(part.happened, signals=switched.trimmed(part.happened.signals))
+    return replace(part, rows=rows, happened=found)
