@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from phfmu.engine.landing import Landing
 from phfmu.events.happened import Landed
 
-if TYPE_CHECKING:
-    from phfmu.engine.switched import SwitchedInstance
-
 
 def landed_natively(
-    switched: SwitchedInstance, t0: float, h: float, n: int, record: Iterable[str], first: int, changed: bool
+    switched: Any, t0: float, h: float, n: int, record: Iterable[str], first: int, changed: bool
 ) -> Iterator[Landed]:
     """`land` of a `SwitchedInstance` of native instances: to the next change of a mode without leaving C."""
     names, landing = tuple(record), Landing(switched.present, switched)
@@ -40,14 +37,14 @@ def landed_natively(
         parts = native.on(n, names, check)
 
 
-def _landing(switched: SwitchedInstance) -> Any:
+def _landing(switched: Any) -> Any:
     """That of the present mode, which stops before events that set modes of switches."""
     native, check = switched.present.landing
     native.stop_before(switched.changes)
     return native, check
 
 
-def _trimmed(switched: SwitchedInstance, part: Landed) -> Landed:
+def _trimmed(switched: Any, part: Landed) -> Landed:
     """With the signals of the model, not of the mode."""
     rows = {name: switched.trimmed(r) if name == "signals" else np.asarray(r) for name, r in part.rows.items()}
     found = part.happened and replace(part.happened, signals=switched.trimmed(part.happened.signals))
