@@ -115,7 +115,7 @@ def _print_declaration(d: PHDAE, target: str) -> None:
         print("switches:")
     for s in d.switches:
         on = ", ".join(v.name for v in s.on)
-        print(f"  {s.name:<28} {s.law}, {s.mode_name} = {s.mode.start[0]:g}, {s.multiplier.name} on {on}")
+        print(f"  {s.name:<28} {s.law}, {s.mode_name} = {s.mode.start[0]:g}, {s.multiplier.names()[0]} on {on}")
     if d.ports:
         print("ports (power positive into the component):")
     for p in d.ports:
