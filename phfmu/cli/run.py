@@ -143,9 +143,9 @@ def _print_signs_lost(scene: Scene, events: list[Event], result: Result, compone
 
     declaration = scene.declaration()
     for name in sorted(components & set(result.least)):
-        t, row = result.least[name]
+        t, signals = result.least[name]
         values = {e.name: e.value for e in sorted(events, key=lambda e: e.t) if e.t < t}
-        values |= dict(zip(result.names, row, strict=True))
+        values |= signals
         owner = name if name in declaration.members else declaration.members[0]
         for lost in sign_lost(declaration, values, t, owner)[:3]:
             print(f"phfmu: {name}: R is not positive semidefinite at t = {t:.6g} s: {lost}", file=sys.stderr)

@@ -107,7 +107,6 @@ class Unit:
 
     def __init__(self, pairs: Sequence[float], supplied: float, estimated: bool = False):
         self.names: list[str] = []
-        self.units: dict[str, str] = {}
         quality = ESTIMATED if estimated else EXACT
         port = (PortKey("unit", "shaft", quality=quality),) if len(pairs) else ()
         self.booking = Booking(("unit",), port, frozenset({"unit"} if estimated and not port else ()))

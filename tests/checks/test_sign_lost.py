@@ -54,9 +54,9 @@ def test_it_may_depend_on_time_and_costates():
 def test_a_run_keeps_the_state_of_its_least_dissipation():
     built = build_model(model())
     result = run(Monolithic(built, PythonInstance(built)), Options(stop=0.35, step=0.01))
-    t, row = result.least["softens"]
+    t, signals = result.least["softens"]
     i = int(np.argmin(np.abs(result.time - t)))
-    assert np.array_equal(row, result.values[i])
+    assert signals == dict(zip(result.names, result.values[i], strict=True))
     q, v = result.column("q"), result.column("v")
     power = 0.4 * (4 - q**2) * v**2
     assert abs(int(np.argmin(power)) - i) <= 1 and power[i] < 0

@@ -74,7 +74,7 @@ def run(stepper: Stepper, options: Options) -> Result:
     notes = (*_unreached(options.events, stop - close, stop), *book.notes, *book.told(), *march.notes(), *rest_notes)
     return Result(
         told.names, time, values, told.units, ledger, book.steps, book.iterations, book.worst(), projection, notes=notes,
-        least=book.least, **facts,
+        least={c: (t, dict(zip(stepper.names, row.tolist(), strict=True))) for c, (t, row) in book.least.items()}, **facts,
     )  # fmt: skip
 
 

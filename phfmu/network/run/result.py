@@ -35,5 +35,5 @@ class Result(Table):
     interpolated: Array | None = None
     #: what the run left out or did beside what was asked for, one line each
     notes: tuple[str, ...] = ()
-    #: component -> time and signals at the end of the step in which it dissipated least, where that was negative
-    least: dict[str, tuple[float, Array]] = field(default_factory=dict)
+    #: component -> time and signals by name at the end of the step in which it dissipated least, where that was negative
+    least: dict[str, tuple[float, dict[str, float]]] = field(default_factory=dict)
