@@ -33,6 +33,8 @@ ELECTRICAL = Domain("electrical", "v", "V", "i", "A", "effort")
 TRANSLATIONAL = Domain("translational", "force", "N", "velocity", "m/s", "flow")
 ROTATIONAL = Domain("rotational", "torque", "N.m", "speed", "rad/s", "flow")
 HYDRAULIC = Domain("hydraulic", "pressure", "Pa", "flow", "m3/s", "effort")
+#: those that units of other tools are told to be of, by their names
+DOMAINS = {d.name: d for d in (ELECTRICAL, TRANSLATIONAL, ROTATIONAL, HYDRAULIC)}
 #: A moving constraint: time passes at the rate 1 and takes the power of the constraint forces.
 DRIVE = Domain("drive", "power", "W", "clock", "1", "flow")
 

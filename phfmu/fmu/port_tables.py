@@ -16,11 +16,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from phfmu.declare.port import Domain, Given
+from phfmu.declare.port import DOMAINS, Domain, Given
 from phfmu.declare.units import Unit, UnitError, is_power, parse_unit
 from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PortMap
-from phfmu.fmu.port_units import DOMAINS, domain_of, factor_to, unit_of
+from phfmu.fmu.port_units import domain_of, factor_to, unit_of
 from phfmu.fmu.variables import FMUError
 from phfmu.words import meant
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from phfmu.declare.port import ELECTRICAL, HYDRAULIC, ROTATIONAL, TRANSLATIONAL, Domain
+from phfmu.declare.port import DOMAINS, Domain
 from phfmu.declare.units import Unit, UnitError, parse_unit
 from phfmu.fmu.interface import Interface
 from phfmu.fmu.variables import FMUError
-
-DOMAINS = {d.name: d for d in (ELECTRICAL, TRANSLATIONAL, ROTATIONAL, HYDRAULIC)}
 
 #: factors that differ by less are one
 SAME = 1e-12

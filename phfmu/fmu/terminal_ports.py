@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 
-from phfmu.declare.port import Domain
+from phfmu.declare.port import DOMAINS, Domain
 from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_tables import entries_of, port_maps
-from phfmu.fmu.port_units import DOMAINS, domain_of, unit_of
+from phfmu.fmu.port_units import domain_of, unit_of
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
