@@ -95,9 +95,10 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_the_index_lists_every_page() -> None:
     index = ROOT / "docs" / "index.md"
-    assert {p.resolve() for p in PAGES if p.parent != index.parent} == {found for found, _ in links(index)}
+    pages = [*PAGES, *(ROOT / "docs").rglob("*.ipynb")]
+    assert {p.resolve() for p in pages if p.parent != index.parent} == {found for found, _ in links(index)}
     titles = re.findall(r"^## (\w+)$", prose(index), re.MULTILINE)
-    assert {p.parent.name for p in PAGES if p.parent.parent == index.parent} == {t.lower() for t in titles}
+    assert {p.parent.name for p in pages if p.parent.parent == index.parent} == {t.lower() for t in titles}
 
 
 #: coined words and their places in the glossary; pages that explain one themselves need no link
