@@ -1,4 +1,5 @@
-/* Compensated sums of tables, row after row: the same bits as those of sums.py, which makes them array by array. */
+/* Compensated sums of tables, row after row: the same bits as those of sums.py, which makes them array by
+ * array. */
 #include <math.h>
 #include <stddef.h>
 
@@ -16,7 +17,8 @@ static double rounded_off(double before, double x, double after) {
 }
 
 /* Column j of x [n*m] to the sum high[j] + low[j]; running [n*m] or NULL: the sums up to each row. */
-PH_API void ph_sums_down(ptrdiff_t n, ptrdiff_t m, const double *x, double *high, double *low, double *running) {
+PH_API void ph_sums_down(ptrdiff_t n, ptrdiff_t m, const double *x, double *high, double *low,
+                         double *running) {
     for (ptrdiff_t i = 0; i < n; i++, x += m) {
         for (ptrdiff_t j = 0; j < m; j++) {
             const double before = high[j], after = before + x[j];
@@ -29,7 +31,8 @@ PH_API void ph_sums_down(ptrdiff_t n, ptrdiff_t m, const double *x, double *high
 }
 
 /* Sum over the columns `at` [c] of each row of x [n*m]; out [n]. */
-PH_API void ph_sums_across(ptrdiff_t n, ptrdiff_t m, const double *x, ptrdiff_t c, const ptrdiff_t *at, double *out) {
+PH_API void ph_sums_across(ptrdiff_t n, ptrdiff_t m, const double *x, ptrdiff_t c, const ptrdiff_t *at,
+                           double *out) {
     for (ptrdiff_t i = 0; i < n; i++, x += m) {
         double high = 0.0, low = 0.0;
         for (ptrdiff_t j = 0; j < c; j++) {
