@@ -55,7 +55,10 @@ def main(path: str, picture: str) -> int:
 
     def told(found: str) -> None:
         names = ("title", "text", "drawings", "curves", "right")
-        facts = dict(zip(names, json.loads(found), strict=True)) | {"complaints": page.complaints, "asked": outside.asked}
+        facts = dict(zip(names, json.loads(found), strict=True)) | {
+            "complaints": page.complaints,
+            "asked": outside.asked,
+        }
         view.grab().save(picture)
         print(json.dumps(facts))
         app.quit()
