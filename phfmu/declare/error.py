@@ -10,7 +10,7 @@ from phfmu.declare.problem import Problem
 #: of a scheme; of a model; those of `phfmu check` that are found without it
 RULES = frozenset({
     "order", "stages", "gradient", "closure", "pair", "drift", "constraint", "mass", "velocity", "descriptor", "singular",
-    "type", "port", "shape", "symbol", "source", "start", "energy", "costate",
+    "type", "port", "shape", "symbol", "source", "start", "energy", "costate", "switch",
 })  # fmt: skip
 
 
