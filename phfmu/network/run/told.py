@@ -29,7 +29,14 @@ class Told:
         self.names = pick(patterns, everything, "the run") if patterns else everything
         units = stepper.units
         self.units = [units[n] for n in self.names]
-        self._places = np.array([everything.index(n) for n in self.names], int) if patterns else None
+        at = np.array([everything.index(n) for n in self.names], int)
+        own = at < len(stepper.names)
+        #: columns of the stepper and of the inputs: where they are, and where they go
+        self._signals, self._given = (
+            (at[own], np.flatnonzero(own)),
+            (at[~own] - len(stepper.names), np.flatnonzero(~own)),
+        )
+        self._all = not patterns
         self._changes = np.zeros(0)  # times after which the next row of `_held` counts
         self._held = np.zeros((1, 0))
 
@@ -50,6 +57,13 @@ class Told:
 
     def rows(self, time: Array, values: Array) -> Array:
         """The columns (n x names) of rows at `time` (n) of the stretch, with what the stepper tells."""
-        if self._inputs:
-            values = np.concatenate([values, self._held[np.searchsorted(self._changes, time)]], axis=1)
-        return values if self._places is None else values[:, self._places]
+        if self._all and not self._inputs:
+            return values
+        out = np.empty((len(time), len(self.names)))
+        if self._all:
+            out[:, : values.shape[1]] = values
+        else:
+            out[:, self._signals[1]] = values[:, self._signals[0]]
+        if len(self._given[0]):
+            out[:, self._given[1]] = self._held[np.searchsorted(self._changes, time)][:, self._given[0]]
+        return out
