@@ -50,6 +50,7 @@ from phfmu.signals import SUM
 from tests.wide import wide
 
 SAME = 1e-12  # of the size of a column: rounding
+LIMIT = 1e-11  # of extrapolated starts: these are within 7e-12 of the composed model's
 BOOKS = ("stored", "dissipated", "supplied", "pairs")
 
 
@@ -108,7 +109,10 @@ CASES = [
 
 @pytest.mark.parametrize(("make", "k"), CASES)
 def test_rows_and_books_are_those_of_the_loop_in_python(make: Callable[[], Scene], k: int) -> None:
-    """Through the scene's events; energies relative to those in play."""
+    """Through the scene's events; energies relative to those in play.
+
+    The row of the start has limits of ever shorter steps, extrapolated, where flows at a node are hidden: to `LIMIT`.
+    """
     scene = make()
     h, n = SCENES[make]
     net: Any = scene.system
@@ -121,7 +125,7 @@ def test_rows_and_books_are_those_of_the_loop_in_python(make: Callable[[], Scene
     for name in two.names:
         a, b = one.column(name), two.column(name)
         size = energy if ".energy" in f".{name}" else size_of(two, steppers[1], name)
-        assert np.abs(a - b).max() <= SAME * size, name
+        assert np.abs(a - b)[1:].max() <= SAME * size and abs(a[0] - b[0]) <= LIMIT * size, name
     a, b = one.ledger.summary(), two.ledger.summary()
     assert a.closed and b.closed
     for x, y in zip(a.components, b.components, strict=True):
