@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -20,11 +21,12 @@ from phfmu.cli import main
 from phfmu.network.run import march
 from tests.wide import slow, wide
 
-LOST = 0.6  # s, what a kill may cost
+LOST = 0.6  # s of its own work, what a kill may cost a run; other processes' share of the machine is not counted
 
-# the command line, with the wall time at which the run had taken how many steps, before anything else sees them
+# the command line, with the work (CPU time) in which the run had taken how many steps, before anything else sees them
 WATCHED = """
-import os, signal, sys, time
+import os, signal, sys
+from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a test run under nohup hands down that it ignores some
     signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 from phfmu.cli import main
@@ -39,7 +41,8 @@ def watched(kind, count):
         global total
         found = advance(self, *args, **options)
         total += count(args)
-        os.write(stamps, f"{total} {time.monotonic()!r}\\n".encode())
+        spent = sum(sum(getrusage(who)[:2]) for who in (RUSAGE_SELF, RUSAGE_CHILDREN))
+        os.write(stamps, f"{total} {spent!r}\\n".encode())
         return found
     kind.advance = stamped
 if "--rtol" in sys.argv:
@@ -79,16 +82,17 @@ class Started:
             time.sleep(0.01)
 
     def stamps(self) -> list[tuple[int, float]]:
-        """(steps taken, wall time); before the first step: none at the time of the first stamp."""
+        """(steps taken, CPU time of the run so far)."""
         lines = [line.split() for line in Path("stamps").read_text().splitlines(keepends=False)]
         return [(int(n), float(t)) for n, t in (line for line in lines if len(line) == 2)]
 
     def end(self, number: int) -> tuple[int, float, str]:
-        """Send the signal; exit code, time of the signal, stderr."""
-        at = time.monotonic()
+        """Send the signal; exit code, CPU time of the whole run, stderr."""
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         self.process.send_signal(number)
         _, err = self.process.communicate(timeout=60)
-        return self.process.returncode, at, err
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return self.process.returncode, sum(after[:2]) - sum(before[:2]), err
 
 
 @pytest.fixture
@@ -108,15 +112,15 @@ def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
         run.process.communicate()
 
 
-def lost(run: Started, killed: float) -> float:
-    """Seconds before the kill in which steps were accepted that the log does not have."""
+def lost(run: Started, spent: float) -> float:
+    """CPU time before the kill, at which ``spent`` was used, of steps that were accepted and the log does not have."""
     found = recover("a.arrows")
     kept = summarise(read(found.path)).steps
     found.path.unlink()
     before = [t for n, t in run.stamps() if n <= kept]
     if not before:
         before = [run.stamps()[0][1]]
-    return killed - before[-1]
+    return spent - before[-1]
 
 
 # -- kill -9 -------------------------------------------------------------------------------------------------
@@ -126,8 +130,8 @@ def lost(run: Started, killed: float) -> float:
 def test_kill_loses_a_moment(started: Callable[[str], Started], kind: str, compiler: None) -> None:
     run = started(RUNS[kind])
     run.wait_for(1.5)
-    code, at, _ = run.end(signal.SIGKILL)
-    assert code == -signal.SIGKILL and lost(run, at) <= LOST
+    code, spent, _ = run.end(signal.SIGKILL)
+    assert code == -signal.SIGKILL and lost(run, spent) <= LOST
 
 
 @pytest.mark.parametrize("table", wide(["o.csv", "o.parquet"], "o.csv"))
@@ -160,8 +164,8 @@ def test_kill_at_any_time_loses_a_moment(started: Callable[[str], Started], kind
     for _ in range(20):
         run = started(RUNS[kind])
         run.wait_for(draw.uniform(0.0, 3.0))
-        _, at, _ = run.end(signal.SIGKILL)
-        assert lost(run, at) <= LOST
+        _, spent, _ = run.end(signal.SIGKILL)
+        assert lost(run, spent) <= LOST
 
 
 def test_log_is_readable_from_the_start(tmp_path: Path) -> None:
