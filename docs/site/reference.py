@@ -52,7 +52,8 @@ def set_docstring(app: Any, what: str, name: str, thing: Any, options: Any, line
 def described(name: str, thing: Any) -> list[str]:
     """The directive of autodoc for one name."""
     if inspect.isclass(thing):
-        return [f".. autoclass:: {name}", "   :members:", ""]
+        inherited = [] if issubclass(thing, Exception) else ["   :inherited-members:"]
+        return [f".. autoclass:: {name}", "   :members:", *inherited, ""]
     return [f".. {'autofunction' if inspect.isfunction(thing) else 'autodata'}:: {name}", ""]
 
 

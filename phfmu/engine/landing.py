@@ -5,7 +5,7 @@ A run is made of complete steps, each with its exact balance.  docs/understand/e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -16,6 +16,7 @@ from phfmu.engine.event_jump import AGAIN, PILE, Jumps
 from phfmu.engine.guards import Guards
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.locate import EPS, Location
+from phfmu.engine.record import Grid, recorded
 from phfmu.engine.status import StepFailure
 from phfmu.events.event_plan import Settings
 from phfmu.events.happened import Happened, Landed
@@ -55,6 +56,10 @@ class Structure(Protocol):
         """Takes the parameters p and the mode that follows."""
         ...
 
+    def row(self) -> Array:
+        """All signals, as `run` records them."""
+        ...
+
 
 class Landing:
     """Takes the steps of an instance with state events, or of that of the present mode of a `structure`."""
@@ -71,17 +76,15 @@ class Landing:
             self._parts[id(instance)] = Location(instance, self.plan, guards), Jumps(instance, self.plan, guards)
         self.location, self.jumps = self._parts[id(instance)]
 
-    def over(
-        self, t0: float, h: float, n: int, first: int, read: Callable[[], dict[str, Array]], changed: bool
-    ) -> Iterator[Landed]:
-        """Grid steps k = first..first+n-1 from t0 + k h; `read` makes the row of a step, `changed`: values were set before.
+    def over(self, grid: Grid, read: Callable[[], dict[str, Array]], changed: bool) -> Iterator[Landed]:
+        """Grid steps; `read` makes the row of a step, `changed`: values were set before.
 
         StepFailure after the steps before it.
         """
         steps: list[Taken] = []
         try:
-            for k in range(first, first + n):
-                for found in self._grid_step(t0 + k * h, t0 + (k + 1) * h, h, read, changed):
+            for i in range(grid.n):
+                for found in self._grid_step(grid.start(i), grid.start(i + 1), grid.h, read, changed):
                     if isinstance(found, Happened):
                         yield Landed.of(steps, found)
                         steps = []
@@ -149,41 +152,26 @@ class Landing:
             energy, lost, switched = energy + found.energy, lost + found.lost, found.names
             self._adopt(self.structure.present)
         self._last[fired] = t
-        return Happened(t, tuple(fired), tuple(rests), energy, lost, _row(self.structure or instance), switched)
+        return Happened(t, tuple(fired), tuple(rests), energy, lost, (self.structure or instance).row(), switched)
 
 
 def _set(p: Array, settings: Settings, i: int) -> None:
     p[settings.p[settings.of(i)]] = settings.value[settings.of(i)]
 
 
-def _row(instance: Any) -> Array:
-    signals = instance.signals()
-    return np.concatenate([signals[b] for b in instance.layout])
-
-
 def landed(
-    instance: Any,
-    t0: float,
-    h: float,
-    n: int,
-    record: Iterable[str],
-    first: int,
-    changed: bool,
-    structure: Structure | None = None,
+    instance: Any, grid: Grid, names: tuple[str, ...], changed: bool, structure: Structure | None = None
 ) -> Iterator[Landed]:
     """`land` of an instance, which is its own `structure` if it has one; ValueError if its model has no state events."""
     if instance.model.events is None:
         raise ValueError(f"{instance.model.name} has no state events: use run")
-    names, before = tuple(record), dict(instance.counts)
+    before = dict(instance.counts)
 
     def read() -> dict[str, Array]:
         nonlocal before
-        spent = [float(instance.counts[name] - before[name]) for name in ("iterations", "solves")]
+        now = recorded(instance, before, names)
         before = dict(instance.counts)
-        now = instance.ledger() | {"counts": np.array(spent), "unknowns": instance.unknowns, "x": instance.x}
-        now |= {"signals": _row(instance), "energy": instance.signal("H")}
-        now |= {name: instance.signal(name) for name in ("a", "y_step")}
-        return {name: now[name].copy() for name in names}
+        return now
 
     landing = Landing(instance) if structure is None else Landing(structure.present, structure)
-    return landing.over(t0, h, n, first, read, changed)
+    return landing.over(grid, read, changed)

@@ -15,24 +15,8 @@ from numpy.typing import NDArray
 from phfmu.engine.codegen import KernelTable
 from phfmu.engine.compile import Build, compile, host_flags
 from phfmu.engine.model import Model
+from phfmu.engine.record import RECORD
 from phfmu.engine.tables import RUNTIME
-
-#: what `run` can record: the whole signal table, parts of it, and ledger rows and counters of each step
-RECORD: tuple[str, ...] = (
-    "signals",
-    "x",
-    "a",
-    "y_step",
-    "pairs",
-    "stored",
-    "dissipated",
-    "supplied",
-    "numerical",
-    "moved",
-    "unknowns",
-    "energy",
-    "counts",
-)
 
 
 def record_widths(model: Model, signals: int) -> dict[str, int]:

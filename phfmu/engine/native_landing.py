@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.library import Column, Record, record_widths, view
 from phfmu.engine.model import Model
+from phfmu.engine.record import Grid
 from phfmu.engine.status import Status
 from phfmu.events.happened import Happened, Landed
 
@@ -73,19 +74,10 @@ class NativeLanding:
         self._memory = np.zeros(lib.ph_landing_size(instance, events) // 8 + 1)
         self._in = lib.ph_landing_init(self._memory.ctypes.data, instance, events)
 
-    def over(
-        self,
-        t0: float,
-        h: float,
-        n: int,
-        record: Iterable[str],
-        first: int,
-        changed: bool,
-        check: Callable[[int], None],
-    ) -> Iterator[Landed]:
-        """Grid steps first..first+n-1; `check` raises what a status means."""
-        self._lib.ph_land_from(self._in, t0, h, first, n, int(changed))
-        yield from self.on(n, record, check)
+    def over(self, grid: Grid, record: Iterable[str], changed: bool, check: Callable[[int], None]) -> Iterator[Landed]:
+        """The steps of a grid; `check` raises what a status means."""
+        self._lib.ph_land_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
+        yield from self.on(grid.n, record, check)
 
     def stop_before(self, events: NDArray[np.int8]) -> None:
         """Events with 1 (n) happen elsewhere: `on` ends before them."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.compiled import Compiled
+from phfmu.engine.compiled import compiled
+from phfmu.engine.instance import Instance
 from phfmu.engine.library import enums, view
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.model import Model
@@ -18,11 +20,12 @@ STATUS = tuple(Status)
 Floats = NDArray[np.float64]
 
 
-class NativeReadings:
-    """The memory of an instance of `model` in the library `made`, and how it is read."""
+class NativeReadings(Instance):
+    """The memory of an instance of `model` in its library, and how it is read."""
 
-    def __init__(self, model: Model, made: Compiled) -> None:
-        self.model = model
+    def __init__(self, model: Model, announce: Callable[[], None] | None) -> None:
+        super().__init__(model)
+        made = compiled(model, announce)
         self.build, self._tables, self._lib = made.build, made.tables, made.lib
         size = self._lib.ph_size(self._tables.pointer)
         if size == 0:
@@ -33,11 +36,14 @@ class NativeReadings:
         names = enums()["ph_block"]
         offset = (ctypes.c_int * (len(names) + 1))()
         self._lib.ph_layout(self._tables.pointer, offset)
-        #: place of each block in a row of recorded signals
-        self.layout = {n if n != "h" else "H": slice(offset[i], offset[i + 1]) for i, n in enumerate(names)}
+        self._places = {n if n != "h" else "H": slice(offset[i], offset[i + 1]) for i, n in enumerate(names)}
         self._table = view(self._lib.ph_signals(self._in), offset[len(names)])
         self._state_size = self._lib.ph_state_size(self._in)
-        self._means = self._table[self.layout["y_step"]][: model.step.nu]
+        self._means = self._table[self._places["y_step"]][: model.step.nu]
+
+    @property
+    def layout(self) -> dict[str, slice]:
+        return self._places
 
     @property
     def time(self) -> float:
@@ -45,54 +51,46 @@ class NativeReadings:
 
     @property
     def x(self) -> Floats:
-        return self._table[self.layout["x"]].copy()
+        return self._table[self._places["x"]].copy()
 
     @property
     def counts(self) -> dict[str, int]:
-        """What the solver did since the instance was made: steps, iterations, restarts, substeps, ..."""
         names = enums()["ph_count"]
         values = view(self._lib.ph_counts(self._in), len(names), np.int64)
         return {n: int(v) for n, v in zip(names, values, strict=True)}
 
     @property
     def rest_changes(self) -> list[RestChange]:
-        """Which redundant constraints rest instead of which others, the last changes since the start."""
         n, kept = ctypes.c_int(), int(LIMITS["KEPT_CHANGES"])
         ring = self._lib.ph_rest_changes(self._in, n)
         found = ((i, ring[i % kept]) for i in range(max(0, n.value - kept), n.value))
         return named(((i + 1, c.time, c.rests, c.needed) for i, c in found), self.model.hold_names)
 
     def output(self) -> Floats:
-        """Step-conjugate means of the external pairs (nu)."""
         return self._means.copy()
 
     def node_output(self) -> Floats:
-        """Outputs at the k quadrature nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
         plan = self.model.step
         values = view(self._lib.ph_node_outputs(self._in), plan.k * plan.nq).reshape(plan.k, plan.nq)
         return values[:, : plan.nu].copy()
 
     def ledger(self) -> dict[str, Floats]:
-        """Of the last communication step: stored, dissipated, supplied, numerical, moved per component, pairs [J]."""
         names, plan = enums()["ph_row"], self.model.step
         sizes = {name: plan.nq if name == "pairs" else plan.ncomp for name in names}
         return {n: view(self._lib.ph_ledger(self._in, i), sizes[n]).copy() for i, n in enumerate(names)}
 
     @property
     def unknowns(self) -> Floats:
-        """w of the last solve: see `Plan`."""
         return view(self._lib.ph_unknowns(self._in), self.model.step.nw).copy()
 
     def signals(self) -> dict[str, Floats]:
-        """All values by block: x, time, a, y_step, energy, ..., a_end, y_end, observables, H."""
         self._check(self._lib.ph_refresh(self._in))
-        return {name: self._table[place].copy() for name, place in self.layout.items()}
+        return {name: self._table[place].copy() for name, place in self._places.items()}
 
     def signal(self, block: str) -> Floats:
-        """One block; those that hold at the present time (from a_end on) are solved for if out of date."""
-        if self.layout[block].start >= self.layout["a_end"].start:
+        if self._places[block].start >= self._places["a_end"].start:
             self._check(self._lib.ph_refresh(self._in))
-        return self._table[self.layout[block]].copy()
+        return self._table[self._places[block]].copy()
 
     def _check(self, code: int) -> None:
         """Raises what a status other than PH_OK means."""

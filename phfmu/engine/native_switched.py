@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from phfmu.engine.landing import Landing
+from phfmu.engine.record import Grid
 from phfmu.events.happened import Landed
 
 
-def landed_natively(
-    switched: Any, t0: float, h: float, n: int, record: Iterable[str], first: int, changed: bool
-) -> Iterator[Landed]:
+def landed_natively(switched: Any, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
     """`land` of a `SwitchedInstance` of native instances: to the next change of a mode without leaving C."""
-    names, landing = tuple(record), Landing(switched.present, switched)
+    landing = Landing(switched.present, switched)
     landing.begin()
     if changed and switched.unsettled:
-        settled = landing.happen(t0 + first * h, h, [], 0)
+        settled = landing.happen(grid.start(0), grid.h, [], 0)
         if settled.switched:
             yield Landed.of([], settled)
     native, check = _landing(switched)
-    parts = native.over(t0, h, n, names, first, changed, check)
+    parts = native.over(grid, names, changed, check)
     while True:
         for part in parts:
             yield _trimmed(switched, part)
@@ -31,10 +30,10 @@ def landed_natively(
         if not stopped:
             return
         t, fired, events = stopped
-        yield Landed.of([], landing.happen(t, h, fired, events))
+        yield Landed.of([], landing.happen(t, grid.h, fired, events))
         before, (native, check) = native, _landing(switched)
         native.after(before, check)
-        parts = native.on(n, names, check)
+        parts = native.on(grid.n, names, check)
 
 
 def _landing(switched: Any) -> Any:

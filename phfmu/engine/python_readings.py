@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.impulses import Kicks, Ports
+from phfmu.engine.instance import Instance
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
 from phfmu.engine.present import Present
 from phfmu.engine.rest_changes import RestChange, named
@@ -20,11 +21,13 @@ from phfmu.engine.status import Status, StepFailure
 Array = NDArray[Any]
 
 
-class PythonReadings:
+class PythonReadings(Instance):
     """The state of an instance of `model`, and how it is read."""
 
+    model: Model
+
     def __init__(self, model: Model):
-        self.model = model
+        super().__init__(model)
         self._solves, self._present, self._ports = Solves(model), Present(model), Ports(model.declaration)
         self._kicks = Kicks(self._ports)
         self._s = State.at_start(model)
@@ -39,51 +42,43 @@ class PythonReadings:
 
     @property
     def counts(self) -> dict[str, int]:
-        """steps, solves, iterations, restarts, line_searches, substeps since the reset."""
         return dict(self._s.counts)
 
     @property
     def rest_changes(self) -> list[RestChange]:
-        """Which redundant constraints rest instead of which others, the last changes since the start."""
         return named(self._s.changes, self.model.hold_names)
 
     def output(self) -> Array:
-        """Step-conjugate means of the external pairs (nu)."""
         return self._s.y_step[: self.model.step.nu].copy()
 
     def node_output(self) -> Array:
-        """Outputs at the k quadrature nodes (k x nu): h sum_i b_i u_i^T y_i is the supplied energy of the last step."""
         return self._s.y_node[:, : self.model.step.nu].copy()
 
     def ledger(self) -> dict[str, Array]:
-        """Of the last communication step: stored, dissipated, supplied, numerical, moved per component, pairs per pair [J]."""
         return {k: v.copy() for k, v in self._s.last.items()}
 
     @property
     def unknowns(self) -> Array:
-        """w of the last solve: see `Plan`."""
         return self._s.w.copy()
 
     def signals(self) -> dict[str, Array]:
-        """All values by block: x, time, a, y_step, energy, supplied, dissipated, residual, a_end, y_end, observables, H."""
-        s, end = self._s, self._present.values(self._s)
-        return {
-            "x": s.x[:-1].copy(), "time": s.x[-1:].copy(), "a": s.a.copy(), "y_step": s.y_step.copy(), "energy": s.energy.copy(),
-            "supplied": s.supplied.copy(), "dissipated": s.dissipated.copy(),
-            "residual": s.residual.copy(), "a_end": end["a"].copy(), "y_end": end["y"].copy(),
-            "observables": end["o"].copy(), "H": end["H"].copy(),
-        }  # fmt: skip
+        end = self._present.values(self._s)
+        now = {"a_end": end["a"], "y_end": end["y"], "observables": end["o"], "H": end["H"]}
+        return {name: values.copy() for name, values in (self._past() | now).items()}
 
     def signal(self, block: str) -> Array:
-        """One block of `signals`."""
-        return self.signals()[block]
+        past = self._past()
+        return past[block].copy() if block in past else self.signals()[block]
+
+    def _past(self) -> dict[str, Array]:
+        """Blocks that are known without solving for the present."""
+        s = self._s
+        return {
+            "x": s.x[:-1], "time": s.x[-1:], "a": s.a, "y_step": s.y_step, "energy": s.energy,
+            "supplied": s.supplied, "dissipated": s.dissipated, "residual": s.residual,
+        }  # fmt: skip
 
     def sensitivity(self, end: bool = False) -> Array:
-        """S = d(mean external outputs)/d(held inputs) of the last step (nu x nu): implicit function theorem.
-
-        Internal steps are chained.  `end`: of the outputs at the present time instead.  StepFailure NO_SENSITIVITY before the
-        first step, or where more than 16 internal steps of the last one were halved.
-        """
         s = self._s
         if end:
             return self._present.sensitivity(s)
@@ -95,11 +90,6 @@ class PythonReadings:
     def node_sensitivity(
         self, inputs: Sequence[int] | None = None, impulses: bool = False, end: bool = False
     ) -> NodeSensitivity:
-        """Derivatives of the last step with respect to the chosen inputs (default: all) at each of its nodes.
-
-        `impulses`: then with respect to those at its start and at its end too, in the order of `set_impulses`;  `end`: of the
-        outputs at its end too.  StepFailure NO_SENSITIVITY as in `sensitivity`.
-        """
         s, plan = self._s, self.model.step
         du, ds = directions(plan, chosen(plan, inputs), self._ports.kernels.n if impulses else 0)
         dx = np.zeros((len(du), len(s.x_old)))

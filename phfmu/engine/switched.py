@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.event_jump import MOST, NO_MODE
+from phfmu.engine.instance import Signals
 from phfmu.engine.landing import Change, landed
+from phfmu.engine.record import Grid, recordable
 from phfmu.events.comply import Wanted, select
 from phfmu.events.happened import Landed
 from phfmu.events.modes import Mode
@@ -29,7 +31,7 @@ def stepped(model: Model, make: Callable[[Model], Any]) -> Any:
     return make(model) if model.modes is None else SwitchedInstance(model, make)
 
 
-class SwitchedInstance:
+class SwitchedInstance(Signals):
     """Steps a model with switches in its present mode and changes modes at events, where it `land`s.
 
     `make`: `PythonInstance` or `NativeInstance`, of which it has one for each mode that came up so far.  Rows of signals are
@@ -119,12 +121,13 @@ class SwitchedInstance:
     def land(
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
     ) -> Iterator[Landed]:
-        """Grid steps that end on the zeros of guards too, where modes change; see `PythonInstance.land`."""
-        if hasattr(self.present, "landing"):
+        """Grid steps that end on the zeros of guards too, where modes change; see `Instance.land`."""
+        grid, names = Grid(t0, h, n, first), recordable(self.model.name, record)
+        if self.present.landing is not None:
             from phfmu.engine.native_switched import landed_natively
 
-            return landed_natively(self, t0, h, n, record, first, changed)
-        return landed(self, t0, h, n, record, first, changed, self)
+            return landed_natively(self, grid, names, changed)
+        return landed(self, grid, names, changed, self)
 
     # -- an instance ---------------------------------------------------------------------------------------------------
 
@@ -187,23 +190,12 @@ class SwitchedInstance:
     def ledger(self) -> dict[str, Array]:
         return self.present.ledger()
 
-    @property
-    def layout(self) -> dict[str, slice]:
-        """Place of each block in a row of recorded signals, the same in all modes."""
-        place, start = {}, 0
-        for name, values in self.signals().items():
-            place[name] = slice(start, start + len(values))
-            start += len(values)
-        return place
-
     def signals(self) -> dict[str, Array]:
-        """All values by block; see `PythonInstance.signals`."""
         found = self.present.signals()
         found["observables"] = found["observables"][: len(self.model.observable_names)]
         return found
 
     def signal(self, block: str) -> Array:
-        """One block of `signals`."""
         found = self.present.signal(block)
         return found[: len(self.model.observable_names)] if block == "observables" else found
 
