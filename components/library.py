@@ -41,11 +41,19 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "mass": ("component", _M + "translational", "mass with optional spring and damper to ground"),
     "spring": ("component", _M + "translational", "linear spring between two flanges"),
     "damper": ("component", _M + "translational", "linear damper between two flanges"),
+    "end_stop": ("component", _M + "contacts", "hard stop between two flanges"),
+    "bumper": ("component", _M + "contacts", "body with a bumper before a wall: restitution, rest, release"),
     "rotational_inertia": ("component", _M + "rotational", "rotor with viscous friction"),
     "flexible_shaft": ("component", _M + "rotational", "torsional spring with damping"),
+    "clutch": ("component", _M + "clutch", "ideal clutch between two shaft ends"),
     "torque_source": ("component", _M + "torque_source", "torque set by a signal"),
     "pi_controller": ("component", _C + "pi_controller", "proportional and integral control: signals, no power"),
+    "relay": ("component", _C + "relay", "relay with hysteresis: signals, no power"),
     "bouncing_ball": ("scene", _S + "bouncing_ball", "ball on a hard floor: impacts with restitution, until it rests"),
+    "buffer": ("scene", _S + "stops", "body on a spring with a bumper: impacts, rest, release"),
+    "hard_stop": ("scene", _S + "stops", "a wagon runs onto another, pushes it, lets it go"),
+    "clutch_engagement": ("scene", _S + "clutch_engagement", "two rotors, joined by a clutch and parted again"),
+    "two_point_control": ("scene", _S + "two_point_control", "rotor that a relay keeps between two speeds"),
     "breaker_opening": ("scene", _S + "breaker_opening", "grid, breaker, load: opened at its current zeros"),
     "rectifier": ("scene", _S + "rectifier", "single-phase diode bridge with overlap"),
     "six_pulse": ("scene", _S + "rectifier", "three-phase diode bridge with overlap"),
@@ -86,6 +94,7 @@ RUNS: dict[str, tuple[float, float]] = {"four_particle": (10.0, 0.01), "synchron
 SWITCHED = (
     *("diode", "thyristor", "ideal_switch", "chopper", "rectifier_bridge", "six_pulse_bridge"),
     *("rectifier", "six_pulse", "buck", "bead"),
+    *("end_stop", "clutch", "hard_stop", "clutch_engagement"),
 )
 
 

@@ -92,6 +92,10 @@ def test_every_parameter_of_the_library_that_must_be_positive_says_so(name):
         "L_fkd",
         "kp",
         "ki",
+        "lower",
+        "upper",
+        "low",
+        "high",
     }  # signs are a matter of direction
     for v in model.parameters:
         base = v.name.rsplit(".", 1)[-1]

@@ -18,9 +18,13 @@ STATE_EVENTS = (
     "bouncing_ball",
     "breaker",
     "breaker_opening",
+    "buffer",
+    "bumper",
     "clearing_fault",
     "ideal_diode",
+    "relay",
     "smib_breaker",
+    "two_point_control",
     *SWITCHED,
 )
 #: scenes bring their own step; components take one at which they move

@@ -35,7 +35,7 @@ STEPS = 6
 #: what its junction exchanges is held by a signal, so no coupling can be late
 HELD = {"speed_control"}
 #: landed on in one composed model only
-STATE_EVENTS = {"bouncing_ball", "breaker_opening", "smib_breaker", *SWITCHED}
+STATE_EVENTS = {"bouncing_ball", "buffer", "breaker_opening", "smib_breaker", "two_point_control", *SWITCHED}
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in STATE_EVENTS]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
 BARE = {"smib", "smib_hydro", "two_machine"}

@@ -10,9 +10,11 @@ import casadi as ca
 
 from phfmu.declare.block import Block
 from phfmu.declare.dense import coefficient
+from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.signal import driven
+from phfmu.declare.switch import Switch
 from phfmu.declare.variable import Variable, _sx
 
 
@@ -40,6 +42,15 @@ def fed(model: PHDAE, values: Mapping[str, ca.SX]) -> PHDAE:
         right: dict[Variable, Any] = {v: ca.mtimes(coefficient(m, v.n, p.n), source) for v, m in on.items()}
         return driven(p.name, right, description=p.description, owner=p.owner)
 
+    def event(e: StateEvent) -> StateEvent:
+        jump = e.jump and replace(
+            e.jump, restitution=put(e.jump.restitution), on={v: put(m) for v, m in e.jump.on.items()}
+        )
+        return replace(e, guard=replace(e.guard, expr=put(e.guard.expr)), jump=jump)
+
+    def switch(s: Switch) -> Switch:
+        return replace(s, on={v: put(m) for v, m in s.on.items()}, gap=None if s.gap is None else put(s.gap))
+
     return replace(
         model,
         parameters=tuple(v for v in model.parameters if v not in inputs),
@@ -48,4 +59,6 @@ def fed(model: PHDAE, values: Mapping[str, ca.SX]) -> PHDAE:
         ports=tuple(map(port, model.ports)),
         observables=tuple(replace(o, expr=put(o.expr)) for o in model.observables),
         z={v: put(m) for v, m in model.z.items()},
+        state_events=tuple(map(event, model.state_events)),
+        switches=tuple(map(switch, model.switches)),
     )
