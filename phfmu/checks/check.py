@@ -1,8 +1,8 @@
 """The check of a declaration: every problem at once, each with its entry, its numbers and a remedy.
 
 Rules:  name, unit, nominal, start (what is declared);  shape, symbol, source (expressions);  skew, symmetry,
-passivity, costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability
-(equations);  limit (parameters);  state-event (guards, modes, jumps);  switch;  dimension, kink, bounded (warnings);
+passivity, friction, costate, mass (matrices at sampled points);  energy, closed-pair;  velocity, unused, solvability
+(equations);  limit (parameters);  state-event (guards, modes, jumps);  switch;  dimension, kink, bounded, order (warnings);
 internal (the check itself stopped at an entry).
 """
 
@@ -15,7 +15,9 @@ from phfmu.checks.bounds import bounded, constants
 from phfmu.checks.dimensions import dimensions
 from phfmu.checks.energies import closed_pairs, energies
 from phfmu.checks.equations import equations, unused, velocities
+from phfmu.checks.friction import friction
 from phfmu.checks.matrices import costates, finite, masses, passivity, skew_symmetry, symmetry
+from phfmu.checks.moving import moving
 from phfmu.checks.names import names, nominals, shared_symbols, units
 from phfmu.checks.pieces import continuous, kinks
 from phfmu.checks.ranges import ranges
@@ -90,6 +92,7 @@ def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem
         skew_symmetry,
         symmetry,
         passivity,
+        friction,
         masses,
         costates,
         energies,
@@ -104,6 +107,7 @@ def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem
     if strict and all(p.severity == "warning" for p in found):
         for rule in WARNING_RULES:
             found += _safely(rule, entries, sample)
+        found += _safely(moving, model)
     return found
 
 

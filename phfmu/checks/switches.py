@@ -46,7 +46,9 @@ def _switch(model: PHDAE, s: Switch) -> Iterator[Problem]:
             "switch",
             entry,
             f"its law is '{s.law}'",
-            f"did you mean {close[0]}?" if close else f"give {' or '.join(LAWS)}",
+            f"did you mean {close[0]}?"
+            if close
+            else f"give {' or '.join(LAWS)}; a force between two limits (Coulomb friction) is none: round it off, as dissipation",
         )
     if not s.nominal > 0 or not s.most >= 0:
         yield Problem(

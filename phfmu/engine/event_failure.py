@@ -28,8 +28,19 @@ REASONS = (
         "let the guards of its modes exclude each other: `when` of each, and what it sets",
     ),
     (
+        f"{int(LIMITS['MOST_EVENTS'])} events fall into one step, at one instant, the last {{names}}: each drives the state back "
+        "over the guard of another, along which it would slide (Coulomb friction, a relay without hysteresis)",
+        "round the force off (F tanh(v/v0) for F sign(v)), give a relay a hysteresis, or declare what holds at rest "
+        "(StateEvent(rest=..)): sliding has no mode",
+    ),
+    (
         "after {names} no mode of the switches obeys their laws",
         "give the current that is cut a way to go (a diode beside a switch), or a source an impedance",
+    ),
+    (
+        "{names} opens where its share of least norm is 0, but could hold up to {value:.6g}: the switches depend on each other, "
+        "and what holds is not determined",
+        "leave one of them out, or give them a stiffness (a resistance), which says what each takes",
     ),
 )
 

@@ -15,7 +15,7 @@ from phfmu.events.impulse import impulses
 
 Array = NDArray[Any]
 
-DEPENDENT, MOST, GAIN, PILE, AGAIN, NO_MODE = range(6)  # places in event_failure.REASONS
+DEPENDENT, MOST, GAIN, PILE, AGAIN, SLIDES, NO_MODE, SHARED = range(8)  # places in event_failure.REASONS
 
 
 class Jumps:

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.event_jump import AGAIN, PILE, Jumps
+from phfmu.engine.event_jump import AGAIN, PILE, SLIDES, Jumps
 from phfmu.engine.guards import Guards
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.locate import EPS, Location
@@ -136,7 +136,8 @@ class Landing:
         piled = [i for i in fired if crowded or t - self._last[i] < LIMITS["PILE_UP"] * h]
         rests = [i for i in piled if plan.rest.ptr[i + 1] > plan.rest.ptr[i]]
         if crowded and not rests:
-            self.jumps.refuse(t, PILE, fired)
+            slides = any(t - self._last[i] <= LIMITS["REST_OF_STEP"] * EPS * abs(t) for i in fired)
+            self.jumps.refuse(t, SLIDES if slides else PILE, fired)
         p = (self.structure or instance).parameters
         for i in fired:
             _set(p, plan.sets, i)

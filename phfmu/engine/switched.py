@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
 from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.event_jump import MOST, NO_MODE
+from phfmu.engine.event_jump import MOST, NO_MODE, SHARED
 from phfmu.engine.instance import Signals
 from phfmu.engine.landing import Change, landed
 from phfmu.engine.record import Grid, recordable
 from phfmu.events.comply import Wanted, select
+from phfmu.events.dependent import could_hold
 from phfmu.events.happened import Landed
 from phfmu.events.modes import Mode
 from phfmu.events.switch_system import At
@@ -86,6 +87,9 @@ class SwitchedInstance(Signals):
         proposal: Mode = tuple(int(p[i]) for i in system.places)
         a, u, t = old.signal("a_end"), old.held_input, old.time
         fixed = frozenset(j for j, m in enumerate(proposal) if m != self._mode[j])
+        shared = could_hold(modes, self._mode, proposal, a)
+        if shared is not None:
+            raise EventRefused(self.model.name, t, SHARED, [switches[shared.switch].name], shared.most, 0.0)
         # what the steps left of the constraints of the old mode would decide in the new one
         left = system.enter(At(old.x, a, u, system.in_mode(p, self._mode), t)) if fixed else None
         here = At(old.x if left is None else left.x, a, u, p, t)

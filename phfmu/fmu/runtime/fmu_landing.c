@@ -88,6 +88,11 @@ static void reason(const ph_event_refusal *r, char *text, size_t size) {
     case PH_REFUSED_PILE:
         snprintf(text, size, "%d events fall into one step", PH_MOST_EVENTS);
         break;
+    case PH_REFUSED_SLIDES:
+        snprintf(text, size,
+                 "%d events fall into one step, at one instant: the state would slide along their guards",
+                 PH_MOST_EVENTS);
+        break;
     default:
         snprintf(text, size, "it happens again at the same instant, after each event was tried");
     }

@@ -1,5 +1,6 @@
 /* What happens at a zero: the states jump, parameters are set; the twin of the same part of
  * engine/landing.py. */
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -89,14 +90,15 @@ int ph_happen(ph_landing *l, ph_landed *out) {
     const int crowded = l->happened >= PH_MOST_EVENTS, length = in->offset[PH_NBLOCK];
     double *energy = out->event_energy + out->events * p->ncomp,
            *lost = out->event_lost + out->events * p->ncomp;
-    int any = 0, status;
+    int any = 0, slides = 0, status;
     for (int i = 0; i < e->n; i++) {
         const int piled = crowded || l->t - l->last[i] < PH_PILE_UP * l->grid;
         l->rests[i] = l->fired[i] && piled && e->rest_ptr[i + 1] > e->rest_ptr[i];
         any += l->rests[i];
+        slides += l->fired[i] && l->t - l->last[i] <= PH_REST_OF_STEP * DBL_EPSILON * fabs(l->t);
     }
     if (crowded && !any)
-        return ph_refuse_event(l, PH_REFUSED_PILE, 0.0, 0.0);
+        return ph_refuse_event(l, slides ? PH_REFUSED_SLIDES : PH_REFUSED_PILE, 0.0, 0.0);
     ph_clear(energy, p->ncomp);
     ph_clear(lost, p->ncomp);
     ph_save(in, l->before); /* where a refused event leaves the instance */

@@ -70,7 +70,8 @@ typedef enum ph_event_reason {
     PH_REFUSED_MOST,
     PH_REFUSED_GAIN,
     PH_REFUSED_PILE,
-    PH_REFUSED_AGAIN
+    PH_REFUSED_AGAIN,
+    PH_REFUSED_SLIDES
 } ph_event_reason;
 
 typedef struct ph_event_refusal {
