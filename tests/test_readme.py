@@ -134,8 +134,8 @@ def test_pages_name_files_that_exist(page: Path) -> None:
 
 
 def test_each_kind_of_part_has_an_example_that_runs() -> None:
-    text = (ROOT / "docs" / "internals" / "add-a-part.md").read_text(encoding="utf-8")
-    sections = {s.partition("\n")[0]: s for s in text.split("\n## ")[1:]}
+    pages = [p.read_text(encoding="utf-8") for p in (ROOT / "docs" / "internals").glob("add-*.md")]
+    sections = {s.partition("\n")[0]: s for text in pages for s in re.split(r"(?:^|\n)##? ", text)[1:]}
     for kind in ("domain", "component", "scheme", "coupling", "FMI version"):
         assert any(kind in title and "```python" in body for title, body in sections.items()), kind
 

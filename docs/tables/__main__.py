@@ -35,6 +35,7 @@ MAKERS = {
     "stepping": ("restart", "tolerance", "between"),
     "library": ("orders",),
     "singular_mass": ("mass_spring_orders",),
+    "networks": ("couplings",),
     "house": ("house",),
     "timings": ("four_particle", "chain_10", "chain_50", "scaling_chain", "scaling_net", "scaling_ladder"),
 }

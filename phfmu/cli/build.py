@@ -12,7 +12,7 @@ from phfmu.cli.job import Job
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import asked_apart
-from phfmu.network.couplings.coupling_names import EXPLICIT
+from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS, MONOLITHIC, CouplingRow
 from phfmu.target import is_fmu, scene
 
 if TYPE_CHECKING:
@@ -33,18 +33,18 @@ def job_of(args: argparse.Namespace) -> Job:
     s = replace(s, system=_isolated(args, s.system))
     require_sound_scene(args, s)
     tried = _tried(args, s)
-    name, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
-    if asked_apart(args) and (name == "monolithic" or not isinstance(s.system, Network)):
+    row, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
+    if asked_apart(args) and (not row.apart or not isinstance(s.system, Network)):
         raise ValueError(f"{args.target}: --member and --parts are for members of a network that are stepped apart")
-    if name == "monolithic" and args.threads is not None:
+    if not row.apart and args.threads is not None:
         raise ValueError(
             f"--threads {args.threads} is for members that are stepped apart (--coupling newton); this is one model"
         )
-    if name == "monolithic":
+    if not row.apart:
         return job_whole.whole(args, s, s.declaration(), why)
     if not isinstance(s.system, Network):
-        raise ValueError(f"{args.target} is a single component; --coupling {name} needs a network of members")
-    return job_apart.apart(args, s, s.system, name, [*s.notes, *why], {} if name in EXPLICIT else tried)
+        raise ValueError(f"{args.target} is a single component; --coupling {row.name} needs a network of members")
+    return job_apart.apart(args, s, s.system, row.name, [*s.notes, *why], tried if row.kind.repeats else {})
 
 
 def composed(args: argparse.Namespace) -> Scene:
@@ -76,22 +76,26 @@ def _isolated(args: argparse.Namespace, system: Any) -> Any:
 
 def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
     """Whether units can take steps back, where the coupling may ask it of them."""
-    if args.coupling in EXPLICIT or not s.units:
+    if not s.units:
+        return {}
+    from phfmu.network.couplings.named import repeats
+
+    if not repeats(args.coupling):
         return {}
     from phfmu.network.members.unit_member import tried
 
     return tried(s.units, s.step if args.step is None else args.step)
 
 
-def _coupling(args: argparse.Namespace, s: Scene, stuck: Mapping[str, str]) -> tuple[str, list[str]]:
+def _coupling(args: argparse.Namespace, s: Scene, stuck: Mapping[str, str]) -> tuple[CouplingRow, list[str]]:
     """The coupling asked for, or the one that fits and the line that says why; one model without a word if nobody asked."""
     from phfmu.network.couplings.auto import choose
     from phfmu.network.junctions.network import Network
 
-    if args.coupling not in (None, "auto"):
-        return args.coupling, []
+    if args.coupling not in (None, AUTO.name):
+        return COUPLINGS[args.coupling], []
     if not isinstance(s.system, Network):
-        return "monolithic", []
+        return MONOLITHIC, []
     found = choose(s.system, asked_apart(args), stuck)
-    silent = args.coupling is None and found.name == "monolithic"
-    return found.name, [] if silent else [f"coupling {found.name}: {found.why}"]
+    silent = args.coupling is None and found.row is MONOLITHIC
+    return found.row, [] if silent else [f"coupling {found.row.name}: {found.why}"]

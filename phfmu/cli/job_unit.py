@@ -8,6 +8,7 @@ import sys
 from phfmu.cli.job import Job
 from phfmu.cli.settings import settings
 from phfmu.cli.stepping import asked_apart
+from phfmu.network.couplings.coupling_table import COUPLINGS
 
 #: s that a call into a unit in a process of its own may take, unless told
 ISOLATE = 60.0
@@ -41,8 +42,9 @@ def _refuse_compiled_in(args: argparse.Namespace) -> None:
         raise ValueError(
             f"{args.target}: --member and --parts are for members of a network; an FMU has none to choose for"
         )
+    whole = (row.name for row in COUPLINGS.values() if not row.apart)
     usual = {"order": (None, 2), "scheme": ("auto",), "gradient": ("per-term",), "closure": (None,),
-             "engine": ("auto", "fmu"), "coupling": (None, "auto", "monolithic")}  # fmt: skip
+             "engine": ("auto", "fmu"), "coupling": (None, *whole)}  # fmt: skip
     for option, values in usual.items():
         asked = getattr(args, option)
         if asked not in values:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from phfmu.cli.engines import as_fmu, engine_of, instance_of
 from phfmu.cli.job import Job, label
 from phfmu.cli.options import scheme_of
+from phfmu.network.couplings.coupling_table import MONOLITHIC
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
@@ -29,4 +30,4 @@ def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]
         model = build_model(declaration, scheme)
         return Monolithic(model, instance_of(model, engine))
 
-    return Job(s, label([scheme], f"{engine} engine", "monolithic"), engine != "fmu", build, why)
+    return Job(s, label([scheme], f"{engine} engine", MONOLITHIC.name), engine != "fmu", build, why)

@@ -34,8 +34,8 @@ def add_steps(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rtol", type=float, help="adapt the step: allowed error of a step relative to each state")
     parser.add_argument("--atol", type=float, help="the same relative to each state's nominal value (default: --rtol)")
     parser.add_argument("--ecco", type=float, metavar="TOL",
-                        help="adapt the step of gauss-seidel and jacobi: allowed energy that a junction makes in a step, "
-                        "relative to what passes through it and 1 J")  # fmt: skip
+                        help="adapt the step of couplings that take each step once: allowed energy that a junction makes in "
+                        "a step, relative to what passes through it and 1 J")  # fmt: skip
     parser.add_argument("--min-step", type=float, help="smallest adaptive step in s (default: none)")
     parser.add_argument("--max-step", type=float, help="largest adaptive step in s (default: none)")
     parser.add_argument("--restart", type=int, metavar="N",

@@ -26,7 +26,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.settings import add_settings
     from phfmu.cli.sound import add_no_check
     from phfmu.fmu.version import LATEST, VERSIONS
-    from phfmu.network.couplings.coupling_names import COUPLINGS
+    from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS
 
     parser = verbs.add_parser("run", help="simulate; result table, audit")
     parser.add_argument("target", help=TARGET)
@@ -37,10 +37,11 @@ def add_parser(verbs: Any) -> None:
                         help="auto: native if a C compiler is there, else python")  # fmt: skip
     stepping.add_stepping(parser)
     parser.add_argument("--fmi", choices=tuple(VERSIONS), help=f"FMI version of --engine fmu (default {LATEST})")
-    parser.add_argument("--coupling", choices=tuple(COUPLINGS),
-                        help="; ".join(f"{name}: {line}" for name, line in COUPLINGS.items()) + " (default: auto)")  # fmt: skip
+    lines = [f"{row.name}: {row.about}" for row in COUPLINGS.values()]
+    parser.add_argument("--coupling", choices=tuple(COUPLINGS), help="; ".join(lines) + f" (default: {AUTO.name})")
+    in_turn = ", ".join(row.name for row in COUPLINGS.values() if row.in_turn)
     parser.add_argument(
-        "--sequence", metavar="A,B,..", help="the order in which --coupling gauss-seidel steps the members"
+        "--sequence", metavar="A,B,..", help=f"the order in which --coupling {in_turn} steps the members"
     )
     parser.add_argument("--unconverged", default="raise", choices=("raise", "halve", "accept"),
                         help="what to do with a step whose coupling does not converge: refuse it (default), take it in "

@@ -67,10 +67,9 @@ def runaway() -> Outcome:
 
 def explicit(name: str) -> Outcome:
     """At 0.01 s for 1 s."""
-    from phfmu.network.couplings.gauss_seidel import GaussSeidel
-    from phfmu.network.couplings.jacobi import Jacobi
+    from phfmu.network.couplings.coupling_table import COUPLINGS
 
-    s = run(coupled(oscillator(), GaussSeidel() if name == "gauss-seidel" else Jacobi()), 1.0, 0.01).ledger.summary()
+    s = run(coupled(oscillator(), COUPLINGS[name].kind()), 1.0, 0.01).ledger.summary()
     made = sum(j.residual for j in s.junctions)
     return Outcome(
         f"junctions made {made:.3g} J of 98.7, unexplained {left(s):.1e}", left(s) <= 1e-12 and abs(made) > 1e-3

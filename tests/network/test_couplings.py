@@ -45,7 +45,7 @@ def members(net: Network) -> list[Any]:
 class Repeated:
     """Jacobi's iteration: members repeat the step with each other's outputs until these stay."""
 
-    name, order, repeats, closes = "repeated", 2, True, True
+    order, repeats, closes = 2, True, True
 
     def __init__(self, trials: int = 60):
         self.trials = trials

@@ -172,7 +172,7 @@ def test_a_step_is_that_of_matrices_and_stable_up_to_the_limit(
 class Lagged:
     """Jacobi's coupling as masters do it that read outputs after a step, with the inputs of that step."""
 
-    name, order, repeats, closes = "lagged", 1, False, False
+    order, repeats, closes = 1, False, False
 
     def solve(self, joined: Any, last: Solution, step: Any) -> Solution:
         xi = np.linalg.solve(joined.face.C.toarray(), -joined.face.P.T @ joined.end_outputs())

@@ -58,7 +58,7 @@ class InPython:
     """A coupling that is not one of those that are compiled, and does what it wraps."""
 
     def __init__(self, inner: Coupling):
-        self.name, self.order, self._inner = inner.name, inner.order, inner
+        self.order, self._inner = inner.order, inner
         self.repeats, self.closes = inner.repeats, inner.closes
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:

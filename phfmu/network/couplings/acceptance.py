@@ -23,6 +23,8 @@ SHRINKING, STALLING, STALLED = (_NUMBERS[f"COUPLED_{n}"] for n in ("SHRINKING", 
 STALLS, FLOOR, END = (_NUMBERS[f"COUPLED_{n}"] for n in ("STALLS", "FLOOR", "END"))
 
 BY_ENERGY, BY_FLOOR = "energy", "rounding floor"
+#: of steps that did not converge and were kept, or taken in parts
+KEPT, HALVED = "unconverged", "halved"
 
 
 @dataclass

@@ -77,7 +77,7 @@ class Remembered(Solution):
 class Anderson:
     """One value per junction unknown and step, held, as with `Newton`; members need no sensitivities."""
 
-    name, order, repeats, closes = "anderson", 2, True, True
+    order, repeats, closes = 2, True, True
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""

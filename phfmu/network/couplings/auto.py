@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from phfmu.network.couplings.coupling_table import GAUSS_SEIDEL, MONOLITHIC, NEWTON, CouplingRow
 from phfmu.network.junctions.network import Network
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A coupling by its name, and the sentence that says why."""
+    """A coupling, and the sentence that says why."""
 
-    name: str
+    row: CouplingRow
     why: str
 
 
@@ -25,17 +26,17 @@ def choose(network: Network, apart: bool = False, stuck: Mapping[str, str] | Non
     """
     units = network.units
     if not units and not apart:
-        return Choice("monolithic", "all members are declared, so they are stepped as one model")
+        return Choice(MONOLITHIC, "all members are declared, so they are stepped as one model")
     if stuck is None:
         stuck = {name: "cannot save its state" for name, unit in units.items() if not unit.interface.saves}
     if len(stuck) > 1 and _given_by_outputs(network):
         why = "; ".join(f"{name} {words}" for name, words in stuck.items())
-        return Choice("gauss-seidel", f"{why}, so no step can be repeated; junctions make energy, which is told")
+        return Choice(GAUSS_SEIDEL, f"{why}, so no step can be repeated; junctions make energy, which is told")
     if stuck:
         last = f"{', '.join(stuck)} {'are' if len(stuck) > 1 else 'is'} stepped last"
-        return Choice("newton", f"units cannot be composed; {last}, other members can repeat a step")
+        return Choice(NEWTON, f"units cannot be composed; {last}, other members can repeat a step")
     why = f"{', '.join(units)} cannot be composed" if units else "members have engines or steps of their own"
-    return Choice("newton", f"{why}, and all members can repeat a step")
+    return Choice(NEWTON, f"{why}, and all members can repeat a step")
 
 
 def _given_by_outputs(network: Network) -> bool:

@@ -64,12 +64,10 @@ class Unconverged(StepFailure):
 class Coupling(Protocol):
     """Finds the junction unknowns of a step.
 
-    `name`: for the head line of a run;  `order`: the most that it keeps, whatever the order of the members;
-    `repeats`: whether it takes a step more than once, for which members must save their states;  `closes`: whether junctions
-    create no energy, by its own account.
+    `order`: the most that it keeps, whatever the order of the members;  `repeats`: whether it takes a step more than once, for
+    which members must save their states;  `closes`: whether junctions create no energy, by its own account.
     """
 
-    name: str
     order: int
     repeats: bool
     closes: bool

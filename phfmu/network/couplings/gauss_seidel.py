@@ -15,17 +15,21 @@ from phfmu.words import meant
 class GaussSeidel:
     """Every member once, in turn.  `sequence`: names of members, by default `usual_sequence`."""
 
-    name, order, repeats, closes = "gauss-seidel", ORDER, False, False
+    order, repeats, closes = ORDER, False, False
 
     def __init__(self, sequence: Sequence[str] | None = None) -> None:
         self._sequence, self._instant = sequence, Instant()
 
+    @staticmethod
+    def sequence_of(network: Network, sequence: Sequence[str] | None) -> tuple[str, ...]:
+        """The sequence that was asked for, or the usual one; ValueError if it is not one of the members."""
+        return usual_sequence(network) if sequence is None else complete(sequence, network)
+
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """ValueError where no output gives a junction unknown, or the sequence is not one of the members."""
-        if self._sequence is None:
-            self._sequence = usual_sequence(joined.network)
+        self._sequence = self.sequence_of(joined.network, self._sequence)
         at = {m.name: i for i, m in enumerate(joined.members)}
-        groups = [[at[name]] for name in complete(self._sequence, joined.network)]
+        groups = [[at[name]] for name in self._sequence]
         return stepped(joined, self._instant, last, step, groups)
 
 

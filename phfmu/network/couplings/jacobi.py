@@ -11,7 +11,7 @@ from phfmu.network.couplings.joined import Joined
 class Jacobi:
     """Every member once, under values of time t.  Cheap and in parallel, but it makes energy: the step must be small."""
 
-    name, order, repeats, closes = "jacobi", ORDER, False, False
+    order, repeats, closes = ORDER, False, False
 
     def __init__(self) -> None:
         self._instant = Instant()

@@ -5,18 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from phfmu.network.couplings.anderson import Anderson
 from phfmu.network.couplings.coupling import Coupling
-from phfmu.network.couplings.gauss_seidel import GaussSeidel, complete, usual_sequence
-from phfmu.network.couplings.jacobi import Jacobi
+from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import POLICIES
 from phfmu.network.junctions.network import Network
-
-#: couplings that repeat steps
-ITERATED: dict[str, Callable[[Joined], Coupling]] = {Newton.name: newton, Anderson.name: lambda _: Anderson()}
+from phfmu.words import meant
 
 
 @dataclass(frozen=True)
@@ -40,22 +34,27 @@ def named_coupling(
 ) -> Named:
     """The coupling `name` of members of a network.
 
-    sequence:  of the members, for gauss-seidel;  unconverged:  raise | halve | accept, for couplings that iterate
+    sequence:  of the members, for those that step in turn;  unconverged:  raise | halve | accept, for couplings that iterate
     Errors: ValueError for what does not go together.
     """
-    if sequence is not None and name != GaussSeidel.name:
-        raise ValueError(f"a sequence of members ({', '.join(sequence)}) is for {GaussSeidel.name}, not for {name}")
-    if name in ITERATED:
-        wrap, make = POLICIES[unconverged], ITERATED[name]
-        at_nodes = name == Newton.name
-        return Named(f"{name} coupling", Newton.order, "inputs held", at_nodes, lambda joined: wrap(make(joined)))
-    if unconverged != "raise":
+    rows = {row.name: row for row in COUPLINGS.values() if row.apart}
+    if name not in rows:
+        raise ValueError(f"no coupling '{name}' of members; {meant(name, rows)}")
+    row, in_turn = rows[name], [other.name for other in rows.values() if other.in_turn]
+    if sequence is not None and not row.in_turn:
+        raise ValueError(f"a sequence of members ({', '.join(sequence)}) is for {', '.join(in_turn)}, not for {name}")
+    kind, words = row.kind, f"{name} coupling"
+    if unconverged != "raise" and not kind.repeats:
         raise ValueError(f"--unconverged {unconverged} is for couplings that iterate; {name} takes each step once")
-    lagged = "outputs of an instant held"
-    if name == Jacobi.name:
-        return Named(f"{name} coupling", Jacobi.order, lagged, False, lambda _: Jacobi())
-    if name == GaussSeidel.name:
-        order = usual_sequence(network) if sequence is None else complete(sequence, network)
-        words = f"{name} coupling ({', '.join(order)})"
-        return Named(words, GaussSeidel.order, lagged, False, lambda _: GaussSeidel(order))
-    raise ValueError(f"no coupling '{name}' of members")
+    make = row.node_maker if row.at_nodes else lambda _: kind()
+    if row.in_turn:
+        order = kind.sequence_of(network, sequence)
+        words, make = f"{words} ({', '.join(order)})", lambda _: kind(order)
+    wrap = POLICIES[unconverged]
+    return Named(words, kind.order, row.held, bool(row.at_nodes), lambda joined: wrap(make(joined)))
+
+
+def repeats(name: str | None) -> bool:
+    """Whether the coupling, or the one that will be chosen, may ask members to take steps back."""
+    row = COUPLINGS.get(name or "")
+    return row is None or not row.apart or row.kind.repeats

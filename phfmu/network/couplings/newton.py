@@ -54,7 +54,7 @@ class Worst:
 class Newton:
     """One value per junction unknown and step, held: the whole is of order 2, whatever the order of the members is."""
 
-    name, order, repeats, closes = "newton", 2, True, True
+    order, repeats, closes = 2, True, True
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""

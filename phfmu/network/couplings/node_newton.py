@@ -89,7 +89,7 @@ class Trial:
 class NodeNewton:
     """As many values per junction variable and step as the members take: the whole has their order."""
 
-    name, repeats, closes = "newton", True, True
+    repeats, closes = True, True
 
     def __init__(self, exchange: Exchange):
         self.exchange = exchange

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from phfmu.engine.status import Status, StepFailure
+from phfmu.network.couplings.acceptance import HALVED, KEPT
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
-from phfmu.network.couplings.coupling_names import HALVED, KEPT
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.works import works
 
@@ -26,7 +26,7 @@ class Accepting:
     closes = False
 
     def __init__(self, inner: Coupling):
-        self.inner, self.name, self.order, self.repeats = inner, inner.name, inner.order, inner.repeats
+        self.inner, self.order, self.repeats = inner, inner.order, inner.repeats
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure where not even a trial is finite."""
@@ -42,8 +42,7 @@ class Halving:
     """Takes a step that does not converge in halves, and these again; members exchange new values in each."""
 
     def __init__(self, inner: Coupling):
-        self.inner, self.name, self.order = inner, inner.name, inner.order
-        self.repeats, self.closes = inner.repeats, inner.closes
+        self.inner, self.order, self.repeats, self.closes = inner, inner.order, inner.repeats, inner.closes
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure of a part that is h / 2^10 long."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import StepEvent, Steps
-from phfmu.network.couplings.coupling_names import HALVED, KEPT
+from phfmu.network.couplings.acceptance import HALVED, KEPT
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.scene import Event

@@ -17,6 +17,7 @@ import numpy as np
 
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.network.couplings.coupling_table import COUPLINGS
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.run.options import Options
 
@@ -31,9 +32,8 @@ class Ecco:
 
     def __init__(self, stepper: Stepper, options: Options, tolerance: float):
         if not isinstance(stepper, Coupled) or stepper.coupling.repeats:
-            raise ValueError(
-                "--ecco follows the energy that junctions make; add --coupling gauss-seidel or jacobi, or leave it out"
-            )
+            once = " or ".join(row.name for row in COUPLINGS.values() if row.apart and not row.kind.repeats)
+            raise ValueError(f"--ecco follows the energy that junctions make; add --coupling {once}, or leave it out")
         self.stepper, self._tolerance = stepper, tolerance
         self._min_step, self._max_step = options.min_step, options.max_step
         self._h, self._last, self._steps = min(options.step, self._max_step), 1.0, 0
