@@ -33,8 +33,8 @@ from .sums import Floats, Sums, larger, largest, use_compiled
 CUMULATIVE = ("dissipated", "external", "junction_residual", "unexplained")
 
 
-#: steps after which sums are worth a compiled library
-LONG = 1 << 13
+#: numbers to add up after which sums are worth a compiled library
+LONG = 1 << 17
 
 
 class Ledger:
@@ -54,7 +54,7 @@ class Ledger:
         self._estimated: set[str] = set()
         self._loose: set[str] = set()
         self._unexplained = 0.0
-        self._steps = 0
+        self._steps = self._numbers = 0
         self._t_start = self._t_end = math.nan
         self._events = EventCount()
 
@@ -93,7 +93,8 @@ class Ledger:
         relative = self._judge.steps(block, stored)
         if self._steps == 0:
             self._t_start = float(block.t0[0])
-        if self._steps < LONG <= self._steps + len(block.step):
+        self._numbers, before = self._numbers + block.steps.pairs.size + block.steps.stored.size, self._numbers
+        if before < LONG <= self._numbers:
             use_compiled()
         self._steps += len(block.step)
         self._t_end = float(block.t0[-1] + block.h[-1])

@@ -12,6 +12,7 @@ from .analysis import summarise
 from .events import EventRow
 from .judge import DEFAULT_RTOL, VIOLATED
 from .sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
+from .shortened import shortened
 from .summary import LedgerSummary
 
 if TYPE_CHECKING:
@@ -29,13 +30,15 @@ def audit_table(
     scale: Scale = JOULE,
     events: Sequence[EventRow] = (),
     levels: Alarms | None = None,
+    most: int | None = None,
 ) -> str:
     """Text of where the energy went, from an audit table or a ledger's summary.
 
     Components (start, end, stored, dissipated, supplied, largest residual as a part of what is allowed, verdict), ports,
     junctions, network, what does not close, events; columns and tables that the run has nothing for are left out.
     `rtol` judges a table; a summary is judged.  `by`: kinds of tables to show, none: all.  `scale`: of energies, J by default.
-    `events`: those to be listed.  `levels`: what to warn of.
+    `events`: those to be listed.  `levels`: what to warn of.  `most`: rows
+    of a table, the last is the sum of all others.
     """
     from rich.console import Console
 
@@ -49,7 +52,7 @@ def audit_table(
         markup=False,  # names may hold brackets
         emoji=False,
     )
-    for part in _parts(summary, by, scale, events, levels):
+    for part in _parts(summary, by, scale, events, levels, most):
         if not isinstance(part, str):
             console.print()
         console.print(part, soft_wrap=isinstance(part, str))
@@ -78,7 +81,12 @@ def audit_csv(summary: LedgerSummary, kind: str, scale: Scale = JOULE, events: S
 
 
 def _parts(
-    summary: LedgerSummary, by: Sequence[str], scale: Scale, events: Sequence[EventRow], levels: Alarms | None
+    summary: LedgerSummary,
+    by: Sequence[str],
+    scale: Scale,
+    events: Sequence[EventRow],
+    levels: Alarms | None,
+    most: int | None,
 ) -> Iterator[Any]:
     if not summary.steps:
         yield "no steps: nothing was stored, dissipated or supplied"
@@ -89,14 +97,16 @@ def _parts(
             unit = f"percent of {scale.whole:.4g} J, which came in or was there"
         yield f"Energy in {unit}, positive into the component; {span}"
     chosen = [sheet for sheet in sheets(summary, events) if not by or sheet.title in by]
-    yield from (_drawn(sheet, scale) for sheet in chosen)
+    yield from (_drawn(sheet if most is None else shortened(sheet, most), scale) for sheet in chosen)
     if by and summary.steps and not chosen:
         yield f"there is no {' and no '.join(by)} in it"
     if summary.violations:
         yield _table(
             f"{VIOLATED}: what does not close; allowed: {summary.rtol:.1e} of the energies in play, and rounding"
         )
-        yield from (shown(str(v)) for v in summary.violations)
+        yield from (shown(str(v)) for v in summary.violations[:most])
+        if most is not None and len(summary.violations) > most:
+            yield f"and {len(summary.violations) - most} more"
     if levels is not None:
         yield from (shown(line) for line in alarms(summary, levels))
     if summary.events:

@@ -14,3 +14,5 @@ UNITS = {
     "MWh": 3.6e9,
 }
 KINDS = ("component", "port", "junction", "part", "event")
+#: rows of a table that are printed unless all are asked for
+ROWS = 24

@@ -18,11 +18,12 @@ from .summary import LedgerSummary
 
 @dataclass(frozen=True)
 class Column:
-    """A header, the value of an entry, and whether it is an energy (J), another number or a word."""
+    """A header, the value of an entry, whether it is an energy (J), another number or a word, and if energies add up."""
 
     header: str
     value: Callable[[Any], Any]
     kind: str = "energy"
+    adds: bool = True
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def _junctions(summary: LedgerSummary) -> Sheet:
     columns = [
         Column("junction", lambda j: j.junction, "name"),
         Column("residual", lambda j: j.residual),
-        Column("worst step", lambda j: j.worst_residual),
+        Column("worst step", lambda j: j.worst_residual, adds=False),
         Column("exchanged", lambda j: j.exchanged),
         Column("verdict", lambda j: j.verdict, "word"),
     ]
@@ -124,7 +125,7 @@ def _parts(summary: LedgerSummary) -> Sheet:
         Column("junction", lambda p: p.junction, "name"),
         Column("part", lambda p: p.part, "word"),
         Column("residual", lambda p: p.residual),
-        Column("worst step", lambda p: p.worst_residual),
+        Column("worst step", lambda p: p.worst_residual, adds=False),
     ]
     return _sheet("part", columns, summary.parts)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_parser(verbs: Any) -> None:
-    from phfmu.audit.sheet_names import KINDS, UNITS
+    from phfmu.audit.sheet_names import KINDS, ROWS, UNITS
 
     parser = verbs.add_parser("audit", help="table of where the energy went; exit 4 if something does not close")
     parser.add_argument("file", help="X.parquet or X.arrows; or 'recover X.arrows' after a crash", nargs="+")
@@ -23,6 +23,8 @@ def add_parser(verbs: Any) -> None:
     )
     parser.add_argument("--window", metavar="A:B", help="sums of the steps from A to B s only; A or B may be left out")
     parser.add_argument("--by", choices=KINDS, help="one table only; event: all events, one by one")
+    parser.add_argument("--all", action="store_true",
+                        help=f"all rows; else, without --by, {ROWS} of a table, the last the sum of all others")  # fmt: skip
     parser.add_argument(
         "--unit", default="J", choices=(*UNITS, "auto"), help="of the energies (default J; auto: what fits)"
     )
@@ -39,6 +41,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table, recover, summarise
     from phfmu.audit.alarms import Alarms
     from phfmu.audit.report import audit_csv
+    from phfmu.audit.sheet_names import ROWS
     from phfmu.audit.sheets import Scale, fitting, whole
     from phfmu.audit.window import event_rows
     from phfmu.cli.codes import FINE, LEDGER
@@ -65,7 +68,8 @@ def call(args: argparse.Namespace) -> int:
     if args.export:
         print(audit_csv(summary, args.by, scale, events), end="")
     else:
-        print(audit_table(summary, by=[args.by] if args.by else [], scale=scale, events=events, levels=levels), end="")
+        by, most = ([args.by], None) if args.by else ([], None if args.all else ROWS)
+        print(audit_table(summary, by=by, scale=scale, events=events, levels=levels, most=most), end="")
     return FINE if summary.closed else LEDGER
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from phfmu.cli.info_many import FEW, print_many
+
 if TYPE_CHECKING:
     from phfmu.declare.event import StateEvent
     from phfmu.declare.parameter_limits import Limit
@@ -19,6 +21,8 @@ def add_parser(verbs: Any) -> None:
 
     parser = verbs.add_parser("info", help="states, ports, parameters with units")
     parser.add_argument("target", help=TARGET)
+    parser.add_argument("--all", action="store_true",
+                        help=f"every member, junction and variable of a network of more than {FEW} members")  # fmt: skip
     parser.set_defaults(call=call)
 
 
@@ -32,6 +36,11 @@ def call(args: argparse.Namespace) -> int:
         print(fmu_info(args.target), end="")
         return 0
     s = scene(args.target)
+    if isinstance(s.system, Network) and len(s.system.members) > FEW and not args.all:
+        _print_run(s, s.name, s.description or s.system.description)
+        print_many(s.system)
+        print(f"all names: phfmu info {args.target} --all")
+        return 0
     if s.units and isinstance(s.system, Network):
         _print_apart(s, s.system)
         return 0

@@ -82,6 +82,7 @@ def call(args: argparse.Namespace) -> int:
     from time import perf_counter
 
     from phfmu.audit import audit_table
+    from phfmu.audit.sheet_names import ROWS
     from phfmu.cli import options
     from phfmu.cli.build import job_of
     from phfmu.cli.codes import FINE, LEDGER
@@ -118,7 +119,7 @@ def call(args: argparse.Namespace) -> int:
         _print_run(args, label, result, chosen, seconds)
         _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
         if chosen.audited:
-            print(audit_table(summary), end="")
+            print(audit_table(summary, most=ROWS), end="")
     if not summary.closed:
         places = dict.fromkeys(v.name for v in summary.violations)
         print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
@@ -172,8 +173,7 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, chosen: Opt
     for name, value in result.worst.items():
         key = name.split("[")[0]
         groups[key] = max(groups.get(key, 0.0), value)
-    for name, value in groups.items():
-        print(f"largest |{name}| over the run: {value:.6g}")
+    _print_worst(groups)
     if args.output:
         print(f"results: {args.output}")
     if args.plot:
@@ -182,6 +182,15 @@ def _print_run(args: argparse.Namespace, label: str, result: Result, chosen: Opt
 
     if audit := audit_file(args):
         print(f"audit: {audit} (print with: phfmu audit {audit})")
+
+
+def _print_worst(groups: dict[str, float]) -> None:
+    """The worst of each hidden constraint; of many, the largest."""
+    told = sorted(groups, key=lambda n: -groups[n])[:NOTES] if len(groups) > NOTES else list(groups)
+    for name in told:
+        print(f"largest |{name}| over the run: {groups[name]:.6g}")
+    if others := [value for name, value in groups.items() if name not in told]:
+        print(f"and {len(others)} more of these, at most {max(others):.6g}")
 
 
 def _print_notes(notes: list[str]) -> None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from functools import wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
+from weakref import WeakValueDictionary
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.alike import first_alike
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.declare.starts import starts
-from phfmu.declare.variable import Variable
+from phfmu.declare.variable import Variable, _sx
 from phfmu.discretise.instant import instant_plan
 from phfmu.discretise.mode_models import ModeModels
 from phfmu.discretise.onestep import step_plan
@@ -68,6 +71,8 @@ class Model:
     events: EventPlan | None = None
     #: of a declaration with switches: the model of each mode; this one tells what they have in common, in the mode at the start
     modes: ModeModels[Model] | None = None
+    #: the model of a declaration like this one whose plans these are; None: its own
+    first: Model | None = None
 
     def __repr__(self) -> str:
         return f"<Model {self.name}: {self.scheme.name}, order {self.scheme.order}; {repr(self.declaration)[1:-1]}>"
@@ -99,14 +104,50 @@ def _stack(variables: tuple[Variable, ...]) -> Array:
 
 
 def build_model(declaration: PHDAE, scheme: Scheme | None = None) -> Model:
-    """Discretise `declaration`; DeclarationError names what does not fit.  Default: `default_scheme`."""
+    """Discretise `declaration`; DeclarationError names what does not fit.  Default: `default_scheme`.
+
+    Components that are alike, but for their start values, share plans and what is compiled of them as long as one is in use.
+    """
     if bad := starts(require_declaration(declaration, "build_model")):
         raise DeclarationError.of(bad)
     chosen = default_scheme(declaration) if scheme is None else scheme
     if not declaration.switches:
-        return _discretised(declaration, chosen, bool(declaration.state_events))
+        return _shared(declaration, chosen)
     models = ModeModels(Modes(declaration), lambda declared: _discretised(declared, chosen, True))
     return replace(models[models.modes.start], checks=(), check_scale=np.zeros(0), modes=models)
+
+
+_PLANNED: WeakValueDictionary[tuple[Hashable, ...], Model] = WeakValueDictionary()
+
+
+def _shared(declaration: PHDAE, scheme: Scheme) -> Model:
+    """The model, on the plans of one that is alike if there is such; composed networks are not looked for."""
+    lands = bool(declaration.state_events)
+    if declaration.members != ("",):
+        return _discretised(declaration, scheme, lands)
+    own = _starts(declaration)
+    key = (first_alike(declaration), scheme)
+    at_start = (*key, *(v.tobytes() for v in own.values()))
+    first = _PLANNED.get(key) or _PLANNED.get(at_start)
+    if first is not None:
+        return replace(first, name=declaration.name, declaration=declaration, first=first, **own)
+    made = _PLANNED[at_start] = _discretised(declaration, scheme, lands)
+    if not _planned_at_start(made):
+        _PLANNED[key] = made
+    return made
+
+
+def _planned_at_start(model: Model) -> bool:
+    """Whether start values decide something of the plans: what rests, which impulses fit, what is regular."""
+    d = model.declaration
+    diagonal = all(isinstance(v, Variable) and ca.SX(_sx(m)).sparsity().is_diag() for v, m in d.E.items())
+    return bool(d.constraints or d.closed or model.checks or not diagonal)
+
+
+def _starts(declaration: PHDAE) -> dict[str, Any]:
+    u0 = [s for p in declaration.ports if p.external for s in p.input_starts()]
+    return {"x0": _stack(declaration.states), "a0": _stack(declaration.algebraics), "u0": np.array(u0, float),
+            "p0": _stack(declaration.parameters)}  # fmt: skip
 
 
 def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
@@ -114,11 +155,10 @@ def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
     terms = at_start(terms)
     step, layout = step_plan(terms, scheme)
     instant, checks, instant_layout = instant_plan(terms, rests=len(step.hold) > 0)
-    p0, x0 = _stack(declaration.parameters), _stack(declaration.states)
-    u0 = [s for p in declaration.ports if p.external for s in p.input_starts()]
+    own = _starts(declaration)
     return Model(
-        declaration.name, declaration, scheme, step, instant, x0, _stack(declaration.algebraics), np.array(u0, float), p0,
-        checks=tuple(checks), check_scale=check_scales(terms, checks, x0, p0), row_names=tuple(layout.names()),
+        declaration.name, declaration, scheme, step, instant, **own,
+        checks=tuple(checks), check_scale=check_scales(terms, checks, own["x0"], own["p0"]), row_names=tuple(layout.names()),
         instant_names=tuple(instant_layout.names()), members=tuple(terms.members),
         observable_names=tuple(terms.observable_names), hold_names=hold_names(terms) if len(step.hold) else (),
         events=event_plan(terms, Polynomial(layout, scheme.nodes, scheme.maps(layout))) if lands else None,

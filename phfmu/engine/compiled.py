@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.compile import Build
 from phfmu.engine.library import build, load
-from phfmu.engine.model import Model, kernels
+from phfmu.engine.model import Model, first, kernels
 from phfmu.engine.tables import CTables
 
 
@@ -28,8 +28,11 @@ _MADE: WeakKeyDictionary[Model, Compiled] = WeakKeyDictionary()
 
 def compiled(model: Model, announce: Callable[[], None] | None = None) -> Compiled:
     """Library and tables of a model; `announce` is called before a compiler runs."""
-    made = _MADE.get(model)
-    if made is None:
+    made, alike = _MADE.get(model), first(model)
+    if made is None and alike is not None:
+        shared = compiled(alike, announce)
+        made = _MADE[model] = replace(shared, tables=shared.tables.like(model))
+    elif made is None:
         table = kernel_table(kernels(model), model.step.schur)
         tables = CTables(model, table.index, table.token)
         done = build(table, announce, events=tables.events is not None)

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from phfmu.declare.alike import first_alike
 from phfmu.declare.phdae import PHDAE
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
@@ -48,9 +49,13 @@ class PortKernels:
         return len(self.forms.pairs)
 
 
-@lru_cache(maxsize=64)
 def port_kernels(model: PHDAE) -> PortKernels:
-    """The impulses of a model's ports as functions."""
+    """The impulses of a model's ports as functions, the same for all that are alike."""
+    return _port_kernels(first_alike(model))
+
+
+@lru_cache(maxsize=64)
+def _port_kernels(model: PHDAE) -> PortKernels:
     f = port_impulses(model)
     s, ds = ca.SX.sym("s", len(f.pairs)), ca.SX.sym("ds", len(f.pairs))
     dx = ca.SX.sym("dx", f.x.numel())

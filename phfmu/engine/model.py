@@ -57,6 +57,11 @@ def kernels(model: Model) -> list[Kernel]:
     return [*(g.kernel for plan in (model.step, model.instant) for g in plan.groups), *more]
 
 
+def first(model: Model) -> Model | None:
+    """The model whose plans it shares; None: they are its own, as are those of models made by hand."""
+    return getattr(model, "first", None)
+
+
 def require_built(model: object, engine: str) -> None:
     """TypeError with the remedy for what only leads to a model."""
     if isinstance(model, PHDAE | str | PathLike):

@@ -3,17 +3,35 @@
 from __future__ import annotations
 
 import ctypes
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.library import Directions, build, load
-from phfmu.engine.model import Model, kernels
+from phfmu.engine.model import Model, first, kernels
 from phfmu.engine.tables import CTables
 from phfmu.engine.tangent_text import tangent_text
 
 Floats = NDArray[np.float64]
+
+
+_MADE: WeakKeyDictionary[Model, tuple[ctypes.CDLL, CTables]] = WeakKeyDictionary()
+
+
+def with_tangents(model: Model) -> tuple[ctypes.CDLL, CTables]:
+    """The library with tangents and the tables of a model, made once for all that share its plans."""
+    made, alike = _MADE.get(model), first(model)
+    if made is None and alike is not None:
+        lib, tables = with_tangents(alike)
+        made = _MADE[model] = lib, tables.like(model)
+    elif made is None:
+        table = kernel_table(kernels(model), model.step.schur)
+        lib = load(build(table, more={"tangents.c": tangent_text(table, model.step, model.instant)}).path)
+        address = ctypes.addressof(ctypes.c_char.in_dll(lib, "ph_tangents"))
+        made = _MADE[model] = lib, CTables(model, table.index, table.token, address)
+    return made
 
 
 class NativeChain:
@@ -21,10 +39,7 @@ class NativeChain:
 
     def __init__(self, model: Model) -> None:
         self._plan = model.step
-        table = kernel_table(kernels(model), model.step.schur)
-        self.lib = load(build(table, more={"tangents.c": tangent_text(table, model.step, model.instant)}).path)
-        address = ctypes.addressof(ctypes.c_char.in_dll(self.lib, "ph_tangents"))
-        self._tables = CTables(model, table.index, table.token, address)
+        self.lib, self._tables = with_tangents(model)
         self._memory = np.zeros(self.lib.ph_size(self._tables.pointer) // 8 + 1)
         self.address = self._memory.ctypes.data
         self._init = self.lib.ph_init(self.address, self._tables.pointer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,19 @@ from phfmu.engine.port_text import port_text
 Floats = NDArray[np.float64]
 
 
+@lru_cache(maxsize=64)
+def _library(kernels: PortKernels) -> ctypes.CDLL:
+    headers = {name: path for name, path in runtime_sources().items() if name.endswith(".h")}
+    built = compile({**headers, "ports.c": port_text(kernels)}, flags=host_flags())
+    return ctypes.CDLL(str(built.path))
+
+
 class NativeImpulses:
     """Impulses on the instance at address `instance` of the library `lib`."""
 
     def __init__(self, lib: ctypes.CDLL, instance: int, kernels: PortKernels) -> None:
         self.n, self._lib = kernels.n, lib
-        headers = {name: path for name, path in runtime_sources().items() if name.endswith(".h")}
-        built = compile({**headers, "ports.c": port_text(kernels)}, flags=host_flags())
-        self._ports = ctypes.CDLL(str(built.path))
+        self._ports = _library(kernels)
         ports = ctypes.addressof(ctypes.c_char.in_dll(self._ports, "ph_the_ports"))
         self._memory = np.zeros(lib.ph_impulses_size(instance, ports) // 8 + 1)
         self.address = lib.ph_impulses_init(self._memory.ctypes.data, instance, ports)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
@@ -110,13 +111,22 @@ class CTables:
 
     def __init__(self, model: Model, index: Callable[[Kernel], int], token: int, tangents: int | None = None) -> None:
         self._keep: list[Any] = []
+        self._plans: CTables | None = None  # tables whose plans these are
         self._index = index
-        derived = {"stamp": stamp(), "token": token, "tangents": tangents}
-        derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
-        self._model = self._fill("ph_model", model, derived)
+        self._derived = {"stamp": stamp(), "token": token, "tangents": tangents}
+        self._derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
+        self._model = self._fill("ph_model", model, self._derived)
         self.pointer = ctypes.addressof(self._model)
         #: of the state events, None without
         self.events = None if model.events is None else self._events(model.events)
+
+    def like(self, model: Model) -> CTables:
+        """Tables of a model on the same plans: start values of its own, all else is that of these."""
+        other = copy(self)
+        other._keep, other._plans = [], self
+        other._model = other._fill("ph_model", model, self._derived)
+        other.pointer = ctypes.addressof(other._model)
+        return other
 
     @property
     def size(self) -> int:

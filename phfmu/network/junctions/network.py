@@ -38,6 +38,8 @@ class Network:
     description: str = ""
     #: signals between members, each after those it depends on at once
     wires: list[Wire] = field(default_factory=list)
+    #: number of junctions that the ends were noted of, and these ends
+    _counted: tuple[int, dict[End, str]] = field(default_factory=lambda: (0, {}), init=False, compare=False)
 
     def __repr__(self) -> str:
         sizes = ((len(self.members), "member"), (len(self.junctions), "junction"), (len(self.wires), "signal"))
@@ -171,12 +173,12 @@ class Network:
 
     def _join(self, junction: Junction) -> Junction:
         self._check_name("junction", junction.name)
-        taken = {str(e): j.name for j in self.junctions for e in j.ends}
+        taken = self._taken()
         for e in junction.ends:
-            if str(e) in taken:
+            if e in taken:
                 raise ConnectionError(
                     str(e),
-                    f"is joined at '{taken[str(e)]}' already",
+                    f"is joined at '{taken[e]}' already",
                     "add it there as one more port of a single junction",
                 )
         twice = [str(e) for e in junction.ends if junction.ends.count(e) > 1]
@@ -187,12 +189,21 @@ class Network:
                 f"joins {twice[0]} to itself: it is listed {twice.count(twice[0])} times",
                 "name the port of another element beside it" if alone else "list each port once",
             )
-        if junction.name in {j.name for j in self.junctions} | set(self.members):
+        if junction.name in self.members or any(j.name == junction.name for j in self.junctions):
             raise ConnectionError(
                 self.name, f"the name '{junction.name}' is taken by another junction or member", "choose another"
             )
         self.junctions.append(junction)
         return junction
+
+    def _taken(self) -> dict[End, str]:
+        """End -> junction; goes on from where it was the last time, so that many junctions take linear time."""
+        counted, taken = self._counted
+        if counted > len(self.junctions):
+            counted, taken = 0, {}
+        taken.update({e: j.name for j in self.junctions[counted:] for e in j.ends})
+        self._counted = len(self.junctions), taken
+        return taken
 
     def _check_name(self, what: str, name: str) -> None:
         if not (name.isidentifier() and name.isascii()):

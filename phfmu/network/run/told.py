@@ -29,7 +29,8 @@ class Told:
         self.names = pick(patterns, everything, "the run") if patterns else everything
         units = stepper.units
         self.units = [units[n] for n in self.names]
-        at = np.array([everything.index(n) for n in self.names], int)
+        place = {n: i for i, n in enumerate(everything)}
+        at = np.array([place[n] for n in self.names], int)
         own = at < len(stepper.names)
         #: columns of the stepper and of the inputs: where they are, and where they go
         self._signals, self._given = (
