@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from phfmu.engine.steps import Steps, balance
 
 from .booking import Booking
-from .sums import Floats, Ints, across
+from .sums import Floats, Ints, across, across_each
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +50,10 @@ def make_block(
         gone = 0.0 if s.numerical is None else s.numerical
         inside = np.maximum(np.abs(starts), np.abs(s.H)) if s.moved is None else np.abs(s.moved)
         in_play = np.maximum(inside, np.abs(s.stored)) + np.abs(s.supplied) + np.abs(s.dissipated) + np.abs(gone)
+        size, members = np.abs(s.pairs), list(booking.junctions.values())
         if q:
-            in_play += per_owner(booking, np.abs(s.pairs))
-        members = list(booking.junctions.values())
-        size = np.abs(s.pairs)
-        created = _stack(n, [across(s.pairs, m) for m in members])
-        exchanged = _stack(n, [0.5 * across(size, m) for m in members])
+            in_play += per_owner(booking, size)
+        created, exchanged = across_each(s.pairs, members), 0.5 * across_each(size, members)
         residual = balance(s.stored, s.dissipated, s.supplied, gone)
         return Block(
             booking, numbers, _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,)), starts, s, residual,

@@ -14,10 +14,11 @@ RUNTIME = Path(__file__).parent / "runtime"
 
 @cache
 def library() -> Any:
-    """`ph_sums_down`, `ph_sums_across` of runtime/sums.c; CompilerMissing, CompileError."""
+    """The functions of runtime/sums.c; CompilerMissing, CompileError."""
     lib = ctypes.CDLL(str(compile({p.name: p for p in sorted(RUNTIME.iterdir())}).path))
     size, pointer = ctypes.c_ssize_t, ctypes.c_void_p
-    lib.ph_sums_down.restype = lib.ph_sums_across.restype = None
+    lib.ph_sums_down.restype = lib.ph_sums_across.restype = lib.ph_most_down.restype = None
     lib.ph_sums_down.argtypes = [size, size, *[pointer] * 4]
-    lib.ph_sums_across.argtypes = [size, size, pointer, size, *[pointer] * 2]
+    lib.ph_sums_across.argtypes = [size, size, pointer, size, *[pointer] * 3]
+    lib.ph_most_down.argtypes = [size, size, pointer, pointer]
     return lib

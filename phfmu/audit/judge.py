@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from .block import Block, per_owner
 from .booking import ESTIMATED, EXACT, PROJECTION, SILENT
-from .sums import CompensatedSum, Floats, add, all_finite, ratio
+from .sums import CompensatedSum, Floats, add, all_finite, largest_so_far, ratio, rows
 
 DEFAULT_RTOL = 1e-11
 EPS = float(np.finfo(float).eps)
@@ -115,27 +115,28 @@ class Judge:
         booking, names = block.booking, block.booking.components
         accounts = [self._account(name, block, i) for i, name in enumerate(names)]
         judged = np.array([booking.quality(name) == EXACT for name in names], bool)
-        in_play = (
-            block.in_play if all_finite(block.in_play) else np.where(np.isfinite(block.in_play), block.in_play, np.nan)
-        )
-        reach = _running([a.reach for a in accounts], np.maximum(_finite(in_play), _finite(np.abs(stored))))
+        in_play = _or(math.nan, block.in_play)
+        reach = largest_so_far([a.reach for a in accounts], _larger_finite(in_play, np.abs(stored)))
         with np.errstate(invalid="ignore", over="ignore"):
-            H = np.maximum(_finite(np.abs(block.H0)), _finite(np.abs(block.steps.H)))
-            rounding = FLOOR * EPS * reach
+            H = _larger_finite(np.abs(block.H0), np.abs(block.steps.H))
+            rounding, of_H = FLOOR * EPS * reach, ULPS * EPS * H
             in_step = self.rtol * in_play + rounding
-            allowed, usual = (x + ULPS * EPS * H for x in (in_step, DEFAULT_RTOL * in_play + rounding))
+            allowed = in_step + of_H
             self._mark("balance", names, block.residual, allowed, block, judged)
             self._mark("dissipation", names, np.minimum(block.steps.dissipated, 0.0), allowed, block, judged)
             if names:
                 booked = block.steps.supplied - per_owner(booking, block.steps.pairs)
                 self._mark("ports", names, booked, allowed, block, judged)
             self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
-            self._joined(block, np.where(judged, allowed, np.abs(block.residual)), reach)
+            missed = allowed if judged.all() else np.where(judged, allowed, np.abs(block.residual))
+            self._joined(block, missed, reach)
         found = ratio(block.residual, allowed)
         for i, account in enumerate(accounts):
             account.reach = float(reach[-1, i])
             self._keep_worst(account, block, found[:, i], i)
-        return DEFAULT_RTOL * (found if self.rtol == DEFAULT_RTOL else ratio(block.residual, usual))
+        if self.rtol != DEFAULT_RTOL:
+            found = ratio(block.residual, DEFAULT_RTOL * in_play + rounding + of_H)
+        return DEFAULT_RTOL * found
 
     def _account(self, name: str, block: Block, i: int) -> Account:
         account = self.accounts.get(name)
@@ -153,7 +154,7 @@ class Judge:
         before = np.empty_like(block.H0)
         before[0] = [a.H_end + a.jumps for a in accounts]
         before[1:] = H1[:-1]
-        largest = _running([a.largest for a in accounts], H)
+        largest = largest_so_far([a.largest for a in accounts], H)
         permitted = allowed + ULPS * EPS * largest
         between, within = block.H0 - before, H1 - block.H0 - block.steps.stored
         self._mark("gap", names, between, permitted, block)
@@ -172,14 +173,13 @@ class Judge:
         names = tuple(block.booking.junctions)
         if names:
             passed = 2.0 * block.junction_exchanged
-            reach = _running([self._junctions.get(name, 0.0) for name in names], _finite(passed))
+            reach = largest_so_far([self._junctions.get(name, 0.0) for name in names], _or(0.0, passed).copy())
             self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
-            permitted = self.rtol * passed + FLOOR * EPS * reach + ULPS * EPS * played.sum(axis=1, keepdims=True)
+            permitted = self.rtol * passed + FLOOR * EPS * reach + ULPS * EPS * rows(played)[:, None]
             self._mark("junction", names, block.junction_residual - self._lost(block), permitted, block, judged)
             self._divided(block, permitted)
-        summed = ULPS * EPS * np.abs(block.steps.pairs).sum(axis=1)
-        permitted = (allowed.sum(axis=1) + summed)[:, None]
+        permitted = (rows(allowed) + ULPS * EPS * rows(np.abs(block.steps.pairs)))[:, None]
         self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)
 
     def _lost(self, block: Block) -> Floats:
@@ -266,10 +266,12 @@ def word(violations: Sequence[Violation], kinds: Sequence[str], name: str, quali
     return quality if quality != EXACT else CLOSED
 
 
-def _finite(x: Floats) -> Floats:
-    return x if all_finite(x) else np.where(np.isfinite(x), x, 0.0)
+def _or(other: float, x: Floats) -> Floats:
+    """x, with `other` in place of what is not a finite number."""
+    return x if all_finite(x) else np.where(np.isfinite(x), x, other)
 
 
-def _running(start: list[float], x: Floats) -> Floats:
-    """Largest of start [m] and x [n,m] up to each row."""
-    return np.maximum(np.maximum.accumulate(x, axis=0), np.array(start))
+def _larger_finite(a: Floats, b: Floats) -> Floats:
+    """The larger of a, b >= 0 elementwise; what is not a finite number counts as 0."""
+    larger = np.maximum(a, b)
+    return larger if all_finite(larger) else np.maximum(_or(0.0, a), _or(0.0, b))

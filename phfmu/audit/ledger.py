@@ -118,8 +118,10 @@ class Ledger:
                 self._estimated.add(port.junction)
         for width in {len(js) for js in widths.values()}:
             some = {key: js for key, js in widths.items() if len(js) == width}
-            pairs = block.steps.pairs[:, list(some.values())]  # steps, ports, pairs
-            self._sums.add([("port", *key) for key in some], pairs.transpose(0, 2, 1).reshape(-1, len(some)))
+            pairs = block.steps.pairs
+            if width > 1 or len(some) < len(booking.ports):
+                pairs = pairs[:, list(some.values())].transpose(0, 2, 1).reshape(-1, len(some))  # steps, pairs, ports
+            self._sums.add([("port", *key) for key in some], pairs)
         names = list(booking.junctions)
         self._loose.update(names if booking.loose else ())
         self._sums.add([("junction", name) for name in names], block.junction_residual)

@@ -4,6 +4,7 @@ import math
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import accumulate, chain
 from typing import Any
 
 import numpy as np
@@ -138,7 +139,10 @@ class Sums:
         self._parts: dict[tuple[str, ...], CompensatedSum] = {}
 
     def __getitem__(self, key: tuple[str, ...]) -> CompensatedSum:
-        return self._parts.setdefault(key, CompensatedSum())
+        found = self._parts.get(key)
+        if found is None:
+            found = self._parts[key] = CompensatedSum()
+        return found
 
     def extend(self, keys: Sequence[tuple[str, ...]], x: Floats) -> Floats:
         """Add columns of x [n,m] to m sums; the running sums [n,m]."""
@@ -153,17 +157,22 @@ class Sums:
         return self._parts[key].value if key in self._parts else None
 
 
-def across(x: Floats, at: Sequence[int] | None = None) -> Floats:
-    """Sum over the columns `at` of x [n,m], default all, each row compensated; zeros for none."""
-    if _library is not None:
-        x, chosen, out = (
-            np.ascontiguousarray(x),
-            np.array(range(x.shape[1]) if at is None else at, np.intp),
-            np.empty(len(x)),
-        )
-        _library.ph_sums_across(*x.shape, x.ctypes.data, len(chosen), chosen.ctypes.data, out.ctypes.data)
-        return out
-    x = x if at is None else x[:, at]
+def across(x: Floats) -> Floats:
+    """Sum over the columns of x [n,m], each row compensated; zeros for none."""
+    return across_each(x, [range(x.shape[1])])[:, 0]
+
+
+def across_each(x: Floats, groups: Sequence[Sequence[int]]) -> Floats:
+    """Sums over g groups of columns of x [n,m], each row compensated; [n,g]."""
+    if _library is None:
+        return np.stack([_across(x[:, list(at)]) for at in groups], axis=1) if groups else np.zeros((len(x), 0))
+    x, out = np.ascontiguousarray(x), np.empty((len(x), len(groups)))
+    end, at = (np.array(list(own), np.intp) for own in (accumulate(map(len, groups)), chain(*groups)))
+    _library.ph_sums_across(*x.shape, x.ctypes.data, len(groups), end.ctypes.data, at.ctypes.data, out.ctypes.data)
+    return out
+
+
+def _across(x: Floats) -> Floats:
     high, low, error, part = np.zeros(len(x)), np.zeros(len(x)), np.empty(len(x)), np.empty(len(x))
     with np.errstate(invalid="ignore", over="ignore"):
         for column in np.ascontiguousarray(x.T):
@@ -173,10 +182,24 @@ def across(x: Floats, at: Sequence[int] | None = None) -> Floats:
     return high + low
 
 
+def rows(x: Floats) -> Floats:
+    """Sum of each row of x [n,m], as exact as allowances need."""
+    return x @ np.ones(x.shape[1])
+
+
+def largest_so_far(start: Sequence[float], x: Floats) -> Floats:
+    """Largest of start [m] and x [n,m] up to each row; x is of numbers only, and overwritten."""
+    most = np.array(start)
+    if _library is None:
+        return np.maximum(np.maximum.accumulate(x, axis=0, out=x), most, out=x)
+    assert x.flags.c_contiguous
+    _library.ph_most_down(*x.shape, x.ctypes.data, most.ctypes.data)
+    return x
+
+
 def all_finite(x: Floats) -> bool:
-    """Whether all are finite numbers and so is their sum: for what is looked at closely where it is not."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        return math.isfinite(x.sum())
+    """Whether all are finite numbers."""
+    return bool(np.isfinite(x).all())
 
 
 def larger(a: float, b: float) -> float:

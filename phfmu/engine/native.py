@@ -120,7 +120,7 @@ class NativeInstance(NativeReadings):
             self._ports.require_none(self._kicked.values[:2])
             self._kicked.values[2:] = 0.0
         width = record_widths(self.model, len(self._table))
-        result = {name: np.full((grid.n, width[name]), np.nan) for name in names}
+        result = {name: np.empty((grid.n, width[name])) for name in names}
         request = Record(parts=grid.parts, first=grid.first)
         for name, array in result.items():
             setattr(request, name, Column(array.ctypes.data, array.shape[1]))

@@ -215,7 +215,8 @@ def test_compiled_sums_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> No
         running = sums.extend(own, x).copy()
         sums.add(own, x[:700])
         ends = np.array([(s.high, s.low) for s in own])
-        return [running, ends, sums.across(x), sums.across(x, [5, 0, 3])]
+        most = sums.largest_so_far([0.0, 1e9, *[0.0] * 5], np.abs(np.where(np.isfinite(x), x, 0.0)))
+        return [running, ends, sums.across(x), sums.across_each(x, [[5, 0, 3], [], [1]]), most]
 
     by_arrays = found()
     sums.use_compiled()

@@ -164,6 +164,8 @@ class Book:
             self._worst[name] = max(self._worst[name], float(np.max(np.abs(s.signals[:, i]))))
 
     def _keep_least(self, t: Array, h: Array, s: Steps) -> None:
+        if s.dissipated.min(initial=0.0) >= 0.0:
+            return
         least = s.dissipated.min(axis=0)
         for c in np.flatnonzero(least < self._least):
             i = int(np.argmin(s.dissipated[:, c]))
