@@ -139,7 +139,7 @@ def test_events_of_a_network_carry_the_names_of_their_members(tmp_path: Path):
     assert row["lost"] == pytest.approx(lost, rel=1e-13) and row["energy_jump"] == -row["lost"]
 
 
-@pytest.mark.parametrize("option", [{"ecco": 1e-3}, {"restart": 2}, {"dense": 3}])
+@pytest.mark.parametrize("option", [{"ecco": 1e-3}, {"restart": 2}])
 def test_options_that_do_not_go_with_them_are_refused(option):
     model = build_model(body())
     with pytest.raises(ValueError, match=f"--{next(iter(option))} does not go with state events"):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from phfmu.network.scene import Event
 
 Array = NDArray[np.float64]
-Between = Callable[[Any, Array, dict[str, Array], float, float, int], Array]
+Between = Callable[[Any, Array, dict[str, Array], Array, Array], Array]
 
 
 class Monolithic:
@@ -42,7 +42,7 @@ class Monolithic:
         self._inputs = Inputs(instance, model)
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names
-        #: makes rows within the steps, if asked for: (instance, row before, record, t0, h, first) -> (n x rows x width)
+        #: makes rows within the steps, if asked for: (instance, row before, record, starts, sizes) -> (n x rows x width)
         self.between: Between | None = None
 
     @property
@@ -106,10 +106,15 @@ class Monolithic:
 
         None for no steps, and for the steps before the end or a failure.  `changed`: something was set since the last step.
         """
-        words = Happenings(self.model)
-        for part in self.instance.land(t0, h, n, self._wanted(self.instance), first, changed):
-            steps, happened = self._steps(self.instance, part.rows) if part.rows else None, part.happened
+        words, instance = Happenings(self.model), self.instance
+        wanted, before = self._wanted(instance), np.zeros(0) if self.between is None else instance.row()
+        wanted = wanted if self.between is None else (*wanted, "unknowns")
+        for part in instance.land(t0, h, n, wanted, first, changed):
+            steps, happened = None, part.happened
+            if part.rows:
+                steps, before = self._filled(instance, before, part.rows, part.t, part.h), part.rows["signals"][-1]
             row = happened and (words.told(happened), self._columns.pick(happened.signals[None])[0])
+            before = before if happened is None else happened.signals
             yield part.t, part.h, steps, row
 
     @property
@@ -146,11 +151,17 @@ class Monolithic:
         wanted = self._wanted(instance)
         if self.between is None:
             return self._steps(instance, instance.run(t0, h, n, record=wanted, first=first))
-        before = np.concatenate(list(instance.signals().values()))
-        r = instance.run(t0, h, n, record=dict.fromkeys((*wanted, "unknowns")), first=first)
-        rows = self.between(instance, before, r, t0, h, first)
-        picked = self._columns.pick(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], -1)
-        return replace(self._steps(instance, r), between=picked)
+        before = instance.row()
+        r = instance.run(t0, h, n, record=(*wanted, "unknowns"), first=first)
+        return self._filled(instance, before, r, t0 + h * (first + np.arange(n)), np.full(n, h))
+
+    def _filled(self, instance: Any, before: Array, r: dict[str, Array], t: Array, h: Array) -> Steps:
+        """Recorded steps, with rows within them if these are asked for."""
+        steps = self._steps(instance, r)
+        if self.between is None:
+            return steps
+        rows = self.between(instance, before, r, t, h)
+        return replace(steps, between=self._columns.pick(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], -1))
 
     def _wanted(self, instance: Any) -> tuple[str, ...]:
         wanted = (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER

@@ -5,10 +5,14 @@
 of degree k, exact at the step ends, with an error of order k + 1 between them.  What follows from the states (algebraic
 values, outputs, observables, energy) is solved at x(t + tau h); step means are those of the step, and cumulative
 energies a straight line.  Between the ends nothing is conserved: balance and constraints hold at the step ends.
+
+Steps that end at state events have their own polynomial each, in the modes that they were taken in: no row is interpolated
+over an event.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,6 +28,8 @@ Array = NDArray[np.float64]
 #: blocks that belong to an instant; the others to a step or to all steps before
 INSTANT = ("x", "time", "a_end", "y_end", "observables", "H")
 SUMS = ("energy", "supplied", "dissipated", "residual")
+#: what the end of a step may differ from that of its polynomial: of the states, and of what they changed by
+ROUNDING, DIVIDED = 1e-12, 1e-3
 
 
 def polynomial_of(model: Model) -> Polynomial:
@@ -38,36 +44,65 @@ class Dense:
 
     def __init__(self, instance: Any, rows: int):
         self.tau = np.arange(1, rows + 1) / (rows + 1)
-        self._kind = type(instance)
-        self._viewers: dict[int, tuple[Polynomial, Any]] = {}
+        self._viewers: dict[int, _Viewer] = {}
 
-    def between(self, instance: Any, before: Array, r: dict[str, Array], t0: float, h: float, first: int) -> Array:
-        """Table rows (n x rows x width) within the n recorded steps from t0 + first h of size h; nan in steps that were divided.
+    def between(self, instance: Any, before: Array, r: dict[str, Array], t: Array, h: Array) -> Array:
+        """Table rows (n x rows x width) within the n recorded steps from t (n) of sizes h (n); nan in those that were divided.
 
-        `before`: the table row at their start;  r: signals, unknowns, counts of the steps.
+        `before`: the table row at their start;  r: signals, unknowns, counts of the steps.  Modes are those of the rows.
         """
         ends, layout = np.vstack([before[None], r["signals"]]), instance.layout
         out = np.full((len(ends) - 1, len(self.tau), ends.shape[1]), np.nan)
-        polynomial, viewer = self._viewer(instance)
-        for k in np.flatnonzero(r["counts"][:, 1] == 1):
+        for k in range(len(out)):
+            viewer, x = self._viewer(instance, ends[k + 1]), ends[k, layout["x"]]
+            if r["counts"][k, 1] != 1 and not viewer.whole(x, r["unknowns"][k], ends[k + 1, layout["x"]]):
+                continue
             for j, tau in enumerate(self.tau):
                 row = out[k, j]
                 row[:] = ends[k + 1]
                 for name in SUMS:
                     row[layout[name]] = (1 - tau) * ends[k, layout[name]] + tau * ends[k + 1, layout[name]]
-                x = polynomial(ends[k, layout["x"]], r["unknowns"][k], float(tau))
-                viewer.set_x(t0 + (first + k + tau) * h, x)
-                viewer.initialise()
-                now = viewer.signals()
+                now = viewer.at(t[k] + tau * h[k], x, r["unknowns"][k], float(tau))
                 for name in INSTANT:
-                    row[layout[name]] = now[name]
+                    row[layout[name]] = now[name][: layout[name].stop - layout[name].start]
         return out
 
-    def _viewer(self, instance: Any) -> tuple[Polynomial, Any]:
-        """The polynomial of the instance's scheme and a second instance with its inputs and parameters."""
-        key = id(instance)
-        if key not in self._viewers:
-            self._viewers[key] = polynomial_of(instance.model), self._kind(instance.model)
-        polynomial, viewer = self._viewers[key]
-        viewer.continue_from(instance)
-        return polynomial, viewer
+    def _viewer(self, instance: Any, row: Array) -> _Viewer:
+        """With the inputs and parameters of the instance, in the modes that are in a row of the table."""
+        model, present, p = instance.model, instance, instance.parameters
+        if modes := model.declaration.modes:
+            names = [n for v in model.declaration.parameters for n in v.names()]
+            first = instance.layout["observables"].start
+            for name in modes:
+                if name in model.observable_names:
+                    p[names.index(name)] = row[first + model.observable_names.index(name)]
+        if model.modes is not None:
+            present = instance.present
+            model = model.modes[tuple(int(p[i]) for i in model.modes.modes.system.places)]
+        if id(model) not in self._viewers:
+            self._viewers[id(model)] = _Viewer(model, type(present))
+        viewer = self._viewers[id(model)]
+        viewer.instance.continue_from(present)
+        viewer.instance.set_parameters(p)
+        return viewer
+
+
+class _Viewer:
+    """The polynomial of a model's scheme, and a second instance that shows what follows from its states."""
+
+    def __init__(self, model: Model, kind: Callable[[Model], Any]):
+        self.polynomial, self.instance, self._plan = polynomial_of(model), kind(model), model.step
+        self._nominal = np.array([n for v in model.declaration.states for n in v.nominal])
+
+    def whole(self, x: Array, unknowns: Array, end: Array) -> bool:
+        """Whether a step from x to `end` with these unknowns was taken in one part: those of a part do not lead there."""
+        plan = self._plan
+        reached = x + np.bincount(plan.update_x, plan.update_c * unknowns[plan.update_w], len(x))
+        small = ROUNDING * (np.abs(x) + self._nominal) + DIVIDED * np.abs(end - x)
+        return bool((np.abs(reached - end) <= small).all())
+
+    def at(self, t: float, x: Array, unknowns: Array, tau: float) -> dict[str, Array]:
+        """Signals at the fraction tau of the step from x, at time t."""
+        self.instance.set_x(t, self.polynomial(x, unknowns, tau))
+        self.instance.initialise()
+        return self.instance.signals()

@@ -14,7 +14,7 @@ from phfmu.engine.steps import StepEvent
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.run.book import Book
-from phfmu.network.run.march import Pace, goals, pieces
+from phfmu.network.run.march import Pace, goals, pieces, step_rows
 from phfmu.network.run.options import Options
 from phfmu.network.run.rows import Row
 from phfmu.network.run.stretches import Stretch
@@ -43,7 +43,7 @@ class Booked:
                         steps = replace(steps, iterations=steps.iterations + np.eye(1, len(size))[0] * also)
                     also = 0.0
                     self.book.add(begun, size, steps)
-                    yield begun + size, steps.signals, np.zeros(len(size), bool)
+                    yield step_rows(begun, begun + size, steps)
                 if happened is not None:
                     yield self._happened(*happened)
         except StepFailure as failure:
@@ -153,7 +153,7 @@ class AdaptiveEventSteps:
 
 def _require_fit(options: Options) -> None:
     """ValueError for options that state events do not go with."""
-    given = {"--restart": options.restart > 0, "--dense": options.dense is not None, "--ecco": options.ecco is not None}
+    given = {"--restart": options.restart > 0, "--ecco": options.ecco is not None}
     for option, there in given.items():
         if there:
             raise ValueError(f"{option} does not go with state events yet; leave it out")

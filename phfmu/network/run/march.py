@@ -150,7 +150,7 @@ class FixedSteps:
     def _added(self, t: float, h: float, first: int, steps: Steps) -> Row:
         times = t + h * np.arange(first, first + len(steps.H) + 1)
         self.book.add(times[:-1], np.full(len(steps.H), h), steps)
-        return _rows(times[:-1], times[1:], steps)
+        return step_rows(times[:-1], times[1:], steps)
 
 
 class AdaptiveSteps:
@@ -204,7 +204,7 @@ class AdaptiveSteps:
     def _booked(self, times: list[float], rows: list[Steps]) -> Row:
         steps, t = Steps.joined(rows), np.array(times)
         self.book.add(t[:-1], np.diff(t), steps)
-        return _rows(t[:-1], t[1:], steps)
+        return step_rows(t[:-1], t[1:], steps)
 
 
 def _sized(stepper: Stepper, options: Options) -> Adaptive | Ecco:
@@ -249,7 +249,7 @@ def _not_damped(refused: int, wanted: int) -> list[str]:
     ]
 
 
-def _rows(start: Array, end: Array, steps: Steps) -> Row:
+def step_rows(start: Array, end: Array, steps: Steps) -> Row:
     """Rows at the step ends, with those within the steps before them."""
     if steps.between is None:
         return end, steps.signals, np.zeros(len(end), bool)
