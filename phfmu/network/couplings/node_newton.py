@@ -125,7 +125,7 @@ class NodeNewton:
             progress.note(float(np.max(trial.scaled, initial=0.0)))
             best = min(best, (progress.history[-1], z), key=itemgetter(0))
             if accepted_by := progress.accepted(partial(_at_floor, z, trial, matrix), trial.left, trial.in_play):
-                z, trial = self._settled(z, trial)
+                z, trial = self._settled(z, trial, step)
                 return self._solution(z, step.h, i + 1, accepted_by, self.works(z, before, trial, step.h))
             if progress.takes_matrix(trial.left, trial.in_play):
                 matrix, progress.matrices = self._matrix(trial, step), progress.matrices + 1
@@ -140,17 +140,18 @@ class NodeNewton:
         works = self.works(best[1], before, self.trial(best[1], before, step), step.h)
         raise given_up.of(self._solution(best[1], step.h, ITERATIONS, "", works))
 
-    def _settled(self, z: Unknowns, trial: Trial) -> tuple[Unknowns, Trial]:
+    def _settled(self, z: Unknowns, trial: Trial, step: Step) -> tuple[Unknowns, Trial]:
         """Of an accepted trial, with one more impulse where sums at the end are more than rounding; outputs are linear in it."""
         e, n = self.exchange, len(self.exchange.columns)
-        kicked = [s for s in e.shares if s.kicked]
-        if not (np.abs(trial.ends) > END * trial.size[n:]).any() or not all(s.values.settles for s in kicked):
+        if not (np.abs(trial.ends) > END * trial.size[n:]).any():
             return z, trial
         more, ends = np.zeros(len(e.bare)), np.zeros(len(e.bare))
         for own, S in zip(e.clusters.of, trial.S, strict=True):
             more[own] = -np.linalg.solve(S, trial.ends[own])
-        for s in kicked:
-            s.values.add_impulse(s.Q @ more[s.bare])
+        for s, state in zip(e.shares, step.states, strict=True):
+            if not s.kicked:
+                continue
+            s.values.add_impulse(s.Q @ more[s.bare], step.t, step.h, state)
             ends[s.bare] += s.ends.T @ s.values.member.end_output()
         return Unknowns(z.xi, np.array([z.m[0], z.m[1] + more])), replace(trial, ends=ends)
 

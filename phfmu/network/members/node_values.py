@@ -103,13 +103,8 @@ class NodeValues(Protocol):
 
     def jump(self) -> Array: ...
 
-    @property
-    def settles(self) -> bool:
-        """Whether it takes one more impulse at the end of a step that it has taken."""
-        ...
-
-    def add_impulse(self, s: Array) -> None:
-        """That impulse, which counts as part of the step."""
+    def add_impulse(self, s: Array, t: float, h: float, state: Any) -> None:
+        """One more impulse at the end of the step [t, t + h] that it has taken from `state`, which counts as part of it."""
         ...
 
 
@@ -156,13 +151,13 @@ class InstanceNodes:
     def jump(self) -> Array:
         return self._instance.jump()
 
-    @property
-    def settles(self) -> bool:
-        return isinstance(self.member, EngineMember)
-
-    def add_impulse(self, s: Array) -> None:
+    def add_impulse(self, s: Array, t: float, h: float, state: Any) -> None:
+        U, given = self._given
         if isinstance(self.member, EngineMember):
             self.member.instance.add_impulse(s)
+        elif given is not None:  # units know impulses of the coming step only: it is taken again
+            self.member.set_state(state)
+            self.step(U, (given[0], given[1] + s), t, h)
 
     def _differences(
         self, inputs: list[int], kicked: bool, t: float, h: float, state: Any
@@ -216,11 +211,7 @@ class HeldNodes:
     def jump(self) -> Array:
         return np.zeros((0, 0))
 
-    @property
-    def settles(self) -> bool:
-        return False
-
-    def add_impulse(self, s: Array) -> None:
+    def add_impulse(self, s: Array, t: float, h: float, state: Any) -> None:
         """It takes none."""
 
 
