@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import local
 
 import casadi as ca
 import numpy as np
@@ -83,6 +84,35 @@ class Undetermined:
     row: Array
 
 
+class _Dense:
+    """A function of vectors and numbers with dense matrices as results, on memory of its own in each thread.
+
+    At a change of modes it is called some ten times, and a call by way of CasADi's matrices costs as much as a step.
+    """
+
+    def __init__(self, name: str, args: Sequence[ca.SX], results: Sequence[ca.SX]):
+        shapes = [r.shape for r in results]
+        ends = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
+        self._places = [(slice(a, b), shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True)]
+        self._sizes, self._size = [a.numel() for a in args], int(ends[-1])
+        column = ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(r)) for r in results))
+        self._f, self._own = ca.Function(name, list(args), [column]), local()
+
+    def __call__(self, *args: Array | float) -> list[Array]:
+        own = self._own
+        if not hasattr(own, "call"):
+            own.args, own.result = [np.zeros(n) for n in self._sizes], np.zeros(self._size)
+            own.buffer, own.call = self._f.buffer()
+            for i, a in enumerate(own.args):
+                own.buffer.set_arg(i, memoryview(a))
+            own.buffer.set_res(0, memoryview(own.result))
+        for mine, given in zip(own.args, args, strict=True):
+            mine[:] = given
+        own.call()
+        found = own.result.copy()
+        return [found[place].reshape(shape, order="F") for place, shape in self._places]
+
+
 class SwitchSystem:
     """`model` is declared with switches, `symbolic` has their modes as symbols in J and R."""
 
@@ -110,16 +140,12 @@ class SwitchSystem:
                 (ca.SX(0) if s.gap is None else ca.SX(_sx(s.gap)) for s in model.switches),
             )
         )
-        self.E = ca.Function("E", [p], [ca.densify(masses(terms))])
+        self._masses = _Dense("E", [p], [masses(terms)])
         out = [f, ca.jacobian(f, x), ca.jacobian(f, a), g, ca.jacobian(g, x), ca.jacobian(g, a)]
         out += [c, ca.jacobian(c, x), ca.jacobian(c, a), gap]
-        self._rates = ca.Function("rates", [x, a, u, p, time], [ca.densify(o) for o in out])
+        self._rates = _Dense("rates", [x, a, u, p, time], out)
         energies = ca.vertcat(*component_energies(terms))
-        self._energy = ca.Function(
-            "energy",
-            [x, p],
-            [ca.densify(e) for e in (ca.jacobian(energies, x), ca.hessian(symbolic.hamiltonian, x)[0])],
-        )
+        self._energy = _Dense("energy", [x, p], [ca.jacobian(energies, x)])
         names = [n for v in symbolic.parameters for n in v.names()]
         self.places = [names.index(s.mode_name) for s in model.switches]
         variables = [n for v in symbolic.algebraics for n in v.names()]
@@ -139,12 +165,12 @@ class SwitchSystem:
 
     def rates(self, at: At) -> Rates:
         """The rows at an instant."""
-        found = [np.array(o) for o in self._rates(at.x, at.a, at.u, at.p, at.t)]
+        found = self._rates(at.x, at.a, at.u, at.p, at.t)
         return Rates(*(o[:, 0] if i in (0, 3, 6, 9) else o for i, o in enumerate(found)))
 
     def masses(self, p: Array) -> Array:
         """The diagonal of E."""
-        return np.array(self.E(p)).ravel()
+        return self._masses(p)[0].ravel()
 
     def undetermined(self, mode: Sequence[int]) -> tuple[Undetermined, ...]:
         """Directions of the algebraic variables that no row contains."""
@@ -174,7 +200,7 @@ class SwitchSystem:
     def enter(self, at: At) -> Entry:
         """The jump that the mode in at.p asks for; states stay where they satisfy it."""
         x, impulse = at.x.copy(), np.zeros(0)
-        before, hessian = (np.array(o) for o in self._energy(x, at.p))
+        (before,) = self._energy(x, at.p)
         found, mass = self.rates(at), self.masses(at.p)
         N = null_space(_scaled_rows(found.ga * self.nominal), len(self.nominal)) * self.nominal[:, None]
         L = found.fa @ N / mass[:, None]
@@ -189,7 +215,7 @@ class SwitchSystem:
             m = _least(S, -c)
             x = x + L @ m
             impulse += N @ m
-        after = np.array(self._energy(x, at.p)[0])
+        (after,) = self._energy(x, at.p)
         moved = x - at.x
         return Entry(x, (before + after) @ moved / 2, impulse)
 

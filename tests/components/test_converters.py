@@ -6,6 +6,7 @@ from math import acos, pi, sqrt
 
 import numpy as np
 import pytest
+from event_reference import bridge
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -125,10 +126,8 @@ def test_a_six_pulse_bridge_equals_an_integration_by_hand(three_phase, engine, k
 
 
 def test_the_single_phase_scene_is_the_bridge_of_the_tests_of_switches():
-    from tests.events.test_switches import exact_bridge
-
     result = simulated(build("rectifier"), 3, 2.5e-4)
-    times, ia, idc = exact_bridge()
+    times, ia, idc = bridge(0.05)
     assert switchings(result, "bridge.blocks", 2) == pytest.approx(times, abs=1e-12)
     assert result.column("load.current")[-1] == pytest.approx(idc, abs=1e-8)
     assert result.column("grid.current")[-1] == pytest.approx(ia, abs=1e-8)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import cache
-from math import asin, cos, exp, log, pi, sin, sqrt
+from math import asin, cos, exp, pi, sin, sqrt
 
 import casadi as ca
 import numpy as np
 import pytest
+from event_reference import hard_stop, two_points
 from scipy.optimize import brentq
 
 from phfmu import (
@@ -119,32 +120,25 @@ def test_a_bumper_under_a_held_force_rests_until_it_changes():
 def test_an_end_stop_pushes_and_lets_go(engine):
     """Impact, motion of both on the spring until it is at rest, then each for itself."""
     result = simulated("hard_stop", engine)
-    m1, m2, k = 2.0, 1.0, 200.0
-    v1, hit = W * sqrt(0.15**2 - 0.05**2), (pi - pi / 2 - asin(0.05 / 0.15)) / W
-    v, w = m1 * v1 / (m1 + m2), sqrt(k / (m1 + m2))
-    apart = hit + np.arctan2(0.05 * w, v) / w
-    end = sqrt(v**2 + k * 0.05**2 / (m1 + m2))
-    assert told(result, "closes") == pytest.approx([hit], abs=1e-9)
-    assert told(result, "opens") == pytest.approx([apart], abs=1e-9)
-    assert lost(result) == pytest.approx(m1 * m2 / (2 * (m1 + m2)) * v1**2, rel=1e-9)
-    s = 0.5 - apart
-    assert result.column("wagon.v")[-1] == pytest.approx(end * cos(W * s), abs=1e-7)
-    assert result.column("other.v")[-1] == pytest.approx(end, abs=1e-8)
-    assert result.column("stop.gap")[-1] == pytest.approx(end * s - end / W * sin(W * s), abs=1e-8)
+    exact = hard_stop()
+    assert told(result, "closes") == pytest.approx([exact["hit"]], abs=1e-9)
+    assert told(result, "opens") == pytest.approx([exact["apart"]], abs=1e-9)
+    assert lost(result) == pytest.approx(2 * 1 / (2 * 3) * exact["before"] ** 2, rel=1e-9)
+    assert result.column("wagon.v")[-1] == pytest.approx(exact["wagon"], abs=1e-7)
+    assert result.column("other.v")[-1] == pytest.approx(exact["speed"], abs=1e-8)
+    assert result.column("stop.gap")[-1] == pytest.approx(exact["gap"], abs=1e-8)
     assert result.column("stop.gap").min() >= -1e-15 and result.column("stop.F").min() >= -1e-9
 
 
 @pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 def test_the_scenes_are_of_order_2k(k):
     """Through impact and release; when the wagon is let go, and how far it has come."""
-    v1, h = W * sqrt(0.15**2 - 0.05**2), 0.02
-    v, w = 2 * v1 / 3, sqrt(200 / 3)
-    apart = (pi / 2 - asin(1 / 3)) / W + np.arctan2(0.05 * w, v) / w
-    s, end = 0.5 - apart, sqrt(v**2 + 200 * 0.05**2 / 3)
-    gap, errors = end * s - end / W * sin(W * s), []
+    exact, h, errors = hard_stop(), 0.02, []
     for step in (h, h / 2):
         result = simulated("hard_stop", NativeInstance, k, step)
-        errors.append((abs(told(result, "opens")[0] - apart), abs(result.column("stop.gap")[-1] - gap)))
+        errors.append(
+            (abs(told(result, "opens")[0] - exact["apart"]), abs(result.column("stop.gap")[-1] - exact["gap"]))
+        )
     slopes = np.log2(np.divide(*errors))
     assert slopes[1] == pytest.approx(2 * k, abs=0.2) and (k == 3 or slopes[0] == pytest.approx(2 * k, abs=0.2))
 
@@ -168,13 +162,11 @@ def test_a_clutch_loses_its_formula_and_keeps_the_momentum(engine):
 @pytest.mark.parametrize("engine", COMPILED)
 def test_a_relay_switches_at_its_marks(engine):
     result = simulated("two_point_control", engine)
-    tau = 0.05 / 0.02
-    up, down = tau * log((200 - 95) / (200 - 105)), tau * log(105 / 95)
-    first = tau * log((200 - 80) / (200 - 105))
-    wanted = [first + (i // 2) * (up + down) + (i % 2) * down for i in range(6)]
+    wanted, last = two_points(6)
     assert told(result, "relay.turns") == pytest.approx(wanted, abs=1e-11)
+    assert result.column("rotor.w")[-1] == pytest.approx(last, rel=1e-10)
     w, driven = result.column("rotor.w"), result.column("relay.command")
-    assert set(driven) == {0.0, 4.0} and w[result.time > first].min() >= 95 - 1e-9 and w.max() <= 105 + 1e-9
+    assert set(driven) == {0.0, 4.0} and w[result.time > wanted[0]].min() >= 95 - 1e-9 and w.max() <= 105 + 1e-9
 
 
 def test_a_relay_needs_a_hysteresis():

@@ -9,6 +9,7 @@ from math import asin, atan, cos, exp, pi, sin
 import casadi as ca
 import numpy as np
 import pytest
+from event_reference import bridge as bridge_by_hand
 from scipy.optimize import brentq
 
 from phfmu import (
@@ -65,46 +66,6 @@ def bridge() -> PHDAE:
     )
 
 
-def branch(L: float, R: float, sign: float, t0: float, i0: float):
-    """The current of L i' + R i = sign E cos(W t + PHI), i(t0) = i0."""
-    phasor = sign * E * cexp(1j * PHI) / (R + 1j * W * L)
-    return lambda t: (
-        (phasor * cexp(1j * W * t)).real + (i0 - (phasor * cexp(1j * W * t0)).real) * exp(-(t - t0) * R / L)
-    )
-
-
-def exact_bridge() -> tuple[list[float], float, float]:
-    """Times of the commutations and the currents at the stop: all four conduct, or one pair does and i_a = +-i_d."""
-    t, ia, idc, sign, times = 0.0, 0.0, I0, 0, list[float]()
-    while True:
-        if sign == 0:
-            fa, fd = branch(LA, RA, 1.0, t, ia), branch(LD, RD, 0.0, t, idc)
-            ends = [lambda s, q=q, fa=fa, fd=fd: fd(s) - q * fa(s) for q in (1, -1)]
-        else:
-            both = branch(LA + LD, RA + RD, sign, t, idc)
-            fa, fd = (lambda s, f=both, q=sign: q * f(s)), both
-            # the pair takes current again where the voltage that blocks it, that of the DC side, falls to zero
-
-            def blocked(s: float, f=both, q=sign) -> float:
-                slope = (q * E * np.cos(W * s + PHI) - (RA + RD) * f(s)) / (LA + LD)
-                return LD * slope + RD * f(s)
-
-            ends = [blocked]
-        found = []
-        for j, g in enumerate(ends):
-            grid = t + np.linspace(1e-9, 0.02, 4001)
-            v = [g(s) for s in grid]
-            k = next((k for k in range(4000) if v[k] > 0 >= v[k + 1]), None)
-            if k is not None:
-                found.append((brentq(g, grid[k], grid[k + 1], xtol=1e-17, rtol=9e-16), j))
-        end, which = min(found)
-        if end > STOP:
-            return times, fa(STOP), fd(STOP)
-        t, ia, idc = end, fa(end), fd(end)
-        sign = (1, -1)[which] if sign == 0 else 0
-        times.append(t)
-
-
 def stepped(model, engine, n: int):
     """Currents, times of events, closure over H, modes taken."""
     instance = SwitchedInstance(model, engine)
@@ -137,7 +98,7 @@ CASES = [
 @pytest.mark.parametrize(("engine", "k", "n", "time_error"), CASES)
 def test_a_bridge_commutates_with_order_2k(bridges, engine, k, n, time_error):
     """11 events; overlap, not all off, between the pairs."""
-    times, ia, idc = exact_bridge()
+    times, ia, idc = bridge_by_hand(STOP)
     assert len(times) == 11
     errors = []
     for steps in (n // 2, n):
