@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from phfmu.declare.port import SIGNAL
+
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.declare.port import Port
@@ -173,6 +175,8 @@ def _algebraics(model: Model) -> Iterator[Quantity]:
 
 def _ports(model: Model) -> Iterator[Quantity]:
     for port, first in ordered_ports(model.declaration):
+        if port.domain is SIGNAL:
+            continue
         flow, effort = port.domain.flow, port.domain.effort
         given, found = (effort, flow) if port.given == "effort" else (flow, effort)
         text = f"of port {port.name}" + (f" ({port.description})" if port.description else "")

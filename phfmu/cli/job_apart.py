@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
 
@@ -42,6 +41,11 @@ def apart(
 
     some_fmu = "fmu" in map(stepping.engine_of, schemes)
     with_impulses = kicked(network, args.project) if some_fmu and coupling.nodes else set()
+    held = {
+        n for n, d in network.declared.items()
+        if not (coupling.nodes and schemes[n].node_values) or d.state_events or stepping.engine_of(n) == "fmu"
+    }  # fmt: skip
+    separate = network.separate(held)
 
     def member(name: str, declaration: PHDAE | UnitFile) -> Member:
         from phfmu.declare.phdae import PHDAE
@@ -53,7 +57,7 @@ def apart(
             made, lines = unit_member(name, declaration, step, tried.get(name))
             notes.extend(lines)
             return made
-        own, parts = replace(declaration, name=name), stepping.parts_of(name)
+        own, parts = separate[name], stepping.parts_of(name)
         if stepping.engine_of(name) == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
 
@@ -69,9 +73,10 @@ def apart(
             network, [member(name, d) for name, d in network.members.items()], coupling.make, threads=threads
         )
 
-    most = _most(coupling, schemes.values(), network.units.values(), bool(network.wires))
-    held = coupling.held if most <= coupling.order else f"units of order {most:g}"
-    head = label(list(schemes.values()), stepping.words, coupling.words, most, held)
+    holds = any({w.source, w.target} & {*held, *network.units} for w in network.wires)
+    most = _most(coupling, schemes.values(), network.units.values(), holds)
+    words = coupling.held if most <= coupling.order else f"units of order {most:g}"
+    head = label(list(schemes.values()), stepping.words, coupling.words, most, words)
     notes += _order_lost(args.order, coupling, most)
     return Job(s, head, False, build, notes)
 
@@ -82,7 +87,7 @@ def _exchanged(scheme: Scheme, kicked: bool) -> tuple[bool, bool]:
 
 
 def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: bool) -> float:
-    """The order that members stepped apart keep together at most; signals between them are held."""
+    """The order that members stepped apart keep together at most; `signals`: some between them are held."""
     from phfmu.network.couplings.held_signals import ORDER as SIGNALS
 
     nodes = [u.k for u in units]

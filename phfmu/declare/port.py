@@ -37,6 +37,8 @@ HYDRAULIC = Domain("hydraulic", "pressure", "Pa", "flow", "m3/s", "effort")
 DOMAINS = {d.name: d for d in (ELECTRICAL, TRANSLATIONAL, ROTATIONAL, HYDRAULIC)}
 #: A moving constraint: time passes at the rate 1 and takes the power of the constraint forces.
 DRIVE = Domain("drive", "power", "W", "clock", "1", "flow")
+#: Signals that members stepped apart exchange: values, whose power is zero.
+SIGNAL = Domain("signal", "", "1", "", "1", "effort")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +103,12 @@ class Port:
         """True if the input comes from outside the model."""
         return self.source is None and self.bound is None
 
+    def _member(self, member: str) -> str:
+        """`port.member`; signals are called by their own names."""
+        return self.name + ("" if self.domain is SIGNAL else ".") + member
+
     def _names(self, member: str) -> list[str]:
-        base = f"{self.name}.{member}"
+        base = self._member(member)
         return [base] if self.size is None else [f"{base}[{i + 1}]" for i in range(self.size)]
 
     def input_names(self) -> list[str]:
@@ -119,7 +125,7 @@ class Port:
 
     def _indexed(self, member: str, n: int) -> list[list[str]]:
         """Per pair n names: the second index, of a scalar port the only one, counts them."""
-        base, places = f"{self.name}.{member}", range(1, n + 1)
+        base, places = self._member(member), range(1, n + 1)
         if self.size is None:
             return [[f"{base}[{i}]" for i in places]]
         return [[f"{base}[{j + 1},{i}]" for i in places] for j in range(self.size)]

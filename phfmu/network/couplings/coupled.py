@@ -19,7 +19,7 @@ from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.node_newton import NodeNewton, newton
+from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, newton
 from phfmu.network.couplings.start_values import at_instant, limit
 from phfmu.network.couplings.totals import Totals
 from phfmu.network.couplings.unconverged import added, plain
@@ -63,10 +63,11 @@ class Coupled:
         face = self.joined.face
         self.last = Solution(face.start.copy(), np.zeros(len(face.column)))
         inner = plain(self.coupling)
-        self._works = Works(self.joined, inner.exchange if isinstance(inner, NodeNewton) else None, inner.repeats)
+        self._exchange = inner.exchange if isinstance(inner, NodeNewton) else None
+        self._works = Works(self.joined, self._exchange, inner.repeats)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
-        self._signals = HeldSignals(network, members)
-        self._together = self._landing(inner.exchange) if isinstance(inner, NodeNewton) else None
+        self._signals = HeldSignals(self.joined, self._exchange.wires if self._exchange else ())
+        self._together = self._landing(self._exchange) if self._exchange else None
         self._sums = EndSums(self.joined)
         #: junction unknowns of the instant before the first step
         self._at_start: Array | None = None
@@ -101,7 +102,7 @@ class Coupled:
     @cached_property
     def _master(self) -> Master | None:
         """The steps in compiled code, where there are such."""
-        plain = self._may_compile and not self.joined.network.wires
+        plain = self._may_compile and not (self._signals.wires and self._signals.any_held)
         if not plain or not all(isinstance(m, EngineMember) for m in self.joined.members):
             return None
         if any(isinstance(m, EngineMember) and m.model.events is not None for m in self.joined.members):
@@ -130,7 +131,7 @@ class Coupled:
         self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
         before = self.energies() if self._growth else None
         kind = self.joined.set_value(name, value, self.last.xi)
-        self._signals.sample()
+        self._signals.sample(self.last.xi)
         if self._growth is not None:
             self._growth.given(self.energies() - before)
         return kind
@@ -151,7 +152,7 @@ class Coupled:
         for m in self.joined.members:
             m.check_start()
         self.joined.apply(self.last.xi)
-        self._signals.sample()
+        self._signals.sample(self.last.xi)
         self._sums.require_zero(self.last.xi)
         self.last = replace(self.last, y=self.joined.end_outputs())
 
@@ -232,6 +233,7 @@ class Coupled:
         steps, self.last = self._master.advance(self.last, self._sums, (t0, h, first), n)
         if not len(steps.H):
             return None
+        self._signals.stepped(h, self._xi_end())
         parts = None if steps.works is None else self._works.grouped(steps.works)
         return replace(steps, signals=self._totals.before(steps.signals), works=parts)
 
@@ -240,12 +242,12 @@ class Coupled:
 
         Every member is at t + h with the committed inputs, or, also when reading fails, all are back at t.
         """
-        self._signals.hold(h)
+        self._signals.hold(h, self.last.xi)
         states, last, samples = self.joined.states(self.coupling.repeats), self.last, self._signals.state()
         try:
             self.last = self._solved(Step(t, h, states))
             self.joined.finish()
-            self._signals.stepped(h)
+            self._signals.stepped(h, self._xi_end())
             return self._known(t, h)
         except BaseException:
             self.joined.restore(states)
@@ -277,6 +279,11 @@ class Coupled:
                     told = replace(event, energy=energy, lost=lost)
                     yield np.zeros(0), np.zeros(0), None, (told, self.read())
             changed = False
+
+    def _xi_end(self) -> Array:
+        """Junction unknowns at the end of the last step."""
+        last, exchange = self.last, self._exchange
+        return exchange.at_end(last.found.xi) if exchange and isinstance(last, NodeSolution) and last.found else last.xi
 
     def _known(self, t: float, h: float) -> dict[str, Any]:
         """What is known of the step just taken: the fields of `Steps`."""

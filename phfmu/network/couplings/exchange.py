@@ -5,6 +5,12 @@ k_J is the least of its members'. With c_m, b_m the nodes and weights of a membe
     U = R P xi,     R_mi = l_i(c_m),         r_i = P^T (R* Y)_i + C xi_i,     R*_im = (b_m / b_i) R_mi.
 
 R* is the adjoint of R in the weights: h sum_i b_i xi_i . r_i is what the junctions take, whatever the members do inside.
+
+A signal between members that take and give it at nodes is exchanged alike, with k the lesser of the two,
+
+    u = R xi + offset,     r_i = xi_i - factor (R* y)_i,
+
+and has no power: its weights in all energies are zero.
 """
 
 from __future__ import annotations
@@ -14,7 +20,7 @@ from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import block_diag, csr_array, eye_array
 
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.bare_columns import bare
@@ -68,14 +74,23 @@ class Exchange:
         self.joined, face = joined, joined.face
         parts = [node_values(m, together=not joined.network.wires) for m in joined.members]
         self._hold_at_bare_nodes(parts)
-        #: values per column
-        self.k = columns_k(joined, {v.member.name: v.rule.k for v in parts})
-        self.columns = np.repeat(np.arange(len(self.k)), self.k)
-        self._first = np.cumsum(self.k) - self.k
-        self.at_node = np.concatenate([np.arange(k) for k in self.k]) if len(self.k) else np.zeros(0, int)
-        self.weights = np.concatenate([nodes(k).b for k in self.k]) if len(self.k) else np.zeros(0)
-        self.C = self._at_nodes(face.C)
-        self.row_nominal = face.row_nominal[self.columns]
+        k_of = {v.member.name: v.rule.k for v in parts}
+        #: values per column of the interface
+        self.k = columns_k(joined, k_of)
+        #: numbers of the wires that are exchanged at nodes
+        self.wires = self._at_nodes_both(parts)
+        wires = [joined.network.wires[i] for i in self.wires]
+        self._offset = np.array([w.offset for w in wires])
+        #: values per column, signals being columns of their own behind those of the interface
+        self.counts = np.array([*self.k, *(min(k_of[w.source], k_of[w.target]) for w in wires)], int)
+        self.names = [*face.names, *(f"{w.target}.{w.input}" for w in wires)]
+        self.columns = np.repeat(np.arange(len(self.counts)), self.counts)
+        self._first = np.cumsum(self.counts) - self.counts
+        self.at_node = np.concatenate([np.zeros(0, int), *(np.arange(k) for k in self.counts)])
+        self._b = np.concatenate([np.zeros(0), *(nodes(int(k)).b for k in self.counts)])
+        self.weights = np.where(self.columns < len(self.k), self._b, 0.0)
+        self.C = self._at_nodes(csr_array(block_diag([face.C, eye_array(len(wires))])))
+        self.row_nominal = np.concatenate([face.row_nominal, np.ones(len(wires))])[self.columns]
         offers = [v.offer for v in parts]
         found = bare(joined.network, face, joined.places, offers)
         self.bare, self.offered = list(found.columns), list(found.offered)
@@ -102,50 +117,80 @@ class Exchange:
     @property
     def held(self) -> bool:
         """One value each and no impulses: what the held inputs of a step are."""
-        return not self.bare and bool((self.k == 1).all())
+        return not self.bare and not self.wires and bool((self.k == 1).all())
 
     def spread(self, xi: Array) -> Array:
-        """Values of the columns, the same at all nodes."""
-        return xi[self.columns]
+        """Values of the columns, the same at all nodes; of signals as they are now."""
+        return np.concatenate([xi, self.joined.sampled[self.wires] - self._offset])[self.columns]
 
     def mean(self, values: Array) -> Array:
         """sum_i b_i xi_i of each column."""
-        return np.bincount(self.columns, self.weights * values, len(self.k)).astype(float)
+        return np.bincount(self.columns, self.weights * values, len(self.counts))[: len(self.k)].astype(float)
+
+    def at_end(self, values: Array) -> Array:
+        """Of each column of the interface the polynomial at the end of the step."""
+        ends = np.concatenate([np.zeros(0), *(nodes(int(k)).value(1.0) for k in self.counts)])
+        return np.bincount(self.columns, ends * values, len(self.counts))[: len(self.k)].astype(float)
 
     def ahead(self, values: Array, ratio: float) -> Array:
         """The polynomials of a step at the nodes of the next, `ratio` times as long."""
         out = values.copy()
-        for k in np.unique(self.k):
-            rule, own = nodes(k), self._first[self.k == k][:, None] + np.arange(k)
+        for k in np.unique(self.counts):
+            rule, own = nodes(int(k)), self._first[self.counts == k][:, None] + np.arange(k)
             out[own] = values[own] @ np.array([rule.value(1.0 + ratio * t) for t in rule.c]).T
         return out
 
     def _at_nodes(self, C: csr_array) -> csr_array:
         """C between unknowns at one node; columns that it joins have as many values."""
         c, d = C.nonzero()
-        k = self.k[c]
+        k = self.counts[c]
         node = np.arange(k.sum()) - np.repeat(np.cumsum(k) - k, k)
         where = np.repeat(self._first[c], k) + node, np.repeat(self._first[d], k) + node
         return csr_array((np.repeat(C.data, k), where), shape=(len(self.columns),) * 2)
 
     def _share(self, values: NodeValues, i: int, place: slice) -> Share:
         (columns, P), rule = self.joined.reach(i), values.rule
-        to = np.zeros((rule.k, len(P), int(self.k[columns].sum())))
+        signals, into, out = self._signals(values.member.name, place)
+        all_, right, left = np.append(columns, signals), np.hstack([P, into]), np.hstack([P, out])
+        to, back = np.zeros((2, rule.k, len(P), int(self.counts[all_].sum())))
         own, at = np.zeros(to.shape[2], int), 0
-        for c, p in zip(columns, P.T, strict=True):
-            k = int(self.k[c])
+        for c, p, q in zip(all_, right.T, left.T, strict=True):
+            k = int(self.counts[c])
             R = np.eye(k) if k == rule.k else np.array([nodes(k).value(t) for t in rule.c])
-            to[:, :, at : at + k] = R[:, None, :] * p[:, None]
+            to[:, :, at : at + k], back[:, :, at : at + k] = R[:, None, :] * p[:, None], R[:, None, :] * q[:, None]
             own[at : at + k] = self._first[c] + np.arange(k)
             at += k
-        to = to.reshape(rule.k * len(P), at)
-        back = to.T * np.repeat(rule.b, len(P)) / self.weights[own][:, None]
-        fed = np.flatnonzero(P.any(axis=1)).tolist()
+        to, back = to.reshape(rule.k * len(P), at), back.reshape(rule.k * len(P), at)
+        back = back.T * np.repeat(rule.b, len(P)) / self._b[own][:, None]
+        fed = np.flatnonzero(right.any(axis=1)).tolist()
         rows = [node * len(P) + j for node in range(rule.k) for j in fed]
         kicked = values.offer.kicked if self.bare and values.offer else []
         mine = self._bare[columns] >= 0
         ends = P[:, mine]
         return Share(values, place, own, to, back, self._bare[columns[mine]], ends[kicked], ends, fed, rows)
+
+    def _at_nodes_both(self, parts: list[NodeValues]) -> list[int]:
+        """Numbers of the wires whose ends are ports of members that take and give values at nodes."""
+        at_nodes = {v.member.name for v in parts if not isinstance(v, HeldNodes)}
+        taken, sent = self.joined.taken, self.joined.sent
+        return [
+            i
+            for i, w in enumerate(self.joined.network.wires)
+            if {w.source, w.target} <= at_nodes and (w.target, w.input) in taken and (w.source, w.output) in sent
+        ]
+
+    def _signals(self, name: str, place: slice) -> tuple[Ints, Array, Array]:
+        """Columns of the signals that a member takes or gives, its inputs (nu x columns) and -factor of its outputs alike."""
+        joined, first = self.joined, len(self.k)
+        ends = [(first + n, joined.network.wires[i]) for n, i in enumerate(self.wires)]
+        own = [(c, w) for c, w in ends if name in (w.source, w.target)]
+        into, out = np.zeros((2, place.stop - place.start, len(own)))
+        for at, (_, w) in enumerate(own):
+            if w.target == name:
+                into[joined.taken[name, w.input] - place.start, at] = 1.0
+            if w.source == name:
+                out[joined.sent[name, w.output] - place.start, at] = -w.factor
+        return np.array([c for c, _ in own], int), into, out
 
 
 def columns_k(joined: Joined, k_of: dict[str, int]) -> NDArray[np.int64]:

@@ -1,6 +1,7 @@
 """Signals between members that are stepped apart: sampled where steps meet, held over a step.
 
-The held value is that of the line through the last two samples in the middle of the step,
+Those that are exchanged at the nodes of steps are sampled only.  The held value of the others is that of the line
+through the last two samples in the middle of the step,
 
     s_n + h_n (s_n - s_{n-1}) / (2 h_{n-1}),
 
@@ -9,13 +10,14 @@ cut at the limits of the input: order 2, without iteration.  After events, and i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.parameter_limits import declared_limits
+from phfmu.network.couplings.joined import Joined
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.wires import Wire
 from phfmu.network.members.member import Member
@@ -37,14 +39,22 @@ class _Hop:
 class HeldSignals:
     """The signals of a network; without wires nothing is done."""
 
-    def __init__(self, network: Network, members: Sequence[Member]):
-        self.wires = network.wires
-        self._members = {m.name: m for m in members}
+    def __init__(self, joined: Joined, at_nodes: Collection[int] = ()):
+        """`at_nodes`: numbers of the wires that are exchanged there."""
+        network = joined.network
+        self.wires, self._joined = network.wires, joined
+        self._members = {m.name: m for m in joined.members}
+        self._input_places = dict(zip(self._members, joined.places, strict=True))
+        self._at_nodes = np.array([i in at_nodes for i in range(len(self.wires))], bool)
+        #: of a wire into a port: its place among all inputs
+        self._port = np.array([joined.taken.get((w.target, w.input), -1) for w in self.wires], int)
         self._hops = [self._hop(numbers) for numbers in _stages(network.wires)]
-        self._all = self._hop(range(len(self.wires))).write
+        self._held = self._hop(np.flatnonzero(~self._at_nodes).tolist()).write
+        self.any_held = not self._at_nodes.all()
         self._low, self._high = _limits(network)
         self._factor, self._offset = (np.array([getattr(w, n) for w in self.wires]) for n in ("factor", "offset"))
-        self._now = np.zeros(len(self.wires))
+        self._now = joined.sampled
+        joined.free[self._port[self._at_nodes]] = self._offset[self._at_nodes]
         self._before: Array | None = None
         self._last = 0.0
 
@@ -53,51 +63,64 @@ class HeldSignals:
         fed = [f"{w.target}.{w.input}" for w in self.wires]
         return any(name in (n, n.partition("[")[0]) for n in fed)
 
-    def sample(self) -> None:
-        """Outputs at the present time, and with them all inputs, which are now what the network says."""
+    def sample(self, xi: Array) -> None:
+        """Outputs at the present time, and with them all inputs, which are now what the network says; xi: of junctions."""
         for hop in self._hops:
             for member, names, places in hop.read:
                 self._now[places] = self._factor[places] * member.read_signals(names) + self._offset[places]
-            self._write(hop.write, self._now)
+            self._write(hop.write, self._now, xi)
 
     def forget(self) -> None:
         """What comes is not the continuation of the last step."""
         self._before = None
 
-    def hold(self, h: float) -> None:
+    def hold(self, h: float, xi: Array) -> None:
         """Inputs for the next step, of length h, from the samples at its start."""
-        if self._before is None or not self.wires:
+        if self._before is None or not self.any_held:
             return
         ahead = self._now + (h / (2.0 * self._last)) * (self._now - self._before)
         inside = (self._low <= self._now) & (self._now <= self._high)
-        self._write(self._all, np.where(inside, np.clip(ahead, self._low, self._high), self._now))
+        self._write(self._held, np.where(inside, np.clip(ahead, self._low, self._high), self._now), xi)
 
-    def stepped(self, h: float) -> None:
-        """After a step of length h: samples at its end."""
+    def stepped(self, h: float, xi: Array) -> None:
+        """After a step of length h: samples at its end, where the junction unknowns are xi."""
         if self.wires:
             self._before, self._last = self._now.copy(), h
-            self.sample()
+            self.sample(xi)
 
     def state(self) -> tuple[Array, Array | None, float]:
         return self._now.copy(), self._before, self._last
 
     def restore(self, state: tuple[Array, Array | None, float]) -> None:
         """Samples of an earlier time; the members are brought back by others."""
-        self._now, self._before, self._last = state[0].copy(), state[1], state[2]
+        self._now[:], self._before, self._last = state
+        self._place(np.flatnonzero(self._port >= 0), self._now)
 
     def _hop(self, numbers: Sequence[int]) -> _Hop:
         hop = _Hop()
         for side, list_ in (("source", hop.read), ("target", hop.write)):
-            for name in dict.fromkeys(getattr(self.wires[i], side) for i in numbers):
-                own = [i for i in numbers if getattr(self.wires[i], side) == name]
+            # into a member, wires into ports are apart from those into parameters
+            keys = [(getattr(self.wires[i], side), side == "target" and self._port[i] >= 0) for i in numbers]
+            for name, port in dict.fromkeys(keys):
+                own = [i for i, key in zip(numbers, keys, strict=True) if key == (name, port)]
                 what = [self.wires[i].output if side == "source" else self.wires[i].input for i in own]
                 list_.append((self._members[name], what, own))
         return hop
 
-    @staticmethod
-    def _write(parts: list[tuple[Member, list[str], list[int]]], values: Array) -> None:
+    def _write(self, parts: list[tuple[Member, list[str], list[int]]], values: Array, xi: Array) -> None:
         for member, names, places in parts:
-            member.write_signals(names, values[places])
+            if self._port[places[0]] < 0:
+                member.write_signals(names, values[places])
+                continue
+            self._place(np.array(places), values)
+            member.set_input(self._joined.inputs(xi)[self._input_places[member.name]])
+
+    def _place(self, wires: NDArray[np.intp], values: Array) -> None:
+        """Values of wires into ports, where the inputs of members are."""
+        at_nodes = self._at_nodes[wires]
+        there, held = wires[at_nodes], wires[~at_nodes]
+        self._joined.held[self._port[there]] = values[there] - self._offset[there]
+        self._joined.free[self._port[held]] = values[held]
 
 
 def _stages(wires: Sequence[Wire]) -> list[list[int]]:

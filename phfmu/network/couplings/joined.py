@@ -22,6 +22,7 @@ from phfmu.network.junctions.interface import interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.unknowns import junction_unknowns
 from phfmu.network.members.differences import instant_sensitivity
+from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.network.members.stepped_last import SteppedLast
 from phfmu.words import meant
@@ -46,13 +47,31 @@ class Joined:
         #: U_free
         self.free = np.concatenate([m.start_inputs() for m in members])
         self.free[self.face.fed] = 0.0
+        #: signals that are exchanged at the nodes of steps: as they are now, less the offsets of their wires, which are in free
+        self.held = np.zeros(len(self.free))
+        #: of each wire the signal as it is now
+        self.sampled = np.zeros(len(network.wires))
+        self.taken, self.sent = self._signal_places()
         self._reach = [self.face.reach(p) for p in self.places]
 
     # -- a step -----------------------------------------------------------------------------------------------------
 
     def inputs(self, xi: Array) -> Array:
-        """U = P xi + U_free (nu)."""
-        return self.face.inputs(xi) + self.free
+        """U = P xi + U_free (nu), with signals as they are now."""
+        return self.face.inputs(xi) + self.free + self.held
+
+    def _signal_places(self) -> tuple[dict[tuple[str, str], int], dict[tuple[str, str], int]]:
+        """(member, signal) of those that ports take and send -> place among all inputs and outputs."""
+        taken, sent = dict[tuple[str, str], int](), dict[tuple[str, str], int]()
+        for m, place in zip(self.members, self.places, strict=True):
+            if isinstance(m, EngineMember):
+                taken |= {(m.name, n): place.start + i for n, i in m.taken.items()}
+                sent |= {(m.name, n): place.start + i for n, i in m.sent.items()}
+        return taken, sent
+
+    @property
+    def _wired(self) -> list[tuple[str, str]]:
+        return [(w.target, w.input) for w in self.network.wires]
 
     def reach(self, i: int) -> tuple[NDArray[np.intp], Array]:
         """The unknowns that feed member number i, and the block of P with these columns."""
@@ -130,7 +149,7 @@ class Joined:
     def free_inputs(self) -> dict[str, float]:
         """Inputs of ports that no junction feeds and signals, `member.name`, as they are now."""
         joined = np.zeros(len(self.free), bool)
-        joined[self.face.fed] = True
+        joined[[*self.face.fed, *self.sent.values(), *(self.taken[e] for e in self._wired if e in self.taken)]] = True
         told: dict[str, float] = {}
         for m, place in zip(self.members, self.places, strict=True):
             values = self.free[place] * m.input_sign

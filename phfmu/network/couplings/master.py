@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.steps import Steps
 from phfmu.engine.structures import Structures
+from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings import newton
 from phfmu.network.couplings.acceptance import ITERATIONS
 from phfmu.network.couplings.coupling import Coupling, Solution
@@ -94,7 +95,8 @@ class Master:
             s.cost = None if self._measured else s.cost
         if done == 0:
             return Steps.stacked([]), last
-        rows = self._steps([m[:done] for m in members], xi[:done], sums)
+        xi = xi[:done, : len(self.joined.face.names)]  # signals are no columns
+        rows = self._steps([m[:done] for m in members], xi, sums)
         if works is not None:
             rows["works"] = works[:done, e.unpacked]
         solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
@@ -146,7 +148,8 @@ class Master:
             at = width
             for name in LEDGER:
                 size = plan.nq if name == "pairs" else plan.ncomp
-                books[name].append(rows[:, at : at + size])
+                found = rows[:, at : at + size]
+                books[name].append(m.pairs(found) if name == "pairs" else found)
                 at += size
         signals += [xi, sums.of_rows(xi, np.hstack(ends))]
         return {"signals": np.hstack(signals), "H": np.hstack(H)} | {n: np.hstack(b) for n, b in books.items()}
@@ -178,6 +181,7 @@ class Master:
             "entry": self._pattern.entries[i], "input": part.inputs, "right_direction": part.right_direction,
             "right_col": part.right_col, "right": part.right, "left_output": part.left_output, "left_row": part.left_row,
             "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
+            "at_end": nodes(part.k).value(1.0), "now": np.zeros(nu),
             "free": self.joined.free[self.joined.places[i]].ctypes.data,
             "outputs": start + 8 * layout["y_step"].start if part.held else handle.node_outputs,
             "signals": start, "energies": start + 8 * layout["H"].start, "end": start + 8 * layout["y_end"].start,
@@ -206,6 +210,8 @@ class Master:
             "rules": ctypes.addressof(self.rules), "shares": self._array,
             "nshare": len(e.parts), "nxi": e.nodes, "nbare": len(e.bare), "ncolumn": e.columns, "nskew": len(e.skew),
             "ncluster": len(e.cluster) - 1, "nahead": len(e.ahead), "nnz": len(p.rowind), "capacity": p.capacity,
+            "nwire": len(e.wires), "factor": e.factors,
+            **{f"wire_{name}": e.wires[:, i].copy() for i, name in enumerate(("source", "output", "target", "input"))},
             "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "column": e.column,
             "bare_column": e.bare, "skew_row": e.skew_row, "skew_col": e.skew_col, "skew_entry": p.skew, "skew": e.skew,
             "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,

@@ -78,6 +78,9 @@ class Exchanged:
     ahead_to: Ints
     ahead_from: Ints
     ahead: Array
+    #: per signal (share, output, share, input), and its factor
+    wires: Ints
+    factors: Array
 
     @property
     def nodes(self) -> int:
@@ -113,8 +116,8 @@ def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
     """What members exchange under one of the Newton couplings."""
     if isinstance(coupling, NodeNewton):
         e = coupling.exchange
-        shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.k, e.bare
-        clusters = e.clusters
+        shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
+        clusters, nominal = e.clusters, e.row_nominal
     else:
         n = len(joined.face.names)
         k, columns = np.ones(n, int), np.arange(n)
@@ -122,12 +125,12 @@ def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
         shares = [
             _held(m, p, *joined.reach(i)) for i, (m, p) in enumerate(zip(joined.members, joined.places, strict=True))
         ]
-        clusters = Clusters([], 0)
+        clusters, nominal = Clusters([], 0), joined.face.row_nominal
     place = np.concatenate([*clusters.of, np.zeros(0, int)]).astype(np.int32)
     cluster = np.cumsum([0, *map(len, clusters.of)]).astype(np.int32)
     skew, where = coo_array(C), np.argsort(place)
     bare = np.asarray(bare, np.int32)[place]
-    least = 1e-12 * joined.face.row_nominal[[*columns, *bare]]
+    least = 1e-12 * np.concatenate([nominal, joined.face.row_nominal[bare]])
     to, from_, values = _ahead(k)
     return Exchanged(
         [_part(s, where, len(columns)) for s in shares],
@@ -135,8 +138,22 @@ def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
         skew.row.astype(np.int32), skew.col.astype(np.int32), skew.data,
         least, cluster, np.append(0, np.cumsum(np.diff(cluster) ** 2)).astype(np.int32),
         (-1.0) ** k[bare],
-        to, from_, values,
+        to, from_, values, *_wires(joined, coupling),
     )  # fmt: skip
+
+
+def _wires(joined: Joined, coupling: Coupling) -> tuple[Ints, Array]:
+    numbers = coupling.exchange.wires if isinstance(coupling, NodeNewton) else []
+    own, found = {m.name: i for i, m in enumerate(joined.members)}, [joined.network.wires[i] for i in numbers]
+    first = [p.start for p in joined.places]
+    rows = [
+        (
+            own[w.source], joined.sent[w.source, w.output] - first[own[w.source]],
+            own[w.target], joined.taken[w.target, w.input] - first[own[w.target]],
+        )
+        for w in found
+    ]  # fmt: skip
+    return np.array(rows, np.int32).reshape(-1, 4), np.array([w.factor for w in found])
 
 
 def _held(member: Any, place: slice, own: Any, P: Array) -> Share:

@@ -93,7 +93,7 @@ class NodeNewton:
 
     def __init__(self, exchange: Exchange):
         self.exchange = exchange
-        self.order = 2 * int(exchange.k.min(initial=exchange.k.max(initial=1)))
+        self.order = 2 * int(exchange.counts.min(initial=exchange.counts.max(initial=1)))
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
@@ -245,7 +245,7 @@ class NodeNewton:
         where = f" at node {e.at_node[worst] + 1}" if worst < n else " at the end of the step"
         value = z.xi[worst] if worst < n else e.mean(z.xi)[column]
         residual = abs(np.concatenate([trial.rows, trial.ends])[worst])
-        found = Worst(e.joined.face.names[column] + where, float(value), float(residual))
+        found = Worst(e.names[column] + where, float(value), float(residual))
         return failure(status, e.joined, step, found, history)
 
 

@@ -13,6 +13,7 @@ from phfmu.network.couplings.bare_columns import Bare, bare
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.junctions.interface import Interface, interface
 from phfmu.network.junctions.network import Network
+from phfmu.network.junctions.wires import Wire
 from phfmu.network.members.node_values import DeclaredOffer
 
 if TYPE_CHECKING:
@@ -23,15 +24,23 @@ def order_told(network: Network) -> str:
     """What `--order` is composed and apart, for members under their usual schemes."""
     held = _held(network)
     if network.units:
-        most = min(Newton.order if held or network.wires else inf, *(2 * (u.k or 1) for u in network.units.values()))
+        most = min(
+            Newton.order if held or held_wires(network) else inf, *(2 * (u.k or 1) for u in network.units.values())
+        )
         why = f"; {', '.join(held)} take{'s' if len(held) == 1 else ''} held inputs" if held else ", that of its units"
         return f"at most {most:g} with --coupling newton{why}"
-    if network.wires:
-        return f"--order composed; {Newton.order} with --coupling newton: signals are held over a step"
     if held:
         which = f"{', '.join(held)} take{'s' if len(held) == 1 else ''} held inputs"
         return f"--order composed; {Newton.order} with --coupling newton: {which}"
+    if held_wires(network):
+        return f"--order composed; {Newton.order} with --coupling newton: signals are held over a step"
     return "--order, composed and with --coupling newton (k = order / 2 values per step)"
+
+
+def held_wires(network: Network) -> list[Wire]:
+    """Signals that are held over a step: from and to units, and members that take one held value."""
+    held = {*network.units, *_held(network), *(n for n, d in network.declared.items() if d.state_events)}
+    return [w for w in network.wires if {w.source, w.target} & held]
 
 
 def exchanged(network: Network) -> dict[str, str]:

@@ -62,7 +62,10 @@ def _of_unknowns(joined: Joined, exchange: Exchange | None) -> list[PartKey | No
         keys: list[PartKey | None] = [PartKey(junction, HELD) for junction in at]
     else:
         nodes = zip(exchange.columns, exchange.at_node, strict=True)
-        keys = [PartKey(at[c], HELD if exchange.k[c] == 1 else f"node {i + 1}") for c, i in nodes]
+        # signals, behind the columns of junctions, have no power
+        keys = [
+            PartKey(at[c], HELD if exchange.k[c] == 1 else f"node {i + 1}") if c < len(at) else None for c, i in nodes
+        ]
         keys += [PartKey(at[c], end) for end in (START, END) for c in exchange.bare]
     if not joined.put_off:
         return keys

@@ -7,7 +7,7 @@ With power positive into every component the powers of the joined ports add to z
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from phfmu.declare.units import parse_unit
 from phfmu.html import grid
 from phfmu.network.junctions.compose import compose
 from phfmu.network.junctions.junction import ConnectionError, End, Junction, Kind
+from phfmu.network.junctions.signal_ports import separate
 from phfmu.network.junctions.wires import Wire, in_order, wires_between
 from phfmu.words import counted, meant
 
@@ -122,8 +123,9 @@ class Network:
         """Feed the signal input `member.name` from an observable, state or port output `member.name`: a value, no power.
 
         input = factor output + offset, both in one unit.
-        Composed, the input is the output at every instant; members stepped apart hold it over a step, at its value in the
-        middle as the two steps before foretell it (order 2).
+        Composed, the input is the output at every instant. Members stepped apart exchange it at the nodes of their steps,
+        which is the same (`separate`), or hold it over a step, at its value in the middle as the two steps before foretell
+        it (order 2).
         Errors: ConnectionError for names and units that do not fit, an input that is fed already or that H depends on, and
         loops of outputs that depend on each other at once.
         """
@@ -147,6 +149,16 @@ class Network:
                 "step the members apart (--coupling newton)",
             )
         return compose(self.name, self.declared, self.junctions, self.description, self.wires)
+
+    def separate(self, held: Collection[str] = ()) -> dict[str, PHDAE]:
+        """Declared members as they are stepped apart: named, and with ports for the signals that they exchange at nodes.
+
+        Signals from and to units, and members that are `held`, which take no values at the nodes of their steps, stay
+        parameters, which are held over a step.
+        """
+        at_nodes = self.declared.keys() - set(held)
+        wires = [w for w in self.wires if {w.source, w.target} <= at_nodes]
+        return {n: replace(d, name=n) for n, d in separate(self.declared, wires).items()}
 
     @property
     def declared(self) -> dict[str, PHDAE]:

@@ -1,6 +1,6 @@
 """Signals between members: a wire carries a value, and no power, from an output of one member to a signal input.
 
-Composed, the input is replaced by the expression of the output; apart, it is held over a step.
+Composed, the input is replaced by the expression of the output; apart, it is exchanged at nodes or held over a step.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.steps import StepEvent
-from phfmu.network.members.booking import booking
+from phfmu.network.junctions.signal_ports import signal_places
+from phfmu.network.members.booking import booked, booking
 from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
@@ -40,6 +41,8 @@ class EngineMember:
         self.name, self.model, self.instance, self.parts = name, model, instance, parts
         self._inputs = Inputs(instance, model)
         d = model.declaration
+        #: signals that it exchanges at the nodes of its steps, with their places among inputs and outputs
+        self.taken, self.sent = signal_places(d)
         free = [p for p in d.ports if p.external]
         self.nu = sum(p.n for p in free)
         self.places, start = {}, 0
@@ -59,6 +62,7 @@ class EngineMember:
             tuple(rename.get(c, f"{name}.{c}") for c in own.components),
             tuple(replace(p, component=rename.get(p.component, f"{name}.{p.component}")) for p in own.ports),
         )
+        self._booked = booked(model)
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names
 
@@ -68,7 +72,7 @@ class EngineMember:
 
     @property
     def input_names(self) -> list[str]:
-        return list(self._inputs.inputs)
+        return [n for p in self.model.declaration.ports if p.external for n in p.input_names()]
 
     def signals(self) -> dict[str, float]:
         return self._inputs.signals()
@@ -150,7 +154,14 @@ class EngineMember:
         return ""
 
     def ledger(self) -> dict[str, Array]:
-        return self.instance.ledger()
+        book = self.instance.ledger()
+        if len(self.taken) or len(self.sent):
+            book["pairs"] = self.pairs(book["pairs"])
+        return book
+
+    def pairs(self, energies: Array) -> Array:
+        """Energies of all pairs (.. x pairs) -> of those that are booked."""
+        return energies if len(self._booked) == energies.shape[-1] else energies[..., self._booked]
 
     def happened(self) -> list[StepEvent]:
         told = self._happenings

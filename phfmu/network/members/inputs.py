@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
+from phfmu.network.junctions.signal_ports import is_sent
 
 if TYPE_CHECKING:
     from phfmu.network.scene import Event
@@ -30,10 +31,10 @@ class Inputs:
         names = [n for v in d.parameters for n in v.names()]
         self.parameters = {n: i for i, n in enumerate(names)}
         self._signals = {n for v in d.parameters if v.signal for n in (v.name, *v.names())}
-        free = [n for p in d.ports if p.external for n in p.input_names()]
-        self.inputs = {n: i for i, n in enumerate(free)}
+        free = [(p, n) for p in d.ports if p.external for n in p.input_names()]
+        self.inputs = {n: i for i, (p, n) in enumerate(free) if not is_sent(p)}
         self.u = self.model.u0.copy()
-        named = {*free, *(n.partition("[")[0] for n in free)}
+        named = {*self.inputs, *(n.partition("[")[0] for n in self.inputs)}
         #: name of a free input, or bare name of a vector -> its places in u
         self.free = {n: places(self.inputs, n) for n in named if not places(self.parameters, n)}
 

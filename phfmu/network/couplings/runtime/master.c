@@ -64,6 +64,8 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
         status = solve(m, t0 + (double)(first + done) * h, h, &m->trials[done], &by);
         if (status == PH_OK)
             status = ph_settle(m);
+        if (status == PH_OK)
+            status = ph_signals_present(m);
         for (int i = 0; i < m->nshare && status == PH_OK; i++)
             status = m->shares[i].calls->refresh(m->shares[i].in);
         if (status) {

@@ -73,7 +73,8 @@ typedef struct ph_share {
     const double *left;         /* nleft */
     const int *jump_entry;      /* nkick*nkick: entry in the blocks of S, or -1 */
     const double *weights;      /* k */
-    const double *free;         /* nu: inputs besides those of junctions */
+    const double *at_end;       /* k: of the polynomial through values at nodes its value at the end */
+    const double *free;         /* nu: inputs besides those of junctions, offsets of signals */
     const double *outputs;      /* k*nq, of the instance */
     const double *signals;      /* nsignal, of the instance */
     const double *energies;     /* ncomp, of the instance: stored now */
@@ -86,6 +87,7 @@ typedef struct ph_share {
     double *copied;             /* state for the chain */
     double *kept_values;        /* 4*impulses */
     double *u;                  /* k*nu */
+    double *now;                /* nu: inputs at the end of the step, where signals feed some */
     double *s;                  /* 2*nkick */
     double *y;                  /* k*nu + nu */
     double *dx;                 /* directions*width */
@@ -108,6 +110,7 @@ typedef struct ph_master {
     int nahead;
     int nnz;
     int capacity;
+    int nwire;
     int known;              /* how many of missed and missed_before are known */
     int points;             /* of the rule for the root of impulses */
     const double *cosines;  /* points: cos^2 t_l */
@@ -127,6 +130,11 @@ typedef struct ph_master {
     const int *ahead_to;    /* nahead: next unknown += value * unknown */
     const int *ahead_from;  /* nahead */
     const double *ahead;    /* nahead */
+    const int *wire_source; /* nwire: a share; signals in the order in which they follow from each other */
+    const int *wire_output; /* nwire: of its nu */
+    const int *wire_target; /* nwire: a share */
+    const int *wire_input;  /* nwire: of its nu */
+    const double *factor;   /* nwire */
     const int *colptr;      /* nz+1 */
     const int *rowind;      /* nnz */
     const int *order;       /* nz */
@@ -193,6 +201,9 @@ void ph_continue_keep(ph_master *m, int ahead);
 
 /* settle.c: sums at the end of an accepted step made zero. */
 int ph_settle(ph_master *m);
+
+/* present.c: signals at the end of an accepted step. */
+int ph_signals_present(const ph_master *m);
 
 /* work.c: what the accepted trial did at the junctions. */
 void ph_work_record(const ph_master *m, double h, int row);

@@ -1,0 +1,25 @@
+/* Signals at the end of an accepted step, for what members tell there: other inputs are on their polynomials,
+ * and each wire passes on what its source gives under inputs that are there already. */
+#include "master.h"
+#include "system.h"
+
+int ph_signals_present(const ph_master *m) {
+    for (int w = 0; w < m->nwire; w++) {
+        const ph_share *to = &m->shares[m->wire_target[w]];
+        ph_clear(to->now, to->nu);
+        for (int i = 0; i < to->k; i++)
+            for (int j = 0; j < to->nu; j++)
+                to->now[j] += to->at_end[i] * to->u[i * to->nu + j];
+    }
+    for (int w = 0; w < m->nwire; w++) {
+        const ph_share *from = &m->shares[m->wire_source[w]], *to = &m->shares[m->wire_target[w]];
+        int status = from->calls->refresh(from->in);
+        if (status)
+            return status;
+        to->now[m->wire_input[w]] = m->factor[w] * from->end[m->wire_output[w]] + to->free[m->wire_input[w]];
+        status = to->calls->set_input(to->in, to->now);
+        if (status)
+            return status;
+    }
+    return PH_OK;
+}

@@ -1,0 +1,67 @@
+"""Signals of a member as ports without power: what members stepped apart exchange at the nodes of their steps.
+
+A signal input s becomes the input of a port that acts on no row: its symbol u stands wherever s stood, and y = 0.  An output
+f(x, z, u, p, t) becomes the output of a port whose input is zero, by a skew block of J with a port that is always given 1:
+
+    [-y; -y_1] = [0, -f; f, 0] [u; 1],      u = 0:  y = f,  y_1 = 0,      u.y + 1.y_1 = 0.
+
+So inputs and outputs at nodes, sensitivities, internal steps and halved ones are those of power ports, and their energies are 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+import casadi as ca
+
+from phfmu.declare.block import skew
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.port import SIGNAL, Port
+from phfmu.network.junctions.fed import fed
+from phfmu.network.junctions.wires import Output, Wire, outputs
+
+
+def with_signal_ports(model: PHDAE, taken: Collection[str], sent: Collection[str]) -> PHDAE:
+    """`model` with ports for some of its signal inputs and outputs, by their bare names; the ports stand after its own."""
+    inputs = [v for v in model.parameters if v.signal and v.name in taken]
+    into = [Port(v.name, SIGNAL, "effort", {}, v.size, start=v.start if v.size else v.start[0]) for v in inputs]
+    values = {
+        n: u for v, p in zip(inputs, into, strict=True) for n, u in zip(v.names(), ca.vertsplit(p.u), strict=True)
+    }
+    model = fed(model, values) if values else model
+    found = outputs(model)
+    out = {name: Port(name, SIGNAL, "flow", {}, _size(name, found[name])) for name in sent}
+    unit = Port("signals", SIGNAL, "flow", {}, source=1.0)
+    blocks = [skew(port, unit, -found[name].expr) for name, port in out.items()]
+    ports = (*model.ports, *into, *out.values(), *([unit] if out else []))
+    return replace(model, ports=ports, structure=(*model.structure, *blocks))
+
+
+def is_sent(port: Port) -> bool:
+    """Whether it is that of a signal output, whose input is no one's."""
+    return port.domain is SIGNAL and port.given == "flow"
+
+
+def signal_places(model: PHDAE) -> tuple[dict[str, int], dict[str, int]]:
+    """Scalar names of the signals that ports of `model` take and send, with their places among the external inputs."""
+    taken, sent, at = dict[str, int](), dict[str, int](), 0
+    for port in (p for p in model.ports if p.external):
+        if port.domain is SIGNAL:
+            into = sent if is_sent(port) else taken
+            into |= {n: at + j for j, n in enumerate(port.input_names())}
+        at += port.n
+    return taken, sent
+
+
+def _size(name: str, output: Output) -> int | None:
+    return None if output.names == [name] else len(output.names)
+
+
+def separate(members: Mapping[str, PHDAE], wires: Collection[Wire]) -> dict[str, PHDAE]:
+    """`members` with ports for the ends of these wires."""
+    ends = {name: (dict[str, None](), dict[str, None]()) for name in members}
+    for w in wires:
+        ends[w.target][0][w.input.partition("[")[0]] = None
+        ends[w.source][1][w.output.partition("[")[0]] = None
+    return {n: with_signal_ports(m, *ends[n]) if any(ends[n]) else m for n, m in members.items()}

@@ -1,0 +1,283 @@
+"""Signals between members stepped apart at the nodes of their steps: the run is that of the composed model, of order 2k.
+
+The scene: a machine at a grid over a line (a bare node between them); a governor measures its speed and sets the torque of a
+turbine, an exciter measures its electrical torque (not linear in the states) and sets the voltage of its field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phfmu import (
+    PHDAE,
+    Anderson,
+    Collocated,
+    Coupled,
+    EngineMember,
+    Monolithic,
+    NativeInstance,
+    Network,
+    Options,
+    PythonInstance,
+    build_model,
+    driven,
+    run,
+    signal_input,
+    signal_output,
+    state,
+)
+from phfmu.components.electrical.sources import voltage_source
+from phfmu.components.electrical.synchronous_machine import machine_at_bus
+from phfmu.components.mechanical.torque_source import torque_source
+from phfmu.components.scenes.smib import circuit, smib
+from phfmu.components.scenes.speed_control import speed_control
+from phfmu.network.members.member import Member
+from phfmu.network.scene import Event
+from tests.wide import slow, wide
+
+STOP = 0.02
+COMPARED = ("gen.theta", "gen.p", "governor.x", "governor.out", "exciter.x", "exciter.out", "gen.Te")
+
+
+def lag(name: str, gain: float, T: float, at: float, level: float, unit: str, command: str) -> PHDAE:
+    """T x' = gain (at - measured) - x;  out = level + x."""
+    measured = signal_input("measured", at, unit=unit)
+    reference = signal_input("reference", at, unit=unit)
+    x = state("x", unit=command, nominal=abs(level))
+    right = (gain * (reference - measured) - x) / T
+    return PHDAE(
+        name, (x,), parameters=(measured, reference), ports=(driven("lag", {x: right}),),
+        observables=(signal_output("out", level + x, unit=command),),
+    )  # fmt: skip
+
+
+def governed(folded: bool = False) -> Network:
+    """The loop; `folded`: the line is part of the machine, so that there is no bare node (index 1)."""
+    data, start, R, L, grid = circuit("kundur555_1q")
+    if folded:
+        net = Network("governed")
+        net.add("gen", machine_at_bus(data, R, L, start=start))
+        net.add("grid", grid)
+        net.connect("gen.terminal", "grid.terminal", name="bus2")
+    else:
+        whole = smib().system
+        assert isinstance(whole, Network)
+        net = Network("governed", members=dict(whole.members), junctions=list(whole.junctions))
+    w, base = data.omega / data.pole_pairs, data.Sn / data.omega * data.pole_pairs
+    torque = signal_input("level", start.Vf, unit="V")
+    net.add("turbine", torque_source(start.tau, nominal=base))
+    net.add("field", voltage_source(torque.sx, parameters=(torque,), v=start.Vf, i=1e3))
+    net.connect("gen.shaft", "turbine.shaft", name="shaft")
+    net.connect("gen.field", "field.terminal", name="winding")
+    # strong and fast, so that the loops are felt within a few steps
+    net.add("governor", lag("governor", 50.0 * base / w, 0.02, w, start.tau, "rad/s", "N.m"))
+    net.add("exciter", lag("exciter", 5.0 * start.Vf / base, 0.01, -start.tau, start.Vf, "N.m", "V"))
+    net.signal("gen.shaft.speed", "governor.measured")
+    net.signal("governor.out", "turbine.torque")
+    net.signal("gen.Te", "exciter.measured")
+    net.signal("exciter.out", "field.level")
+    return net
+
+
+def step_of_load(net: Network) -> tuple[Event, ...]:
+    """The set points move at once: the governor's by 1 %, the exciter's by 20 %."""
+    values = {
+        n: v.start[0] for n in ("governor", "exciter") for v in net.declared[n].parameters if v.name == "reference"
+    }
+    return (
+        Event(0.0, "governor.reference", 1.01 * values["governor"]),
+        Event(0.0, "exciter.reference", 1.2 * values["exciter"]),
+    )
+
+
+def apart(
+    net: Network, k: int, engine: Any = PythonInstance, parts: dict[str, int] | None = None, **options: Any
+) -> Coupled:
+    members: list[Member] = []
+    for name, part in net.separate().items():
+        model = build_model(part, Collocated(k))
+        members.append(EngineMember(name, model, engine(model), (parts or {}).get(name, 1)))
+    return Coupled(net, members, **options)
+
+
+def composed(net: Network, k: int, engine: Any = PythonInstance) -> Monolithic:
+    model = build_model(net.compose(), Collocated(k))
+    return Monolithic(model, engine(model))
+
+
+def ran(net: Network, system: Any, h: float, stop: float = STOP) -> Any:
+    return run(system, Options(stop=stop, step=h, events=step_of_load(net)))
+
+
+def apart_by(one: Any, other: Any, names: tuple[str, ...] = COMPARED) -> float:
+    """Largest relative difference of columns."""
+    return max(float(np.abs(one.column(n) - other.column(n)).max() / np.abs(other.column(n)).max()) for n in names)
+
+
+def loop() -> Network:
+    """Rotor, controller and actuator."""
+    net = speed_control().system
+    assert isinstance(net, Network)
+    return net
+
+
+def plain_members(net: Network, k: int) -> list[Member]:
+    """Without ports for signals."""
+    models = {n: build_model(replace(d, name=n), Collocated(k)) for n, d in net.declared.items()}
+    return [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()]
+
+
+def speed(k: int, engine: Any = PythonInstance, h: float = 1e-2, stop: float = 0.2, **how: Any) -> tuple[Any, Coupled]:
+    """The controlled rotor, apart."""
+    scene = speed_control()
+    system = apart(loop(), k, engine, **how)
+    return run(system, Options(stop=stop, step=h, events=scene.events)), system
+
+
+LOOP = ("rotor.w", "controller.x", "controller.command", "controller.error")
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_a_loop_apart_is_the_composed_one(k: int) -> None:
+    """Through the event of its load: states, and what is told of them at the ends of steps."""
+    scene = speed_control()
+    whole = run(composed(loop(), k), Options(stop=0.2, step=1e-2, events=scene.events))
+    parts, system = speed(k)
+    assert system.coupling.order == 2 * k
+    np.testing.assert_allclose(parts.column("rotor.w"), whole.column("rotor.w"), rtol=1e-13)
+    for name in LOOP:
+        size = np.abs(whole.column(name)).max()
+        np.testing.assert_allclose(parts.column(name), whole.column(name), rtol=0, atol=1e-13 * size)
+    command = 0.8 * parts.column("controller.error") + 8.0 * parts.column("controller.x")
+    np.testing.assert_allclose(parts.column("controller.command"), command, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("engine", "k"), wide([(PythonInstance, 2), *((NativeInstance, k) for k in (1, 2, 3))], (NativeInstance, 2))
+)
+def test_a_governed_and_excited_machine_apart_is_the_composed_one(engine: Any, k: int) -> None:
+    """Beside a bare node with its impulses, with an output that is not linear in the states."""
+    net, stop = governed(), 0.005
+    system = apart(net, k, engine)
+    parts, whole = ran(net, system, 1e-3, stop), ran(net, composed(net, k, engine), 1e-3, stop)
+    assert np.ptp(whole.column("governor.x")) > 1e4 and np.ptp(whole.column("exciter.x")) > 10
+    assert apart_by(parts, whole) < 1e-12
+    assert parts.ledger.summary().closed
+    if engine is NativeInstance:
+        assert system._master is not None and system._master.taken == 5
+
+
+def end_errors(net: Network, system: Any, h: float, reference: Any) -> list[float]:
+    result = ran(net, system, h)
+    found = ((result.column(n)[-1], reference.column(n)[-1]) for n in ("gen.theta", "governor.x", "exciter.x"))
+    return [abs(a / b - 1) for a, b in found]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", [None, {"gen": 2, "governor": 3, "line": 3}])
+@pytest.mark.parametrize(("k", "h"), [(1, 1e-3), (2, 2e-3), (3, 4e-3)])
+def test_its_order_is_2k_with_internal_steps_too(k: int, h: float, parts: dict[str, int] | None) -> None:
+    """Against the circuit without a bare node, composed at order 8."""
+    net, folded = governed(), governed(folded=True)
+    reference = ran(folded, composed(folded, 4, NativeInstance), 1e-4)
+    coarse, fine = (end_errors(net, apart(net, k, NativeInstance, parts), s, reference) for s in (h, h / 2))
+    np.testing.assert_allclose(np.log2(np.divide(coarse, fine)), 2 * k, atol=0.15)
+
+
+@pytest.mark.parametrize(("k", "h"), [slow((1, 1e-2)), (2, 2e-2), slow((3, 4e-2))])
+def test_internal_steps_keep_the_order(k: int, h: float) -> None:
+    scene = speed_control()
+    names = ("rotor.w", "controller.x")
+    assert isinstance(scene.system, Network)
+    load = (Event(0.0, "rotor.b.torque", -5.0),)
+    reference = run(composed(loop(), 4), Options(stop=0.2, step=1e-2, events=load))
+    errors = []
+    for step in (h, h / 2):
+        system = apart(loop(), k, parts={"rotor": 3, "controller": 2})
+        found = run(system, Options(stop=0.2, step=step, events=load))
+        errors.append([abs(found.column(n)[-1] - reference.column(n)[-1]) for n in names])
+    np.testing.assert_allclose(np.log2(np.divide(*errors)), 2 * k, atol=0.25)
+
+
+def test_the_least_k_of_both_ends_is_exchanged() -> None:
+    """A controller of order 2 in a loop of order 6: the whole has order 2."""
+    scene = speed_control()
+    members: list[Member] = []
+    for name, part in loop().separate().items():
+        model = build_model(part, Collocated(1 if name == "controller" else 3))
+        members.append(EngineMember(name, model, PythonInstance(model)))
+    system = Coupled(loop(), members)
+    assert system.coupling.order == 2
+    reference = run(composed(loop(), 1), Options(stop=0.2, step=1e-2, events=scene.events))
+    found = run(system, Options(stop=0.2, step=1e-2, events=scene.events))
+    np.testing.assert_allclose(found.column("rotor.w"), reference.column("rotor.w"), rtol=1e-4)
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_the_compiled_loop_takes_signals_along(k: int) -> None:
+    """All steps between events, with the numbers of the loop in Python."""
+    (fast, system), (plain, other) = speed(k, NativeInstance), speed(k, NativeInstance, compiled=False)
+    assert other._master is None and system._master is not None and system._master.taken >= 19
+    for name in fast.names:
+        size = max(np.abs(plain.column(name)).max(), 1.0)
+        np.testing.assert_allclose(fast.column(name), plain.column(name), rtol=0, atol=1e-13 * size, err_msg=name)
+
+
+def test_signals_have_no_row_in_the_books_and_no_column() -> None:
+    plain = Coupled(loop(), plain_members(loop(), 2))
+    result, system = speed(2)
+    # the source of the actuator is fed, as in the composed model
+    names = [n.replace("actuator.source.speed", "actuator.source.power") for n in plain.names]
+    assert system.names == names and system.booking == plain.booking
+    assert system.inputs().keys() == plain.inputs().keys() and set(system.settable()) <= set(plain.settable())
+    assert result.ledger.summary().closed
+    with pytest.raises(KeyError, match="fed by a signal"):
+        system.set_value("actuator.torque", 1.0)
+    with pytest.raises(KeyError):
+        system.set_value("controller.command", 1.0)
+
+
+def test_other_couplings_hold_them() -> None:
+    """Members with signals at nodes under a coupling of held values: as if they had none."""
+    scene = speed_control()
+    options = Options(stop=0.2, step=1e-2, events=scene.events)
+    values = []
+    for parts in (loop().separate(), {n: replace(d, name=n) for n, d in loop().declared.items()}):
+        models = {n: build_model(d) for n, d in parts.items()}
+        members: list[Member] = [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()]
+        values.append(run(Coupled(loop(), members, Anderson()), options))
+    for name in LOOP:
+        np.testing.assert_allclose(values[0].column(name), values[1].column(name), rtol=1e-12, atol=1e-10)
+
+
+def test_a_held_member_holds_its_signals() -> None:
+    """Wires from and to a member that takes no values at nodes are held, the others are not."""
+    scene = speed_control()
+    parts = loop().separate({"rotor"})
+    assert [p.name for p in parts["rotor"].ports] == ["a", "b"]
+    assert "measured" in {v.name for v in parts["controller"].parameters}
+    models = {n: build_model(d) for n, d in parts.items()}
+    system = Coupled(loop(), [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()])
+    found = run(system, Options(stop=0.2, step=1e-2, events=scene.events))
+    exact = run(composed(loop(), 1), Options(stop=0.2, step=1e-2, events=scene.events))
+    gap = np.abs(found.column("rotor.w") - exact.column("rotor.w")).max()
+    assert 1e-9 < gap < 0.1
+
+
+def test_factors_and_offsets() -> None:
+    """command = -2 (its command) + 0.3, with the gains that undo it."""
+    whole = speed_control(-0.4, -4.0).system
+    assert isinstance(whole, Network)
+    net = Network("scaled", members=dict(whole.members), junctions=list(whole.junctions))
+    net.members["controller"] = net.declared["controller"].with_starts({"x": (1.0 - 0.3) / 8.0})
+    net.signal("rotor.w", "controller.measured")
+    net.signal("controller.command", "actuator.torque", factor=-2.0, offset=0.3)
+    options = Options(stop=0.2, step=1e-2, events=speed_control().events)
+    one, other = run(apart(net, 2), options), run(composed(net, 2), options)
+    np.testing.assert_allclose(one.column("rotor.w"), other.column("rotor.w"), rtol=1e-13)
+    plain = speed(2)[0].column("rotor.w")
+    np.testing.assert_allclose(one.column("rotor.w"), plain, rtol=1e-12)
