@@ -27,6 +27,7 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.sound import add_no_check
     from phfmu.fmu.version import LATEST, VERSIONS
     from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS
+    from phfmu.network.members.interpolations import INTERPOLATIONS
 
     parser = verbs.add_parser("run", help="simulate; result table, audit")
     parser.add_argument("target", help=TARGET)
@@ -54,7 +55,10 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",
                         help="the same, and how long a call into an FMU may take (default 60)")  # fmt: skip
     parser.add_argument("--input", metavar="FILE",
-                        help="input and parameter values over time (.csv or .parquet, first column time), held")  # fmt: skip
+                        help="input and parameter values over time (.csv or .parquet, first column time)")  # fmt: skip
+    parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS),
+                        help="what inputs are between rows of --input: "
+                        + "; ".join(f"{name}: {line}" for name, line in INTERPOLATIONS.items()) + " (default: held)")  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--signals", action="append", default=[], metavar="PATTERN",
                         help="columns to keep, by name or pattern ('gen.*'); may be repeated (default: all)")  # fmt: skip
@@ -98,9 +102,10 @@ def call(args: argparse.Namespace) -> int:
     outputs, job = Outputs(args), job_of(args)
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
     stepper = job.build()
-    events, dropped = timeline(args, scene, stepper.settable(), chosen.stop)
+    events, rows, dropped = timeline(args, scene, stepper.settable())
     chosen = replace(chosen, events=events, signals=tuple(args.signals), every=_every(args.every))
-    changes = [e for e in events if e.t < chosen.stop]
+    given = rows.events() if rows is not None else []
+    changes = [e for e in (*events, *given) if e.t < chosen.stop]
     if changes and not is_fmu(args.target):
         require_sound_scene(args, scene, changes)
     begun = perf_counter()
@@ -111,8 +116,10 @@ def call(args: argparse.Namespace) -> int:
             signals.check()
 
         columns = Told(stepper, chosen.signals)
-        outputs.begin(columns, {"target": args.target, "run": label}, args.dense is not None, changes)
-        result = run(stepper, replace(chosen, sink=outputs.sink, progress=progress, keep=outputs.keep))
+        marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
+        outputs.begin(columns, {"target": args.target, "run": label}, args.dense is not None, marks)
+        options_here = replace(chosen, sink=outputs.sink, progress=progress, keep=outputs.keep)
+        result = run(stepper, options_here, inputs=rows, interpolate=args.interpolate)
         seconds = perf_counter() - begun - outputs.seconds
     summary = result.ledger.summary()
     if not args.quiet:
@@ -124,7 +131,9 @@ def call(args: argparse.Namespace) -> int:
         places = dict.fromkeys(v.name for v in summary.violations)
         print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
         if not is_fmu(args.target) and not scene.units:
-            _print_signs_lost(scene, events, result, {v.name for v in summary.violations if v.kind == "dissipation"})
+            _print_signs_lost(
+                scene, [*events, *given], result, {v.name for v in summary.violations if v.kind == "dissipation"}
+            )
         return LEDGER
     return FINE
 

@@ -6,18 +6,15 @@ import argparse
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from phfmu.words import counted
-
 if TYPE_CHECKING:
-    from phfmu.network.run.held import HeldInputs
+    from phfmu.network.run.input_rows import InputRows
     from phfmu.network.scene import Event, Scene
 
-#: fewer rows are steps of an input, not data sampled over the run
-SAMPLED = 10
 
-
-def timeline(args: argparse.Namespace, scene: Scene, known: list[str], stop: float) -> tuple[list[Event], list[str]]:
-    """The events of a run and a line for each that was left out.
+def timeline(
+    args: argparse.Namespace, scene: Scene, known: list[str]
+) -> tuple[list[Event], InputRows | None, list[str]]:
+    """The scene's events in a run, the rows of --input, and a line for each event that was left out.
 
     --set wins over the scene's events at or before the start, --input over those from its first row on.  `known`: scalar names
     that can be set.  ValueError: --set and a row of --input both give a value at the start.
@@ -28,8 +25,8 @@ def timeline(args: argparse.Namespace, scene: Scene, known: list[str], stop: flo
     events, notes = started(scene.events, set_here, known)
     given = _covered(set_here, known)
     if not args.input:
-        return events, notes
-    from phfmu.cli.table import read_inputs
+        return events, None, notes
+    from phfmu.network.run.input_file import read_inputs
 
     rows = read_inputs(args.input, known)
     twice = sorted(given & set(rows.names))
@@ -39,7 +36,7 @@ def timeline(args: argparse.Namespace, scene: Scene, known: list[str], stop: flo
         )
     first = float(rows.time[0])
     events = _without(events, set(rows.names), lambda e: e.t >= first, args.input, known, notes)
-    return [*events, *(e for e in rows.events() if e.t <= stop)], notes + _outside(args.input, rows, stop)
+    return events, rows, notes
 
 
 def started(events: Sequence[Event], given: Iterable[str], known: list[str]) -> tuple[list[Event], list[str]]:
@@ -67,25 +64,3 @@ def _without(events: list[Event], given: set[str], chosen, by: str, known: list[
         notes.append(f"{by} wins over the scene's event {e.name} = {e.value:g} at t = {e.t:g} s")
         left += [replace(e, name=n) for n in known if n in _covered([e.name], known) - lost]
     return left
-
-
-def _outside(path: str, rows: HeldInputs, stop: float) -> list[str]:
-    """Lines about rows before the start and after the end, and data that begin late or end early."""
-    import numpy as np
-
-    early, late = int((rows.time < 0.0).sum()), int((rows.time > stop).sum())
-    notes = []
-    if early:
-        notes.append(
-            f"{path}: {counted(early, 'row')} before the start, from t = {rows.time[0]:g} s; "
-            f"{'the last of them' if early > 1 else 'it'} holds at 0 s"
-        )
-    if rows.time[0] > 0.0:
-        notes.append(f"{path}: begins at t = {rows.time[0]:g} s, the start values hold before")
-    gap = 2 * float(np.median(np.diff(rows.time))) if len(rows.time) > SAMPLED else stop
-    if rows.time[-1] < stop - gap:
-        notes.append(f"{path}: ends at t = {rows.time[-1]:g} s, its last row holds until the end at {stop:g} s")
-    if late:
-        first = float(rows.time[len(rows.time) - late])
-        notes.append(f"{path}: {counted(late, 'row')} after the end at {stop:g} s, from t = {first:g} s, not used")
-    return notes

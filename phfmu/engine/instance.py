@@ -231,15 +231,18 @@ class Instance(Signals):
         parts: int = 1,
         first: int = 0,
     ) -> dict[str, Array]:
-        """Steps k = first..first+n-1 from t0 + k h; `inputs`: n x nu, one row held over each.
+        """Steps k = first..first+n-1 from t0 + k h; `inputs`: n x nu, one row held over each, or n x k x nu, values at
+        the nodes of each.
 
         `record`: names from RECORD, a row a step each.  pairs, stored, dissipated, supplied, numerical, moved: ledger of
         that step; unknowns: w of its last solve; energy: H per component at its end; counts: iterations and
         solves; signals: see `layout`.  ValueError for other names;  StepFailure has the rows before it in `recorded`.
         """
         names = recordable(self.model.name, record)
-        held = None if inputs is None else self._array(inputs, n, self.model.step.nu)
-        return self._run(Grid(t0, h, n, first, parts), names, held)
+        given, plan = None, self.model.step
+        if inputs is not None:
+            given = self._array(inputs, n, *((plan.k, plan.nu) if np.ndim(inputs) == 3 else (plan.nu,)))
+        return self._run(Grid(t0, h, n, first, parts), names, given)
 
     @abstractmethod
     def _run(self, grid: Grid, names: tuple[str, ...], inputs: Array | None) -> dict[str, Array]: ...

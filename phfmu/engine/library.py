@@ -45,7 +45,7 @@ class Record(ctypes.Structure):
     """ph_record."""
 
     _fields_ = [("input", ctypes.c_void_p), ("input_stride", ctypes.c_ssize_t)]
-    _fields_ += [("parts", ctypes.c_int), ("first", ctypes.c_longlong)]
+    _fields_ += [("at_nodes", ctypes.c_int), ("parts", ctypes.c_int), ("first", ctypes.c_longlong)]
     _fields_ += [(name, Column) for name in RECORD]
 
 

@@ -125,7 +125,8 @@ class NativeInstance(NativeReadings):
         for name, array in result.items():
             setattr(request, name, Column(array.ctypes.data, array.shape[1]))
         if inputs is not None:
-            request.input, request.input_stride = inputs.ctypes.data, self.model.step.nu
+            request.input, request.input_stride = inputs.ctypes.data, inputs[0].size
+            request.at_nodes = inputs.ndim == 3
         done = ctypes.c_int()
         code = self._lib.ph_run(self._in, grid.t0, grid.h, grid.n, request, done)
         try:

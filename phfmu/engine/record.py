@@ -83,7 +83,7 @@ def step_by_step(
     found: list[Happened] = []
     for i in range(grid.n):
         if inputs is not None:
-            instance.set_input(inputs[i])
+            (instance.set_input if inputs.ndim == 2 else instance.set_node_inputs)(inputs[i])
         before, state = dict(instance.counts), instance.get_state() if PRESENT & rows.keys() else None
         try:
             instance.do_step(grid.start(i), grid.h, grid.parts)

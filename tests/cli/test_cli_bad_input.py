@@ -223,7 +223,7 @@ def test_options_of_a_run(refused: Cli, words: str, said: str) -> None:
         (b"time,m\n0,1\ninf,1\n", "in.csv, line 3, column time: inf"),
         (b"time,m\n0,one\n", "in.csv, line 2, column m: 'one' is not a number"),
         (b"time,m\n0,1\n0.5\n", "in.csv, line 3: 1 values, expected 2 (time, m)"),
-        (b"time,m\n0,1\n1,1\n1,2\n", "in.csv, line 4: time 1 after 1; times must increase"),
+        (b"time,m\n0,1\n1,1\n0.5,2\n", "in.csv, line 4: time 0.5 after 1; times must not decrease"),
         (b"\xff\xfet\x00i\x00", "in.csv is not a CSV file in UTF-8"),
     ],
 )

@@ -159,8 +159,9 @@ typedef struct ph_column {
 } ph_column;
 
 typedef struct ph_record {
-    const double *input;    /* one row of held inputs a step, or NULL: inputs stay */
+    const double *input;    /* one row of inputs a step, or NULL: inputs stay */
     ptrdiff_t input_stride; /* in doubles */
+    int at_nodes;           /* a row has values at the nodes, k*nu; else held ones, nu */
     int parts;              /* internal steps per step */
     long long first;        /* number of the first step */
     ph_column signals;      /* whole signal table, end values included */

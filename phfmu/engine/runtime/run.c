@@ -33,7 +33,8 @@ int ph_run(ph_instance *in, double t0, double h, int n, const ph_record *record,
         double before[2] = {(double)in->count[PH_ITERATIONS], (double)in->count[PH_SOLVES]}, spent[2];
         int status;
         if (r->input) {
-            status = ph_set_input(in, r->input + *done * r->input_stride);
+            const double *u = r->input + *done * r->input_stride;
+            status = r->at_nodes ? ph_set_node_inputs(in, u) : ph_set_input(in, u);
             if (status)
                 return status;
         }

@@ -24,6 +24,7 @@ from phfmu.schemes.scheme import Scheme
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
+    from phfmu.network.members.interpolant import Interpolant
     from phfmu.network.scene import Event
 
 Array = NDArray[np.float64]
@@ -44,6 +45,8 @@ class Monolithic:
         self.names = self._columns.names
         #: makes rows within the steps, if asked for: (instance, row before, record, starts, sizes) -> (n x rows x width)
         self.between: Between | None = None
+        #: free inputs that follow data
+        self.followed: Interpolant | None = None
 
     @property
     def units(self) -> dict[str, str]:
@@ -106,10 +109,16 @@ class Monolithic:
 
         None for no steps, and for the steps before the end or a failure.  `changed`: something was set since the last step.
         """
-        words, instance = Happenings(self.model), self.instance
+        if self.followed is not None and n > 1:  # inputs are held between events, with their mean over each grid step
+            for k in range(first, first + n):
+                yield from self.land(t0, h, 1, k, changed)
+            return
+        words, instance, given = Happenings(self.model), self.instance, self._at_nodes(self.instance, t0, h, n, first)
+        if given is not None:
+            instance.set_input(self.model.scheme.nodes.b @ given[0])
         wanted, before = self._wanted(instance), np.zeros(0) if self.between is None else instance.row()
         wanted = wanted if self.between is None else (*wanted, "unknowns")
-        for part in instance.land(t0, h, n, wanted, first, changed):
+        for part in instance.land(t0, h, n, wanted, first, changed or given is not None):
             steps, happened = None, part.happened
             if part.rows:
                 steps, before = self._filled(instance, before, part.rows, part.t, part.h), part.rows["signals"][-1]
@@ -130,8 +139,9 @@ class Monolithic:
     def advance_with(self, inputs: Sequence[tuple[int, Event]], t0: float, h: float, n: int, first: int = 0) -> Steps:
         """`advance`, with free inputs that change: (step from `first` at whose start it changes, event), in order."""
         u = self._inputs.rows(n, inputs)
+        given = u if self.followed is None else self._inputs.at_nodes(self.followed, u, self.model, t0, h, first)
         try:
-            rows = self.instance.run(t0, h, n, record=self._wanted(self.instance), inputs=u, first=first)
+            rows = self.instance.run(t0, h, n, record=self._wanted(self.instance), inputs=given, first=first)
             steps = self._steps(self.instance, rows)
         except StepFailure as failure:
             done = len(failure.recorded.get("counts", ()))
@@ -148,9 +158,9 @@ class Monolithic:
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
-        wanted = self._wanted(instance)
+        wanted, given = self._wanted(instance), self._at_nodes(instance, t0, h, n, first)
         if self.between is None:
-            return self._steps(instance, instance.run(t0, h, n, record=wanted, first=first))
+            return self._steps(instance, instance.run(t0, h, n, record=wanted, inputs=given, first=first))
         before = instance.row()
         r = instance.run(t0, h, n, record=(*wanted, "unknowns"), first=first)
         return self._filled(instance, before, r, t0 + h * (first + np.arange(n)), np.full(n, h))
@@ -162,6 +172,25 @@ class Monolithic:
             return steps
         rows = self.between(instance, before, r, t, h)
         return replace(steps, between=self._columns.pick(rows.reshape(-1, rows.shape[-1])).reshape(*rows.shape[:2], -1))
+
+    def _at_nodes(self, instance: Any, t0: float, h: float, n: int, first: int) -> Array | None:
+        """Inputs of n steps at the nodes of the instance's scheme (n x k x nu) where they follow data."""
+        if self.followed is None:
+            return None
+        return self._inputs.at_nodes(self.followed, self._inputs.rows(n, ()), instance.model, t0, h, first)
+
+    def follow(self, instance: Any, other: Any) -> None:
+        """`instance` goes on from `other`, under another scheme; what inputs are at nodes is said again for each step."""
+        if self.followed is not None:
+            other.set_input(self._inputs.u)
+        instance.continue_from(other)
+
+    def step_unrecorded(self, instance: Any, t: float, h: float) -> None:
+        """One step of the instance or of a companion."""
+        given = self._at_nodes(instance, t, h, 1, 0)
+        if given is not None:
+            instance.set_node_inputs(given[0])
+        instance.do_step(t, h)
 
     def _wanted(self, instance: Any) -> tuple[str, ...]:
         wanted = (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER

@@ -13,6 +13,7 @@ from phfmu.discretise.model import Model
 from phfmu.network.junctions.signal_ports import is_sent
 
 if TYPE_CHECKING:
+    from phfmu.network.members.interpolant import Interpolant
     from phfmu.network.scene import Event
 
 
@@ -60,12 +61,18 @@ class Inputs:
 
     def rows(self, n: int, changes: Sequence[tuple[int, Event]]) -> NDArray[np.float64]:
         """Inputs of n steps (n x nu) from the present ones on; changes: (number of the step, event), in order."""
-        u = np.full((n, len(self.u)), np.nan)
-        u[0] = self.u
-        for k, e in changes:
-            u[k, self.free[e.name]] = e.value
-        last = np.maximum.accumulate(np.where(np.isnan(u), 0, np.arange(n)[:, None]), axis=0)
-        return np.take_along_axis(u, last, axis=0)
+        return held_rows(self.u, n, [(self.free[e.name], e.value) for _, e in changes], [k for k, _ in changes])
+
+    def at_nodes(
+        self, data: Interpolant, u: NDArray[np.float64], model: Model, t0: float, h: float, first: int
+    ) -> NDArray[np.float64]:
+        """Inputs of the steps first..first+n-1 of the grid t0 + k h at the nodes of a model (n x k x nu): u (n x nu) held, and
+        those that follow the data.
+        """
+        nodes = model.scheme.nodes
+        given = np.repeat(u[:, None], nodes.k, axis=1)
+        given[:, :, [self.inputs[n] for n in data.names]] = data.at_nodes(nodes.c, t0, h, len(u), first)
+        return given
 
     def set(self, name: str, value: float) -> str:
         """What was set, "parameter" or "input" (of a port, or a signal); "" if `name` is not known.
@@ -85,6 +92,21 @@ class Inputs:
             self.instance.set_input(self.u)
             return "input"
         return ""
+
+
+def held_rows(
+    start: NDArray[np.float64], n: int, changes: Sequence[tuple[list[int], float]], rows: Sequence[int]
+) -> NDArray[np.float64]:
+    """n rows that begin as `start`; each change (places, value) holds from its row on, a later one wins."""
+    u = np.full((n, len(start)), np.nan)
+    u[0] = start
+    if all(len(at) == 1 for at, _ in changes):
+        u[list(rows), [at[0] for at, _ in changes]] = [value for _, value in changes]
+    else:
+        for row, (at, value) in zip(rows, changes, strict=True):
+            u[row, at] = value
+    last = np.maximum.accumulate(np.where(np.isnan(u), 0, np.arange(n)[:, None]), axis=0)
+    return np.take_along_axis(u, last, axis=0)
 
 
 def places(table: Mapping[str, int], name: str) -> list[int]:

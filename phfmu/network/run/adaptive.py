@@ -96,7 +96,7 @@ class Adaptive:
         goal, spent = self._accepted(t, end, take)
         damped, steps = taken[0]
         if damped is not None and not gains(damped):
-            own.continue_from(self.other)
+            self.stepper.follow(own, self.other)
             steps = damped
         return goal, replace(steps, iterations=np.array([spent]))
 
@@ -136,12 +136,12 @@ class Adaptive:
 
     def _companion_step(self, t: float, h: float, wanted: bool) -> tuple[Steps | None, float]:
         """The trial of the other scheme, its rows if wanted, and its iterations."""
-        self.other.continue_from(self.stepper.instance)
+        self.stepper.follow(self.other, self.stepper.instance)
         if wanted and self.other.model.loses_energy:
             steps = self.stepper.taken(self.other, t, h, 1)
             return steps, steps.spent
         count = self.other.counts["iterations"]
-        self.other.do_step(t, h)
+        self.stepper.step_unrecorded(self.other, t, h)
         return None, float(self.other.counts["iterations"] - count)
 
     def _fitted(self, t: float, end: float) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.junctions.network import Network
 from phfmu.network.run.book import Book
 from phfmu.network.run.event_steps import AdaptiveEventSteps, EventSteps
+from phfmu.network.run.following import following
 from phfmu.network.run.march import AdaptiveSteps, FixedSteps, monolithic
 from phfmu.network.run.options import Options
 from phfmu.network.run.result import Result
@@ -28,17 +29,26 @@ if TYPE_CHECKING:
     from phfmu.engine.rest_changes import RestChange
 
 
-def run(stepper: Stepper, options: Options) -> Result:
+def run(stepper: Stepper, options: Options, *, inputs: Any = None, interpolate: str = "held") -> Result:
     """Run from t0 to stop; returns all rows (first row: the start).
 
+    inputs: values over time, a mapping or table of columns `time` and names that can be set, or a .csv or .parquet file;
+    interpolate: "held", each row until the next one, "linear" or "cubic", free inputs at the nodes of each step between rows
+    (see `docs/use/drive-inputs.md`); one composed model only.
     Errors: KeyError for events on names that cannot be set; ValueError for options that need one composed model;
     InconsistentState; StepFailure (audit written so far stays readable); DeclarationError where restart or adaptive steps do not
     fit; ToleranceMissed
     """
+    _require_stepper(stepper)
+    with following(stepper, options, inputs, interpolate) as (options, notes):
+        return _run(stepper, options, notes)
+
+
+def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
+    """With the inputs in place; `notes`: what there is to say about them."""
     from phfmu.audit import Ledger
     from phfmu.audit.unbooked import Unbooked
 
-    _require_stepper(stepper)
     _check_events(stepper, options)
     ledger = Ledger(options.sink, options.audit_rtol) if options.audited else Unbooked()
     told = Told(stepper, options.signals, options.step)
@@ -53,7 +63,7 @@ def run(stepper: Stepper, options: Options) -> Result:
                     projection = _begin(stepper, book, options, stretch.events, stretch.end)
                     told.begin(stretch)
                     start = np.array([t0])
-                    rows.take(start, told.rows(start, stepper.read()[None]), np.zeros(1, bool))
+                    rows.take(start, told.rows(start, stepper.read()[None], after=True), np.zeros(1, bool))
                 else:
                     for e in stretch.events:
                         book.set_value(e)
@@ -71,9 +81,16 @@ def run(stepper: Stepper, options: Options) -> Result:
     if options.dense is not None:
         facts["interpolated"] = inside
     rest_notes = _rest_notes(before, stepper.rest_changes())
-    notes = (*_unreached(options.events, stop - close, stop), *book.notes, *book.told(), *march.notes(), *rest_notes)
+    said = (
+        *notes,
+        *_unreached(options.events, stop - close, stop),
+        *book.notes,
+        *book.told(),
+        *march.notes(),
+        *rest_notes,
+    )
     return Result(
-        told.names, time, values, told.units, ledger, book.steps, book.iterations, book.worst(), projection, notes=notes,
+        told.names, time, values, told.units, ledger, book.steps, book.iterations, book.worst(), projection, notes=said,
         least={c: (t, dict(zip(stepper.names, row.tolist(), strict=True))) for c, (t, row) in book.least.items()}, **facts,
     )  # fmt: skip
 

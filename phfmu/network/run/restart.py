@@ -29,12 +29,12 @@ class Restart:
     def advance(self, t0: float, h: float) -> Steps:
         """One step from t0; the stepper's instance goes on from its end."""
         own = self.stepper.instance
-        self.instance.continue_from(own)
+        self.stepper.follow(self.instance, own)
         steps = self.stepper.taken(self.instance, t0, h, 1)
         if gains(steps):
             self.refused += 1
             return self.stepper.advance(t0, h, 1)
-        own.continue_from(self.instance)
+        self.stepper.follow(own, self.instance)
         return steps
 
 

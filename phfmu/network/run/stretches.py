@@ -32,14 +32,14 @@ def stretches(
 ) -> Iterator[Stretch]:
     """(start, end, events at start) joined where the events set `free` inputs and fall on the grid of `step`."""
     first: tuple[float, float, list[Event]] | None = None
-    steps, inputs = 0, []
+    steps, inputs, known = 0, [], dict[str, bool]()
     for start, end, here in segments:
         n = _whole(end - start, step)
         if (
             first is not None
             and _continues(first[0] + steps * step, start, step)
             and n
-            and all(free(e.name) for e in here)
+            and all(known[e.name] if e.name in known else known.setdefault(e.name, free(e.name)) for e in here)
         ):
             inputs += [(steps, e) for e in here]
             first, steps = (first[0], end, first[2]), steps + n

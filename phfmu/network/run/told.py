@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper
+from phfmu.network.members.inputs import held_rows
 from phfmu.network.run.stretches import CLOSE, Stretch
 from phfmu.pick import pick
 
@@ -18,7 +20,8 @@ Array = NDArray[Any]
 class Told:
     """Columns `names` with `units`, chosen by patterns out of all that there is (none: all of them).
 
-    An input stands in a row with the value that it had in the step that ends there; at the start, with that of the start.
+    An input stands in a row with the value that it had in the step that ends there; at the start, with that of the start.  One
+    that is interpolated stands there with its value at that time, before a jump.
     Errors: ValueError for a pattern that means no column.
     """
 
@@ -38,6 +41,11 @@ class Told:
             (at[~own] - len(stepper.names), np.flatnonzero(~own)),
         )
         self._all = not patterns
+        data = stepper.followed if isinstance(stepper, Monolithic) else None
+        own_data = [] if data is None else [(n, i) for i, n in enumerate(data.names) if n in self.names]
+        self._data, self._from_data = data if own_data else None, (
+            [self.names.index(n) for n, _ in own_data], [i for _, i in own_data]
+        )  # fmt: skip
         self._changes = np.zeros(0)  # times after which the next row of `_held` counts
         self._held = np.zeros((1, 0))
 
@@ -50,14 +58,15 @@ class Told:
             if "[" in name:
                 places.setdefault(name.partition("[")[0], []).append(i)
         self._changes = stretch.start + (np.array([k for k, _ in stretch.inputs], float) + CLOSE) * self._step
-        self._held = np.empty((len(stretch.inputs) + 1, len(self._inputs)))
-        self._held[0] = list(self._stepper.inputs().values())
-        for row, (_, event) in enumerate(stretch.inputs):
-            self._held[row + 1] = self._held[row]
-            self._held[row + 1, places[event.name]] = event.value
+        start = np.array(list(self._stepper.inputs().values()))
+        changes = [(places[e.name], e.value) for _, e in stretch.inputs]
+        self._held = held_rows(start, len(changes) + 1, changes, range(1, len(changes) + 1))
 
-    def rows(self, time: Array, values: Array) -> Array:
-        """The columns (n x names) of rows at `time` (n) of the stretch, with what the stepper tells."""
+    def rows(self, time: Array, values: Array, after: bool = False) -> Array:
+        """The columns (n x names) of rows at `time` (n) of the stretch, with what the stepper tells.
+
+        `after`: what inputs are after a jump in their data at that time
+        """
         if self._all and not self._inputs:
             return values
         out = np.empty((len(time), len(self.names)))
@@ -67,4 +76,6 @@ class Told:
             out[:, self._signals[1]] = values[:, self._signals[0]]
         if len(self._given[0]):
             out[:, self._given[1]] = self._held[np.searchsorted(self._changes, time)][:, self._given[0]]
+        if self._data is not None:
+            out[:, self._from_data[0]] = self._data(time, after)[:, self._from_data[1]]
         return out

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from phfmu.network.run.held import HeldInputs
+    from phfmu.network.run.input_rows import InputRows
 
 Array = NDArray[Any]
 
 
-def read_inputs(path: str, known: list[str]) -> HeldInputs:
+def read_inputs(path: str, known: list[str]) -> InputRows:
     """A table like the output, CSV or Parquet: `time`, then settable names; ValueError names line, column and value."""
-    from phfmu.network.run.held import HeldInputs
+    from phfmu.network.run.input_rows import InputRows, require_times
 
     header, places, numbers = (_parquet if Path(path).suffix == ".parquet" else _csv)(path)
     if not header or header[0] != "time":
@@ -28,12 +28,8 @@ def read_inputs(path: str, known: list[str]) -> HeldInputs:
     if not places:
         raise ValueError(f"{path} has no rows below its header; give the values at one time at least")
     values = numbers()
-    late = np.flatnonzero(np.diff(values[:, 0]) <= 0)
-    if late.size:
-        i = late[0] + 1
-        before, now = values[i - 1 : i + 1, 0]
-        raise ValueError(f"{path}, {places[i]}: time {now:.9g} after {before:.9g}; times must increase")
-    return HeldInputs(names, values[:, 0], values[:, 1:])
+    require_times(values[:, 0], path, places)
+    return InputRows(names, values[:, 0], values[:, 1:], path)
 
 
 #: names of the columns, where each row stands, and what reads the numbers
