@@ -19,8 +19,8 @@ import pytest
 
 from phfmu.audit import AuditWriter, metadata, read
 from phfmu.cli import main
-from phfmu.cli.table import read_inputs
 from phfmu.components.library import LIBRARY, build
+from phfmu.network.run.input_file import read_inputs
 from phfmu.results.writer import TableWriter
 from tests.wide import wide
 
