@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -125,7 +126,7 @@ class NativeInstance(NativeReadings):
         for name, array in result.items():
             setattr(request, name, Column(array.ctypes.data, array.shape[1]))
         if inputs is not None:
-            request.input, request.input_stride = inputs.ctypes.data, inputs[0].size
+            request.input, request.input_stride = inputs.ctypes.data, math.prod(inputs.shape[1:])
             request.at_nodes = inputs.ndim == 3
         done = ctypes.c_int()
         code = self._lib.ph_run(self._in, grid.t0, grid.h, grid.n, request, done)
