@@ -8,12 +8,14 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import importlib.util
+import os
 import platform
+import shlex
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from phfmu.engine import cache, objects
@@ -140,11 +142,14 @@ def compile(
 
     `sources`: file name -> text or path; names not ending in .c are only included. `out`: copy of the result.
     `flags`: further compiler flags. `compiler`: "zig" or "cc" to insist on one. `announce`: called before
-    the compiler runs, not when the cache has the library.
+    the compiler runs, not when the cache has the library. Sources that are texts, generated from a model, are
+    compiled with the flags of PHFMU_MODEL_FLAGS besides.
     Errors: CompilerMissing, CompileError.
     """
     target = target or host_target()
     tools = _find(target, compiler, flags)
+    if own := tuple(shlex.split(os.environ.get("PHFMU_MODEL_FLAGS", ""))):
+        tools = replace(tools, own={n: own for n, s in sources.items() if isinstance(s, str) and n.endswith(".c")})
     files = {n: s.read_bytes() if isinstance(s, Path) else s.encode() for n, s in sources.items()}
     path = cache.find(tools.library_key(files), suffix(target))
     reused = path is not None

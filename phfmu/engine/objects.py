@@ -14,7 +14,7 @@ import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from phfmu.engine import cache
@@ -28,12 +28,16 @@ class CompileError(RuntimeError):
 
 @dataclass(frozen=True)
 class Toolchain:
-    """A compiler with its options; `link`: those it has besides when it links.  `version` stands for the program."""
+    """A compiler with its options.  `version` stands for the program.
+
+    `link`: options it has besides when it links, `own`: when it compiles a source, by the name of that.
+    """
 
     program: tuple[str, ...]
     version: str
     options: tuple[str, ...]
     link: tuple[str, ...]
+    own: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def key(self, files: Mapping[str, bytes], more: Sequence[str] = ()) -> str:
         """Name in the cache of what `files` give; where the program stands does not matter."""
@@ -44,7 +48,7 @@ class Toolchain:
 
     def library_key(self, files: Mapping[str, bytes]) -> str:
         """Name in the cache of the library of `files`."""
-        return self.key(files, self.link)
+        return self.key(files, (*self.link, *(f"{n}: {o}" for n in sorted(self.own) for o in self.own[n])))
 
 
 def needed(name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -91,12 +95,13 @@ class _Work:
 
     def object(self, name: str) -> str:
         """The object of one source, in the folder: from the cache, else compiled and put there."""
-        key = self.tools.key(needed(name, self.files), ("-c", name))
+        options = (*self.tools.own.get(name, ()), "-c", name)
+        key = self.tools.key(needed(name, self.files), options)
         result = f"{name}.o"
         if known := cache.find(key, ".o"):
             shutil.copyfile(known, self.folder / result)
         else:
-            self.run("-c", name, "-o", result)
+            self.run(*options, "-o", result)
             copy = shutil.copyfile(self.folder / result, self.folder / f"{name}.copy.o")
             cache.put(self.root, key, Path(copy))
         return result

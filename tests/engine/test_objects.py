@@ -90,6 +90,24 @@ def test_a_change_compiles_what_it_reaches_and_nothing_else(compiled: Callable[[
     assert compiled() == []
 
 
+def test_flags_for_models_compile_what_is_generated_and_nothing_else(
+    tmp_path: Path, compiled: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The runtime, which stands in files, is of the same objects; the libraries are two."""
+    monkeypatch.delenv("PHFMU_MODEL_FLAGS", raising=False)
+    (tmp_path / "file.c").write_text("int file(void) { return 1; }\n")
+    sources = {**SOURCES, "file.c": tmp_path / "file.c"}
+    plain = compile(sources).path
+    assert compiled() == ["a.c", "b.c", "c.c", "file.c"]
+    monkeypatch.setenv("PHFMU_MODEL_FLAGS", "-O0 -DX=1")
+    other = compile(sources).path
+    assert compiled() == ["a.c", "b.c", "c.c"] and other != plain
+    assert compile(sources).reused and compile({"file.c": sources["file.c"]}).path != other
+    assert compiled() == []
+    monkeypatch.delenv("PHFMU_MODEL_FLAGS")
+    assert compile(sources).path == plain
+
+
 def test_includes_are_found_through_others_and_in_a_circle() -> None:
     files = {n: t.encode() for n, t in SOURCES.items()}
     assert set(objects.needed("a.c", files)) == {"a.c", "outer.h", "inner.h"}

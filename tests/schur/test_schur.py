@@ -216,7 +216,9 @@ def test_symbolic_elimination_factors_a_schur_matrix(m: int, n: int, listed: int
 
 
 @pytest.mark.parametrize(("name", "order"), [("chain", 2), ("stiff chain", 6), ("pushed", 6)])
-def test_written_out_loops_give_the_same_bits(name: str, order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_written_out_loops_give_the_same_bits(
+    name: str, order: int, optimised: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A small model, whose tables the compiler knows, against the same loops over the tables of the plan."""
     m, found, sources = model(BODIES[name](), order), [], []
     for most in (text.MOST, 0):
@@ -233,7 +235,7 @@ def test_written_out_loops_give_the_same_bits(name: str, order: int, monkeypatch
 
 
 @pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
-def test_wider_vectors_give_the_same_bits(order: int) -> None:
+def test_wider_vectors_give_the_same_bits(order: int, optimised: None) -> None:
     """The library for this machine's vectors against the portable one of an FMU."""
     if not host_flags():
         pytest.skip("this machine has no wider vectors")
