@@ -8,7 +8,9 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from phfmu.checks.sample import Sample
+from phfmu.declare.energy import EnergyKind
 from phfmu.declare.entries import Entries
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.problem import Problem
 from phfmu.declare.value import Value
 
@@ -22,7 +24,7 @@ def constants(entries: Entries, sample: Sample) -> list[Problem]:
             "energy", e.label, "no state in it, so it never changes: it is left out of H",
             "remove it, or check if a state was meant", "warning",
         )
-        for e in entries.of("H") if not _hashes(entries, e.expr, Value.STATE)
+        for e in entries.of(EntryKind.H) if not _hashes(entries, e.expr, Value.STATE)
     ]  # fmt: skip
 
 
@@ -31,8 +33,8 @@ def bounded(entries: Entries, sample: Sample) -> list[Problem]:
 
     In the nominal sizes of the states, at the start values of the parameters.  What other terms may hold back is not judged.
     """
-    quadratic = [e for e in entries.of("H") if e.origin.kind == "quadratic"]
-    others = [e.expr for e in entries.of("H") if e.origin.kind != "quadratic"]
+    quadratic = [e for e in entries.of(EntryKind.H) if e.origin.kind is EnergyKind.QUADRATIC]
+    others = [e.expr for e in entries.of(EntryKind.H) if e.origin.kind is not EnergyKind.QUADRATIC]
     others += [ca.SX(p.origin.hamiltonian) for p in entries.pairs]
     held = set().union(*(_hashes(entries, expr, Value.STATE) for expr in others))
     total = ca.SX(0)

@@ -16,6 +16,7 @@ import casadi as ca
 from phfmu.checks.sample import Sample
 from phfmu.declare.dimension import JOULE, NONE, SECOND, WATT, Dimension, Known, Number, Walk, counted_numbers, of_unit
 from phfmu.declare.entries import Entries, Entry
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.port import Port
 from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable, time
@@ -57,7 +58,7 @@ class _Check:
 
     def _masses(self) -> None:
         """z of states with E: J/([e][x]) by the diagonal; of closed-form pairs by their z."""
-        for e in self.entries.of("E"):
+        for e in self.entries.of(EntryKind.E):
             z = ca.vertcat(*(v.z for v in e.rows))
             x = ca.vertcat(*(v.sx for v in e.rows))
             diagonal = self.known(ca.diag(ca.densify(e.expr)))
@@ -91,35 +92,51 @@ class _Check:
             if wanted is not None:
                 yield from self._entry(e, wanted)
         for pair in self.entries.pairs:
-            hamiltonian = Entry("H", f"{pair.label}: H", ca.SX(pair.origin.hamiltonian))
+            hamiltonian = Entry(EntryKind.H, f"{pair.label}: H", ca.SX(pair.origin.hamiltonian))
             yield from self._entry(hamiltonian, lambda r, c: (JOULE, "an energy is in"))
 
     def _wanted(self, e: Entry) -> Wanted | None:
-        if e.what == "H":
-            return lambda r, c: (JOULE, "an energy is in")
-        if e.what in ("J", "R", "B"):
-            z = self.costates(e.rows)
-            columns = [of_unit(e.origin.input_unit)] * e.origin.n if e.what == "B" else z
-            names = e.origin.input_names() if e.what == "B" else e.names()
-            return lambda r, c: _entry_of(e.names()[r], z[r], names[c], columns[c])
-        if e.what == "E":
-            return self._wanted_mass(e)
-        if e.what == "z":
-            z = self.costates(e.rows)
-            return lambda r, c: (z[r], "its costate is in")
-        if e.what == "source":
-            return lambda r, c: (of_unit(e.origin.input_unit), f"input {e.origin.input_names()[r]} is in")
-        if e.what == "g":
-            return self._wanted_constraint(e)
-        if e.what in ("observable", "guard"):
-            unit = e.origin.unit if e.what == "observable" else e.origin.guard.unit
-            return lambda r, c: (of_unit(unit), "it is declared in")
-        return None
+        wanted = {
+            EntryKind.H: self._wanted_energy,
+            **dict.fromkeys((EntryKind.J, EntryKind.R), self._wanted_matrix),
+            EntryKind.B: self._wanted_port,
+            EntryKind.E: self._wanted_mass,
+            EntryKind.COSTATE: self._wanted_costate,
+            EntryKind.SOURCE: self._wanted_source,
+            EntryKind.CONSTRAINT: self._wanted_constraint,
+            EntryKind.OBSERVABLE: lambda e: self._wanted_unit(e.origin.unit),
+            EntryKind.GUARD: lambda e: self._wanted_unit(e.origin.guard.unit),
+        }.get(e.what)
+        return None if wanted is None else wanted(e)
+
+    def _wanted_energy(self, e: Entry) -> Wanted:
+        del e
+        return lambda r, c: (JOULE, "an energy is in")
+
+    def _wanted_matrix(self, e: Entry) -> Wanted:
+        z = self.costates(e.rows)
+        return lambda r, c: _entry_of(e.names()[r], z[r], e.names()[c], z[c])
+
+    def _wanted_port(self, e: Entry) -> Wanted:
+        z, u = self.costates(e.rows), of_unit(e.origin.input_unit)
+        return lambda r, c: _entry_of(e.names()[r], z[r], e.origin.input_names()[c], u)
+
+    def _wanted_costate(self, e: Entry) -> Wanted:
+        z = self.costates(e.rows)
+        return lambda r, c: (z[r], "its costate is in")
+
+    def _wanted_source(self, e: Entry) -> Wanted:
+        return lambda r, c: (of_unit(e.origin.input_unit), f"input {e.origin.input_names()[r]} is in")
+
+    def _wanted_unit(self, unit: str) -> Wanted:
+        return lambda r, c: (of_unit(unit), "it is declared in")
 
     def _wanted_constraint(self, e: Entry) -> Wanted:
         """lambda g is an energy, if all rows of one multiplier have one dimension: one unit cannot fit several."""
         unit, name = e.origin.multiplier.unit, e.rows[0].name
-        exprs = ca.vertcat(*(ca.sparsify(g.expr) for g in self.entries.of("g") if g.rows[0].name == name))
+        exprs = ca.vertcat(
+            *(ca.sparsify(g.expr) for g in self.entries.of(EntryKind.CONSTRAINT) if g.rows[0].name == name)
+        )
         kinds = {(d.exponents, d.factor) for d in self.known(exprs) if isinstance(d, Dimension)}
         should = JOULE.times(of_unit(unit), -1) if len(kinds) == 1 else None
         return lambda r, c: (should, f"its multiplier in {unit} needs")
@@ -147,7 +164,7 @@ class _Check:
             return
         for d, r, c in zip(found, *expr.sparsity().get_triplet(), strict=True):
             if isinstance(d, Number):
-                d = NONE if abs(d.value) == 1.0 and e.what in ("J", "B") else None
+                d = NONE if abs(d.value) == 1.0 and e.what in (EntryKind.J, EntryKind.B) else None
             should, why = wanted(r, c)
             if d is None or should is None or d.fits(should):
                 continue

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.checks.sample import Sample
+from phfmu.declare.energy import EnergyKind
 from phfmu.declare.entries import Entries, Entry, Pair
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.operations import piecewise
 from phfmu.declare.problem import Problem
 from phfmu.declare.value import Value
@@ -19,7 +21,7 @@ LIMIT = 1e-3  # allowed relative distance from the limit there
 
 def energies(entries: Entries, sample: Sample) -> list[Problem]:
     """H and grad H are finite at the start; quadratic and strain terms are what they say."""
-    terms = [(e, _states(entries, e.expr)) for e in entries.of("H")]
+    terms = [(e, _states(entries, e.expr)) for e in entries.of(EntryKind.H)]
     values = sample.values([e.expr for e, _ in terms])
     gradients = sample.values([ca.gradient(e.expr, x) if x.numel() else ca.SX(0, 1) for e, x in terms])
     found = []
@@ -33,9 +35,9 @@ def energies(entries: Entries, sample: Sample) -> list[Problem]:
         h = sample.values([ca.SX(p.origin.hamiltonian)])[0]
         if not np.isfinite(h[0]).all():
             found.append(_start(p.label, f"H = {h[0, 0, 0]}"))
-    quadratic = [(e.label, e.expr, x) for e, x in terms if e.origin.kind == "quadratic"]
+    quadratic = [(e.label, e.expr, x) for e, x in terms if e.origin.kind is EnergyKind.QUADRATIC]
     found += _quadratic(entries, sample, quadratic, "H", "declare it with energy(..): its kind is recognised")
-    invariants = [(e.label, e.expr, _states(entries, e.expr)) for e in entries.of("C")]
+    invariants = [(e.label, e.expr, _states(entries, e.expr)) for e in entries.of(EntryKind.INVARIANT)]
     found += _quadratic(entries, sample, invariants, "C", "use energy(..), or an invariant such as a squared distance")
     return found + _strains(entries, sample)
 
@@ -89,9 +91,9 @@ def _strains(entries: Entries, sample: Sample) -> list[Problem]:
     """H = phi(C) of every strain term."""
     found: list[Problem] = []
     chosen: list[tuple[Entry, ca.SX]] = []
-    invariants = {id(e.origin): e for e in entries.of("C")}
-    for e in entries.of("H"):
-        if e.origin.kind != "strain":
+    invariants = {id(e.origin): e for e in entries.of(EntryKind.INVARIANT)}
+    for e in entries.of(EntryKind.H):
+        if e.origin.kind is not EnergyKind.STRAIN:
             continue
         if e.origin.phi is None or e.origin.invariant is None:
             found.append(
@@ -104,7 +106,7 @@ def _strains(entries: Entries, sample: Sample) -> list[Problem]:
             )
         elif id(e.origin) in invariants:
             phi = ca.SX(e.origin.phi(e.origin.invariant))
-            if entries.symbols("H", f"phi of {e.label}", phi):
+            if entries.symbols(EntryKind.H, f"phi of {e.label}", phi):
                 chosen.append((e, phi))
     direct = sample.values([e.expr for e, _ in chosen])
     composed = sample.values([phi for _, phi in chosen])
@@ -130,7 +132,7 @@ def closed_pairs(entries: Entries, sample: Sample) -> list[Problem]:
         text = [f"H depends on '{entries.known[s.element_hash()].name}', not one of its variables" for s in foreign]
         text += [f"'{names[h]}' is in {taken[h]} as well" for h in own if h in taken]
         taken |= dict.fromkeys(own, pair.label)
-        for e in entries.of("H", "E"):
+        for e in entries.of(EntryKind.H, EntryKind.E):
             hashes = [s.element_hash() for s in (*ca.symvar(e.expr), *(v.sx[0] for v in e.rows))]
             text += [f"'{names[h]}' is in {e.label} as well" for h in hashes if h in names]
         if text:

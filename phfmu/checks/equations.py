@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.entries import Entries, key
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.junction_words import junction_words
 from phfmu.declare.phdae import PHDAE
@@ -18,6 +19,7 @@ from phfmu.discretise.model import CONSISTENCY, Model, build_model
 from phfmu.engine.python import PythonInstance
 from phfmu.engine.status import Status, StepFailure, remedy
 from phfmu.schemes.scheme import Scheme
+from phfmu.terms.hidden import Level
 
 
 def unused(entries: Entries) -> list[Problem]:
@@ -27,15 +29,15 @@ def unused(entries: Entries) -> list[Problem]:
     def see(expr: ca.SX) -> None:
         seen.update(s.element_hash() for s in ca.symvar(ca.sparsify(expr)))
 
-    for e in entries.of("J", "R"):
+    for e in entries.of(EntryKind.J, EntryKind.R):
         see(ca.mtimes(ca.sparsify(e.expr), ca.vertcat(*(entries.model.effort(v) for v in e.rows))))
-    for e in entries.of("B"):
+    for e in entries.of(EntryKind.B):
         see(e.expr)
         if e.origin.bound is not None:
             see(ca.mtimes(ca.sparsify(e.expr).T, entries.model.effort(e.rows[0])))
-    for e in entries.of("bound"):
+    for e in entries.of(EntryKind.BOUND):
         see(e.expr)
-    for e in entries.of("g"):
+    for e in entries.of(EntryKind.CONSTRAINT):
         seen.update(s.element_hash() for s in ca.vertsplit(e.rows[0].sx))
     found = []
     for v in entries.model.algebraics:
@@ -48,9 +50,9 @@ def unused(entries: Entries) -> list[Problem]:
 
 def _idle_ports(entries: Entries) -> list[Problem]:
     """Every port acts on something; ports with a B that was left out are not judged."""
-    sound = entries.of("B")
+    sound = entries.of(EntryKind.B)
     acting = {key(e.origin) for e in sound if ca.sparsify(e.expr).nnz()}
-    acting |= {key(v) for e in entries.of("J", "R") for v in e.rows if ca.sparsify(e.expr).nnz()}
+    acting |= {key(v) for e in entries.of(EntryKind.J, EntryKind.R) for v in e.rows if ca.sparsify(e.expr).nnz()}
     judged = Counter(id(e.origin) for e in sound)
     drives = {c.drive.u[0].element_hash() for c in entries.model.constraints if c.drive is not None}
     return [
@@ -67,16 +69,16 @@ def _idle_ports(entries: Entries) -> list[Problem]:
 
 def velocities(entries: Entries) -> list[Problem]:
     """Every position q of a constraint g(q) = 0 has the equation q' = z_v."""
-    constraints = entries.of("g")
+    constraints = entries.of(EntryKind.CONSTRAINT)
     if not constraints:
         return []
     row: dict[int, ca.SX] = {}
-    for e in entries.of("J", "R", "B"):
-        z = e.origin.u if e.what == "B" else ca.vertcat(*(entries.model.effort(v) for v in e.rows))
-        flow = ca.mtimes(ca.sparsify(e.expr), z) * (-1 if e.what == "R" else 1)
+    for e in entries.of(EntryKind.J, EntryKind.R, EntryKind.B):
+        z = e.origin.u if e.what is EntryKind.B else ca.vertcat(*(entries.model.effort(v) for v in e.rows))
+        flow = ca.mtimes(ca.sparsify(e.expr), z) * (-1 if e.what is EntryKind.R else 1)
         for j, s in enumerate(s for v in e.rows for s in ca.vertsplit(v.sx)):
             row[s.element_hash()] = row.get(s.element_hash(), ca.SX(0)) + flow[j]
-    massive = [(e.label, v) for e in entries.of("E") for v in e.rows]
+    massive = [(e.label, v) for e in entries.of(EntryKind.E) for v in e.rows]
     massive += [(pair.label, v) for pair in entries.pairs for v in pair.origin.variables]
     inert = {s.element_hash(): label for label, v in massive for s in ca.vertsplit(v.sx)}
     found = []
@@ -145,13 +147,13 @@ def hidden(model: Model, observables: np.ndarray) -> list[Problem]:
     values = observables[len(observables) - len(model.checks) :]
     holonomic = {n for c in model.declaration.constraints for n in c.multiplier.names()}
     for c, value, size in zip(model.checks, values, model.check_scale, strict=True):
-        if c.level == "position" and size < 1e-200:
+        if c.level is Level.POSITION and size < 1e-200:
             text = "the gradient of g(q) is zero at the start, so the multiplier has no effect"
             remedy = "write g with a nonzero gradient where g = 0, e.g. a distance instead of its square"
             found.append(Problem("solvability", f"constraint of '{c.name}'", text, remedy))
         elif not abs(value) <= CONSISTENCY * size:
             what = (
-                {"position": "g(q)", "velocity": "Dg(q) v"}[c.level]
+                {Level.POSITION: "g(q)", Level.VELOCITY: "Dg(q) v"}[c.level]
                 if c.name in holonomic
                 else "sum of flows or efforts"
             )

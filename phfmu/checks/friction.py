@@ -7,6 +7,7 @@ import numpy as np
 
 from phfmu.checks.sample import Sample
 from phfmu.declare.entries import Entries, Entry
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.problem import Problem
 from phfmu.declare.variable import key
 
@@ -18,7 +19,7 @@ JUMP = 1e-3
 
 def friction(entries: Entries, sample: Sample) -> list[Problem]:
     """The forces R z of dissipation are continuous where z passes zero."""
-    chosen = [e for e in entries.of("R") if not e.expr.is_constant()]
+    chosen = [e for e in entries.of(EntryKind.R) if not e.expr.is_constant()]
     s = ca.SX.sym("s")
     along = [_along(entries, sample, e, s) for e in chosen]
     sides = [sample.values(along, (s, np.full((sample.n, 1), at))) for at in (-NEAR, NEAR, 1.0)]

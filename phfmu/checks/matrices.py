@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from phfmu.checks.sample import Sample, places
 from phfmu.declare.entries import Entries, Entry
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.problem import Problem
 from phfmu.declare.regular import undetermined
 from phfmu.declare.value import Value
@@ -21,7 +22,7 @@ FLOOR = 1e-12  # of the largest entry of a block: rounding of entries that cance
 
 def finite(entries: Entries, sample: Sample) -> list[Problem]:
     """Matrices are finite at the start; with algebraic variables, whose start is only a guess, somewhere."""
-    chosen = entries.of("J", "R", "B", "E", "z", "source")
+    chosen = entries.of(EntryKind.J, EntryKind.R, EntryKind.B, EntryKind.E, EntryKind.COSTATE, EntryKind.SOURCE)
     found = []
     for e, value in zip(chosen, sample.of(chosen), strict=True):
         bad = ~np.isfinite(value)
@@ -41,16 +42,18 @@ def finite(entries: Entries, sample: Sample) -> list[Problem]:
 
 def skew_symmetry(entries: Entries, sample: Sample) -> list[Problem]:
     """J + J^T = 0 per block."""
-    return _mirrored(entries, sample, "J", +1, "skew", "build it with skew(rows, cols, matrix), or correct the sign")
+    return _mirrored(
+        entries, sample, EntryKind.J, +1, "skew", "build it with skew(rows, cols, matrix), or correct the sign"
+    )
 
 
 def symmetry(entries: Entries, sample: Sample) -> list[Problem]:
     """R = R^T per block."""
     remedy = "make the block symmetric; a skew part belongs into J"
-    return _mirrored(entries, sample, "R", -1, "symmetry", remedy)
+    return _mirrored(entries, sample, EntryKind.R, -1, "symmetry", remedy)
 
 
-def _mirrored(entries: Entries, sample: Sample, what: str, sign: int, rule: str, remedy: str) -> list[Problem]:
+def _mirrored(entries: Entries, sample: Sample, what: EntryKind, sign: int, rule: str, remedy: str) -> list[Problem]:
     blocks, found = entries.of(what), []
     for e, value in zip(blocks, sample.of(blocks), strict=True):
         good = np.isfinite(value)
@@ -93,7 +96,7 @@ def summed(entries: Entries, sample: Sample) -> Iterator[tuple[list[Entry], list
     variables = (*entries.model.states, *entries.model.algebraics, *entries.model.ports)
     names = [n for v in variables for n in v.names()]
     place = places(variables)
-    blocks = entries.of("R")
+    blocks = entries.of(EntryKind.R)
     rows = [[place[key(v)] + j for v in e.rows for j in range(v.n)] for e in blocks]
     values = sample.of(blocks)
     for group in _connected(rows, len(names)):
@@ -157,12 +160,17 @@ def masses(entries: Entries, sample: Sample) -> list[Problem]:
 
     E of a pair (E, z) may be singular.
     """
-    chosen = [(e.label, e.expr, e.names()) for e in entries.of("E")]
+    chosen = [(e.label, e.expr, e.names()) for e in entries.of(EntryKind.E)]
     found = []
     for (label, expr, names), value in zip(chosen, sample.values([c[1] for c in chosen]), strict=True):
         for i, E in enumerate(value):
             row = undetermined(E) if np.isfinite(E).all() else -1
-            if row >= 0 and entries.of("g") and expr.sparsity().is_diag() and expr[row, row].is_symbolic():
+            if (
+                row >= 0
+                and entries.of(EntryKind.CONSTRAINT)
+                and expr.sparsity().is_diag()
+                and expr[row, row].is_symbolic()
+            ):
                 break  # z = v whatever the parameter m: the constraints decide
             if row >= 0:
                 text = f"E[{names[row]}, {names[row]}] = {E[row, row]:g}, singular {sample.where(i, expr)}"
@@ -196,8 +204,8 @@ def costates(entries: Entries, sample: Sample) -> list[Problem]:
 
 def _descriptor(entries: Entries, sample: Sample) -> list[Problem]:
     """E^T z = grad H for the blocks of E that are singular at the start."""
-    given, grad, found = {id(e.rows[0]): e.expr for e in entries.of("z")}, sample.gradient(), []
-    for e in entries.of("E"):
+    given, grad, found = {id(e.rows[0]): e.expr for e in entries.of(EntryKind.COSTATE)}, sample.gradient(), []
+    for e in entries.of(EntryKind.E):
         span = [i for v in e.rows for i in sample.rows(v)]
         if sample.known_z[0, span].all() or any(id(v) not in given for v in e.rows):
             continue
@@ -215,7 +223,7 @@ def _descriptor(entries: Entries, sample: Sample) -> list[Problem]:
 
 
 def _derived(entries: Entries, sample: Sample) -> list[Problem]:
-    chosen, found = entries.of("z"), []
+    chosen, found = entries.of(EntryKind.COSTATE), []
     for e, value in zip(chosen, sample.of(chosen), strict=True):
         span = list(sample.rows(e.rows[0]))
         given, derived = value[:, :, 0], np.where(sample.known_z[:, span], sample.z[:, span], np.nan)

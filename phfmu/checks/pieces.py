@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from phfmu.checks.sample import Sample, Setting
 from phfmu.declare.entries import Entries
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.operations import analytic, piecewise, switches
 from phfmu.declare.problem import Problem
 from phfmu.declare.value import Value
@@ -65,7 +66,7 @@ def kinks(entries: Entries, sample: Sample) -> list[Problem]:
 
 
 def _found(entries: Entries, sample: Sample) -> list[_Pieces]:
-    named = [(e.label, e.expr) for e in entries.of("H")]
+    named = [(e.label, e.expr) for e in entries.of(EntryKind.H)]
     named += [(p.label, ca.SX(p.origin.hamiltonian)) for p in entries.pairs]
     if analytic([expr for _, expr in named]):
         return []

@@ -18,6 +18,7 @@ from phfmu.checks.pieces import continuous
 from phfmu.checks.ranges import ranges
 from phfmu.checks.sample import Sample, Setting
 from phfmu.declare.entries import Entries, Entry, normal_form
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
 from phfmu.declare.starts import starts
@@ -49,7 +50,9 @@ def check_values(
     entries = Entries(model)
     normal_form(entries)
     # numbers do not change with the run: looked at where others are added to them, or where they are not skew
-    entries.sound = [e for e in entries.sound if e.what in ("R", "E") or ca.symvar(e.expr) or _not_skew(e)]
+    entries.sound = [
+        e for e in entries.sound if e.what in (EntryKind.R, EntryKind.E) or ca.symvar(e.expr) or _not_skew(e)
+    ]
     sample = Sample(entries, settings(model, events))
     for rule in (ranges, finite, skew_symmetry, symmetry, passivity, masses, continuous):
         found += rule(entries, sample)
@@ -57,7 +60,7 @@ def check_values(
 
 
 def _not_skew(entry: Entry) -> bool:
-    return entry.what == "J" and not (entry.expr + entry.expr.T).is_zero()
+    return entry.what is EntryKind.J and not (entry.expr + entry.expr.T).is_zero()
 
 
 def settings(model: PHDAE, events: Sequence[Change]) -> list[Setting]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.entries import Entries, Entry
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.regular import undetermined
@@ -111,7 +112,7 @@ class Sample:
         """grad H of the sound energy terms."""
         entries, model = self._entries, self._entries.model
         total = ca.SX(0)
-        for e in entries.of("H"):
+        for e in entries.of(EntryKind.H):
             total += e.expr
         for pair in entries.pairs:
             total += pair.origin.hamiltonian
@@ -120,7 +121,7 @@ class Sample:
     def _costates(self) -> Array:
         """z = E^-T grad H at every point, not a number where E is singular."""
         entries = self._entries
-        blocks = entries.of("E")
+        blocks = entries.of(EntryKind.E)
         grad, *rest = self.values([self.gradient(), *(b.expr for b in blocks), *(p.origin.z for p in entries.pairs)])
         z = grad[:, :, 0].copy()
         for b, value in zip(blocks, rest[: len(blocks)], strict=True):

@@ -8,6 +8,7 @@ from math import isfinite, isnan
 
 from phfmu.checks.sample import Sample
 from phfmu.declare.entries import Entries, Entry
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
@@ -23,7 +24,7 @@ def state_events(entries: Entries) -> list[Problem]:
         if e.jump is not None and not e.jump.most >= 0:
             text = f"most = {e.jump.most:g}"
             found.append(Problem("state-event", f"jump '{e.guard.name}'", text, "give the largest |c|, from 0"))
-    if not found and (jumps := entries.of("e")):
+    if not found and (jumps := entries.of(EntryKind.RESTITUTION)):
         found += _restitutions(Sample(entries), jumps)
     return found
 

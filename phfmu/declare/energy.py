@@ -5,51 +5,61 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from enum import StrEnum
+from typing import Any
 
 import casadi as ca
 
 from phfmu.declare.operations import degree
 from phfmu.declare.variable import Variable, _sx
 
-Kind = Literal["quadratic", "strain", "general"]
+
+class EnergyKind(StrEnum):
+    """What is known about an additive term of the Hamiltonian."""
+
+    QUADRATIC = "quadratic"  # constant Hessian
+    STRAIN = "strain"  # phi(C(x)) with quadratic C
+    GENERAL = "general"
 
 
 @dataclass(frozen=True, eq=False)
 class Energy:
     """One additive term H_s(x) of the Hamiltonian, in joule.
 
-    kind:       "quadratic" (constant Hessian), "strain" (phi(C(x)) with quadratic C), "general"
+    kind:       quadratic, strain, general
     invariant:  C(x) for the strain form; `phi` maps a scalar symbol to the energy
     correct:    state symbols that take the directionality correction of a general term (default: all of its states)
     owner:      member of a network the term belongs to ("" in a single component)
     """
 
     expr: ca.SX
-    kind: Kind
+    kind: EnergyKind
     invariant: ca.SX | None = None
     phi: Callable[[ca.SX], ca.SX] | None = None
     correct: tuple[Variable, ...] = ()
     owner: str = ""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", EnergyKind(self.kind))  # may be given by its name
+
 
 def energy(expr: Any, *, correct: tuple[Variable, ...] = (), owner: str = "") -> Energy:
     """A term given by its expression; the declaration recognises quadratic terms by their constant Hessian."""
-    return Energy(ca.SX(_sx(expr)), "general", correct=correct, owner=owner)
+    return Energy(ca.SX(_sx(expr)), EnergyKind.GENERAL, correct=correct, owner=owner)
 
 
 def resolve_kind(term: Energy, states: AbstractSet[int]) -> Energy:
-    """`term` with kind "quadratic" where it has degree 2 at most in the states (given by their element hashes)."""
-    if term.kind != "general":
+    """`term` as quadratic where it has degree 2 at most in the states (given by their element hashes)."""
+    if term.kind is not EnergyKind.GENERAL:
         return term
     x = ca.vertcat(*(s for s in ca.symvar(term.expr) if s.element_hash() in states))
-    return replace(term, kind="quadratic") if x.numel() and degree(term.expr, x) in (0, 1, 2) else term
+    return replace(term, kind=EnergyKind.QUADRATIC) if x.numel() and degree(term.expr, x) in (0, 1, 2) else term
 
 
 def strain_energy(invariant: Any, phi: Callable[[ca.SX], ca.SX], *, owner: str = "") -> Energy:
     """phi(C(x)) with a quadratic invariant C, e.g. a squared distance: keeps linear and angular momentum."""
     invariant = ca.SX(_sx(invariant))
-    return Energy(phi(invariant), "strain", invariant, phi, owner=owner)
+    return Energy(phi(invariant), EnergyKind.STRAIN, invariant, phi, owner=owner)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import casadi as ca
 
 from phfmu.declare.dense import stacked
 from phfmu.declare.energy import ClosedPair
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.problem import Problem
@@ -20,18 +21,25 @@ from phfmu.declare.variable import Variable, _sx, key, time
 _ENERGY = (Value.STATE, Value.PARAMETER)
 _ALL = (Value.STATE, Value.COSTATE, Value.ALGEBRAIC, Value.INPUT, Value.PARAMETER, Value.TIME)
 #: what each entry may depend on (z2: the given effort of an algebraic variable; L, e: columns and restitutions of jumps)
-ALLOWED: dict[str, tuple[Value, ...]] = {
-    **dict.fromkeys(("H", "E", "z", "C", "L", "e"), _ENERGY),
-    **dict.fromkeys(("J", "R", "B", "z2", "observable", "guard"), _ALL),
-    "g": (*_ENERGY, Value.TIME),
-    "source": (Value.PARAMETER, Value.TIME),
-    "bound": (Value.ALGEBRAIC,),
+ALLOWED: dict[EntryKind, tuple[Value, ...]] = {
+    **dict.fromkeys(
+        (EntryKind.H, EntryKind.E, EntryKind.COSTATE, EntryKind.INVARIANT, EntryKind.COLUMN, EntryKind.RESTITUTION),
+        _ENERGY,
+    ),
+    **dict.fromkeys(
+        (EntryKind.J, EntryKind.R, EntryKind.B, EntryKind.EFFORT, EntryKind.OBSERVABLE, EntryKind.GUARD), _ALL
+    ),
+    EntryKind.CONSTRAINT: (*_ENERGY, Value.TIME),
+    EntryKind.SOURCE: (Value.PARAMETER, Value.TIME),
+    EntryKind.BOUND: (Value.ALGEBRAIC,),
 }
 #: and which variables it may stand on, where that is not states and algebraic variables
-_ON: dict[str, tuple[Value, ...]] = {
-    **dict.fromkeys(("E", "z", "closed", "correct", "L"), (Value.STATE,)),
-    **dict.fromkeys(("z2", "g"), (Value.ALGEBRAIC,)),
-    **dict.fromkeys(("J", "R"), (Value.STATE, Value.ALGEBRAIC, Value.INPUT)),
+_ON: dict[EntryKind, tuple[Value, ...]] = {
+    **dict.fromkeys(
+        (EntryKind.E, EntryKind.COSTATE, EntryKind.CLOSED, EntryKind.CORRECT, EntryKind.COLUMN), (Value.STATE,)
+    ),
+    **dict.fromkeys((EntryKind.EFFORT, EntryKind.CONSTRAINT), (Value.ALGEBRAIC,)),
+    **dict.fromkeys((EntryKind.J, EntryKind.R), (Value.STATE, Value.ALGEBRAIC, Value.INPUT)),
 }
 _WORDS = {
     Value.STATE: "states",
@@ -53,9 +61,9 @@ class Symbol:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A sound expression: `what` is a key of ALLOWED, `rows` its variables, `origin` the declared thing."""
+    """A sound expression: `rows` its variables, `origin` the declared thing."""
 
-    what: str
+    what: EntryKind
     label: str
     expr: ca.SX
     rows: tuple[Variable | Port, ...] = ()
@@ -106,7 +114,7 @@ class Entries:
             for j in range(port.u.numel()):
                 self.known[port.u[j].element_hash()] = Symbol(Value.INPUT, f"input {j + 1} of {port.name}")
 
-    def of(self, *what: str) -> list[Entry]:
+    def of(self, *what: EntryKind) -> list[Entry]:
         """Sound entries of these kinds."""
         return [e for e in self.sound if e.what in what]
 
@@ -115,13 +123,15 @@ class Entries:
         found = self.known.get(key(v))
         return None if found is None else found.kind
 
-    def leave_out(self, what: str, rows: Sequence[Variable | Port]) -> None:
+    def leave_out(self, what: EntryKind, rows: Sequence[Variable | Port]) -> None:
         self.doubtful |= {s.element_hash() for v in rows for s in ca.vertsplit(v.sx)}
-        self.complete &= what not in ("H", "E")
+        self.complete &= what not in (EntryKind.H, EntryKind.E)
 
-    def add(self, what: str, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None) -> bool:
+    def add(
+        self, what: EntryKind, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None
+    ) -> bool:
         """File an expression; True if its shape, rows and symbols are right."""
-        matrix = as_matrix(expr, shape if what in ("E", "B") else None)
+        matrix = as_matrix(expr, shape if what in (EntryKind.E, EntryKind.B) else None)
         ok = self._rows(what, label, rows)
         if matrix is None:
             self._problem(
@@ -145,7 +155,7 @@ class Entries:
         self.sound.append(Entry(what, label, matrix, tuple(rows), origin))
         return True
 
-    def symbols(self, what: str, label: str, expr: ca.SX) -> bool:
+    def symbols(self, what: EntryKind, label: str, expr: ca.SX) -> bool:
         """True if `expr` depends on declared symbols of the kinds allowed for `what` only."""
         ok = True
         for s in ca.symvar(expr):
@@ -156,7 +166,7 @@ class Entries:
             ok = False
             allowed = " and ".join(_WORDS[k] for k in ALLOWED[what])
             if found is not None:
-                rule = "source" if what == "source" else "symbol"
+                rule = "source" if what is EntryKind.SOURCE else "symbol"
                 self._problem(
                     rule,
                     label,
@@ -176,7 +186,7 @@ class Entries:
             )
         return ok
 
-    def _rows(self, what: str, label: str, rows: Sequence[Variable | Port]) -> bool:
+    def _rows(self, what: EntryKind, label: str, rows: Sequence[Variable | Port]) -> bool:
         allowed = _ON.get(what, (Value.STATE, Value.ALGEBRAIC))
         bad = [v for v in rows if self.kind(v) not in allowed]
         for v in bad:
@@ -191,7 +201,7 @@ class Entries:
             )
         return not bad
 
-    def rows_known(self, what: str, label: str, rows: Sequence[Variable]) -> bool:
+    def rows_known(self, what: EntryKind, label: str, rows: Sequence[Variable]) -> bool:
         return self._rows(what, label, rows)
 
     def _problem(self, rule: str, label: str, message: str, remedy: str) -> None:
@@ -212,7 +222,7 @@ def as_matrix(value: Any, shape: tuple[int, int] | None = None) -> ca.SX | None:
 def normal_form(e: Entries) -> None:
     """Fill `e` with all entries of its model."""
     m = e.model
-    for what, blocks in (("J", m.structure), ("R", m.dissipation)):
+    for what, blocks in ((EntryKind.J, m.structure), (EntryKind.R, m.dissipation)):
         for b in blocks:
             n = sum(v.n for v in b.variables)
             label = f"{what} block on {', '.join(v.name for v in b.variables)}"
@@ -222,26 +232,33 @@ def normal_form(e: Entries) -> None:
         n, matrix = sum(v.n for v in rows), as_matrix(value)
         if matrix is not None and matrix.shape == (n, 1) and n > 1:
             value = ca.diag(matrix)
-        e.add("E", f"E of {', '.join(repr(v.name) for v in rows)}", value, (n, n), rows)
+        e.add(EntryKind.E, f"E of {', '.join(repr(v.name) for v in rows)}", value, (n, n), rows)
     for v, value in m.z.items():
-        e.add("z2" if v.role == "algebraic" else "z", f"z of '{v.name}'", value, (v.n, 1), (v,), v)
+        e.add(
+            EntryKind.EFFORT if v.role == "algebraic" else EntryKind.COSTATE,
+            f"z of '{v.name}'",
+            value,
+            (v.n, 1),
+            (v,),
+            v,
+        )
     for i, term in enumerate(m.energies):
         label = f"energy term {i + 1}" + (f" of {term.owner}" if term.owner else "")
-        if e.add("H", label, term.expr, (1, 1), origin=term) and term.invariant is not None:
-            e.add("C", f"invariant of {label}", term.invariant, (1, 1), origin=term)
-        e.rows_known("correct", label, term.correct)
+        if e.add(EntryKind.H, label, term.expr, (1, 1), origin=term) and term.invariant is not None:
+            e.add(EntryKind.INVARIANT, f"invariant of {label}", term.invariant, (1, 1), origin=term)
+        e.rows_known(EntryKind.CORRECT, label, term.correct)
     for c in m.constraints:
-        e.add("g", f"constraint '{c.multiplier.name}'", c.g, (c.multiplier.n, 1), (c.multiplier,), c)
+        e.add(EntryKind.CONSTRAINT, f"constraint '{c.multiplier.name}'", c.g, (c.multiplier.n, 1), (c.multiplier,), c)
     for o in m.observables:
-        e.add("observable", f"observable '{o.name}'", o.expr, (max(o.expr.numel(), 1), 1), origin=o)
+        e.add(EntryKind.OBSERVABLE, f"observable '{o.name}'", o.expr, (max(o.expr.numel(), 1), 1), origin=o)
     _ports(e)
     for event in m.state_events:
-        e.add("guard", f"guard '{event.guard.name}'", event.guard.expr, (1, 1), origin=event)
+        e.add(EntryKind.GUARD, f"guard '{event.guard.name}'", event.guard.expr, (1, 1), origin=event)
         if event.jump is not None:
             label = f"jump '{event.guard.name}'"
-            e.add("e", f"{label}: restitution", event.jump.restitution, (1, 1), origin=event)
+            e.add(EntryKind.RESTITUTION, f"{label}: restitution", event.jump.restitution, (1, 1), origin=event)
             for v, column in event.jump.on.items():
-                e.add("L", f"{label}: column on '{v.name}'", column, (v.n, 1), (v,), event)
+                e.add(EntryKind.COLUMN, f"{label}: column on '{v.name}'", column, (v.n, 1), (v,), event)
     for i, pair in enumerate(m.closed):
         _closed(e, pair, f"closed-form pair {i + 1}")
 
@@ -249,22 +266,26 @@ def normal_form(e: Entries) -> None:
 def _ports(e: Entries) -> None:
     for p in e.model.ports:
         for v, coefficient in p.on.items():
-            e.add("B", f"port '{p.name}': B on '{v.name}'", coefficient, (v.n, p.n), (v,), p)
+            e.add(EntryKind.B, f"port '{p.name}': B on '{v.name}'", coefficient, (v.n, p.n), (v,), p)
         if p.u.shape != (p.n, 1):
             e._problem("shape", f"port '{p.name}'", f"u has {p.u.numel()} entries, expected {p.n}", "leave u out")
         if p.source is not None:
-            e.add("source", f"source of '{p.name}'", p.source, (p.n, 1), origin=p)
+            e.add(EntryKind.SOURCE, f"source of '{p.name}'", p.source, (p.n, 1), origin=p)
         if p.bound is not None:
-            e.add("bound", f"port '{p.name}': bound", ca.vertcat(*p.bound), (p.n, 1), origin=p)
+            e.add(EntryKind.BOUND, f"port '{p.name}': bound", ca.vertcat(*p.bound), (p.n, 1), origin=p)
 
 
 def _closed(e: Entries, pair: ClosedPair, label: str) -> None:
     n = sum(v.n for v in pair.variables)
     x, d = ca.vertcat(*(v.sx for v in pair.variables)), ca.SX.sym("d", n)
-    ok = e.rows_known("closed", label, pair.variables)
-    parts = [("H", "H", pair.hamiltonian, (1, 1)), ("E", "E", pair.E, (n, n)), ("z", "z", pair.z, (n, 1))]
+    ok = e.rows_known(EntryKind.CLOSED, label, pair.variables)
+    parts = [
+        (EntryKind.H, "H", pair.hamiltonian, (1, 1)),
+        (EntryKind.E, "E", pair.E, (n, n)),
+        (EntryKind.COSTATE, "z", pair.z, (n, 1)),
+    ]
     discrete = {n: ca.SX(f(x, d)) for n, f in (("ebar", pair.ebar), ("zbar", pair.zbar)) if f is not None}
-    for what, name, expr, shape in (*parts, *(("H", name, expr, (n, 1)) for name, expr in discrete.items())):
+    for what, name, expr, shape in (*parts, *((EntryKind.H, name, expr, (n, 1)) for name, expr in discrete.items())):
         if name.endswith("bar"):
             (expr,) = ca.substitute([ca.SX(expr)], [d], [x])  # d counts as known
         before = len(e.sound)
@@ -273,4 +294,4 @@ def _closed(e: Entries, pair: ClosedPair, label: str) -> None:
     if ok:
         e.pairs.append(Pair(label, pair, x, d, discrete.get("ebar"), discrete.get("zbar")))
     else:
-        e.leave_out("E", pair.variables)
+        e.leave_out(EntryKind.E, pair.variables)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.energy import Energy
+from phfmu.declare.energy import Energy, EnergyKind
 from phfmu.declare.operations import Instruction, degree_of, function_of, instructions, operation
 
 
@@ -18,7 +18,7 @@ def as_strain(term: Energy, states: AbstractSet[int]) -> Energy:
     The length has two components at least: a square of one coordinate has no rotation to be kept.  A term whose
     correction is to go to states that were chosen stays as it is.
     """
-    if term.kind != "general" or term.correct:
+    if term.kind is not EnergyKind.GENERAL or term.correct:
         return term
     x = ca.vertcat(*(s for s in ca.symvar(term.expr) if s.element_hash() in states))
     found = _Walk(x).of(term.expr) if x.numel() > 1 else None
@@ -27,7 +27,7 @@ def as_strain(term: Energy, states: AbstractSet[int]) -> Energy:
     invariant, s, phi = found
     return replace(
         term,
-        kind="strain",
+        kind=EnergyKind.STRAIN,
         invariant=invariant,
         phi=lambda c: ca.substitute(phi, s, c),
         expr=ca.substitute(phi, s, invariant),

@@ -15,7 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.energy import EnergyKind
 from phfmu.declare.entries import Entries, normal_form
+from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.value import Value
 from phfmu.declare.variable import Variable
@@ -169,7 +171,7 @@ def _damping(entries: Entries) -> Iterator[_Sign]:
     """Diagonal of W, the sum of all blocks of R."""
     rows: dict[int, ca.SX] = {}
     names: dict[int, str] = {}
-    for e in entries.of("R"):
+    for e in entries.of(EntryKind.R):
         for i, (name, s) in enumerate(zip(e.names(), (s for v in e.rows for s in ca.vertsplit(v.sx)), strict=True)):
             rows[s.element_hash()] = rows.get(s.element_hash(), ca.SX(0)) + e.expr[i, i]
             names[s.element_hash()] = name
@@ -179,10 +181,12 @@ def _damping(entries: Entries) -> Iterator[_Sign]:
 
 def _curvature(entries: Entries) -> Iterator[_Sign]:
     """d2H/dx2 of states that occur in quadratic terms only."""
-    quadratic = [e.expr for e in entries.of("H") if e.origin.kind == "quadratic"]
+    quadratic = [e.expr for e in entries.of(EntryKind.H) if e.origin.kind is EnergyKind.QUADRATIC]
     if not quadratic:
         return
-    general = ca.vertcat(ca.SX(0, 1), *(e.expr for e in entries.of("H") if e.origin.kind != "quadratic"))
+    general = ca.vertcat(
+        ca.SX(0, 1), *(e.expr for e in entries.of(EntryKind.H) if e.origin.kind is not EnergyKind.QUADRATIC)
+    )
     elsewhere = {s.element_hash() for s in ca.symvar(general)}
     total = ca.sum1(ca.vertcat(*quadratic))
     x = [s for s in ca.symvar(total) if entries.known[s.element_hash()].kind is Value.STATE]
@@ -194,8 +198,8 @@ def _curvature(entries: Entries) -> Iterator[_Sign]:
 
 def _masses(entries: Entries) -> Iterator[_Sign]:
     """Diagonal of E; points without mass are left to the constraints."""
-    if entries.of("g"):
+    if entries.of(EntryKind.CONSTRAINT):
         return
-    for e in entries.of("E"):
+    for e in entries.of(EntryKind.E):
         for j, name in enumerate(e.names()):
             yield _Sign(e.expr[j, j], f"E of '{name}'", mass=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from phfmu.declare.energy import Energy, resolve_kind
+from phfmu.declare.energy import Energy, EnergyKind, resolve_kind
 from phfmu.declare.lengths import as_strain
 
 
@@ -18,7 +18,7 @@ def summands(term: Energy, states: AbstractSet[int]) -> list[Energy]:
     Quadratic and strain terms stay whole; so does a term whose correction is to go to states that a summand lacks.
     Constants go with the first term.  Functions of a length are strain terms.
     """
-    if term.kind != "general":
+    if term.kind is not EnergyKind.GENERAL:
         return [term]
     groups: dict[frozenset[int], ca.SX] = {}
     constant = ca.SX(0)

@@ -19,7 +19,7 @@ from phfmu.plan.planner import Maps, make_plan
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, of_algebraics, of_states
 from phfmu.schemes.scheme import node_holds
-from phfmu.terms.hidden import Check, Hidden, variable_at
+from phfmu.terms.hidden import Check, Hidden, Level, variable_at
 from phfmu.terms.located import Row, ValueAt
 from phfmu.terms.term import (
     CONSTRAINT,
@@ -45,7 +45,7 @@ def instant_plan(terms: Terms, rests: bool = True) -> tuple[Plan, list[Check], L
     unknowns += of_algebraics(terms, ALGEBRAIC, "equation of", range(terms.na))
     unknowns += of_algebraics(terms, RATE, "rate of", sorted(hidden.solved_by.values()))
     position = {t.rows[0].index for t in terms.of(CONSTRAINT)}
-    levels = (("velocity", hidden.checks), ("position", sorted(position)))
+    levels = ((Level.VELOCITY, hidden.checks), (Level.POSITION, sorted(position)))
     checks = [Check(terms.algebraic_names[a], level, a) for level, which in levels for a in which]
     reports = [*range(len(terms.observable_names)), *((c.level, c.row) for c in checks)]
     layout = Layout(terms, 1, unknowns, reports, rates=bool(hidden.rows))

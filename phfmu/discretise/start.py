@@ -30,6 +30,7 @@ from phfmu.declare.variable import time
 from phfmu.discretise.model import CONSISTENCY, Model
 from phfmu.terms.component_energies import component_energies
 from phfmu.terms.extract import extract
+from phfmu.terms.hidden import Level
 from phfmu.terms.rank import TOLERANCE
 from phfmu.terms.reach import moved_by_impulses
 from phfmu.terms.rows import check_rows, costate_symbols, costates
@@ -86,13 +87,13 @@ def project_start(
     kept = _kept(model, names, list(keep))
     rows = _Rows(model, model.p0 if p is None else np.asarray(p, float), model.t0 if t is None else t)
     level = np.array([c.level for c in model.checks])
-    positions = rows.pattern[level == "position"].any(axis=0)
+    positions = rows.pattern[level == Level.POSITION].any(axis=0)
     nominal = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
     scale = np.where(nominal != 0, np.abs(nominal), 1.0)
     first = rows.values(start)
-    placed = _placed(rows, start, _Level(level == "position", positions & ~kept, scale, False), kept, names)
+    placed = _placed(rows, start, _Level(level == Level.POSITION, positions & ~kept, scale, False), kept, names)
     reached = moved_by_impulses(rows.terms) & ~positions
-    now = _placed(rows, placed, _Level(level == "velocity", reached & ~kept, scale, True), kept, names)
+    now = _placed(rows, placed, _Level(level == Level.VELOCITY, reached & ~kept, scale, True), kept, names)
     moved = [(n, float(a), float(b)) for n, a, b in zip(names, start, now, strict=True) if a != b]
     last, impulse = rows.values(now), rows.work(placed, now)
     changes = rows.energies(placed) - rows.energies(start) + impulse

@@ -22,7 +22,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.engine.state import State
 from phfmu.engine.status import Status, StepFailure
 from phfmu.gradients.quadrature import gauss
-from phfmu.terms.port_impulses import PortForms, PortImpulse, port_impulses
+from phfmu.terms.port_impulses import Impulse, PortForms, PortImpulse, port_impulses
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def _port_kernels(model: PHDAE) -> PortKernels:
     shift = ca.mtimes(f.L, s)
     along = ca.jtimes(shift, ca.vertcat(f.x, s), ca.vertcat(dx, ds))
     mean = f.y + ca.mtimes(f.S, s) / 2
-    if any(p.kind == "end" for p in f.ports):
+    if any(p.kind is Impulse.END for p in f.ports):
         mean = ca.SX.zeros(len(f.pairs))
         for t, w in zip(*gauss(WORK_POINTS), strict=True):
             there = ca.SX(f.x)

@@ -16,7 +16,7 @@ from phfmu.fmu.outward import summed
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
 from phfmu.signals import JUMPED, LEDGER, MEAN, STEP_LEDGER, pair_energies, port_energy, total
-from phfmu.terms.port_impulses import PortImpulse
+from phfmu.terms.port_impulses import Impulse, PortImpulse
 
 LAYER = "org.phfmu.ports"
 PATH = f"extra/{LAYER}/fmi-ls-manifest.xml"
@@ -168,7 +168,7 @@ def manifest(unit: Unit) -> bytes:
                 about["nodeOutputs"] = " ".join(port.node_output_names(plan.k)[j])
             if offer:
                 about["energyStep"] = pair_energies(port)[j]
-                if offer.kind != "none":
+                if offer.kind is not Impulse.NONE:
                     about["impulses"] = " ".join(port.impulse_names()[j])
             etree.SubElement(element, "Pair", about)
     return text_of(root)

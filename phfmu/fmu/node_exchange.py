@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,17 +22,13 @@ from phfmu.terms.port_impulses import Impulse, PortImpulse
 Array = NDArray[np.float64]
 
 
-_KINDS: tuple[Impulse, ...] = get_args(Impulse)
-
-
 def impulse_ports(ports: Sequence[PortMap]) -> tuple[PortImpulse, ...]:
     """What the ports of a manifest do with impulses; empty of a unit without."""
     places = {n: i for i, n in enumerate(n for p in ports for n in p.inputs)}
     return tuple(
-        PortImpulse(p.name, kind, tuple(places[n] for n in p.inputs), p.linear, p.why)
+        PortImpulse(p.name, Impulse(p.impulse), tuple(places[n] for n in p.inputs), p.linear, p.why)
         for p in ports
-        for kind in _KINDS
-        if p.impulse == kind
+        if p.impulse in set(Impulse)
     )
 
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from phfmu.declare.energy import Energy, energy, resolve_kind
+from phfmu.declare.energy import Energy, EnergyKind, energy, resolve_kind
 from phfmu.declare.summands import summands
 from phfmu.declare.variable import Variable
 from phfmu.gradients import coordinate, gradients
@@ -31,7 +31,7 @@ from phfmu.gradients.quadrature import Nodes, nodes
 class Summand:
     """One energy term: H(x), its kind; for the strain form C(x), phi(s) and s; the metric that weights a correction."""
 
-    kind: str
+    kind: EnergyKind
     h: ca.SX
     x: ca.SX
     strain: tuple[ca.SX, ca.SX, ca.SX] | None = None
@@ -45,7 +45,7 @@ def node_gradients(method: str, term: Summand, d: ca.SX, nd: Nodes) -> Gradient:
         return gradients.joint_gonzalez(h, x, d, nd)
     if method.startswith("itoh-abe"):
         return coordinate.itoh_abe(h, x, d, symmetric=method.endswith("symmetric"))
-    if term.kind == "quadratic":
+    if term.kind is EnergyKind.QUADRATIC:
         return gradients.quadratic(h, ca.gradient(h, x), x, d, nd)
     if method == "nodal":
         return gradients.nodal(h, x, d, nd)

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.energy import EnergyKind
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import degree
 from phfmu.declare.value import Value
@@ -112,7 +113,7 @@ class DiracDissipative(GaussScheme):
         x, data, n = term.local[Value.STATE], term.data, len(term.rows)
         args = Arguments(term, 1)
         d = args.matrix(increment, n)
-        kind = "quadratic" if degree(data["H"], x) in (0, 1, 2) else "general"
+        kind = EnergyKind.QUADRATIC if degree(data["H"], x) in (0, 1, 2) else EnergyKind.GENERAL
         w, dh = node_gradients(self.gradient, Summand(kind, data["H"], x), d, nodes(1))
         slots = Spec(0, args.x, args.p, args.y, [(Address(gradient, j), 0, w[j]) for j in range(n)], stored=dh)
         args = Arguments(term, 1)

@@ -30,7 +30,7 @@ from phfmu.plan.layout import Layout
 from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Result, Spec
 from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
-from phfmu.terms.bare import IMPULSE, Finder
+from phfmu.terms.bare import IMPULSE, Finder, Remedy
 from phfmu.terms.located import Row
 from phfmu.terms.term import Term, Terms
 
@@ -88,13 +88,13 @@ def work_on(layout: Layout, term: Term, j: int, node: int) -> int:
 def prepare(terms: Terms) -> Terms:
     """Terms with the impulses of their bare nodes; the same object where there are none."""
     finder = Finder(terms)
-    pairs, ends = finder.impulse_terms("pair"), finder.impulse_terms("projection")
+    pairs, ends = finder.impulse_terms(Remedy.PAIR), finder.impulse_terms(Remedy.PROJECTION)
     if not pairs and not ends:
         return terms
     shifted, ended = _states(pairs), _states(pairs + ends)
-    rows = {remedy: tuple(n.row for n in finder.nodes if n.remedy == remedy) for remedy in ("pair", "projection")}
+    rows = {remedy: tuple(n.row for n in finder.nodes if n.remedy == remedy) for remedy in Remedy}
     marked = [_marked(t, set(shifted)) for t in terms.terms]
-    impulses = Impulses(rows["pair"], rows["projection"], shifted, ended)
+    impulses = Impulses(rows[Remedy.PAIR], rows[Remedy.PROJECTION], shifted, ended)
     return replace(terms, terms=marked + pairs + ends).having(impulses)
 
 
@@ -128,7 +128,7 @@ def shifted(spec: Spec, term: Term) -> Spec:
 
 def specs(term: Term, nd: Nodes) -> list[Spec]:
     """Rows of the impulses and shifts, and their work."""
-    return _pair(_Member(term, nd)) if term.tag == "pair" else _projection(_Member(term, nd))
+    return _pair(_Member(term, nd)) if term.form is Remedy.PAIR else _projection(_Member(term, nd))
 
 
 class _Member:

@@ -7,6 +7,7 @@ its mass would lose the solution to rounding.  Its shift is an unknown of its ow
 from __future__ import annotations
 
 from dataclasses import replace
+from enum import Enum
 
 import casadi as ca
 import numpy as np
@@ -23,7 +24,12 @@ from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, Term, Terms
 from phfmu.terms.velocities import velocity_of
 
 LIGHT = 1e-6
-_LIGHT = "light"
+
+
+class Weight(Enum):
+    """The form of a mass term of velocities that constraints act on."""
+
+    LIGHT = "light"
 
 
 def prepare(terms: Terms) -> Terms:
@@ -42,7 +48,7 @@ def prepare(terms: Terms) -> Terms:
             velocities = [velocity[q] for q in t.index[Value.STATE]]
             t = _with_masses(t, [mass.get(v) for v in velocities], np.array([v in light for v in velocities]))
         elif t.kind is MASS and t.rows[0].index in light:
-            t = replace(t, key=("light", t.key), tag=_LIGHT)
+            t = replace(t, key=(Weight.LIGHT, t.key), form=Weight.LIGHT)
         new.append(t)
     return replace(terms, terms=new)
 
@@ -71,7 +77,7 @@ def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]
 
 def is_light(term: Term) -> bool:
     """Whether a mass is that of a light velocity."""
-    return term.tag == _LIGHT
+    return term.form is Weight.LIGHT
 
 
 def light(terms: Terms) -> list[int]:

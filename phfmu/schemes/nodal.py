@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.energy import EnergyKind
 from phfmu.declare.value import Value
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
@@ -20,7 +21,7 @@ from phfmu.plan.arguments import Arguments
 from phfmu.plan.spec import Result, Spec, substituted
 from phfmu.schemes import constraints
 from phfmu.terms.located import Row
-from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, SOURCE, Term
+from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, SOURCE, EnergyForm, Term
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,13 @@ class NodeKernels:
     def _energy(self, term: Term) -> list[Spec]:
         args, x, data = Arguments(term, self.k), term.local[Value.STATE], term.data
         d = args.matrix(increment, x.numel())
-        kind = term.tag[0]
-        strain = (data["C"], data["phi"], term.local[Value.INVARIANT]) if kind == "strain" else None
-        metric = np.array(term.tag[1]) if kind == "general" else None
-        if kind == "quadratic" and not self.gradient.startswith("itoh-abe"):
+        form = term.form_of(EnergyForm)
+        strain = (data["C"], data["phi"], term.local[Value.INVARIANT]) if form.kind is EnergyKind.STRAIN else None
+        metric = np.array(form.metric) if form.kind is EnergyKind.GENERAL else None
+        if form.kind is EnergyKind.QUADRATIC and not self.gradient.startswith("itoh-abe"):
             w, dh = gradients.quadratic(data["H"], data["z"], x, d, self.nodes)
             return [self._costates(args, w, dh, self._loss(term, d, w, dh))]
-        w, dh = node_gradients(self.gradient, Summand(kind, data["H"], x, strain, metric), d, self.nodes)
+        w, dh = node_gradients(self.gradient, Summand(form.kind, data["H"], x, strain, metric), d, self.nodes)
         loss = self._loss(term, d, w, dh)
         return [self._costates(args, w * ca.repmat(data["scale"], 1, self.k), dh, loss)]
 

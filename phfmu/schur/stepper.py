@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.energy import EnergyKind
 from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.value import Value
 from phfmu.gradients.quadrature import nodes
@@ -28,7 +29,7 @@ from phfmu.schur.lane_groups import Instances, LaneGroup, Tiles, tiled
 from phfmu.schur.lanes import Lanes, NoLanes
 from phfmu.terms.located import Constant, Row
 from phfmu.terms.rest import ConstraintsAtStart
-from phfmu.terms.term import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, Term
+from phfmu.terms.term import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, EnergyForm, Term
 from phfmu.terms.velocities import velocity_of
 
 #: a factor of all rows with no more updates than this per row is never the larger part of a step
@@ -172,16 +173,16 @@ class _Builder:
 
     def _energy(self, term: Term) -> None:
         states = term.indices(Value.STATE)
-        kind = term.tag[0]
+        kind = term.form_of(EnergyForm).kind
         if all(x in self.dof_v for x in states):
-            _require(kind == "quadratic" and self._is_kinetic(term) and not self.kinetic & set(states))
+            _require(kind is EnergyKind.QUADRATIC and self._is_kinetic(term) and not self.kinetic & set(states))
             self.kinetic |= set(states)
             return
         _require(all(x in self.dof for x in states))
         dofs = [self.dof[x] for x in states]
-        if kind == "quadratic":
+        if kind is EnergyKind.QUADRATIC:
             return self._add(self._once(term, lambda: lanes.potential(term)), term, x=dofs, o=dofs)
-        _require(kind == "strain" and not piecewise(term.data["phi"], term.local[Value.INVARIANT]))
+        _require(kind is EnergyKind.STRAIN and not piecewise(term.data["phi"], term.local[Value.INVARIANT]))
         self._add(self._once(term, lambda: lanes.strain(term, self.layout.k)), term, x=dofs)
 
     def _is_kinetic(self, term: Term) -> bool:

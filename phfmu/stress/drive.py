@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.steps import balance
+from phfmu.terms.hidden import Level
 from phfmu.words import counted
 
 if TYPE_CHECKING:
@@ -92,8 +93,8 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
     sweeps = after.get("sweeps", 0) - before.get("sweeps", 0)  # none in the Python engine
     return Record(
         r["x"], r["a"], np.vstack([start["H"], r["energy"]]),
-        float(checks[:, levels == "position"].max(initial=0.0)),
-        float(checks[:, levels == "velocity"].max(initial=0.0)),
+        float(checks[:, levels == Level.POSITION].max(initial=0.0)),
+        float(checks[:, levels == Level.VELOCITY].max(initial=0.0)),
         float((gap / np.maximum(play, 1e-300)).max(initial=0.0)),
         float(r["counts"][:, 0].sum()) / n,
         sweeps / n,

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property, partial
-from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -23,7 +23,15 @@ from phfmu.terms.located import Row, RowAt
 from phfmu.terms.rows import costate_symbols, costates, row_expressions
 from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, Term, TermKind, Terms
 
-Remedy = Literal["pair", "projection", "none"]
+
+class Remedy(StrEnum):
+    """What is done about a bare node at the ends of steps."""
+
+    PAIR = "pair"  # neutral impulse pair: exact
+    PROJECTION = "projection"  # onto the sum of currents, loss booked
+    NONE = "none"
+
+
 #: smallest over largest eigenvalue of an inductance matrix that counts as singular
 SINGULAR = 1e-12
 #: the impulses of a bare node on the states of a member
@@ -49,12 +57,12 @@ def remedy(linear: bool, unfit: str, S: Callable[[], np.ndarray], bent: Callable
     if linear:
         return None
     if unfit:
-        return "none", unfit
+        return Remedy.NONE, unfit
     values = np.linalg.eigvalsh(S())
     if not values[0] > SINGULAR * values[-1]:
-        return "none", "its inductance matrix is singular (isolated neutral)"
+        return Remedy.NONE, "its inductance matrix is singular (isolated neutral)"
     reason = bent()
-    return ("projection", reason) if reason else ("pair", "")
+    return (Remedy.PROJECTION, reason) if reason else (Remedy.PAIR, "")
 
 
 def bare_nodes(terms: Terms) -> list[BareNode]:
@@ -166,7 +174,7 @@ class Finder:
                 out.append(
                     make_term(IMPULSE, {k: ca.densify(v) for k, v in exprs.items()}, locator, "bare node",
                               rows=[RowAt(Row.BALANCE, i) for i in own] + [RowAt(Row.EQUATION, r) for r in touched], owner=owner,
-                              extra=ca.vertsplit(psi), tag=remedy)
+                              extra=ca.vertsplit(psi), form=remedy)
                 )  # fmt: skip
         return out
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from typing import Any
 
 import casadi as ca
@@ -88,13 +88,13 @@ def make_term(
     rows: Iterable[RowAt] = (),
     owner: int = 0,
     extra: Sequence[ca.SX] = (),
-    tag: Any = None,
+    form: Hashable = None,
 ) -> Term:
-    """A canonical term from named expressions; `tag` joins the key."""
+    """A canonical term from named expressions; `form` joins the key."""
     rows = tuple(rows)
     new, key, local, index = canonical(list(exprs.values()), locator, context, extra)
-    full_key = (kind, tag, tuple(r.kind for r in rows), *key)
-    return Term(kind, full_key, local, index, dict(zip(exprs, new, strict=True)), rows, owner, tag)
+    full_key = (kind, form, tuple(r.kind for r in rows), *key)
+    return Term(kind, full_key, local, index, dict(zip(exprs, new, strict=True)), rows, owner, form)
 
 
 def components(pattern: ca.SX) -> list[list[int]]:

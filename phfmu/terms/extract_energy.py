@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from phfmu.declare.energy import Energy
+from phfmu.declare.energy import Energy, EnergyKind
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
@@ -12,7 +12,7 @@ from phfmu.declare.summands import summands
 from phfmu.declare.value import Value
 from phfmu.terms.canonical import Locator, make_term, member
 from phfmu.terms.located import Row, RowAt
-from phfmu.terms.term import ENERGY, JOINT, Terms
+from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Terms
 
 
 def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX], joint: bool) -> None:
@@ -30,29 +30,29 @@ def energies(model: PHDAE, out: Terms, locator: Locator, mass: dict[int, ca.SX],
         _require_kind(model, e, states)
         scale = ca.vertcat(*(1 / mass.get(i, ca.SX(1)) for _, i in states))
         exprs = {"H": e.expr, "scale": scale}
-        if e.kind == "quadratic":
+        if e.kind is EnergyKind.QUADRATIC:
             exprs["z"] = _costates(e.expr, states, mass)
-        tag: tuple = (e.kind,)
-        if e.kind == "strain":
+        form = EnergyForm(e.kind)
+        if e.kind is EnergyKind.STRAIN:
             c = ca.SX.sym("c")
             assert e.invariant is not None and e.phi is not None
             exprs |= {"C": e.invariant, "phi": e.phi(c)}
             term = make_term(ENERGY, exprs, locator.also(c, Value.INVARIANT, [-1]), "energy", rows=_balances(states),
-                             owner=member(out.members, e.owner), extra=[*(s for s, _ in states), c], tag=tag)  # fmt: skip
+                             owner=member(out.members, e.owner), extra=[*(s for s, _ in states), c], form=form)  # fmt: skip
             out.terms.append(term)
             continue
-        if e.kind == "general":
+        if e.kind is EnergyKind.GENERAL:
             chosen = {at.index for v in e.correct for at in locator.of(v)} or {i for _, i in states}
             nominal = out.state_nominals
-            tag = (e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
+            form = EnergyForm(e.kind, tuple((i in chosen) / nominal[i] ** 2 for _, i in states))
         out.terms.append(make_term(ENERGY, exprs, locator, "energy", rows=_balances(states),
-                                   owner=member(out.members, e.owner), extra=[s for s, _ in states], tag=tag))  # fmt: skip
+                                   owner=member(out.members, e.owner), extra=[s for s, _ in states], form=form))  # fmt: skip
 
 
 def _require_kind(model: PHDAE, e: Energy, states: list[tuple[ca.SX, int]]) -> None:
     """DeclarationError if a term claims a constant Hessian (of H, of the invariant C) that its operations do not show."""
-    what, expr = ("H", e.expr) if e.kind == "quadratic" else ("the invariant C", e.invariant)
-    if e.kind == "general" or expr is None:
+    what, expr = ("H", e.expr) if e.kind is EnergyKind.QUADRATIC else ("the invariant C", e.invariant)
+    if e.kind is EnergyKind.GENERAL or expr is None:
         return
     x = ca.vertcat(*(s for s, _ in states))
     if degree(expr, x) not in (0, 1, 2):

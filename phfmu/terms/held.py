@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from phfmu.terms.hidden import Check, Hidden
+from phfmu.terms.hidden import Check, Hidden, Level
 from phfmu.terms.port_impulses import masses
 from phfmu.terms.rows import block_matrix, check_rows, costate_symbols
 from phfmu.terms.term import MASS_BLOCK, Terms
@@ -33,7 +33,7 @@ class Held:
 
 def velocity_checks(terms: Terms) -> list[Check]:
     """The hidden constraints of the velocity level, in the order of a model's checks."""
-    return [Check(terms.algebraic_names[row], "velocity", row) for row in terms.found(Hidden).checks]
+    return [Check(terms.algebraic_names[row], Level.VELOCITY, row) for row in terms.found(Hidden).checks]
 
 
 def held(terms: Terms) -> Held:

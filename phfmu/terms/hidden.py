@@ -9,6 +9,7 @@ Source: the structural step of Pantelides, SIAM J. Sci. Stat. Comput. 9 (1988).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import casadi as ca
 
@@ -34,12 +35,19 @@ class Hidden:
         return sorted(self.rows - self.solved_by.keys())
 
 
+class Level(StrEnum):
+    """Which derivative of a holonomic constraint it is: g(q), or the row Dg(q) v."""
+
+    POSITION = "position"
+    VELOCITY = "velocity"
+
+
 @dataclass(frozen=True)
 class Check:
-    """A hidden constraint of the state: row of an algebraic variable, level "velocity" (the row) or "position" (g)."""
+    """A hidden constraint of the state: row of an algebraic variable, at the level of velocities (the row) or positions (g)."""
 
     name: str
-    level: str
+    level: Level
     row: int
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from enum import StrEnum
 
 import casadi as ca
 
@@ -28,7 +28,13 @@ from phfmu.terms.rows import costate_symbols, costates, output_expressions, row_
 from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, MASS, MASS_BLOCK, Terms
 from phfmu.terms.velocities import velocity_of
 
-Impulse = Literal["pair", "end", "none"]
+
+class Impulse(StrEnum):
+    """What a port does with impulses: takes them at the start and the end of steps, without or with H bent along them, or not."""
+
+    PAIR = "pair"
+    END = "end"
+    NONE = "none"
 
 
 @dataclass(frozen=True)
@@ -95,7 +101,7 @@ class _Search:
         y, S = ca.mtimes(L.T, gradient), ca.mtimes([L.T, hessian, L])
         kinds = self._kinds(S, psi)
         found = [
-            PortImpulse(name, "none", pairs, reason=reason)
+            PortImpulse(name, Impulse.NONE, pairs, reason=reason)
             if reason
             else _offered(name, pairs, [kinds[taken.index(j)] for j in pairs], y[[taken.index(j) for j in pairs]], x)
             for name, pairs, reason in ports
@@ -147,20 +153,20 @@ class _Search:
 
     def _kinds(self, S: ca.SX, psi: ca.SX) -> list[Impulse]:
         """Per pair, by the pairs that S couples it with."""
-        kinds: list[Impulse] = ["pair"] * S.shape[0]
+        kinds: list[Impulse] = [Impulse.PAIR] * S.shape[0]
         for part in components(S + ca.SX.eye(S.shape[0])):
             if depends(S[part, part], psi):
                 for i in part:
-                    kinds[i] = "end"
+                    kinds[i] = Impulse.END
         return kinds
 
 
 def _offered(name: str, pairs: tuple[int, ...], kinds: list[Impulse], y: ca.SX, x: ca.SX) -> PortImpulse:
     slope = ca.simplify(ca.jacobian(y, x))
     linear = not depends(slope, x) if slope.nnz() else True
-    if "end" in kinds:
-        return PortImpulse(name, "end", pairs, linear, "the stored energy is not quadratic along its impulses")
-    return PortImpulse(name, "pair", pairs, linear)
+    if Impulse.END in kinds:
+        return PortImpulse(name, Impulse.END, pairs, linear, "the stored energy is not quadratic along its impulses")
+    return PortImpulse(name, Impulse.PAIR, pairs, linear)
 
 
 def masses(terms: Terms) -> ca.SX:

@@ -10,7 +10,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.value import Value
 from phfmu.declare.variable import time
 from phfmu.terms.extract_energy import divided
-from phfmu.terms.hidden import Check, Hidden
+from phfmu.terms.hidden import Check, Hidden, Level
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS, Term, Terms
 from phfmu.terms.velocities import velocity_of
@@ -78,7 +78,7 @@ def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> lis
     z = costates(terms) if z is None else z
     p = ca.vertcat(*(v.sx for v in model.parameters))
     a = ca.vertcat(*(v.sx for v in model.algebraics))
-    position = {c.row: n for n, c in enumerate(checks) if c.level == "position"}
+    position = {c.row: n for n, c in enumerate(checks) if c.level is Level.POSITION}
     rows = row_expressions(terms, hidden.rows, z)
     out, velocity = [ca.SX(0) for _ in checks], velocity_of(terms)
     for t in terms.of(CONSTRAINT):
@@ -95,7 +95,7 @@ def check_rows(terms: Terms, checks: list[Check], z: ca.SX | None = None) -> lis
             out[position[t.rows[0].index]] += value
     eliminated = _eliminated(rows, hidden, a)
     for n, c in enumerate(checks):
-        if c.level == "velocity":
+        if c.level is Level.VELOCITY:
             out[n] = eliminated[c.row]
     return out
 

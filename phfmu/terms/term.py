@@ -6,13 +6,14 @@ the plan holds one kernel with many instances.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
 import casadi as ca
 
+from phfmu.declare.energy import EnergyKind
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.value import Value
@@ -51,12 +52,20 @@ MASS = TermKind("mass")  # a constant diagonal entry of E
 MASS_BLOCK = TermKind("mass block")  # a full or state-dependent block of E
 
 
+@dataclass(frozen=True)
+class EnergyForm:
+    """The form of an energy term; `metric`: of each of its states, what weights a correction of a general one."""
+
+    kind: EnergyKind
+    metric: tuple[float, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Term:
     """A canonical local function.
 
     key:    equal keys = equal functions
-    tag:    what tells terms of one kind apart beside their functions
+    form:   what tells terms of one kind apart beside their functions, a value of the type that whoever makes them has for it
     local:  per kind of value the local symbols (SX column), in the order of `index`
     index:  per kind of value the global indices
     data:   kind-specific expressions in the local symbols
@@ -70,7 +79,12 @@ class Term:
     data: dict[str, Any]
     rows: tuple[RowAt, ...] = ()
     owner: int = 0
-    tag: Any = None
+    form: Hashable = None
+
+    def form_of(self, kind: type[Finding]) -> Finding:
+        """Its form, of this type."""
+        assert isinstance(self.form, kind)
+        return self.form
 
     def symbols(self, kind: Value) -> ca.SX:
         """Local symbols of a kind, none where it has none."""

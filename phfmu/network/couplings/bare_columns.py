@@ -19,7 +19,8 @@ from phfmu.network.couplings.matrices import summed
 from phfmu.network.junctions.interface import Interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.node_values import Offer
-from phfmu.terms.bare import remedy
+from phfmu.terms.bare import Remedy, remedy
+from phfmu.terms.port_impulses import Impulse
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -48,11 +49,15 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
         if face.C.indptr[own.stop] > face.C.indptr[own.start]:  # outputs that must be equal
             continue
         ends = [by_name[e.member].ports[e.port] if e.member in by_name else None for e in j.ends]
-        if any(e is None or e.kind == "none" for e in ends):
+        if any(e is None or e.kind is Impulse.NONE for e in ends):
             continue
         columns += range(own.start, own.stop)
         linear[j.name] = all(e.linear for e in ends if e is not None)
-        odd = [f"{end}: {e.reason}" for end, e in zip(j.ends, ends, strict=True) if e is not None and e.kind != "pair"]
+        odd = [
+            f"{end}: {e.reason}"
+            for end, e in zip(j.ends, ends, strict=True)
+            if e is not None and e.kind is not Impulse.PAIR
+        ]
         refused[j.name] = "; ".join(odd)
     if all(linear.values()):  # the common case, which needs no matrix
         return Bare((), dict.fromkeys(linear, ""), tuple(columns))
@@ -65,8 +70,8 @@ def bare(network: Network, face: Interface, inputs: Sequence[slice], offers: Seq
         names = list(dict.fromkeys(at[columns[i]] for i in part))
         bent = "; ".join(filter(None, (refused[n] for n in names)))
         found = remedy(all(linear[n] for n in names), "", partial(_part, S, part), partial(str, bent))
-        kind, reason = found or ("none", "")
-        if kind == "pair":
+        kind, reason = found or (Remedy.NONE, "")
+        if kind is Remedy.PAIR:
             taken += [columns[i] for i in part]
         else:
             why |= dict.fromkeys(names, reason)

@@ -27,7 +27,7 @@ from phfmu.gradients.quadrature import gauss
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Plan
 from phfmu.schemes.impulses import END_SHIFT, ROOT, WORK_POINTS
-from phfmu.terms.bare import IMPULSE
+from phfmu.terms.bare import IMPULSE, Remedy
 from phfmu.terms.extract import extract
 from phfmu.terms.located import Row
 from phfmu.terms.term import Term
@@ -83,7 +83,7 @@ class Projections:
         junctions = {
             row: at[terms.pairs[i].port.name] for i, row in terms.bound.items() if terms.pairs[i].port.name in at
         }
-        projecting = [t for t in terms.of(IMPULSE) if t.tag == "projection"]
+        projecting = [t for t in terms.of(IMPULSE) if t.form is Remedy.PROJECTION]
         own = [junctions[r] for t in projecting for r in _rows(t)]
         keys = tuple(PartKey(name, PROJECTION) for name, _ in d.junctions if name in own)
         place = {key.junction: i for i, key in enumerate(keys)}

@@ -15,6 +15,7 @@ from phfmu.network.junctions.interface import Interface, interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.wires import Wire
 from phfmu.network.members.node_values import DeclaredOffer
+from phfmu.terms.port_impulses import Impulse
 
 if TYPE_CHECKING:
     from phfmu.fmu.unit_file import UnitFile
@@ -90,7 +91,7 @@ class FileOffer:
         for p in file.port_maps:
             self.places[p.name] = slice(self.nu, self.nu + len(p.inputs))
             self.nu += len(p.inputs)
-        self.kicked = [j for p in self.ports.values() if p.kind != "none" for j in p.inputs]
+        self.kicked = [j for p in self.ports.values() if p.kind is not Impulse.NONE for j in p.inputs]
 
     def jump(self) -> NDArray[np.float64]:
         n = len(self.kicked)

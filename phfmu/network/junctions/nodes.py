@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.terms.bare import Remedy
 
 WORDS = {
-    "pair": "bare (index 2): neutral impulse pair, exact at step ends",
-    "projection": "bare (index 2): projection at step ends, loss booked",
-    "none": "bare (index 2): met by step means only",
+    Remedy.PAIR: "bare (index 2): neutral impulse pair, exact at step ends",
+    Remedy.PROJECTION: "bare (index 2): projection at step ends, loss booked",
+    Remedy.NONE: "bare (index 2): met by step means only",
 }
 
 

@@ -27,6 +27,7 @@ from phfmu.network.run.options import Options
 from phfmu.network.run.restart import gains
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.radau import Radau
+from phfmu.terms.bare import Remedy
 
 Array = NDArray[np.float64]
 
@@ -209,7 +210,7 @@ def _free_nodes(model: Model) -> list[str]:
     from phfmu.terms.extract import extract
 
     held = model.scheme.impulses
-    return [n.name for n in bare_nodes(extract(model.declaration)) if not held or n.remedy == "none"]
+    return [n.name for n in bare_nodes(extract(model.declaration)) if not held or n.remedy is Remedy.NONE]
 
 
 def _least(t: float) -> float:
