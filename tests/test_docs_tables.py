@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.wide import slow
+
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COMMAND = re.compile(r"python docs/tables (?:--write )?(\w+)")
@@ -47,7 +49,7 @@ def test_a_name_that_is_none_is_refused_with_the_names() -> None:
     assert "no 'nothing'" in refused.stderr and "scaling_net" in refused.stderr
 
 
-@pytest.mark.parametrize("name", ["mass_spring_orders", "one_step", "couplings"])
+@pytest.mark.parametrize("name", ["mass_spring_orders", "one_step", "couplings", slow("event_losses")])
 def test_a_command_prints_what_the_page_holds(name: str) -> None:
     printed, page = rows(tables(name).stdout), below(name)
     assert [len(r) for r in printed] == [len(r) for r in page] and printed[:2] == page[:2]
@@ -57,6 +59,18 @@ def test_a_command_prints_what_the_page_holds(name: str) -> None:
                 assert float(a) == pytest.approx(float(b), rel=0.02)
             elif not re.fullmatch(r"\d\.\d\de[+-]\d\d", b):
                 assert a == b or abs(float(a) - float(b)) <= 0.01  # slopes
+
+
+@pytest.mark.slow
+def test_others_find_the_same_events_and_do_not_close_the_energy() -> None:
+    """All of them within the level; ours to rounding at every one."""
+    printed = rows(tables("event_peers_equal").stdout)
+    assert len(printed) == 2 + 6 and [r[1] for r in printed[2:]] == ["1e-06", "1e-09", "1e-12"] * 2
+    for scene, level, own, *others in printed[2:]:
+        assert re.fullmatch(r"[\d.]+ \(\de-1[4-9]\)", own) or own.endswith("(0e+00)"), own
+        reached = [float(c.split("(")[1].rstrip(")")) for c in others if "(" in c]
+        assert reached, (scene, level)
+        assert scene != "rectifier" or min(reached) > 1e-12, (level, others)
 
 
 LONG = "def long():\n" + "".join(f"    x{i} = {i}\n" for i in range(60)) + "\n"

@@ -46,8 +46,7 @@ def select(modes: Modes, at: At, h: float, wanted: Wanted) -> Mode | None:
 
 def _candidates(modes: Modes, at: At, wanted: Wanted) -> Iterator[Mode]:
     asked = [j for j, s in enumerate(modes.switches) if s.law == "unilateral" and j not in wanted.fixed]
-    names = [n for v in modes.declaration.parameters for n in v.names()]
-    values = dict(zip(names, at.p, strict=True))
+    values = _values(modes, at.p)
     for many in range(len(asked) + 1):
         for flipped in combinations(asked, many):
             mode = tuple(1 - m if j in flipped else m for j, m in enumerate(wanted.proposal))
@@ -83,7 +82,7 @@ def complies(modes: Modes, at: At, step: float, mode: Mode, wanted: Wanted) -> b
 
 
 def _values(modes: Modes, p: Array) -> dict[str, float]:
-    return dict(zip([n for v in modes.declaration.parameters for n in v.names()], p, strict=True))
+    return dict(zip(modes.names, p, strict=True))
 
 
 def _stepped(modes: Modes, at: At, step: float, mode: Mode) -> tuple[Array, Array, Array] | None:
@@ -95,7 +94,11 @@ def _stepped(modes: Modes, at: At, step: float, mode: Mode) -> tuple[Array, Arra
         ga[found.at] -= found.row
         g[found.at] -= found.row @ at.a
     n1, mass = len(at.x), system.masses(at.p)
-    matrix = np.block([[np.diag(mass) - step * r.fx, -step * r.fa], [-r.gx, -ga]])
+    n = n1 + len(at.a)
+    matrix = np.empty((n, n))
+    matrix[:n1, :n1], matrix[:n1, n1:] = -step * r.fx, -step * r.fa
+    matrix[range(n1), range(n1)] += mass
+    matrix[n1:, :n1], matrix[n1:, n1:] = -r.gx, -ga
     right = np.concatenate([step * r.f, g])
     rows = np.abs(matrix).max(axis=1, initial=0)
     if not rows.all():

@@ -44,6 +44,11 @@ class Modes:
         off = (block([s.multiplier], -(1 - s.mode.sx) * s.scale) for s in self.switches)
         return SwitchSystem(self.declaration, replace(self.whole, structure=(*self.whole.structure, *off)))
 
+    @cached_property
+    def names(self) -> list[str]:
+        """Those of the scalar parameters."""
+        return [n for v in self.declaration.parameters for n in v.names()]
+
     @property
     def start(self) -> Mode:
         """The modes that the parameters start with."""

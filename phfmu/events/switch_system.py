@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 #: singular values below this part of the largest are none
 RANK = 1e-10
+#: null spaces that are kept
+KNOWN = 256
 #: times that the equation of an impulse is solved; the second and third correct rounding
 PASSES = 3
 
@@ -104,8 +106,8 @@ class _Dense:
             own.args, own.result = [np.zeros(n) for n in self._sizes], np.zeros(self._size)
             own.buffer, own.call = self._f.buffer()
             for i, a in enumerate(own.args):
-                own.buffer.set_arg(i, memoryview(a))
-            own.buffer.set_res(0, memoryview(own.result))
+                own.buffer.set_arg(i, memoryview(a))  # type: ignore
+            own.buffer.set_res(0, memoryview(own.result))  # type: ignore
         for mine, given in zip(own.args, args, strict=True):
             mine[:] = given
         own.call()
@@ -154,6 +156,7 @@ class SwitchSystem:
         self.power = max([s.nominal * s.multiplier.nominal[0] for s in model.switches], default=1.0)
         starts = (symbolic.states, symbolic.algebraics, symbolic.parameters)
         self._start = [np.array([s for v in vs for s in v.start], float) for vs in starts]
+        self._known = dict[bytes, Array]()
         self._undetermined: dict[tuple[int, ...], tuple[Undetermined, ...]] = {}
         self._size = np.array([n for v in symbolic.states for n in v.nominal]), terms.nu
 
@@ -197,22 +200,31 @@ class SwitchSystem:
         scaled = directions / self.nominal[:, None] * np.sqrt(self.power)
         return tuple(Undetermined(int(i), n[i] * n) for i, n in zip(_pivots(directions), scaled.T, strict=True))
 
+    def _free(self, ga: Array) -> Array:
+        """What of the scaled algebraic variables no row g determines, a column each; dg/da is that of the mode, mostly."""
+        key = ga.tobytes()
+        if key not in self._known:
+            if len(self._known) >= KNOWN:
+                self._known.clear()
+            self._known[key] = null_space(_scaled_rows(ga * self.nominal), len(self.nominal))
+        return self._known[key]
+
     def enter(self, at: At) -> Entry:
         """The jump that the mode in at.p asks for; states stay where they satisfy it."""
         x, impulse = at.x.copy(), np.zeros(0)
         (before,) = self._energy(x, at.p)
         found, mass = self.rates(at), self.masses(at.p)
-        N = null_space(_scaled_rows(found.ga * self.nominal), len(self.nominal)) * self.nominal[:, None]
+        N = self._free(found.ga) * self.nominal[:, None]
         L = found.fa @ N / mass[:, None]
         moving = np.flatnonzero(np.abs(L / self._size[0][:, None]).max(axis=0, initial=0) > RANK) if L.size else []
         N, L = N[:, moving], L[:, moving]
         if L.shape[1] == 0:
             return Entry(x, np.zeros(len(before)), impulse)
         impulse = np.zeros(len(self.nominal))
+        inverse = _inverse(N.T @ found.gx @ L)
         for _ in range(PASSES):
             c = N.T @ self.rates(At(x, at.a, at.u, at.p, at.t)).g
-            S = N.T @ found.gx @ L
-            m = _least(S, -c)
+            m = -(inverse @ c)
             x = x + L @ m
             impulse += N @ m
         (after,) = self._energy(x, at.p)
@@ -275,7 +287,9 @@ def _pivots(N: Array) -> list[int]:
     return out
 
 
-def _least(S: Array, right: Array) -> Array:
-    """S m = right, least in norm where columns depend on each other."""
+def _inverse(S: Array) -> Array:
+    """That of a square matrix, scaled; of what depends on each other the one that is least in norm."""
     scale = np.sqrt(np.maximum(np.abs(np.diag(S)), np.finfo(float).tiny))
-    return np.linalg.lstsq(S / np.outer(scale, scale), right / scale, rcond=RANK)[0] / scale
+    if len(S) == 1 and S[0, 0] != 0.0:
+        return 1.0 / S
+    return np.linalg.pinv(S / np.outer(scale, scale), rcond=RANK) / np.outer(scale, scale)
