@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from gc import collect
 from statistics import median
 from time import thread_time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from phfmu.discretise.model import Model
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.junctions.network import Network
+    from phfmu.network.members.engine_member import EngineMember
 
 ROUNDS = 15  # turns that the median is of
 WARM = 20  # steps before, in which iterations find their start
 #: name -> step (s), steps of a turn composed and compiled, steps in Python
 SCENES = {"oscillator": 1e-2, "drive": 1e-3, "smib": 1e-3, "two_machine": 1e-4}
-SIZES = (10, 100, 200)
+#: masses around a ring, or around the one in the middle
+SIZES = {"ring": (10, 50, 150), "star": (10, 100, 500)}
+LONG = 0.01  # s, their step
 
 
 @dataclass(frozen=True)
@@ -33,22 +38,30 @@ class Row:
     trials: float
 
 
-def coupled(network: Network, k: int, compiled: bool = True, same: bool = False, threads: int = 1) -> Stepper:
-    """Members under `Collocated(k)` in native engines; `same`: those of one name are alike and share a model."""
+def planned(network: Network, k: int) -> dict[str, Model]:
+    """Members under `Collocated(k)`; those that are alike share plans."""
     from phfmu.discretise.model import build_model
-    from phfmu.engine.native import NativeInstance
-    from phfmu.network.couplings.coupled import Coupled
-    from phfmu.network.members.engine_member import EngineMember
     from phfmu.schemes.collocated import Collocated
 
-    models: dict[str, Any] = {}
-    members = []
-    for name, d in network.declared.items():
-        own = d if same else replace(d, name=name)
-        if own.name not in models:
-            models[own.name] = build_model(own, Collocated(k))
-        members.append(EngineMember(name, models[own.name], NativeInstance(models[own.name])))
-    return Coupled(network, members, compiled=compiled, threads=threads)
+    return {name: build_model(replace(d, name=name), Collocated(k)) for name, d in network.declared.items()}
+
+
+def coupled(network: Network, k: int, compiled: bool = True, threads: int = 1) -> Stepper:
+    """Members under `Collocated(k)` in native engines."""
+    return joined(network, instances(planned(network, k)), compiled, threads)
+
+
+def instances(models: Mapping[str, Model]) -> list[EngineMember]:
+    from phfmu.engine.native import NativeInstance
+    from phfmu.network.members.engine_member import EngineMember
+
+    return [EngineMember(name, model, NativeInstance(model)) for name, model in models.items()]
+
+
+def joined(network: Network, members: list[EngineMember], compiled: bool = True, threads: int = 1) -> Stepper:
+    from phfmu.network.couplings.coupled import Coupled
+
+    return Coupled(network, [*members], compiled=compiled, threads=threads)
 
 
 def composed(network: Network, k: int) -> Stepper:
@@ -101,10 +114,10 @@ def ring(n: int) -> Network:
     from phfmu.components.mechanical.translational import mass, spring
     from phfmu.network.junctions.network import Network
 
-    net, weight, link, pushed = Network(f"ring_{n}"), mass(1.0), spring(100.0), mass(1.0, v=1.0)
+    net = Network(f"ring_{n}")
     for i in range(n):
-        net.add(f"m{i}", replace(weight) if i else replace(pushed, name="pushed"))
-        net.add(f"s{i}", replace(link))
+        net.add(f"m{i}", mass(1.0, v=float(i == 0)))
+        net.add(f"s{i}", spring(100.0))
     for i in range(n):
         net.junction(f"j{i}", [f"m{i}.flange", f"s{i}.a", f"s{i - 1 if i else n - 1}.b"])
     return net
@@ -115,26 +128,54 @@ def star(n: int) -> Network:
     from phfmu.components.mechanical.translational import mass, spring
     from phfmu.network.junctions.network import Network
 
-    net, weight, link = Network(f"star_{n}"), mass(1.0), spring(100.0)
-    net.add("middle", replace(mass(1.0, v=1.0), name="middle"))
+    net = Network(f"star_{n}")
+    net.add("middle", mass(1.0, v=1.0))
     for i in range(n):
-        net.add(f"m{i}", replace(weight))
-        net.add(f"s{i}", replace(link))
+        net.add(f"m{i}", mass(1.0))
+        net.add(f"s{i}", spring(100.0))
         net.junction(f"j{i}", [f"m{i}.flange", f"s{i}.b"])
     net.junction("hub", ["middle.flange", *(f"s{i}.a" for i in range(n))])
     return net
 
 
-def growth(make: Callable[[int], Network], sizes: Sequence[int]) -> list[tuple[int, float]]:
-    """(members, least CPU time of a step per member in us), order 2."""
-    found = []
-    for n in sizes:
-        network = make(n)
-        clock = _Clock(coupled(network, 1, same=True), 0.01, 20)
-        for _ in range(5):
-            clock.turn()
-        found.append((len(network.members), min(clock.times) / len(network.members)))
-    return found
+@dataclass(frozen=True)
+class Growth:
+    """CPU times of a network of many members, order 2.
+
+    plans: how many were made;  plan, code, join: s for these, for instances with their libraries, and for what joins them with
+    the start and the first step;  step: us per member and step, the least of some turns
+    """
+
+    members: int
+    plans: int
+    plan: float
+    code: float
+    join: float
+    step: float
+
+
+def growth(make: Callable[[int], Network], n: int) -> Growth:
+    collect()  # plans are shared as long as one is in use
+    network = make(n)
+    before = thread_time()
+    models = planned(network, 1)
+    after_plan = thread_time()
+    members = instances(models)
+    after_code = thread_time()
+    stepper = joined(network, members)
+    stepper.check_start()
+    stepper.prepare(0.0, LONG)
+    stepper.advance(0.0, LONG, 1)
+    after_join = thread_time()
+    clock = _Clock(stepper, LONG, 20)
+    for _ in range(5):
+        clock.turn()
+    count, plans = len(members), len({id(m.step) for m in models.values()})
+    seconds = after_plan - before, after_code - after_plan, after_join - after_code
+    return Growth(count, plans, *seconds, min(clock.times) / count)
+
+
+NETWORKS = {"ring": ring, "star": star}
 
 
 def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> str:
@@ -152,10 +193,14 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
             cells = [r.name, r.order, r.members, f"{r.composed:.1f}", f"{r.compiled:.1f}", f"{r.python:.0f}",
                      f"{r.ratio:.2f}", f"{r.trials:.1f}"]  # fmt: skip
             lines.append("| " + " | ".join(map(str, cells)) + " |")
-    lines += ["", "| network | members | us per member and step |", "| --- | --- | --- |"]
-    for make in (ring, star):
-        progress(make.__name__)
-        lines += [f"| {make.__name__} | {n} | {t:.2f} |" for n, t in growth(make, SIZES)]
+    head = ["network", "members", "plans", "plan s", "code s", "join s", "us per member and step"]
+    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for make, sizes in SIZES.items():
+        for n in sizes:
+            progress(f"{make}, {n}")
+            g = growth(NETWORKS[make], n)
+            times = f"{g.plan:.2f} | {g.code:.2f} | {g.join:.2f} | {g.step:.2f}"
+            lines.append(f"| {make} | {g.members} | {g.plans} | {times} |")
     return "\n".join([*lines, "", f"{processor()}; load {load()}"])
 
 
@@ -163,8 +208,11 @@ PAGE = """# Members apart
 
 CPU time of a step with all its columns and ledger rows: of the composed model in compiled code, of its members joined by
 `newton` in compiled code, and by the same loop in Python. Taken in turns on one machine, medians; `apart / composed`: median of
-the ratios of neighbours; `trials`: of each member per step. Below, masses and springs, order 2: the cost of a member does
-not grow with their number.
+the ratios of neighbours; `trials`: of each member per step.
+
+Below, masses and springs, order 2: the cost of a member does not grow with their number. Members that are alike share a plan
+and its code: CPU seconds for the plans, for all instances with their libraries (compiled before), and for what joins them, with
+the start and the first step.
 
     phfmu bench coupling -o docs/results/coupling.md
 

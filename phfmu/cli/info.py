@@ -68,7 +68,7 @@ def call(args: argparse.Namespace) -> int:
 
 
 def _print_run(s: Scene, name: str, description: str) -> None:
-    print(f"{name}: {description}")
+    print(f"{name}: {description}".rstrip(": "))
     print(f"run: stop {s.stop:g} s, step {s.step:g} s, {len(s.events)} event{'s' if len(s.events) != 1 else ''}")
     for e in s.events:
         print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
@@ -89,7 +89,7 @@ def _print_apart(s: Scene, network: Network) -> None:
         common = f"common {'effort' if j.kind == '0' else 'flow'}"
         print(f"junction {j.name}: {', '.join(map(str, j.ends))}; {common}; newton: {words[j.name]}")
     for name, file in network.units.items():
-        print(f"\n{name}: {file.path}, FMI {file.interface.version}, {file.description}".rstrip(", "))
+        print(f"\n{name}: {file.found}, FMI {file.interface.version}, {file.description}".rstrip(", "))
         print("\n".join([*port_lines(file.port_maps), *file.left_out]))
         if file.starts:
             print(f"set: {', '.join(f'{n} = {v:g}' for n, v in file.starts.items())}")

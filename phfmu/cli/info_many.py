@@ -57,7 +57,7 @@ def _kinds(network: Network) -> dict[str, list[str]]:
     for name, d in network.declared.items():
         found.setdefault(first_alike(d), []).append(name)
     for name, unit in network.units.items():
-        found.setdefault(str(unit.path), []).append(name)
+        found.setdefault(unit.found, []).append(name)
     labels: dict[str, list[str]] = {}
     for kind, names in found.items():
         label = kind if isinstance(kind, str) else network.members[names[0]].name

@@ -196,14 +196,14 @@ REMEDIES = (
     Remedy(
         Status.GROWTH,
         lambda f: f.composable,
-        "members that step once with each other's old outputs make energy in long steps: take a much smaller step, --coupling "
-        "gauss-seidel instead of jacobi, or --coupling newton or monolithic, which make none at any step",
+        "members that step once with each other's old outputs make energy in long steps: take a much smaller step, or "
+        "--coupling newton or monolithic, which make none at any step (gauss-seidel makes less than jacobi)",
     ),
     Remedy(
         Status.GROWTH,
         _always,
-        "members that step once with each other's old outputs make energy in long steps: take a much smaller step, --coupling "
-        "gauss-seidel instead of jacobi, or --coupling newton if the units can save their state",
+        "members that step once with each other's old outputs make energy in long steps: take a much smaller step, or "
+        "--coupling newton if the units can save their state (gauss-seidel makes less than jacobi)",
     ),
     Remedy(
         Status.SINGULAR,

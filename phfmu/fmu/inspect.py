@@ -10,8 +10,13 @@ import fmpy
 from phfmu.fmu.archive import Archive, open_archive
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.outward import summed
-from phfmu.fmu.unit_file import unit_file
+from phfmu.fmu.port_tables import ENDING
+from phfmu.fmu.port_units import domain_of, unit_of
+from phfmu.fmu.unit_file import UnitFile, unit_file
 from phfmu.fmu.variables import FMUError
+
+#: pairs of variables that are told
+PAIRS = 4
 
 
 def fmu_info(path: str | Path) -> str:
@@ -37,7 +42,7 @@ def fmu_info(path: str | Path) -> str:
     lines.append(f"energy ledger: {'exact, in the unit' if face.energy else 'none; port work can be estimated'}")
     if face.step is not None:
         lines.append(f"suggested step {face.step:g} s" + (f", stop {face.stop:g} s" if face.stop is not None else ""))
-    lines += port_lines(file.port_maps)
+    lines += port_lines(file.port_maps) or _ports_wanted(file)
     for causality in ("parameter", "input", "output", "local"):
         chosen = [v for v in face.variables.values() if v.causality == causality]
         if chosen:
@@ -59,6 +64,25 @@ def port_lines(ports: Sequence[PortMap]) -> list[str]:
         work = "" if p.step_outputs else f"; work by {', '.join(p.displacements) or 'the trapezoidal rule'}"
         lines.append(f"  {p.name:<24} {p.domain.name:<14} {pairs}{sense}{work}")
     return lines
+
+
+def _ports_wanted(file: UnitFile) -> list[str]:
+    """How to say which variables are ports, with those whose units make them a pair; nothing without inputs and outputs."""
+    face = file.interface
+    given, told = ([v.name for v in face.variables.values() if v.causality == c] for c in ("input", "output"))
+    if not given or not told:
+        return []
+    pairs = []
+    for u in given:
+        for y in told:
+            units = unit_of(face, u), unit_of(face, y)
+            domain = domain_of(*units) or domain_of(*units[::-1])
+            if domain is not None:
+                pairs.append(f"{u} and {y} ({domain.name})")
+    more = f", {len(pairs) - PAIRS} more" if len(pairs) > PAIRS else ""
+    guess = f"; by their units these could be: {', '.join(pairs[:PAIRS])}{more}" if pairs else ""
+    beside = file.path.with_suffix("").name + ENDING
+    return [f"ports: none told; to join it, name pairs of variables in {beside}: [PORT], effort, flow, sign{guess}"]
 
 
 def _here(archive: Archive) -> str:

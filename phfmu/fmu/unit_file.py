@@ -26,7 +26,7 @@ class UnitFile:
     """A unit that has been read; `port_maps`: its ports in the names of its variables; `starts`: values before the start.
 
     `left_out`: lines about what cannot be read, set or joined here.  `isolate`: it runs in a process of its own, in which a call
-    may take so many s.
+    may take so many s.  `source`: where it was found, if `path` is a copy.
     """
 
     path: Path
@@ -35,6 +35,12 @@ class UnitFile:
     starts: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     isolate: float | None = None
+    source: str = ""
+
+    @property
+    def found(self) -> str:
+        """Where it was found, for messages."""
+        return self.source or str(self.path)
 
     @property
     def name(self) -> str:
@@ -60,7 +66,7 @@ class UnitFile:
         for p in self.ports:
             if p.name == name:
                 return p
-        raise KeyError(f"{self.path} has no port '{name}'; {meant(name, [p.name for p in self.ports])}")
+        raise KeyError(f"{self.found} has no port '{name}'; {meant(name, [p.name for p in self.ports])}")
 
     def settable_names(self) -> list[str]:
         """Variables that have a value before the start."""
@@ -75,7 +81,7 @@ class UnitFile:
         known = self.settable_names()
         for name in values:
             if name not in known:
-                raise KeyError(f"{self.path} has no parameter, state or input '{name}'; {meant(name, known)}")
+                raise KeyError(f"{self.found} has no parameter, state or input '{name}'; {meant(name, known)}")
         return replace(self, starts={**self.starts, **values})
 
 

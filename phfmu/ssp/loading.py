@@ -62,6 +62,7 @@ def _load(structure: Structure) -> Scene:
 def _unit(component: Component, structure: Structure) -> UnitFile:
     """The unit of a component, whose connectors it must have."""
     unit = unit_file(component.files.file(component.source))
+    unit = replace(unit, source=f"{component.files.path}/{component.source}")
     known = unit.interface.variables
     for c in component.connectors.values():
         where = f"component '{component.name}', connector '{c.name}'"

@@ -103,7 +103,9 @@ class Signal:
 
 
 class Files(Protocol):
-    """Where the files are that a description names."""
+    """Where the files are that a description names; `path`: what holds them."""
+
+    path: Path
 
     def file(self, uri: str) -> Path: ...
 

@@ -11,7 +11,7 @@ from phfmu.network.couplings.coupled import Coupled
 
 def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coupling, "ROUNDS", 1)
-    monkeypatch.setattr(coupling, "SIZES", (3,))
+    monkeypatch.setattr(coupling, "SIZES", {"ring": (3,), "star": (3,)})
     lines = coupling.table(["oscillator"]).splitlines()
     rows = [
         [c.strip() for c in line.strip("|").split("|")] for line in lines if line.startswith("| ") and "---" not in line
@@ -19,7 +19,8 @@ def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [r[:3] for r in rows[1:4]] == [["oscillator", order, "3"] for order in ("2", "4", "6")]
     assert all(float(r[3]) > 0 and float(r[4]) > 0 and float(r[7]) == 2.0 for r in rows[1:4])
     assert all(float(r[5]) > float(r[4]) for r in rows[1:4]), "Python takes longer"
-    assert [r[:2] for r in rows[5:]] == [["ring", "6"], ["star", "7"]]
+    assert [r[:3] for r in rows[5:]] == [["ring", "6", "2"], ["star", "7", "2"]], "members of two kinds"
+    assert all(float(t) >= 0 for r in rows[5:] for t in r[3:6]) and all(float(r[6]) > 0 for r in rows[5:])
     assert lines[-1].rpartition("load ")[2]
 
 
@@ -28,7 +29,7 @@ def test_networks_move_and_keep_their_energy(make) -> None:
     """Compiled and in Python alike."""
     H = []
     for compiled in (True, False):
-        stepper = coupling.coupled(make(4), 1, compiled, same=True)
+        stepper = coupling.coupled(make(4), 1, compiled)
         assert isinstance(stepper, Coupled)
         stepper.check_start()
         H.append(stepper.advance(0.0, 0.05, 6).H)

@@ -171,6 +171,13 @@ def test_numbers_of_all_types_are_read_and_set(units: dict[str, Path], version: 
         FMUInstance(units[version], starts={"flag": 2})
 
 
+def test_info_says_how_to_name_ports_and_what_could_be_one(tmp_path: Path) -> None:
+    said = fmu_info(foreign.mass(tmp_path / "pump.fmu", "3.0"))
+    assert "pump.ports.toml" in said and "F and v (translational)" in said and "F and q" not in said
+    (tmp_path / "pump.ports.toml").write_text('[flange]\neffort = "F"\nflow = "v"\nsign = 1\n')
+    assert "none told" not in fmu_info(tmp_path / "pump.fmu")
+
+
 def test_what_is_left_out_is_said(units: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     assert "left out, cannot be read or set here: String: 1 (label)" in fmu_info(units["2.0"])
     assert main(["run", str(units["3.0"]), "--stop", "0.2"]) == 0

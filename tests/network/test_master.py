@@ -205,7 +205,7 @@ def test_threads_change_no_bit(make: Callable[[], Any]) -> None:
     """However many step the members, more than there are processors too; their rows, books, trials and tests."""
     found = []
     for threads in (1, 2, 3):
-        stepper = coupling_bench.coupled(make(), 2, same=True, threads=threads)
+        stepper = coupling_bench.coupled(make(), 2, threads=threads)
         stepper.check_start()
         found.append(stepper.advance(0.0, 1e-3, 30))
         made = stepper._master  # pyright: ignore[reportAttributeAccessIssue]
@@ -362,7 +362,7 @@ def test_what_a_run_begins_with_grows_with_the_members_only(make: Callable[[int]
     """Memory to join members, check their start and take the first steps: nothing is as large as unknowns squared."""
     peak = {}
     for n in (60, 60, 240):  # the first one loads what is needed
-        stepper = coupling_bench.coupled(make(n), 1, same=True)
+        stepper = coupling_bench.coupled(make(n), 1)
         apart = stepper.joined  # pyright: ignore[reportAttributeAccessIssue]
         tracemalloc.start()
         try:

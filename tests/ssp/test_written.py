@@ -191,7 +191,7 @@ def test_info_and_check_tell_what_is_in_a_package(written: dict[str, Path], caps
     for words in (
         "oscillator: two masses and three springs", "stop 1 s, step 0.01 s", "FMI 2.0, mass with optional spring",
         "translational  input flange.force; output", "junction left: mass1.flange, spring12.a; common flow",
-        "set: k = 157.914",
+        "set: k = 157.914", f"mass1: {written['1.0']}/resources/mass1.fmu",
     ):  # fmt: skip
         assert words in said
     assert main(["check", str(written["1.0"])]) == 0
