@@ -14,7 +14,6 @@ from phfmu.cli.options import audit_file
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
-    from phfmu.network.run.told import Told
     from phfmu.network.scene import Event
     from phfmu.report.rows import Rows
     from phfmu.results.writer import TableWriter
@@ -61,26 +60,27 @@ class Outputs:
             if here in (self._audit_path.resolve(), self._audit_path.with_suffix(".parquet").resolve()):
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
-    def begin(self, told: Told, about: dict[str, str], marked: bool, events: Sequence[Event]) -> None:
-        """Open the files of a run with the columns `told`; `marked`: rows within steps are among them."""
-        if self._picture:
-            from phfmu.report.recording import Mark
-            from phfmu.report.rows import Rows
-
-            self._drawn = Rows(
-                about["target"],
-                told.names,
-                [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events],
-                dict(zip(told.names, told.units, strict=True)),
-            )
+    def begin(self, about: dict[str, str]) -> None:
+        """Open the audit of a run."""
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
             self.sink = AuditWriter(self._audit_path, about, self._table_path)
+
+    def columns(
+        self, target: str, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str]
+    ) -> None:
+        """Open table and picture of its rows; `marked`: rows within steps are among them."""
+        if self._picture:
+            from phfmu.report.recording import Mark
+            from phfmu.report.rows import Rows
+
+            marks = [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events]
+            self._drawn = Rows(target, names, marks, dict(zip(names, units, strict=True)))
         if self._table_path:
             from phfmu.results.writer import TableWriter
 
-            self.table = TableWriter(self._table_path, told.names, told.units, marked, self._units_row)
+            self.table = TableWriter(self._table_path, names, units, marked, self._units_row)
 
     def keep(self, time: np.ndarray, values: np.ndarray, inside: np.ndarray) -> None:
         """Rows as the run makes them."""

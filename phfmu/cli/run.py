@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from phfmu.words import counted
@@ -96,7 +97,6 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import timeline
     from phfmu.network.run.loop import run
-    from phfmu.network.run.told import Told
     from phfmu.target import is_fmu
 
     outputs, job = Outputs(args), job_of(args)
@@ -115,10 +115,10 @@ def call(args: argparse.Namespace) -> int:
             bar(t)
             signals.check()
 
-        columns = Told(stepper, chosen.signals)
         marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
-        outputs.begin(columns, {"target": args.target, "run": label}, args.dense is not None, marks)
-        options_here = replace(chosen, sink=outputs.sink, progress=progress, keep=outputs.keep)
+        outputs.begin({"target": args.target, "run": label})
+        columns = partial(outputs.columns, args.target, marks, args.dense is not None)
+        options_here = replace(chosen, sink=outputs.sink, progress=progress, columns=columns, keep=outputs.keep)
         result = run(stepper, options_here, inputs=rows, interpolate=args.interpolate)
         seconds = perf_counter() - begun - outputs.seconds
     summary = result.ledger.summary()

@@ -25,7 +25,7 @@ SUMS, MEANS = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs"
 
 
 @dataclass(frozen=True)
-class Told:
+class MergedStep:
     """A step from its parts: `rows` of the ledger, `means` of outputs and algebraic variables, what `happened` in it."""
 
     rows: dict[str, Array]
@@ -43,7 +43,7 @@ class Told:
             s.y_node, s.path = np.tile(s.y_step, (plan.k, 1)), []
 
 
-def told(instance: Any, t: float, h: float, parts: int) -> Told:
+def merged(instance: Any, t: float, h: float, parts: int) -> MergedStep:
     """Takes [t, t + h], h > 0, in `parts` equal internal steps that end on the zeros of guards too."""
     rows: dict[str, Array] = {}
     means: dict[str, Array] = {}
@@ -56,7 +56,7 @@ def told(instance: Any, t: float, h: float, parts: int) -> Told:
             means = {k: before * means[k] + (1.0 - before) * row[k] if n else row[k] for k in MEANS}
             n += 1
         found += [piece.happened] if piece.happened is not None else []
-    return Told(rows, means, tuple(found), n)
+    return MergedStep(rows, means, tuple(found), n)
 
 
 def require_no_events(model: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -35,9 +35,8 @@ class Inputs:
         free = [(p, n) for p in d.ports if p.external for n in p.input_names()]
         self.inputs = {n: i for i, (p, n) in enumerate(free) if not is_sent(p)}
         self.u = self.model.u0.copy()
-        named = {*self.inputs, *(n.partition("[")[0] for n in self.inputs)}
         #: name of a free input, or bare name of a vector -> its places in u
-        self.free = {n: places(self.inputs, n) for n in named if not places(self.parameters, n)}
+        self.free = {n: places(self.inputs, n) for n in with_bare(self.inputs) if not places(self.parameters, n)}
 
     @property
     def names(self) -> list[str]:
@@ -107,6 +106,11 @@ def held_rows(
             u[row, at] = value
     last = np.maximum.accumulate(np.where(np.isnan(u), 0, np.arange(n)[:, None]), axis=0)
     return np.take_along_axis(u, last, axis=0)
+
+
+def with_bare(names: Iterable[str]) -> set[str]:
+    """Scalar names, and the bare names of vectors."""
+    return {known for n in names for known in (n, n.partition("[")[0])}
 
 
 def places(table: Mapping[str, int], name: str) -> list[int]:

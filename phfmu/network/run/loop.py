@@ -12,6 +12,7 @@ import numpy as np
 from phfmu.declare.phdae import PHDAE
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.junctions.network import Network
+from phfmu.network.members.inputs import with_bare
 from phfmu.network.run.book import Book
 from phfmu.network.run.event_steps import AdaptiveEventSteps, EventSteps
 from phfmu.network.run.following import following
@@ -19,8 +20,8 @@ from phfmu.network.run.march import AdaptiveSteps, FixedSteps, monolithic
 from phfmu.network.run.options import Options
 from phfmu.network.run.result import Result
 from phfmu.network.run.rows import Rows
+from phfmu.network.run.run_columns import RunColumns
 from phfmu.network.run.stretches import stretches
-from phfmu.network.run.told import Told
 from phfmu.network.scene import Event, Scene
 from phfmu.words import counted
 
@@ -51,7 +52,9 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
 
     _check_events(stepper, options)
     ledger = Ledger(options.sink, options.audit_rtol) if options.audited else Unbooked()
-    told = Told(stepper, options.signals, options.step)
+    told = RunColumns(stepper, options.signals, options.step)
+    if options.columns is not None:
+        options.columns(told.names, told.units)
     book, rows = Book(stepper, ledger), Rows(options)
     march = _march(stepper, book, options)
     before, projection = stepper.rest_changes(), None
@@ -161,8 +164,7 @@ def _require_stepper(item: object) -> None:
 
 def _check_events(stepper: Stepper, options: Options) -> None:
     """KeyError for unknown names, before the first step, of late events too."""
-    names = stepper.settable()
-    known = {*names, *(n.partition("[")[0] for n in names)}
+    known = with_bare(stepper.settable())
     for e in (e for e in options.events if e.name not in known):
         try:
             stepper.set_value(e.name, e.value)  # raises with what there is instead

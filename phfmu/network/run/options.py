@@ -33,6 +33,7 @@ class Options:
     audited:  whether a ledger is kept and judged
     audit_rtol:  allowed residual of the ledger, relative to the energies in play
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
+    columns:  called with names and units of the rows' columns, before the first row
     keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
         accepted before a failure
     progress:  called with the time after each block; a KeyboardInterrupt from it ends the run there
@@ -58,6 +59,7 @@ class Options:
     audited: bool = True
     audit_rtol: float = 1e-11
     sink: Any = None
+    columns: Callable[[Sequence[str], Sequence[str]], None] | None = None
     keep: Keep | None = None
     progress: Callable[[float], None] | None = None
 

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper
-from phfmu.network.members.inputs import held_rows
+from phfmu.network.members.inputs import held_rows, places
 from phfmu.network.run.stretches import CLOSE, Stretch
 from phfmu.pick import pick
 
 Array = NDArray[Any]
 
 
-class Told:
+class RunColumns:
     """Columns `names` with `units`, chosen by patterns out of all that there is (none: all of them).
 
     An input stands in a row with the value that it had in the step that ends there; at the start, with that of the start.  One
@@ -53,13 +53,11 @@ class Told:
         """A stretch whose events happened."""
         if not self._inputs:
             return
-        places = {n: [i] for i, n in enumerate(self._inputs)}
-        for i, name in enumerate(self._inputs):
-            if "[" in name:
-                places.setdefault(name.partition("[")[0], []).append(i)
+        at = {n: i for i, n in enumerate(self._inputs)}
+        where = {name: places(at, name) for name in {e.name for _, e in stretch.inputs}}
         self._changes = stretch.start + (np.array([k for k, _ in stretch.inputs], float) + CLOSE) * self._step
         start = np.array(list(self._stepper.inputs().values()))
-        changes = [(places[e.name], e.value) for _, e in stretch.inputs]
+        changes = [(where[e.name], e.value) for _, e in stretch.inputs]
         self._held = held_rows(start, len(changes) + 1, changes, range(1, len(changes) + 1))
 
     def rows(self, time: Array, values: Array, after: bool = False) -> Array:
