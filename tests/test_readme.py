@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from phfmu.cli import main
+from tests.wide import wide
 
 ROOT = Path(__file__).parent.parent
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -41,7 +42,14 @@ def commands(body: str) -> list[str]:
 DRAWN = {".png": "matplotlib", ".html": "plotly"}
 
 
-@pytest.mark.parametrize("page", RUN, ids=name)
+#: whose blocks run for more than a second; what they do has tests of its own
+LONG = (
+    "build-a-multibody-model", "choose-steps", "couple-members", "import-a-model", "look-at-a-run", "units-of-other-tools",
+    "use-ssp",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("page", wide(RUN, *(p for p in RUN if p.stem not in LONG)), ids=name)
 def test_blocks_run(
     compiler: None, page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

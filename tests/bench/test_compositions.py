@@ -12,6 +12,7 @@ from phfmu import Collocated, DeclarationError, NativeInstance, PythonInstance, 
 from phfmu.bench.compositions import KAHAN_LI, SUZUKI, Composed
 from phfmu.components.library import build
 from phfmu.components.mechanical.chain import chain
+from tests.wide import slow
 
 END, LINKS = 0.4, 3
 SCHEMES = {
@@ -62,7 +63,7 @@ def slopes(e):
 
 
 @pytest.mark.parametrize(
-    ("composition", "steps"), [(SUZUKI, (20, 40)), (KAHAN_LI, (10, 20))], ids=["suzuki", "kahan-li"]
+    ("composition", "steps"), [slow((SUZUKI, (20, 40))), (KAHAN_LI, (10, 20))], ids=["suzuki", "kahan-li"]
 )
 def test_order_is_full_in_positions_and_velocities_of_the_two_level_scheme(composition, steps):
     assert sum(composition.substeps) == pytest.approx(1.0, abs=1e-15)

@@ -216,19 +216,19 @@ def test_the_check_of_values_costs_little():
     model = Scene("s", build("smib").system, 1.0, 1.0).declaration()
     spent = []
     for _ in range(3):
-        begin = time.perf_counter()
+        begin = time.process_time()
         assert check_values(model, {"gen.d": 0.0}) == []
-        spent.append(time.perf_counter() - begin)
-    assert min(spent) < 0.2  # 0.05 s on the machine it was written on
+        spent.append(time.process_time() - begin)
+    assert min(spent) < 0.5  # 0.05 s on the machine it was written on
 
 
 def test_the_check_of_values_is_cheap_beside_the_plan_of_a_large_model():
     sheet = net(9)  # 243 velocities; with dense blocks the check took three times as long as the plan
     spent = []
     for call in check_values, build_model:
-        begin = time.perf_counter()
+        begin = time.process_time()
         call(sheet)
-        spent.append(time.perf_counter() - begin)
+        spent.append(time.process_time() - begin)
     assert spent[0] < spent[1]
 
 

@@ -25,13 +25,14 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.components.library import SWITCHED, build
 from phfmu.components.scenes.buck import buck
+from tests.wide import slow, wide
 
 ENGINES = [PythonInstance, NativeInstance]
 RS, LS, RL, LL, E, W = 0.05, 2e-3, 5.0, 20e-3, 100.0, 2 * pi * 50
 
 
-def simulated(scene, k: int, step: float, engine=NativeInstance, stop: float | None = None):
-    model = build_model(scene.declaration(), Collocated(k))
+def simulated(scene, k: int, step: float, engine=NativeInstance, stop: float | None = None, model=None):
+    model = model or build_model(scene.declaration(), Collocated(k))
     options = Options(stop=scene.stop if stop is None else stop, step=step, events=scene.events)
     return run(Monolithic(model, SwitchedInstance(model, engine)), options)
 
@@ -107,15 +108,15 @@ def three_phase():
 
 
 @pytest.mark.parametrize(
-    ("engine", "k", "n", "time_error"), [(NativeInstance, 2, 160, 2e-8), (NativeInstance, 3, 160, 2e-10)]
+    ("engine", "k", "n", "time_error"), [(NativeInstance, 2, 160, 2e-8), slow((NativeInstance, 3, 160, 2e-10))]
 )
 def test_a_six_pulse_bridge_equals_an_integration_by_hand(three_phase, engine, k, n, time_error):
     """From rest: the first diodes come from the laws at the start, 11 events, overlap of three diodes."""
     times, y = three_phase
     scene = build("six_pulse")
-    errors = []
+    model, errors = build_model(scene.declaration(), Collocated(k)), []
     for steps in (n // 2, n):
-        result = simulated(scene, k, scene.stop / steps, engine)
+        result = simulated(scene, k, scene.stop / steps, engine, model=model)
         assert result.ledger.summary().closed
         found = switchings(result, "bridge.conducts", 6)
         assert found[0] == 0.0 and len(found) == 1 + len(times) == 12
@@ -160,7 +161,7 @@ def buck_by_hand(duty: float, R: float, f: float, periods: int) -> tuple[np.ndar
     return x, stops
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 @pytest.mark.parametrize(("R", "periods"), [(4.0, 6), (400.0, 6)])
 def test_a_buck_converter_equals_its_piecewise_solution(engine, R, periods):
     """Continuous and discontinuous conduction."""
@@ -190,7 +191,7 @@ def test_a_duty_signal_sets_the_mean_voltage():
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize(("k", "n", "error"), [(1, 80, 1e-4), (2, 80, 1e-9), (3, 40, 1e-12)])
+@pytest.mark.parametrize(("k", "n", "error"), [slow((1, 80, 1e-4)), slow((2, 80, 1e-9)), (3, 40, 1e-12)])
 def test_a_bead_leaves_its_cylinder(engine, k, n, error):
     """At the height r (2/3 + v^2/(3 g r)), of the order of the steps; the radius stays, the energy too."""
     scene = build("bead")

@@ -271,7 +271,7 @@ def test_driven_machine_converges_to_the_reference(name, coordinates, k):
     assert 2 * k - 0.3 < seen < 2 * k + 0.5, (seen, errors)
 
 
-@pytest.mark.parametrize("coordinates", ["abc-flux", "current"])
+@pytest.mark.parametrize("coordinates", wide(["abc-flux", "current"], "current"))
 @pytest.mark.parametrize("name", machine_names())
 def test_without_losses_and_voltages_energy_and_fluxes_stay(name, coordinates):
     from phfmu.engine.native import NativeInstance

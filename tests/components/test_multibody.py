@@ -111,6 +111,7 @@ def test_ten_links_keep_both_constraint_levels_over_ten_thousand_steps():
     assert np.ptp(rows["energy"]) <= 1e-9
 
 
+@pytest.mark.slow
 def test_free_chain_keeps_linear_and_angular_momentum():
     """Four particles on three bars and two springs, thrown; no support, no gravity."""
     body = Multibody("thrown")
@@ -306,6 +307,7 @@ def test_declaration_time_grows_linearly():
     assert seconds(160) <= 8.0 * seconds(40)  # 4 if linear, 16 if quadratic
 
 
+@pytest.mark.slow
 def test_parallel_links_pass_the_flat_position_on_their_branch():
     """Three cranks and two rods turn for 20 s: at the flat position, twice a turn, the rank of Dg drops."""
     body, n, rate, angle = Multibody("cranks", 2), 3, 3.0, 1.0

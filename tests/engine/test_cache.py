@@ -70,6 +70,7 @@ def test_damaged_libraries_are_built_again(folder: Path) -> None:
         assert again.read_bytes() == sound, kind
 
 
+@pytest.mark.slow
 def test_a_run_with_a_damaged_library(folder: Path) -> None:
     """The command line, with a model's library cut in half between two runs; objects are those of the other tests."""
     (folder / "lib").mkdir(mode=0o700)

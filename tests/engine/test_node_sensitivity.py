@@ -109,7 +109,7 @@ def compared(instance, t: float, h: float, parts: int, U: np.ndarray, size: floa
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 @pytest.mark.parametrize("parts", [1, 3])
 def test_node_by_node_it_equals_differences(plan, engine, k, parts):
     """Outputs at the nodes, states and outputs at the end, with feedthrough; their means are `sensitivity`."""

@@ -47,7 +47,7 @@ def errors(instance: Any, h: float, steps: int, t: float = 0.0) -> tuple[float, 
 
 
 @pytest.mark.parametrize("order", wide([2, 6], 2))
-@pytest.mark.parametrize("name", wide(MECHANISMS, "frame", "hinge"))
+@pytest.mark.parametrize("name", wide(MECHANISMS, "frame"))
 def test_redundant_bars_and_pins_cost_no_accuracy(name: str, order: int) -> None:
     m = model(MECHANISMS[name](), order)
     g, w, energy = errors(NativeInstance(m), 0.01, 200)
@@ -72,6 +72,7 @@ def test_short_steps_cost_no_accuracy(name: str, order: int) -> None:
     assert g <= 1e-14 and w <= 1e-13 and energy <= 2e-12
 
 
+@pytest.mark.slow
 def test_node_rows_at_rest_have_order_4_and_their_mean_holds() -> None:
     """Bricard, order 6: where rows depend on each other on the manifold only, those of the nodes are not implied."""
     m = model(bricard()[0], 6)
@@ -127,6 +128,7 @@ def test_a_row_that_loses_its_share_is_exchanged(ill_chosen: Model, steps: int) 
     assert not instance.rest_changes
 
 
+@pytest.mark.slow
 def test_a_run_tells_when_which_row_rests(ill_chosen: Model) -> None:
     """By multiplier and by the name of the declaration; what a refused trial step changed is not told."""
     instance = NativeInstance(ill_chosen)
@@ -183,6 +185,7 @@ def test_engines_exchange_alike(ill_chosen: Model) -> None:
     assert rows[0]["a"] == pytest.approx(rows[1]["a"], rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", wide(["2.0", "3.0"], "3.0"))
 def test_units_exchange_like_the_native_engine(ill_chosen: Model, tmp_path: Path, version: str) -> None:
     """Saved before the exchange and restored, the same bits follow."""
@@ -215,7 +218,7 @@ def cranks(order: int, schur: bool) -> NativeInstance:
     return NativeInstance(m if schur else replace(m, step=replace(m.step, schur=None)))
 
 
-@pytest.mark.parametrize("h", wide(STEPS, 0.005, 0.016))
+@pytest.mark.parametrize("h", wide(STEPS, 0.016))
 @pytest.mark.parametrize("schur", [True, False])
 @pytest.mark.parametrize("order", wide([2, 6], 2))
 def test_parallel_cranks_pass_flat_positions_without_halving(order: int, schur: bool, h: float) -> None:
@@ -263,7 +266,7 @@ def typed() -> tuple[Model, np.ndarray]:
     return m, project_start(m).x
 
 
-@pytest.mark.parametrize("steps", wide([100, 400], 100))
+@pytest.mark.parametrize("steps", wide([40, 100, 400], 40))
 def test_rows_rest_at_a_start_that_is_set(typed: tuple[Model, np.ndarray], steps: int) -> None:
     m, x = typed
     native, python = NativeInstance(m), PythonInstance(m)

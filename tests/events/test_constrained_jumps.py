@@ -33,6 +33,7 @@ from phfmu import (
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.events.happened import Happened
+from tests.wide import wide
 
 ENGINES = [PythonInstance, NativeInstance]
 LINKS, E, WALL = 3, 0.6, 2.2
@@ -88,7 +89,7 @@ def generalised(q: np.ndarray, v: np.ndarray, mass: np.ndarray, e: float) -> tup
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("e", [0.0, E, 1.0])
+@pytest.mark.parametrize("e", wide([0.0, E, 1.0], E))
 def test_the_impact_of_a_chain_is_that_in_its_angles(engine, e):
     declaration = hitting_chain(e)
     before, happened, instance = landed(engine, declaration, 1e-2, 100)
@@ -185,7 +186,7 @@ CORNERS = ([0.0, 1.0], [1.0, 1.2], [1.0, 2.2], [0.0, 2.0])
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("redundant", [False, True])
+@pytest.mark.parametrize("redundant", wide([False, True], True))
 def test_a_rigid_body_is_hit_as_one(engine, redundant):
     """lost = (1 - e^2)/2 v^2 / (1/M + r^2/I), r the distance of the centre of mass from the line of the impulse."""
     _, happened, instance = landed(engine, square(redundant), 0.05, 20)

@@ -34,6 +34,7 @@ from phfmu.fmu.variables import FMUError
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
+from tests.wide import slow, wide
 
 OPENED, STOP, CHOP, L = 0.0203, 0.03, 0.5, 0.01
 EVENTS = (Event(OPENED, "line.command", 0.0),)
@@ -57,7 +58,7 @@ def reference(network: Any) -> Any:
     return run(Monolithic(model, NativeInstance(model)), Options(stop=STOP, step=2e-5, events=EVENTS))
 
 
-@pytest.mark.parametrize("k", [1, 2])
+@pytest.mark.parametrize("k", wide([1, 2], 2))
 def test_events_inside_a_member_keep_order_two(network: Any, reference: Any, k: int) -> None:
     """Members of order 2 and 4 with held inputs: slope 2 in states and times of events, ledgers and junctions closed."""
     expected = np.array([reference.column(n)[-1] for n in KEPT])
@@ -77,7 +78,7 @@ def test_events_inside_a_member_keep_order_two(network: Any, reference: Any, k: 
     assert (np.abs(slopes[:, -1] - 2) < 0.2).all(), slopes
 
 
-@pytest.mark.parametrize(("k", "steps"), [(2, (4e-4, 2e-4)), (3, (8e-4, 4e-4))])
+@pytest.mark.parametrize(("k", "steps"), [slow((2, (4e-4, 2e-4))), (3, (8e-4, 4e-4))])
 def test_all_land_together_with_node_values_and_keep_order_2k(
     network: Any, reference: Any, k: int, steps: tuple[float, float]
 ) -> None:

@@ -40,6 +40,7 @@ from phfmu import (
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import diode, ideal_switch, thyristor
 from phfmu.engine.event_failure import EventRefused
+from tests.wide import slow, wide
 
 ENGINES = [PythonInstance, NativeInstance]
 LA, RA, LD, RD, E, W, PHI, I0 = 2e-3, 0.05, 20e-3, 5.0, 100.0, 2 * pi * 50, 0.4, 8.0
@@ -88,9 +89,9 @@ def bridges() -> dict:
 
 
 CASES = [
-    (PythonInstance, 2, 100, 1e-9),
-    (NativeInstance, 1, 200, 1e-6),
-    (NativeInstance, 2, 100, 1e-9),
+    slow((PythonInstance, 2, 100, 1e-9)),
+    slow((NativeInstance, 1, 200, 1e-6)),
+    slow((NativeInstance, 2, 100, 1e-9)),
     (NativeInstance, 3, 100, 1e-12),
 ]
 
@@ -143,7 +144,7 @@ def inductor(L: float, i: float, R: float = 0.0) -> PHDAE:
     )
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 def test_a_half_wave_rectifier_in_a_network(engine):
     """Ideal source, diode and capacitor, with nothing between them: the current stops at tan(w t) = -w R C.
 
@@ -337,7 +338,10 @@ def lifted() -> PHDAE:
     )
 
 
-@pytest.mark.parametrize(("engine", "k", "n"), [(PythonInstance, 2, 40), *((NativeInstance, k, 40) for k in (1, 2, 3))])
+@pytest.mark.parametrize(
+    ("engine", "k", "n"),
+    wide(((e, k, 40) for e in ENGINES for k in (1, 2, 3)), (PythonInstance, 2, 40), (NativeInstance, 3, 40)),
+)
 def test_a_mass_lifts_off_its_floor_and_lands(engine, k, n):
     """Lift-off where the force falls to zero, landing with its whole speed lost; times of order 2k."""
     lands = brentq(flight, LIFT + 0.05, LIFT + 0.6, xtol=1e-16, rtol=9e-16)

@@ -15,6 +15,7 @@ from phfmu.components.mechanical.translational import mass
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.variables import FMUError
 from phfmu.schemes.collocated import Collocated
+from tests.wide import slow
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
@@ -163,11 +164,11 @@ def test_states_outlive_steps_resets_and_the_end(units: dict[str, Path], version
             assert go_on(unit) == after, spoil
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_a_thousand_instances(units: dict[str, Path], version: str) -> None:
+@pytest.mark.parametrize(("version", "n"), [*((v, 100) for v in VERSIONS), *(slow((v, 1000)) for v in VERSIONS)])
+def test_a_thousand_instances(units: dict[str, Path], version: str, n: int) -> None:
     """Each of its own; every tenth is freed while the others live."""
     with ExitStack() as stack:
-        many = [stack.enter_context(FMUInstance(units[version], name="the same name")) for _ in range(1000)]
+        many = [stack.enter_context(FMUInstance(units[version], name="the same name")) for _ in range(n)]
         for i, unit in enumerate(many):
             unit.set_input([1e-3 * i])
             unit.do_step(0.0, H)

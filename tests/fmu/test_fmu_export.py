@@ -361,6 +361,7 @@ def test_a_host_without_interpreter_runs_it(exported, tmp_path: Path, version: s
     assert wrong.returncode == 1 and "has the token '{another}'" in wrong.stderr
 
 
+@pytest.mark.slow
 @needs_cc
 def test_two_source_units_link_into_one_program(exported, tmp_path: Path) -> None:
     """Compiled with their prefixes, as the standard has it for static libraries; every other name is the model's too."""

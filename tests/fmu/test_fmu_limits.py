@@ -14,6 +14,7 @@ from phfmu.fmu.inspect import fmu_info
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.variables import FMUError
 from tests.fmu import foreign
+from tests.wide import slow
 
 #: room a reader may take beyond what it takes to read nothing, bytes
 ROOM = 130_000_000
@@ -65,11 +66,11 @@ on_linux = pytest.mark.skipif(sys.platform != "linux", reason="memory is limited
 @pytest.mark.parametrize(
     ("entry", "head", "body", "times", "words"),
     [
-        (MD, HEAD, b'<String name="a" valueReference="1"/>', 150_000, "more than 100000"),
+        slow((MD, HEAD, b'<String name="a" valueReference="1"/>', 150_000, "more than 100000")),
         ("resources/zeros", b"", bytes(1000), 80_000, "times longer when extracted than packed"),
-        (MD, b"", bytes(1000), 80_000, "times longer"),
+        slow((MD, b"", bytes(1000), 80_000, "times longer")),
         (MD, HEAD + b'<Float64 name="', b"n" * 100, 150_000, "bytes in one tag"),
-        (MD, HEAD + b"<!--", b"-n" * 50, 150_000, "bytes in one tag, comment"),
+        slow((MD, HEAD + b"<!--", b"-n" * 50, 150_000, "bytes in one tag, comment")),
         (MD, HEAD, b"<a>", 20_000, "101 tags within each other"),
     ],
     ids=["strings", "zeros beside", "zeros", "long name", "long comment", "deep"],

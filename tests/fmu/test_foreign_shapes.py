@@ -11,6 +11,7 @@ import pytest
 
 from phfmu.cli import main
 from tests.fmu import foreign
+from tests.wide import wide
 
 VERSIONS = ["2.0", "3.0"]
 SCENE = """
@@ -69,7 +70,7 @@ def test_steps_of_one_length(tmp_path: Path, version: str, capsys: pytest.Captur
     assert "takes steps of one length only" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
 def test_a_unit_that_a_process_can_have_once(tmp_path: Path, version: str, capsys: pytest.CaptureFixture[str]) -> None:
     foreign.mass(tmp_path / "pump.fmu", version, abilities='canBeInstantiatedOnlyOncePerProcess="true"')
     foreign.mass(tmp_path / "other.fmu", version)
@@ -114,7 +115,7 @@ def test_kinds_of_interfaces(tmp_path: Path, version: str, capsys: pytest.Captur
     assert "no Co-Simulation interface; export it for Co-Simulation" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
 def test_folders_with_spaces_and_other_letters(
     tmp_path: Path, version: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

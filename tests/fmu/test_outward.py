@@ -22,7 +22,7 @@ from phfmu.components.mechanical.translational import mass, spring
 from phfmu.fmu import FMUError, FMUInstance
 from phfmu.fmu.manifest import PATH
 from phfmu.network.members.fmu_member import FMUMember
-from tests.wide import wide
+from tests.wide import slow, wide
 
 pytestmark = pytest.mark.usefixtures("compiler")
 VERSIONS = ("2.0", "3.0")
@@ -176,7 +176,7 @@ def coupled(net: Network, folder: Path, outward: dict[str, list[str]], version: 
 @pytest.mark.parametrize(
     ("net", "units", "outward", "event"),
     [
-        (two_masses, ("one", "spring"), {"one": ["flange"], "spring": ["a", "b"]}, None),
+        slow((two_masses, ("one", "spring"), {"one": ["flange"], "spring": ["a", "b"]}, None)),
         (circuit, ("line", "load"), {"line": ["a", "b"], "load": ["terminal"]}, Event(0.01, "line.a.v", 20.0)),
     ],
 )

@@ -131,7 +131,7 @@ def test_there_and_back(k: int) -> None:
 # -- events and starts -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("engine", "k"), [(NativeInstance, 2), (PythonInstance, 1)])
+@pytest.mark.parametrize(("engine", "k"), [(NativeInstance, 2), slow((PythonInstance, 1))])
 def test_an_event_at_a_node_of_states_moves_them_as_the_composed_model_does(engine: Any, k: int) -> None:
     """The line's inductance falls: one impulse makes the currents sum to zero again, its energy is an event of each member."""
     scene = smib()
@@ -253,7 +253,7 @@ class Silent:
         raise StepFailure(Status.NO_SENSITIVITY, "gen", 0.0, 0.0)
 
 
-@pytest.mark.parametrize("unit", [False, True], ids=["engine", "unit"])
+@pytest.mark.parametrize("unit", [slow(False), True], ids=["engine", "unit"])
 def test_members_without_derivatives_are_differenced(unit: bool, tmp_path: Any) -> None:
     """Differences with rollback are the derivatives to their accuracy; the run is the composed one."""
     scene = smib()

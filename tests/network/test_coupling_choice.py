@@ -9,6 +9,7 @@ import pytest
 
 from phfmu.cli import main
 from tests.fmu import foreign
+from tests.wide import wide
 
 SIDECAR = '[flange]\neffort = "F"\nflow = "v"\nsign = 1\n'
 SCENE = """
@@ -35,7 +36,7 @@ def mixed(folder: Path, version: str, saves: bool) -> Path:
     return path
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", wide(["2.0", "3.0"], "3.0"))
 def test_a_unit_that_cannot_go_back_is_stepped_last(
     version: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

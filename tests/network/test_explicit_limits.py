@@ -37,6 +37,7 @@ from phfmu import (
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.couplings.coupling import Solution
 from phfmu.network.couplings.newton import Newton
+from tests.wide import slow
 
 PARTS = 24
 MC, MW, KC, DC, KW = 400.0, 40.0, 15000.0, 1000.0, 150000.0
@@ -277,7 +278,7 @@ def test_cut_in_two_gauss_seidel_is_neutral_up_to_its_limit(halves: Cut) -> None
 
 @pytest.mark.parametrize(
     ("dc", "jacobi", "seidel"),
-    [(0.0, 0.100, 1.53), (0.1, None, 1.51), (1.0, None, 1.55), (2.0, None, 1.18)],
+    [(0.0, 0.100, 1.53), slow((0.1, None, 1.51)), slow((1.0, None, 1.55)), (2.0, None, 1.18)],
 )
 def test_limits_of_two_equal_masses_with_damping(dc: float, jacobi: float | None, seidel: float) -> None:
     """m = k = kc = 1, damped to ground by 0.1; limits of a separate program, on a grid of 0.8 %."""

@@ -82,6 +82,7 @@ def test_parts_add_up_to_the_junction_whatever_is_left_of_the_iteration(monkeypa
     assert not summary.violations
 
 
+@pytest.mark.slow
 def test_steps_taken_in_parts_have_them_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """Halved where the iteration is given up: both halves, and theirs, are in the parts."""
     tried = node_newton.NodeNewton._solve

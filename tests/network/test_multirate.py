@@ -12,6 +12,7 @@ from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.junctions.network import Network
 from tests.network.test_coupled_2k import exact, nonlinear
+from tests.wide import slow
 
 
 def last(k: int, h: float, engine: Any = NativeInstance, **parts: int) -> tuple[np.ndarray, Any]:
@@ -26,10 +27,10 @@ def last(k: int, h: float, engine: Any = NativeInstance, **parts: int) -> tuple[
 @pytest.mark.parametrize(
     ("k", "parts", "order"),
     [
-        (1, {"spring": 3}, 2),
+        slow((1, {"spring": 3}, 2)),
         (2, {"spring": 4}, 4),
-        (2, {"body": 3}, 4),
-        (3, {"body": 2, "spring": 3}, 6),
+        slow((2, {"body": 3}, 4)),
+        slow((3, {"body": 2, "spring": 3}, 6)),
     ],
 )
 def test_the_order_is_kept_with_internal_steps(k: int, parts: dict[str, int], order: int) -> None:
@@ -48,6 +49,7 @@ def test_internal_steps_are_those_of_the_engine_in_both_engines() -> None:
     assert np.abs(one - two).max() <= 1e-13
 
 
+@pytest.mark.slow
 def test_a_member_a_thousand_times_faster_closes_its_ledger() -> None:
     """Case 12: 1 : 1000."""
     net: Any = Network("fast")

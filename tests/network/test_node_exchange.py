@@ -229,7 +229,7 @@ def composed(case, k):
 
 
 @pytest.mark.parametrize("k", wide([1, 2, 3], 2))
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", wide(CASES, "nonlinear", "damped", "smib"))
 def test_coupled_at_order_2k_they_are_the_composed_model(case, k):
     make, h, n, factors, bare = CASES[case]
     expected, size = composed(case, k)
@@ -252,7 +252,7 @@ def test_compiled_members_do_the_same():
 
 
 @pytest.mark.parametrize("k", [1, 2])
-@pytest.mark.parametrize("case", ["nonlinear", "smib"])
+@pytest.mark.parametrize("case", wide(["nonlinear", "smib"], "nonlinear"))
 @pytest.mark.parametrize("parts", [{}, {"body": 2, "spring": 3, "gen": 2, "line": 3}])
 def test_of_an_iteration_stopped_early_the_junctions_take_what_the_theorem_says(case, k, parts):
     """Whatever the members do inside: the sum of their books is that of residuals and impulses."""

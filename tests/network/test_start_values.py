@@ -11,11 +11,13 @@ from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.members.engine_member import EngineMember
+from tests.wide import slow
 
 CASES = [
-    *(("smib", "--order 4 --step 1e-3", f"--engine {engine}") for engine in ("native", "python", "fmu")),
-    ("smib", "--step 1e-3", ""),
-    ("two_machine", "--order 4", ""),
+    ("smib", "--order 4 --step 1e-3", "--engine native"),
+    *(slow(("smib", "--order 4 --step 1e-3", f"--engine {engine}")) for engine in ("python", "fmu")),
+    slow(("smib", "--step 1e-3", "")),
+    slow(("two_machine", "--order 4", "")),
     ("drive", "", ""),
     ("drive", "", "--engine fmu"),
     ("oscillator", "", "--coupling anderson"),

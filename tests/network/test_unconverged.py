@@ -15,6 +15,7 @@ from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import POLICIES
 from tests.network.test_coupled_2k import nonlinear
+from tests.wide import wide
 
 COUPLINGS: dict[str, Callable[[Joined], Any]] = {"held": lambda _: Newton(), "nodes": newton}
 
@@ -54,7 +55,7 @@ def test_of_a_kept_trial_every_joule_is_told(kind: str, monkeypatch: pytest.Monk
     assert any("did not converge; the best trial was kept" in note for note in result.notes)
 
 
-@pytest.mark.parametrize("kind", COUPLINGS)
+@pytest.mark.parametrize("kind", wide(COUPLINGS, "held"))
 def test_halves_converge_where_the_step_does_not(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Impatient or not, the motion is that of short steps; parts of a step are booked as one."""
     fine = run(stepper(kind, "raise", nonlinear()), Options(stop=1.0, step=0.0125))

@@ -20,7 +20,7 @@ from phfmu.fmu.variables import FMUError
 from phfmu.network.junctions.junction import ConnectionError
 from phfmu.network.members.unit_member import tried, unit_member
 from tests.fmu import foreign
-from tests.wide import wide
+from tests.wide import slow, wide
 
 VERSIONS = ["2.0", "3.0"]
 SIDECAR = '[flange]\neffort = "F"\nflow = "v"\nsign = 1\n'
@@ -149,9 +149,9 @@ def test_values_before_the_start_are_set_by_name(folder: Path, run: Cli, capsys:
 @pytest.mark.parametrize(
     "forgets, said_of_it",
     [
-        (None, "cannot save its state"),
+        slow((None, "cannot save its state")),
         (1, "does not restore its state: a step repeated from a restored state ends with q = "),
-        (2, "does not restore its state: a step repeated from a restored state ends with "),
+        slow((2, "does not restore its state: a step repeated from a restored state ends with ")),
         (3, "does not restore its state: pump: fmi"),
     ],
 )
@@ -203,7 +203,7 @@ KILO = '<UnitDefinitions><Unit name="kilonewton"><BaseUnit kg="1" m="1" s="-2" f
 
 
 @pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
-@pytest.mark.parametrize("how", ["defined", "told", "terminal"])
+@pytest.mark.parametrize("how", wide(["defined", "told", "terminal"], "told"))
 def test_units_and_signs_of_the_variables_are_converted(folder: Path, run: Cli, version: str, how: str) -> None:
     """A force of 1 kN that the unit takes for 1 moves a mass of 1 as 1 N moves one of 1 g; so with force and sign turned."""
     told = {"defined": "sign = 1", "told": 'sign = -1\neffort_unit = "kN"'}
@@ -280,11 +280,13 @@ def isolated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "version, mode, said",
     [
-        ("2.0", foreign.CRASH, "pump at t = 0.25 s, h = 0.05 s: fmi2DoStep: its process "),
-        (
-            "3.0",
-            foreign.HANG,
-            "fmi3DoStep: no answer in 3 s: its process was ended. Next: allow it more time (--isolate-timeout)",
+        slow(("2.0", foreign.CRASH, "pump at t = 0.25 s, h = 0.05 s: fmi2DoStep: its process ")),
+        slow(
+            (
+                "3.0",
+                foreign.HANG,
+                "fmi3DoStep: no answer in 3 s: its process was ended. Next: allow it more time (--isolate-timeout)",
+            )
         ),
         (
             "3.0",

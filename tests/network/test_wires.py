@@ -122,6 +122,7 @@ def test_members_apart_hold_signals_at_order_2_and_close_their_books() -> None:
     assert work["controller", "integrator"] == 0.0
 
 
+@pytest.mark.slow
 def test_columns_show_the_signals_of_the_present_time() -> None:
     """Apart, too: the command is kp e + ki x of its own row, not of the held input."""
     r = apart(1, 5e-3)

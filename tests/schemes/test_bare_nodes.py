@@ -37,7 +37,7 @@ from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.run.loop import run
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
-from tests.wide import slow
+from tests.wide import slow, wide
 
 RATED = 18881.48  # A, peak, of kundur555_1q
 STOP = 0.02
@@ -133,7 +133,7 @@ def test_plain_collocation_loses_order_at_the_node() -> None:
     assert found[0, 2] > 100.0
 
 
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 1, 2))
 def test_balance_of_every_component_and_of_the_node(k: int) -> None:
     model, instance, r = stepped(1e-3, Collocated(k))
     H = instance.signal("H").sum()
@@ -228,6 +228,7 @@ def two_bare_nodes() -> PHDAE:
     return net.compose()
 
 
+@pytest.mark.slow
 def test_two_bare_nodes_in_a_row() -> None:
     """bus2 joins two lines (linear by itself) but shares a line with bus1: both get impulses."""
     declaration = two_bare_nodes()

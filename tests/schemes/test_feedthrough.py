@@ -40,6 +40,7 @@ from phfmu.components.electrical import resistor, rl_line, rlc_load, transformer
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
+from tests.wide import wide
 
 ENGINES = (PythonInstance, NativeInstance)
 SCHEMES = [Collocated(1), Collocated(2), Collocated(3), GradientPair(), DiracDissipative()]
@@ -216,7 +217,7 @@ def tank_truth(t):
     return expm(rate * t) @ np.array([0.2, 0.0])
 
 
-@pytest.mark.parametrize("kind", ["direct", "transformer"])
+@pytest.mark.parametrize("kind", wide(["direct", "transformer"], "transformer"))
 @pytest.mark.parametrize("coupling", ["monolithic", "newton"])
 def test_networks_of_feedthrough(kind, coupling):
     """A ratio of 3 makes 18 ohm look like 2 ohm; the composed and the coupled network lose what the resistor takes."""

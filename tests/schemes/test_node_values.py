@@ -114,7 +114,7 @@ def units(tmp_path_factory):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
 @pytest.mark.parametrize("parts", [1, 3])
 def test_node_values_carry_the_energy_of_the_step(engine, k, parts):
     """h sum b_i u_i y_i = supplied; sum b_i y_i = the mean; for any number of internal steps."""

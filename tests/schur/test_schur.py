@@ -24,7 +24,7 @@ from phfmu.schemes.collocated import Collocated
 from phfmu.schur import lane_groups, text
 from phfmu.schur.elimination import eliminate
 from phfmu.schur.lanes import spectrum
-from tests.wide import wide
+from tests.wide import slow, wide
 
 #: the stepper of order 2 is a case of that of order 6, with one node
 ORDERS = (pytest.param(2, marks=pytest.mark.slow), 6)
@@ -97,7 +97,7 @@ BODIES = {"chain": lambda: chain(4), "stiff chain": lambda: chain(4, 1e5), "push
 
 @pytest.mark.parametrize(
     ("name", "order"),
-    wide(product(("chain", "stiff chain", "pushed"), (2, 6)), ("chain", 2), ("pushed", 6)),
+    wide(product(("chain", "stiff chain", "pushed"), (2, 6)), ("chain", 2)),
 )
 def test_the_schur_stepper_finds_the_solution_of_newton(name: str, order: int) -> None:
     m = model(BODIES[name](), order)
@@ -215,7 +215,7 @@ def test_symbolic_elimination_factors_a_schur_matrix(m: int, n: int, listed: int
     assert np.abs(whole - exact).max() <= 1e-12
 
 
-@pytest.mark.parametrize(("name", "order"), [("chain", 2), ("stiff chain", 6), ("pushed", 6)])
+@pytest.mark.parametrize(("name", "order"), [("chain", 2), slow(("stiff chain", 6)), ("pushed", 6)])
 def test_written_out_loops_give_the_same_bits(
     name: str, order: int, optimised: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -281,9 +281,9 @@ def test_tiles_change_nothing_but_the_order_of_sums(order: int, monkeypatch: pyt
     found = []
     for size in (7, 10**6):
         monkeypatch.setattr(lane_groups, "TILE", size)
-        m = model(tangle(40), order)
+        m = model(tangle(20), order)
         schur = m.step.schur
-        assert schur is not None and len(schur.tile.dof) - 1 == -(-120 // size)
+        assert schur is not None and len(schur.tile.dof) - 1 == -(-60 // size)
         assert all(g.until[-1] == g.n and (np.diff(g.until) >= 0).all() for g in schur.groups)
         instance = NativeInstance(m)
         instance.set_input([0.3, -0.2, 0.5])

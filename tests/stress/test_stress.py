@@ -149,6 +149,7 @@ def test_redundant_constraints_are_supported(name):
     assert {line.verdict for line in found} == {Verdict.PASS} and len(found) == 4
 
 
+@pytest.mark.slow
 def test_rows_that_rest_take_the_way_back():
     cases = {c.name: c for c in matrix.cases("bricard")}
     back = answer(cases["150 steps of 0.01 s and back, order 6"])

@@ -84,6 +84,7 @@ def test_a_start_of_a_state_and_an_input_may_vary(compiler: None) -> None:
     assert found["first(v)"].to_pylist() == [1.0, 0.0, 2.0]
 
 
+@pytest.mark.slow
 def test_adaptive_runs_are_those_of_the_run_loop(compiler: None) -> None:
     found = sweep(four(), grid({"k13": [40.0, 60.0]}), ["last(v[1])"], options=Options(stop=0.5, step=0.01, rtol=1e-5))
     for i, k in enumerate((40.0, 60.0)):
