@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phfmu.stress import coupled, couplings, crash, linkage, machine, particles, redundant, steps, units
+from phfmu.stress import coupled, couplings, crash, events, linkage, machine, particles, redundant, steps, units
 from phfmu.stress.case import Case
 
 #: scenes and components whose steps are put to the test without a target
@@ -14,7 +14,9 @@ def cases(target: str | None) -> list[Case]:
     from phfmu.target import scene
 
     own = [
-        c for module in (particles, linkage, redundant, coupled, couplings, crash, units, machine) for c in module.CASES
+        c
+        for module in (particles, linkage, redundant, coupled, couplings, crash, units, machine, events)
+        for c in module.CASES
     ]
     if target is None:
         return [*own, *(c for name in STEPPED for c in steps.cases(name, scene(name)))]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.stress.case import Case, Outcome, not_supported, refused
+from phfmu.stress.case import Case, Outcome, refused
 from phfmu.stress.drive import effort, instance, record
 from phfmu.words import counted
 
@@ -194,6 +194,4 @@ CASES = (
            lambda f=f: fast(f)) for f in (10.0, 100.0, 1000.0, 10000.0)),
     Case(TARGET, "rest, 10 000 steps", "state unchanged, at most 2 sweeps a step", at_rest),
     Case(TARGET, "1e6 steps, undamped", "energy <= 1e-9 H0, g <= 1e-12", million, long=True),
-    Case(TARGET, "impact on a wall", "velocity jump and loss booked", not_supported(
-        "no unilateral constraints: stop at the contact, place the new state with set_x, start again")),
 )  # fmt: skip

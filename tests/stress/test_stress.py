@@ -10,7 +10,7 @@ import pytest
 from phfmu import StepFailure
 from phfmu.cli import main
 from phfmu.engine.status import remedy
-from phfmu.stress import coupled, couplings, crash, linkage, machine, matrix, particles, units
+from phfmu.stress import coupled, couplings, crash, events, linkage, machine, matrix, particles, units
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
 from phfmu.words import counted
@@ -203,8 +203,11 @@ def test_whole_matrix():
     assert [x.case.name for x in lines if x.verdict is Verdict.FAIL] == []
 
 
-@pytest.mark.parametrize("given", (*couplings.CASES, *units.CASES), ids=lambda c: f"{c.target}: {c.name}")
-def test_couplings_at_their_limits(given):
+EVENTS = tuple(c for c in events.CASES if not c.long)
+
+
+@pytest.mark.parametrize("given", (*couplings.CASES, *units.CASES, *EVENTS), ids=lambda c: f"{c.target}: {c.name}")
+def test_couplings_units_and_events_at_their_limits(given):
     line = answer(given)
     assert line.verdict is Verdict.PASS, line.happened
 
