@@ -29,7 +29,7 @@ class Scene:
     """What `phfmu run NAME` runs: stop time and step in seconds, events of the first kind; the grid lands on them.
 
     `restart`: damping steps after each event, see `phfmu.network.run.restart`.  `notes`: what of the file that the scene was
-    read from is not in it, a line each.
+    read from is not in it, a line each.  `kept`: what that file says besides, for who writes it again.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Scene:
     description: str = ""
     restart: int = 0
     notes: tuple[str, ...] = ()
+    kept: object = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.system, Network):

@@ -15,6 +15,7 @@ from phfmu.network.junctions.network import Network
 from phfmu.network.scene import Scene
 from phfmu.schemes.scheme import Scheme
 from phfmu.ssp.flat import identifier
+from phfmu.ssp.kept import Kept
 from phfmu.ssp.names import VERSIONS
 from phfmu.ssp.structure import SSPError
 from phfmu.ssp.writing import Contents, write_package
@@ -56,7 +57,8 @@ def export_ssp(scene: Scene, directory: str | Path, options: Options, version: s
         units = replace(net, members={})
         for name in net.members:
             units.add(name, _unit(net, name, Path(folder), options, outward[name]))
-        lines = write_package(path, Contents(units, scene.stop, options.step, version))
+        kept = scene.kept if isinstance(scene.kept, Kept) else Kept()
+        lines = [*kept.lost, *write_package(path, Contents(units, scene.stop, options.step, version, kept))]
     events = [f"event at t = {e.t:g} s, {e.name} = {e.value:g}: SSP has no events" for e in scene.events]
     return path, [*lines, *events]
 

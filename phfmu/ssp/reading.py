@@ -10,6 +10,7 @@ from pathlib import Path
 from phfmu.fmu import limits
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
+from phfmu.ssp.kept import kept
 from phfmu.ssp.names import DEFINITION, DICTIONARY, FMU, NAMESPACES, PACKAGE, PORTS, tag
 from phfmu.ssp.package import Package, Within, open_package
 from phfmu.ssp.parameters import Source, bindings, document
@@ -74,6 +75,7 @@ class _Reader:
             self._number(times["stopTime"], "stopTime") if "stopTime" in times else None,
             None if step is None else self._number(step, "step"),
             tuple(self.source.notes),
+            kept(root),
         )
 
     def system(self, element: Element) -> System:

@@ -164,3 +164,5 @@ class Structure:
     stop: float | None = None
     step: float | None = None
     notes: tuple[str, ...] = ()
+    #: what no run needs, to be written again (`kept.py`)
+    kept: object = None

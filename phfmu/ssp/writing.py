@@ -23,6 +23,7 @@ from phfmu.network.junctions.junction import Junction
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.wires import Wire
 from phfmu.ssp.bonds import joins_plainly
+from phfmu.ssp.kept import CONNECTION, CONNECTOR, Kept
 from phfmu.ssp.names import NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
 from phfmu.ssp.sidecar import sidecar_text
 from phfmu.ssp.units import write_units
@@ -36,12 +37,16 @@ _KINDS = ("input", "output", "parameter")
 
 @dataclass(frozen=True)
 class Contents:
-    """A network whose members are all units, and its run; `version`: of SSP.  Times in s."""
+    """A network whose members are all units, and its run; `version`: of SSP; `kept`: what its description says besides.
+
+    Times in s.
+    """
 
     network: Network
     stop: float
     step: float
     version: str = "1.0"
+    kept: Kept = Kept()
 
 
 def write_package(path: Path, contents: Contents) -> list[str]:
@@ -69,14 +74,16 @@ def write_package(path: Path, contents: Contents) -> list[str]:
 
 def structure(contents: Contents) -> bytes:
     """SystemStructure.ssd."""
-    network, units = contents.network, contents.network.units
+    network, units, kept = contents.network, contents.network.units, contents.kept
     root = _root("ssd", contents.version, name=network.name)
+    kept.root.onto(root)
     system = etree.SubElement(root, tag("ssd", "System"), name=network.name)
     if network.description:
         system.set("description", plain(network.description))
+    kept.system.onto(system, "ElementGeometry")
     elements = etree.SubElement(system, tag("ssd", "Elements"))
     for name, unit in units.items():
-        _component(elements, name, unit, contents.version)
+        _component(elements, name, unit, contents)
     links = [link for j in network.junctions for link in _links(network, j)]
     links += [w for w in network.wires if _is_output(units, w)]
     if links:
@@ -87,12 +94,18 @@ def structure(contents: Contents) -> bytes:
             connection = etree.SubElement(listed, tag("ssd", "Connection"), ends)
             if told := _linear(w):
                 etree.SubElement(connection, tag("ssc", "LinearTransformation"), told)
+            kept.connection((w.source, w.output, w.target, w.input)).onto(connection, *CONNECTION)
+    kept.system.onto(system, "SystemGeometry", "GraphicalElements")
     _annotate(system, contents)
-    write_units(
-        root, "ssd", {v.unit: u.interface.units[v.unit] for u in units.values() for v in _connected(u) if _told(u, v)}
-    )
+    kept.root.onto(root, "Enumerations")
+    used = {v.unit: u.interface.units[v.unit] for u in units.values() for v in _connected(u) if _told(u, v)}
+    write_units(root, "ssd", used)
+    listed = root.find(tag("ssd", "Units"))
+    if more := kept.more_units(listed):
+        (etree.SubElement(root, tag("ssd", "Units")) if listed is None else listed).extend(more)
     experiment = {"startTime": number(0.0), "stopTime": number(contents.stop)}
     etree.SubElement(root, tag("ssd", "DefaultExperiment"), experiment)
+    kept.root.onto(root, "Annotations")
     return text_of(root)
 
 
@@ -162,20 +175,30 @@ def _root(kind: str, version: str, **attributes: str) -> Element:
     return root
 
 
-def _component(parent: Element, name: str, unit: UnitFile, version: str) -> None:
+def _component(parent: Element, name: str, unit: UnitFile, contents: Contents) -> None:
     component = etree.SubElement(parent, tag("ssd", "Component"), name=name, source=f"resources/{name}.fmu")
-    if unit.description:
+    kept, version = contents.kept, contents.version
+    kept.component(name).onto(component)
+    if unit.description and "description" not in component.attrib:
         component.set("description", plain(unit.description))
     listed = etree.SubElement(component, tag("ssd", "Connectors"))
     for v in _connected(unit):
         connector = etree.SubElement(listed, tag("ssd", "Connector"), name=v.name, kind=v.causality)
+        part = kept.connector(name, v.name)
         own = v.type if unit.interface.version != "2.0" and version == "2.0" else _TYPES.get(v.type, "Integer")
+        if part.enumeration:
+            etree.SubElement(connector, tag("ssc", "Enumeration"), name=part.enumeration)
+            part.onto(connector, *CONNECTOR)
+            continue
         type_ = etree.SubElement(connector, tag("ssc", own))
         if _told(unit, v) and own in ("Real", "Float64", "Float32"):
             type_.set("unit", v.unit)
+        part.onto(connector, *CONNECTOR)
+    kept.component(name).onto(component, "ElementGeometry")
     if _values(unit):
         bindings = etree.SubElement(component, tag("ssd", "ParameterBindings"))
         etree.SubElement(bindings, tag("ssd", "ParameterBinding"), source=f"resources/{name}.ssv")
+    kept.component(name).onto(component, "Annotations")
 
 
 def _told(unit: UnitFile, v: Scalar) -> bool:
@@ -207,3 +230,4 @@ def _annotate(system: Element, contents: Contents) -> None:
         if not _is_output(contents.network.units, w):
             ends = {"source": w.source, "output": w.output, "target": w.target, "input": w.input}
             etree.SubElement(network, f"{{{PORTS}}}Signal", ends | _linear(w))
+    listed.extend(contents.kept.annotations())

@@ -1,0 +1,138 @@
+"""What a description says that no run needs, kept to be written again: words, geometry, enumerations, annotations of other tools.
+
+Of the outermost system and its own components; what lies deeper is taken apart when it is read, and told.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+
+from phfmu.fmu.xml import Element
+from phfmu.ssp.flat import identifier
+from phfmu.ssp.names import PORTS, tag
+from phfmu.words import counted
+
+#: attributes of elements, and those of the root besides
+WORDS = ("id", "description")
+ABOUT = (*WORDS, "author", "fileversion", "copyright", "license")
+#: children in the order of the schema, without those that are written from the network
+ROOT = ("Enumerations", "Units", "Annotations")
+SYSTEM = ("ElementGeometry", "SystemGeometry", "GraphicalElements", "Annotations")
+ELEMENT = ("ElementGeometry", "Annotations")
+CONNECTOR = ("ConnectorGeometry", "Annotations")
+CONNECTION = ("ConnectionGeometry", "Annotations")
+
+Ends = tuple[str, str, str, str]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Of one element: its attributes and children; `enumeration`: that a connector is of."""
+
+    words: Mapping[str, str] = field(default_factory=dict)
+    children: Mapping[str, Element] = field(default_factory=dict)
+    enumeration: str = ""
+
+    def onto(self, element: Element, *names: str) -> None:
+        """Set the attributes that are not there, and add the children `names`, in this order."""
+        for name, text in self.words.items():
+            if name not in element.attrib:
+                element.set(name, text)
+        for name in names:
+            if name in self.children:
+                element.append(deepcopy(self.children[name]))
+
+
+NOTHING = Part()
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Components by member; connectors by member and name; connections by both ends."""
+
+    root: Part = NOTHING
+    system: Part = NOTHING
+    components: Mapping[str, Part] = field(default_factory=dict)
+    connectors: Mapping[tuple[str, str], Part] = field(default_factory=dict)
+    connections: Mapping[Ends, Part] = field(default_factory=dict)
+    #: lines about what is not
+    lost: tuple[str, ...] = ()
+
+    def component(self, member: str) -> Part:
+        return self.components.get(member, NOTHING)
+
+    def connection(self, ends: Ends) -> Part:
+        return self.connections.get(ends, NOTHING)
+
+    def more_units(self, listed: Element | None) -> list[Element]:
+        """Definitions of units that are not listed."""
+        names = set() if listed is None else {u.get("name") for u in listed}
+        return [deepcopy(u) for u in self.root.children.get("Units", ()) if u.get("name") not in names]
+
+    def annotations(self) -> list[Element]:
+        """Those of other tools at the system."""
+        return [deepcopy(a) for a in self.system.children.get("Annotations", ())]
+
+    def connector(self, member: str, name: str) -> Part:
+        return self.connectors.get((member, name), NOTHING)
+
+
+def kept(root: Element) -> Kept:
+    """Of a description that has been checked."""
+    system = root.find(tag("ssd", "System"))
+    components, connectors = {}, {}
+    for e in _within(system, "Elements"):
+        if e.tag != tag("ssd", "Component"):
+            continue
+        member = identifier(e.get("name", ""))
+        components[member] = _part(e, WORDS, ELEMENT)
+        for c in _within(e, "Connectors"):
+            listed = c.find(tag("ssc", "Enumeration"))
+            connectors[member, c.get("name", "")] = _part(
+                c, WORDS, CONNECTOR, "" if listed is None else listed.get("name", "")
+            )
+    connections = {_ends(c): _part(c, WORDS, CONNECTION) for c in _within(system, "Connections")}
+    ours = _part(root, ABOUT, ROOT), _part(system, WORDS, SYSTEM)
+    return Kept(*ours, components, connectors, connections, tuple(_lost(system)))
+
+
+def _lost(system: Element) -> list[str]:
+    """Pictures of nested systems, and names that are no identifiers."""
+    nested = [e for e in _within(system, "Elements") if e.tag != tag("ssd", "Component")]
+    inner = Counter(e.tag.rpartition("}")[2] for n in nested for e in n.iter() if isinstance(e.tag, str))
+    pictures = sum(inner[k] for k in ("ElementGeometry", "ConnectorGeometry", "ConnectionGeometry", "SystemGeometry"))
+    lines = [f"geometry inside nested systems left out ({counted(pictures, 'element')})"] if pictures else []
+    names = [
+        e.get("name", "") for e in _within(system, "Elements") if identifier(e.get("name", "")) != e.get("name", "")
+    ]
+    return lines + [f"'{n}' is called {identifier(n)}" for n in names]
+
+
+def _part(element: Element, words: Sequence[str], names: Sequence[str], enumeration: str = "") -> Part:
+    children = {}
+    for name in names:
+        child = element.find(tag("ssd", name))
+        if child is not None and (name != "Annotations" or (child := _of_others(child)) is not None):
+            children[name] = deepcopy(child)
+    return Part({w: element.get(w) for w in words if element.get(w)}, children, enumeration)
+
+
+def _of_others(annotations: Element) -> Element | None:
+    """Annotations without ours, which are written anew."""
+    found = deepcopy(annotations)
+    for a in [a for a in found if a.get("type") == PORTS]:
+        found.remove(a)
+    return found if len(found) else None
+
+
+def _within(element: Element, name: str) -> list[Element]:
+    found = element.find(tag("ssd", name))
+    return [] if found is None else list(found)
+
+
+def _ends(c: Element) -> Ends:
+    a, b = identifier(c.get("startElement", "")), identifier(c.get("endElement", ""))
+    return a, c.get("startConnector", ""), b, c.get("endConnector", "")
