@@ -191,14 +191,13 @@ class Coupled:
 
     def _instant(self, t0: float, h: float) -> Array | None:
         """Junction unknowns at the start; None where they cannot be found."""
-        joined, inner = self.joined, plain(self.coupling)
+        joined = self.joined
         self._sums.values(self.last.xi)
         if not self._sums.hide:
             return at_instant(joined, self.last.xi, t0)
         if joined.put_off:
             return None
-        exchange = inner.exchange if isinstance(inner, NodeNewton) else None
-        return limit(partial(self._tried, t0), exchange, joined.face.nominal, h)
+        return limit(partial(self._tried, t0), self._exchange, joined.face.nominal, h)
 
     def _solved(self, step: Step) -> Solution:
         """Of an iteration that is given up, units that do not repeat a step are told."""
