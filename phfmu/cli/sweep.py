@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from phfmu.declare.phdae import PHDAE
+    from phfmu.sweeps.crew import Scheduler
     from phfmu.sweeps.design import Design
 
 #: failed runs whose reasons are printed
@@ -37,6 +38,11 @@ def add_parser(verbs: Any) -> None:
                         + "; a pattern such as max(*.w) means one for each signal; may be repeated")  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE", help="table of the runs, FILE.parquet")
     parser.add_argument("--resume", action="store_true", help="go on with a sweep of the same command that ended early")
+    parser.add_argument("--keep", metavar="DIR", dest="folder",
+                        help="folder for the whole result of each run (000000.parquet, ..), by the run loop: slower")  # fmt: skip
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="of a Dask cluster whose workers take the runs: tcp://..")  # fmt: skip
+    parser.add_argument("--scheduler-file", metavar="FILE", help="the same by the file that the scheduler wrote")
     parser.add_argument("--jobs", type=int, metavar="N",
                         help="threads (default: one per core); the results do not depend on their number")  # fmt: skip
     parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
@@ -52,6 +58,7 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
+    from functools import partial
     from time import perf_counter
 
     from phfmu.cli import options
@@ -67,15 +74,17 @@ def call(args: argparse.Namespace) -> int:
     if args.jobs is not None and args.jobs < 1:
         raise ValueError(f"--jobs {args.jobs}: expected a number from 1")
     file = _file(args)
-    scene = composed(args)
+    scene, scheduler, folder = composed(args), _scheduler(args), _folder(args)
+    made = scene if scheduler is None else partial(composed, _anywhere(args))
     runs = design.table(args.table) if args.table else design.axes(args.vary)
     declaration = scene.declaration()
     _require_sound(args, declaration, runs)
     begun = perf_counter()
     with Bar("runs", len(runs.rows), args.quiet) as bar:
         table = sweep(
-            scene, runs, args.measure, options=options.of_run(args, scene, whole=True), engine=engine_of(args.engine),
-            scheme=options.scheme_of(args, declaration), jobs=args.jobs, file=file, resume=args.resume, progress=bar,
+            made, runs, args.measure, options=options.of_run(args, scene, whole=True), engine=engine_of(args.engine),
+            scheme=options.scheme_of(args, declaration), jobs=args.jobs, scheduler=scheduler, file=file,
+            resume=args.resume, keep=folder, progress=bar,
         )  # fmt: skip
     errors = table["error"].to_pylist()
     failed, worst = sum(map(bool, errors)), max((v for v in table["ledger"].to_pylist() if v is not None), default=0.0)
@@ -84,6 +93,37 @@ def call(args: argparse.Namespace) -> int:
     if failed == len(runs.rows):
         return NO_CONVERGENCE
     return LEDGER if worst > 1 else FINE
+
+
+def _scheduler(args: argparse.Namespace) -> Scheduler | None:
+    """Of the cluster that is asked for; ValueError for two of them."""
+    from phfmu.sweeps.crew import Scheduler
+
+    if args.scheduler and args.scheduler_file:
+        raise ValueError("--scheduler and --scheduler-file name two schedulers; leave one of them out")
+    found = Scheduler(args.scheduler or "", args.scheduler_file or "")
+    return found if found != Scheduler() else None
+
+
+def _anywhere(args: argparse.Namespace) -> argparse.Namespace:
+    """With the path of a target in a file that does not depend on the present folder."""
+    from pathlib import Path
+
+    path, colon, function = args.target.partition(".py:")
+    target = f"{Path(f'{path}.py').resolve()}:{function}" if colon else args.target
+    return argparse.Namespace(**(vars(args) | {"target": target}))
+
+
+def _folder(args: argparse.Namespace) -> Path | None:
+    """Where whole results go; ValueError for one that has some, unless they are gone on with."""
+    from pathlib import Path
+
+    if args.folder is None:
+        return None
+    path = Path(args.folder).absolute()
+    if not args.resume and path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise ValueError(f"--keep {args.folder} is there already and not an empty folder; name another one")
+    return path
 
 
 def _file(args: argparse.Namespace) -> Path | None:

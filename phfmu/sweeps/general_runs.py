@@ -1,7 +1,8 @@
-"""Runs by the run loop, for what the compiled one does not take: the Python engine, adaptive and damped steps."""
+"""Runs by the run loop, for what the compiled one does not take: the Python engine, adaptive and damped steps, whole results."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,16 +20,17 @@ from phfmu.sweeps.task import Task
 class GeneralRuns:
     """One instance that takes one run after the other."""
 
-    def __init__(self, task: Task, engine: type):
+    def __init__(self, task: Task, engine: type, keep: Path | None = None):
         self._task, self._instance, places = task, engine(task.model), Places(task.model)
+        self._keep = keep
         self._places = [(p, j) for j, name in enumerate(task.names) for p in places.of(name)]
         self._free = [(name, j) for j, name in enumerate(task.names) if places.of(name)[0].kind == INPUT]
 
-    def take(self, rows: NDArray[Any]) -> Outcome:
-        """Runs with these values (n x names)."""
-        return Outcome.joined([self._one(row) for row in np.asarray(rows, float)])
+    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
+        """Runs with these values (n x names), of which the first has this number."""
+        return Outcome.joined([self._one(row, first + i) for i, row in enumerate(np.asarray(rows, float))])
 
-    def _one(self, row: NDArray[Any]) -> Outcome:
+    def _one(self, row: NDArray[Any], number: int) -> Outcome:
         task, model = self._task, self._task.model
         values = {PARAMETER: model.p0.copy(), STATE: model.x0.copy(), INPUT: model.u0.copy()}
         for p, column in self._places:
@@ -46,6 +48,8 @@ class GeneralRuns:
             found = run(stepper, task.options)
         except (StepFailure, InconsistentState) as error:
             return Outcome(np.full((1, len(task.measures)), np.nan), np.zeros(1, int), np.zeros(1), (str(error),))
+        if self._keep is not None:
+            found.save(self._keep / f"{number:06d}.parquet")
         told = [m.of(found.time, found.column(m.signal)) for m in task.measures]
         worst = max((abs(c.worst_ratio) for c in found.ledger.summary().components), default=0.0)
         return Outcome(np.array([told]).reshape(1, -1), np.array([found.steps]), np.array([worst]), ("",))

@@ -60,8 +60,9 @@ class NativeRuns:
         self._lib = _library()
         self._struct = self._memory.fill("ph_runs", self._values(task))
 
-    def take(self, rows: NDArray[Any]) -> Outcome:
-        """Runs with these values (n x names)."""
+    def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
+        """Runs with these values (n x names); their numbers do not matter here."""
+        del first
         rows, n = np.ascontiguousarray(rows, float), len(rows)
         values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
         begun, done = 0, ctypes.c_int()

@@ -1,14 +1,14 @@
-"""Many runs of one composed model in threads, and the table of what came out."""
+"""Many runs of one composed model, in threads or on a cluster, and the table of what came out."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from threading import local
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,22 +17,22 @@ from phfmu import __version__
 from phfmu.sweeps.design import Design
 from phfmu.sweeps.outcome import Outcome
 from phfmu.sweeps.parts import Parts, digest
+from phfmu.sweeps.recipe import Recipe, Target
 from phfmu.sweeps.task import Task
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from phfmu.declare.phdae import PHDAE
     from phfmu.network.run.options import Options
-    from phfmu.network.scene import Scene
     from phfmu.schemes.scheme import Scheme
+    from phfmu.sweeps.crew import Crew, Scheduler
 
-#: most runs that are handed to a thread at once, and how many times a thread gets some
+#: most runs that are handed to a worker at once, and how many times a worker gets some
 BLOCK, TURNS = 512, 8
 
 
 def sweep(
-    target: Scene | PHDAE,
+    target: Target | Callable[[], Target],
     design: Design,
     measures: Sequence[str],
     *,
@@ -40,8 +40,10 @@ def sweep(
     scheme: Scheme | None = None,
     engine: str = "native",
     jobs: int | None = None,
+    scheduler: Scheduler | None = None,
     file: Path | None = None,
     resume: bool = False,
+    keep: Path | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> pa.Table:
     """Runs of a scene or component, one for each row of the design, told by measures such as `max(gen.w)`.
@@ -49,15 +51,20 @@ def sweep(
     One declaration, one compilation; the runs are shared by `jobs` threads (default: one per core), whose number does not
     change a bit of the results.  options: default the scene's (`Options(stop=.., step=..)` for a component);  engine: "native" or
     "python";  file: Parquet file of the table, with FILE.parts beside it until all is done, from which `resume` goes on;
-    progress: called with the number of runs that are done.
+    scheduler: of a Dask cluster whose workers take the runs; `target` is then a function that gives the scene or component, which
+    they call;  keep: folder for the whole result of each run, 000000.parquet and so on, which the run loop takes, not the
+    compiled one;  progress: called with the number of runs that are done.
     Table: a column per name and per measure, `steps`, `ledger` (by how much of what is allowed the energy balance of a run
     misses in its worst step: above 1 it is violated), `error` (why a run failed: its measures are null; "" if it did not).
-    Errors: KeyError for names that cannot be set, ValueError for measures and options, DeclarationError, CompilerMissing.
+    Errors: KeyError for names that cannot be set, ValueError for measures and options, DeclarationError, CompilerMissing, OSError
     """
-    task = _task(target, design, measures, options, scheme)
-    make = _maker(task, engine)
-    parts = None if file is None else Parts(file, _key(task, engine, design), resume=resume)
-    outcome = taken(make, design, jobs or os.cpu_count() or 1, parts, progress or (lambda _: None))
+    recipe = Recipe(target, design.names, tuple(measures), options, scheme, engine, keep)
+    task = recipe.task()
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+    with _crew(recipe, task, jobs, scheduler) as crew:  # before the parts: without a cluster those of before stay
+        parts = None if file is None else Parts(file, _key(task, recipe, design), resume=resume)
+        outcome = taken(crew, design, parts, progress or (lambda _: None))
     table = _table(task, design, outcome)
     if file is not None and parts is not None:
         from pyarrow import parquet
@@ -67,91 +74,52 @@ def sweep(
     return table
 
 
-def _task(
-    target: Scene | PHDAE, design: Design, texts: Sequence[str], options: Options | None, scheme: Scheme | None
-) -> Task:
-    from phfmu.declare.phdae import require_declaration
-    from phfmu.discretise.model import build_model
-    from phfmu.network.run.options import Options
-    from phfmu.network.scene import Scene
-    from phfmu.signals import quantities
-    from phfmu.sweeps.measures import measures
-    from phfmu.sweeps.places import Places
+def _crew(recipe: Recipe, task: Task, jobs: int | None, scheduler: Scheduler | None) -> AbstractContextManager[Crew]:
+    from phfmu.sweeps.crew import Threads, cluster
 
-    scene = target if isinstance(target, Scene) else None
-    declaration = target.declaration() if isinstance(target, Scene) else require_declaration(target, "sweep")
-    if options is None:
-        if scene is None:
-            raise ValueError(f"{declaration.name} is no scene: options=Options(stop=.., step=..) say how it is run")
-        options = Options(stop=scene.stop, step=scene.step, restart=scene.restart)
-    if scene is not None and not options.events:
-        options = replace(options, events=scene.events)
-    model = build_model(declaration, scheme)
-    Places(model).require_free(design.names, options.events, options.t0)
-    known = [
-        q.name
-        for q in quantities(model)
-        if q.block not in ("parameter", "tunable", "input") and not q.block.startswith("row_")
-    ]
-    return Task(model, design.names, measures(texts, known), options)
+    if scheduler is None:
+        return nullcontext(Threads(lambda: recipe.runs(task), jobs or os.cpu_count() or 1))
+    if jobs is not None:
+        raise ValueError(f"--jobs {jobs} counts threads here; a scheduler has its own workers, leave one of them out")
+    if not callable(recipe.target):
+        raise ValueError("a scheduler needs a function that gives the scene or component: its workers call it")
+    return cluster(recipe.runs, scheduler)
 
 
-def _key(task: Task, engine: str, design: Design) -> str:
+def _key(task: Task, recipe: Recipe, design: Design) -> str:
     """A digest of all that outcomes depend on, of the model its equations and its numbers."""
     m = task.model
     equations = " ".join(sorted({g.kernel.function.serialize() for plan in (m.step, m.instant) for g in plan.groups}))
     numbers = [v.tolist() for v in (m.p0, m.x0, m.u0, m.a0)]
-    words = (__version__, m.name, m.scheme, engine, list(map(str, task.measures)), task.options, numbers, equations)
+    told = [recipe.engine, *([] if recipe.keep is None else [recipe.keep.absolute()])]
+    words = (__version__, m.name, m.scheme, *told, list(map(str, task.measures)), task.options, numbers, equations)
     return digest("\n".join(map(str, words)), design)
 
 
-def _maker(task: Task, engine: str) -> Callable[[], Any]:
-    """Makes what takes runs, one for each thread; the first one compiles."""
-    from phfmu.sweeps.general_runs import GeneralRuns
-    from phfmu.sweeps.native_runs import NativeRuns, fits
-
-    if engine not in ("native", "python"):
-        raise ValueError(f"engine '{engine}': a sweep takes native or python")
-    if engine == "native" and fits(task):
-        return lambda: NativeRuns(task)
-    from phfmu.engine.native import NativeInstance
-    from phfmu.engine.python import PythonInstance
-
-    return lambda: GeneralRuns(task, NativeInstance if engine == "native" else PythonInstance)
-
-
-def taken(
-    make: Callable[[], Any], design: Design, jobs: int, parts: Parts | None, progress: Callable[[int], None]
-) -> Outcome:
-    """All runs, in blocks that the threads take as they get ready."""
+def taken(crew: Crew, design: Design, parts: Parts | None, progress: Callable[[int], None]) -> Outcome:
+    """All runs, in blocks that the crew takes as it gets ready."""
     found: dict[int, Outcome] = dict(parts.kept()) if parts is not None else {}
     known = {run for first, o in found.items() for run in range(first, first + len(o.errors))}
-    size = max(1, min(BLOCK, -(-len(design.rows) // (jobs * TURNS))))
-    todo = [(a, b) for a, b in _blocks(len(design.rows), size, known)]
-    own, first = local(), make() if todo else None
+    size = max(1, min(BLOCK, -(-len(design.rows) // (crew.size * TURNS))))
+    todo = _blocks(len(design.rows), size, known)
     keep = _Keeper(found, len(known), parts, progress)
-
-    def begin() -> None:
-        own.runs = make()
-
-    def take(a: int, b: int) -> tuple[int, Outcome]:
-        return a, own.runs.take(design.rows[a:b])
-
-    if jobs == 1 or len(todo) <= 1:
-        own.runs = first
-        for a, b in todo:
-            keep(*take(a, b))
+    if not todo:
         return keep.joined()
-    pool = ThreadPoolExecutor(min(jobs, len(todo)), initializer=begin)
-    try:
-        waiting: set[Future[tuple[int, Outcome]]] = {pool.submit(take, a, b) for a, b in todo}
+    with crew.at_work(len(todo)) as submit:
+        waiting: dict[Future[Outcome], int] = {}
+        for a, b in todo:
+            waiting[submit(design.rows[a:b], a)] = a
+            _keep_done(waiting, keep, wait_for_one=False)
         while waiting:
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in done:
-                keep(*future.result())
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+            _keep_done(waiting, keep, wait_for_one=True)
     return keep.joined()
+
+
+def _keep_done(waiting: dict[Future[Outcome], int], keep: _Keeper, *, wait_for_one: bool) -> None:
+    """Blocks that are ready leave `waiting`."""
+    done = wait(waiting, return_when=FIRST_COMPLETED).done if wait_for_one else {f for f in waiting if f.done()}
+    for future in sorted(done, key=waiting.__getitem__):
+        keep(waiting.pop(future), future.result())
 
 
 def _blocks(n: int, size: int, known: set[int]) -> list[tuple[int, int]]:

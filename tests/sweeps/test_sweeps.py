@@ -19,6 +19,7 @@ from phfmu.components.mechanical.translational import mass
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.run.loop import run
 from phfmu.network.run.result import Result
+from phfmu.sweeps.crew import Threads
 from phfmu.sweeps.design import axes, table
 from phfmu.sweeps.outcome import Outcome
 from phfmu.sweeps.runs import taken
@@ -269,12 +270,12 @@ def test_finished_runs_are_counted_once() -> None:
             return super().__len__()
 
     class Runs:
-        def take(self, rows: np.ndarray) -> Outcome:
+        def take(self, rows: np.ndarray, first: int = 0) -> Outcome:
             n = len(rows)
             return Outcome(np.zeros((n, 1)), np.ones(n, int), np.zeros(n), Errors([""] * n))
 
     seen: list[int] = []
     design, blocks = grid({"m": np.arange(1.0, 513.0)}), 8
-    found = taken(Runs, design, 1, None, seen.append)
+    found = taken(Threads(Runs, 1), design, None, seen.append)
     assert seen == [64 * (i + 1) for i in range(blocks)] and len(found.errors) == 512
     assert len(counted) <= 2 * blocks
