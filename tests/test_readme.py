@@ -121,6 +121,8 @@ COINED = {
     r"closed-form pair": ("closed-form-pair", "schemes.md ledger.md plan.md"),
     r"hidden constraint": ("hidden-constraint", "plan.md ledger.md fmu.md"),
     r"restart steps": ("restart-steps", "steps.md"),
+    r"\bguards?\b": ("guard-jump-landing", "events.md"),
+    r"stepped last": ("stepped-last", "couplings.md stress.md"),
     r"held inputs?": ("held", "fmu.md plan.md"),
 }
 

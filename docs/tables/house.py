@@ -29,6 +29,10 @@ KINDS = {
         ("Newton", "newton", "Coupled"),
         ("phfmu/__init__.py", "phfmu/__init__.pyi", "phfmu/network", "phfmu/cli"),
     ),
+    "coupling that takes steps once": (
+        ("Jacobi", "jacobi"),
+        ("phfmu/__init__.py", "phfmu/__init__.pyi", "phfmu/network", "phfmu/cli"),
+    ),
     "FMI version": (("fmi3", "3.0", "fmi2", "2.0"), ("phfmu/fmu", "phfmu/cli")),
 }
 C_FUNCTION = re.compile(
