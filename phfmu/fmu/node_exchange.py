@@ -50,7 +50,8 @@ class NodeExchange:
 
     def node_output(self) -> Array:
         """k x nu."""
-        return self._slave.get(self._values.y_nodes).reshape(-1, self._values.nu) * self._values.output_sign
+        shape = len(self._face.nodes), self._values.nu
+        return self._slave.get(self._values.y_nodes).reshape(shape) * self._values.output_sign
 
     @cached_property
     def impulse_ports(self) -> tuple[PortImpulse, ...]:

@@ -104,7 +104,8 @@ class PortValues:
 
     def take_at_nodes(self, u: ArrayLike) -> None:
         """Inputs at the k nodes (k x nu) into theirs; FMUError if the unit was exported without them."""
-        values, k = np.asarray(u, float), len(self.interface.nodes) if self.u_nodes.n else 0
+        # a unit without ports takes none of them
+        values, k = np.asarray(u, float), len(self.interface.nodes) if self.u_nodes.n or not self.nu else 0
         if not k:
             raise FMUError(
                 f"{self.name}: the unit has no inputs at nodes; export it with --node-inputs and order 4 or 6"

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from phfmu import (
     PHDAE,
@@ -24,7 +25,9 @@ from phfmu import (
     Options,
     PythonInstance,
     build_model,
+    damping,
     driven,
+    energy,
     run,
     signal_input,
     signal_output,
@@ -281,3 +284,46 @@ def test_factors_and_offsets() -> None:
     np.testing.assert_allclose(one.column("rotor.w"), other.column("rotor.w"), rtol=1e-13)
     plain = speed(2)[0].column("rotor.w")
     np.testing.assert_allclose(one.column("rotor.w"), plain, rtol=1e-12)
+
+
+def fed_by(name: str, damping_: float, start: float) -> PHDAE:
+    """x' = -d x + u,  H = x^2 / 2: the signal u drives a source, whose work u x comes from outside."""
+    u, x = signal_input("u"), state("x", start=start)
+    return PHDAE(
+        name, (x,), parameters=(u,), energies=(energy(x**2 / 2),), dissipation=(damping(x, damping_),),
+        ports=(driven("source", {x: u}),),
+    )  # fmt: skip
+
+
+def toy() -> Network:
+    """x1' = -2 x1 + x2, x2' = -x2 + x1, x(0) = (1, 5): each feeds the other without taking anything from it.
+
+    Source: the example of energy-conservation-based co-simulation (Sadjina et al. 2017), as libcosim tests it.
+    """
+    net = Network("toy")
+    net.add("one", fed_by("one", 2.0, 1.0))
+    net.add("two", fed_by("two", 1.0, 5.0))
+    net.signal("two.x", "one.u")
+    net.signal("one.x", "two.u")
+    return net
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_what_signals_make_of_sources_is_booked_as_from_outside(k: int) -> None:
+    """Each source has the energy of the integral of x1 x2, by the matrix exponential; nothing is left to junctions."""
+    A, stop = np.array([[-2.0, 1.0], [1.0, -1.0]]), 1.0
+    where, weights = np.polynomial.legendre.leggauss(20)
+    x = np.array([expm(A * stop * (1 + s) / 2) @ [1.0, 5.0] for s in where])
+    work = stop / 2 * float(weights @ (x[:, 0] * x[:, 1]))
+    errors = []
+    for h in (0.2, 0.1):
+        result = run(apart(toy(), k), Options(stop=stop, step=h))
+        s = result.ledger.summary()
+        assert s.closed and not s.junctions and s.network is not None
+        made = {p.component: p.supplied for p in s.ports}
+        assert made["one"] == pytest.approx(made["two"], rel=1e-13) and len(s.ports) == 2
+        assert s.network.external == pytest.approx(2 * made["one"], rel=1e-13)
+        assert s.network.stored + (s.network.dissipated or 0.0) == pytest.approx(s.network.external, rel=1e-13)
+        ends = [result.column(f"{n}.x")[-1] for n in ("one", "two")]
+        errors.append([made["one"] - work, *(ends - expm(A * stop) @ [1.0, 5.0])])
+    np.testing.assert_allclose(np.log2(np.abs(np.divide(*errors))), 2 * k, atol=0.15)
