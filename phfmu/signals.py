@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from phfmu.declare.port import SIGNAL
-
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.declare.port import Port
@@ -175,7 +173,8 @@ def _algebraics(model: Model) -> Iterator[Quantity]:
 
 def _ports(model: Model) -> Iterator[Quantity]:
     for port, first in ordered_ports(model.declaration):
-        if port.domain is SIGNAL:
+        if port.signal:
+            yield from _taken(model, port, first)
             continue
         flow, effort = port.domain.flow, port.domain.effort
         given, found = (effort, flow) if port.given == "effort" else (flow, effort)
@@ -194,6 +193,13 @@ def _ports(model: Model) -> Iterator[Quantity]:
                 yield Quantity(name, causality, block, first + i, 1, None, port.output_unit, description=about)
         about = f"energy {text}, supplied since the start"
         yield Quantity(port_energy(port.name), causality, "energy", first, port.n, None, "J", description=about)
+
+
+def _taken(model: Model, port: Port, first: int) -> Iterator[Quantity]:
+    """The inputs of a signal at nodes; its outputs are told as what they are."""
+    for i, name in enumerate(port.input_names() if port.external and not port.sends else ()):
+        start, about = float(model.u0[first + i]), port.description or f"signal {port.name}"
+        yield Quantity(name, "input", "input", first + i, 1, start, port.input_unit, None, about)
 
 
 def _totals(model: Model) -> Iterator[Quantity]:

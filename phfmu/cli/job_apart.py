@@ -43,7 +43,9 @@ def apart(
     with_impulses = kicked(network, args.project) if some_fmu and coupling.nodes else set()
     held = {
         n for n, d in network.declared.items()
-        if not (coupling.nodes and schemes[n].node_values) or d.state_events or stepping.engine_of(n) == "fmu"
+        if not (coupling.nodes and schemes[n].node_values)
+        or d.state_events
+        or (stepping.engine_of(n) == "fmu" and schemes[n].order == 2)
     }  # fmt: skip
     separate = network.separate(held)
 

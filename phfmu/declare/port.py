@@ -37,7 +37,7 @@ HYDRAULIC = Domain("hydraulic", "pressure", "Pa", "flow", "m3/s", "effort")
 DOMAINS = {d.name: d for d in (ELECTRICAL, TRANSLATIONAL, ROTATIONAL, HYDRAULIC)}
 #: A moving constraint: time passes at the rate 1 and takes the power of the constraint forces.
 DRIVE = Domain("drive", "power", "W", "clock", "1", "flow")
-#: Signals that members stepped apart exchange: values, whose power is zero.
+#: Signals that members stepped apart exchange: values, whose power is zero; each is of a unit of its own.
 SIGNAL = Domain("signal", "", "1", "", "1", "effort")
 
 
@@ -99,13 +99,23 @@ class Port:
         return self.input_names()
 
     @property
+    def signal(self) -> bool:
+        """True for the port of a signal, which has no power."""
+        return self.domain.name == SIGNAL.name
+
+    @property
+    def sends(self) -> bool:
+        """True for that of a signal output, whose input is no one's."""
+        return self.signal and self.given == "flow"
+
+    @property
     def external(self) -> bool:
         """True if the input comes from outside the model."""
         return self.source is None and self.bound is None
 
     def _member(self, member: str) -> str:
         """`port.member`; signals are called by their own names."""
-        return self.name + ("" if self.domain is SIGNAL else ".") + member
+        return self.name + ("" if self.signal else ".") + member
 
     def _names(self, member: str) -> list[str]:
         base = self._member(member)

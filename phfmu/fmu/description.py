@@ -123,7 +123,7 @@ class Unit:
         if not self.arrays:
             return {}
         place = {v.name: i for i, v in enumerate(self.variables)}
-        ports = [p for p in self.declaration.ports if p.size is not None]
+        ports = [p for p in self.declaration.ports if p.size is not None and not p.signal]
         groups = [g for p in ports for g in (p.input_names(), p.output_names(), p.output_names(MEAN))]
         return {place[g[0]]: Span(g[0].rpartition("[")[0], len(g)) for g in groups if g[0] in place}
 

@@ -41,7 +41,7 @@ def impulse_values(model: Model) -> Iterator[Quantity]:
     n = kernels.n
     order = {pair: i for i, pair in enumerate(kernels.forms.pairs)}
     inputs, outputs = [""] * n, [""] * n
-    free = [(p, first) for p, first in ordered_ports(model.declaration) if p.external]
+    free = [(p, first) for p, first in ordered_ports(model.declaration) if p.external and not p.signal]
     for port, first in free:
         for j, names in enumerate(port.impulse_names()):
             if (place := order.get(first + j)) is None:

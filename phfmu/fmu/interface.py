@@ -37,8 +37,8 @@ class Interface:
 
     `left_out`: what cannot be read or set here, in words.  `nodes`, `weights`: places on [0, 1] and weights of the nodes at
     which ports take inputs; empty without such inputs.  `impulses`: inputs of which impulses are taken, in the order of
-    the matrix `jump`.  `one_step`: it says that all of its steps have to be equal;  `one_instance`: a process can have one of it;
-    `tool`: it needs a tool of its maker.
+    the matrix `jump`.  `taken`, `sent`: signal -> its names at the nodes of a step.  `one_step`: it says that all of its steps
+    have to be equal;  `one_instance`: a process can have one of it;  `tool`: it needs a tool of its maker.
     """
 
     version: str
@@ -58,6 +58,8 @@ class Interface:
     weights: tuple[float, ...] = ()
     impulses: tuple[str, ...] = ()
     jump: str = ""
+    taken: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    sent: dict[str, tuple[str, ...]] = field(default_factory=dict)
     left_out: str = ""
     units: dict[str, Unit] = field(default_factory=dict)
     one_step: bool = False

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from phfmu.declare.port import Domain, Given
+from phfmu.declare.port import Domain, Given, Port
 from phfmu.fmu import limits
 from phfmu.fmu.description import Unit
 from phfmu.fmu.impulse_values import JUMP
@@ -147,6 +147,9 @@ def manifest(unit: Unit) -> bytes:
     for port in unit.declaration.ports:
         if not port.external:
             continue
+        if port.signal:
+            _add_signals(root, port, plan.k if unit.at_nodes else 0)
+            continue
         element = etree.SubElement(root, "Port", name=port.name, given=port.given)
         for name, attribute in DOMAIN.items():
             element.set(name, getattr(port.domain, attribute))
@@ -172,6 +175,17 @@ def manifest(unit: Unit) -> bytes:
                     about["impulses"] = " ".join(port.impulse_names()[j])
             etree.SubElement(element, "Pair", about)
     return text_of(root)
+
+
+def _add_signals(root: Element, port: Port, k: int) -> None:
+    """Values without power at the k nodes of a step, none without inputs there."""
+    if not k:
+        return
+    at_nodes = port.node_output_names(k) if port.sends else port.node_input_names(k)
+    for name, nodes in zip(port.input_names(), at_nodes, strict=True):
+        etree.SubElement(
+            root, "Signal", name=name, causality="output" if port.sends else "input", nodes=" ".join(nodes)
+        )
 
 
 def _add_impulses(step: Element, unit: Unit) -> dict[str, PortImpulse]:
@@ -220,6 +234,11 @@ def read_ports(root: Element) -> list[PortMap]:
     return ports
 
 
+def _read_signals(root: Element, causality: str) -> dict[str, tuple[str, ...]]:
+    found = [s for s in root.findall("Signal") if s.get("causality") == causality]
+    return {plain(s.get("name", ""), limits.NAME): tuple(s.get("nodes", "").split()) for s in found}
+
+
 def read_manifest(root: Element) -> dict[str, Any]:
     """Ports, names of the energies, places and weights of the nodes, as `Interface` has them."""
     energy, step = root.find("Energy"), root.find("Step")
@@ -231,4 +250,5 @@ def read_manifest(root: Element) -> dict[str, Any]:
         "weights": places[1],
         "impulses": () if step is None else tuple(step.get("impulses", "").split()),
         "jump": "" if step is None else plain(step.get("jump", ""), limits.NAME),
+        **{word: _read_signals(root, causality) for word, causality in (("taken", "input"), ("sent", "output"))},
     }

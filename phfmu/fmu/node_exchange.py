@@ -33,25 +33,44 @@ def impulse_ports(ports: Sequence[PortMap]) -> tuple[PortImpulse, ...]:
 
 
 class NodeExchange:
-    """Of a unit exported with inputs at nodes; all arguments and results count into the component."""
+    """Of a unit exported with inputs at nodes; all arguments and results count into the component.
+
+    Its `all` scalars at a node are nu of ports, then the signals that it takes, then those that it sends: their inputs are
+    no one's, and the outputs of those that are taken are zero.
+    """
 
     def __init__(self, slave: AnySlave, values: PortValues):
         self._slave, self._values, self._face = slave, values, values.interface
         self.name = values.name
+        taken, sent = len(values.interface.taken), len(values.interface.sent)
+        #: scalars at a node;  of these the inputs that exist, and the outputs
+        self.all = values.nu + taken + sent
+        self._sent = np.arange(values.nu + taken, self.all)
         self._known: dict[tuple[bool, str], Derivative] = {}
         #: places of the inputs that take impulses, in the order of `jump`
         self.kicked = [values.inputs.index(n) for n in values.kicked]
 
     def set_node_inputs(self, u: ArrayLike) -> None:
-        """k x nu; FMUError if the unit was exported without them."""
-        self._values.take_at_nodes(u)
-        if self._values.nu:
-            self._slave.set(self._values.u_nodes)
+        """k x nu, or k x all; FMUError if the unit was exported without them."""
+        v, u = self._values, np.asarray(u, float)
+        v.take_at_nodes(u if u.ndim < 2 else u[:, : v.nu])
+        if v.nu:
+            self._slave.set(v.u_nodes)
+        if v.taken.n and u.shape[1] == self.all:
+            v.taken.values[:] = u[:, v.nu : self._sent.min(initial=self.all)].ravel()
+            self._slave.set(v.taken)
 
     def node_output(self) -> Array:
-        """k x nu."""
-        shape = len(self._face.nodes), self._values.nu
-        return self._slave.get(self._values.y_nodes).reshape(shape) * self._values.output_sign
+        """k x all."""
+        v, k = self._values, len(self._face.nodes)
+        y = self._slave.get(v.y_nodes).reshape(k, v.nu) * v.output_sign
+        if self.all == v.nu:
+            return y
+        found = np.zeros((k, self.all))
+        found[:, : v.nu] = y
+        if v.sent.n:
+            found[:, self._sent] = self._slave.get(v.sent).reshape(k, len(self._sent))
+        return found
 
     @cached_property
     def impulse_ports(self) -> tuple[PortImpulse, ...]:
@@ -85,19 +104,32 @@ class NodeExchange:
         """
         v, k = self._values, len(self._face.nodes)
         chosen = list(range(v.nu) if inputs is None else inputs)
-        known = [v.u_nodes.scalars[i * v.nu + j] for i in range(k) for j in chosen]
+        known = [self._input(i, j) for i in range(k) for j in chosen]
         known += v.impulses.scalars if impulses else ()
-        rows = v.y_nodes_end if end else v.y_nodes
+        rows = v.told_end if end else v.told
         try:
             found = np.array([self._slave.derivative(self._derivative(end, rows, s)).copy() for s in known])
         except FMUError as error:
             raise StepFailure(Status.NO_SENSITIVITY, self.name, 0.0, 0.0, tried=str(error)) from error
-        found = found.reshape(len(known), rows.n).T * np.tile(v.output_sign, k + end)[:, None]
-        sign = [np.tile(v.input_sign[chosen], k), *[v.input_sign[self.kicked]] * (2 * impulses)]
+        found = found.reshape(len(known), rows.n).T
+        signs = np.append(v.input_sign, np.ones(self.all - v.nu))
+        sign = [np.tile(signs[chosen], k), *[v.input_sign[self.kicked]] * (2 * impulses)]
         found = found / np.concatenate(sign)
-        split = k * v.nu
-        at_nodes = found[:split].reshape(k, v.nu, len(known))
-        return NodeSensitivity(at_nodes, np.zeros((0, len(known))), found[split:] if end else None)
+        n, m = k * v.nu, k * len(self._sent)
+        at_nodes = np.zeros((k, self.all, len(known)))
+        at_nodes[:, : v.nu] = found[:n].reshape(k, v.nu, len(known)) * v.output_sign[:, None]
+        at_nodes[:, self._sent] = found[n : n + m].reshape(k, len(self._sent), len(known))
+        at_end = np.zeros((self.all, len(known)))
+        if end:
+            at_end[: v.nu] = found[n + m :] * v.output_sign[:, None]
+        return NodeSensitivity(at_nodes, np.zeros((0, len(known))), at_end if end else None)
+
+    def _input(self, node: int, j: int) -> Scalar:
+        """Input j of all at a node."""
+        v = self._values
+        if j < v.nu:
+            return v.u_nodes.scalars[node * v.nu + j]
+        return v.taken.scalars[node * len(self._face.taken) + j - v.nu]
 
     def _derivative(self, end: bool, rows: References, known: Scalar) -> Derivative:
         key = (end, known.name)

@@ -19,10 +19,12 @@ def require_nodes(model: Model) -> None:
 
 
 def node_values(model: Model) -> Iterator[Quantity]:
-    """Inputs (nu per node), then outputs."""
+    """Inputs of power ports and signals, then outputs, at the nodes."""
     plan = model.step
     free = [(p, first) for p, first in ordered_ports(model.declaration) if p.external]
     for port, first in free:
+        if port.sends:
+            continue
         nominal = entries(port.nominal, port.n)
         for j, names in enumerate(port.node_input_names(plan.k)):
             for i, name in enumerate(names):
@@ -30,7 +32,10 @@ def node_values(model: Model) -> Iterator[Quantity]:
                     name, "input", "node_input", i * plan.nu + first + j, 1, float(model.u0[first + j]), port.input_unit,
                     abs(nominal[j]) or None, f"{port.input_names()[j]} at t + {model.nodes[i]:.9g} h of the next step",
                 )  # fmt: skip
+    ports = {n for port, _ in free if not port.signal for n in port.output_names()}
     for port, first in free:
+        if port.signal and (not port.sends or {*port.output_names()} <= ports):  # outputs of ports are there already
+            continue
         for j, names in enumerate(port.node_output_names(plan.k)):
             for i, name in enumerate(names):
                 yield Quantity(

@@ -28,7 +28,7 @@ def summed_word(port: Port) -> str:
 
 def require_ports(declaration: PHDAE, outward: Sequence[str]) -> None:
     """FMUError names what is no external port of the declaration."""
-    free = [p.name for p in declaration.ports if p.external]
+    free = [p.name for p in declaration.ports if p.external and not p.signal]
     for name in outward:
         if name not in free:
             raise FMUError(

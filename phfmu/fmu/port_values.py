@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 class PortValues:
     """nu scalar pairs of all ports: inputs `u`, outputs now `y_end`, as means of a step `y_mean` (None: not told).
 
-    `u_nodes`, `y_nodes`: inputs and outputs at the nodes of a step, node by node; `held`: u was set after u_nodes.
+    `u_nodes`, `y_nodes`: inputs and outputs at the nodes of a step, node by node; `taken`, `sent`: signals alike; `held`: u was
+    set after u_nodes.
     References hold what the unit says; times `input_sign`, `output_sign` (nu) it counts into the component in units of the
     domain, as all arguments and results of methods do.  FMUError names what the unit has not, and what is no pair.
     """
@@ -41,7 +42,13 @@ class PortValues:
         self.y_mean = self.group(means, "output") if len(means) == len(self.inputs) else None
         self.u_nodes = self.group(_in_order(ports, "node_inputs"), "input")
         self.y_nodes = self.group(_in_order(ports, "node_outputs"), "output")
-        self.y_nodes_end = self.group([*_in_order(ports, "node_outputs"), *self.outputs], "output")
+        self.taken, self.sent = (
+            self.group([n for node in zip(*told.values(), strict=True) for n in node], what)
+            for told, what in ((interface.taken, "input"), (interface.sent, "output"))
+        )
+        #: what a step makes of the outputs at its nodes, and at its end
+        at_nodes = [s.name for r in (self.y_nodes, self.sent) for s in r.scalars]
+        self.told, self.told_end = self.group(at_nodes, "output"), self.group([*at_nodes, *self.outputs], "output")
         impulses = self._impulses(ports)
         #: inputs of which impulses are taken; none for ports that are not those of the manifest
         self.kicked = interface.impulses if impulses else ()
@@ -123,11 +130,12 @@ class PortValues:
 
     def of_steps(self) -> set[str]:
         """What a master exchanges in a step, beside inputs, outputs and means."""
-        return {s.name for r in (self.y_nodes, self.jump, self.pair_energies) for s in r.scalars}
+        return {s.name for r in (self.y_nodes, self.sent, self.jump, self.pair_energies) for s in r.scalars}
 
     def others(self) -> list[str]:
         """Inputs that belong to no port."""
-        own = {*self.inputs, *(s.name for s in (*self.u_nodes.scalars, *self.impulses.scalars))}
+        groups = (self.u_nodes, self.taken, self.impulses)
+        own = {*self.inputs, *(s.name for r in groups for s in r.scalars)}
         return [n for n, v in self.interface.variables.items() if v.causality == "input" and n not in own]
 
 

@@ -46,7 +46,7 @@ def fed_inside(declaration: PHDAE, names: Sequence[str]) -> PHDAE:
     def fed(port: Port) -> Port:
         scalars = port.input_names()
         bare = scalars[0].partition("[")[0]
-        if not port.external or not {bare, *scalars} & {*names}:
+        if not port.external or port.signal or not {bare, *scalars} & {*names}:
             return port
         value = parameter(bare, port.start, port.size, unit=port.input_unit, description=f"input of port {port.name}")
         made.append(value)

@@ -17,7 +17,7 @@ from phfmu.fmu.xml import Element, etree, text_of
 
 def terminals(unit: Unit, version: Version) -> bytes | None:
     """Those of a unit of one FMI version: the document, or None without external ports or if it is not wanted."""
-    ports = [p for p in unit.declaration.ports if p.external]
+    ports = [p for p in unit.declaration.ports if p.external and not p.signal]
     if not ports or not unit.terminals:
         return None
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")

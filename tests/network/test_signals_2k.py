@@ -6,7 +6,11 @@ turbine, an exciter measures its electrical torque (not linear in the states) an
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
+from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +23,8 @@ from phfmu import (
     Collocated,
     Coupled,
     EngineMember,
+    FMUInstance,
+    FMUMember,
     Monolithic,
     NativeInstance,
     Network,
@@ -28,6 +34,7 @@ from phfmu import (
     damping,
     driven,
     energy,
+    export,
     run,
     signal_input,
     signal_output,
@@ -327,3 +334,80 @@ def test_what_signals_make_of_sources_is_booked_as_from_outside(k: int) -> None:
         ends = [result.column(f"{n}.x")[-1] for n in ("one", "two")]
         errors.append([made["one"] - work, *(ends - expm(A * stop) @ [1.0, 5.0])])
     np.testing.assert_allclose(np.log2(np.abs(np.divide(*errors))), 2 * k, atol=0.15)
+
+
+# -- units -----------------------------------------------------------------------------------------------------
+
+ENGINES: dict[str, Any] = {"python": PythonInstance, "native": NativeInstance}
+FMI = {"fmi2": "2.0", "fmi3": "3.0"}
+
+
+@pytest.fixture
+def with_units(compiler: None, tmp_path: Path) -> Iterator[Any]:
+    """(network, kinds in turn, k, step) -> members stepped apart."""
+    with ExitStack() as stack:
+
+        def make(net: Network, kinds: str, k: int, h: float) -> Coupled:
+            members: list[Member] = []
+            for (name, part), kind in zip(net.separate().items(), cycle(kinds.split()), strict=False):
+                model = build_model(part, Collocated(k))
+                if kind in FMI:
+                    kicked = any(p.kind != "none" for p in PythonInstance(model).impulse_ports)
+                    later = [v.name for v in part.parameters]
+                    folder = tmp_path / f"{name}{k}"
+                    (path,) = export(
+                        model, folder, (FMI[kind],), step=h, node_inputs=True, impulses=kicked, tunable=later
+                    )
+                    members.append(FMUMember(name, stack.enter_context(FMUInstance(path, name=name))))
+                else:
+                    members.append(EngineMember(name, model, ENGINES[kind](model)))
+            return Coupled(net, members)
+
+        yield make
+
+
+@pytest.mark.parametrize(
+    ("kinds", "k"),
+    wide([(kinds, k) for kinds in ("fmi2", "fmi3", "fmi3 native fmi2") for k in (2, 3)], ("fmi3 native fmi2", 2)),
+)
+def test_units_exchange_signals_at_nodes(with_units: Any, kinds: str, k: int) -> None:
+    options = Options(stop=0.2, step=1e-2, events=speed_control().events)
+    whole = run(composed(loop(), k), options)
+    system = with_units(loop(), kinds, k, 1e-2)
+    parts = run(system, options)
+    assert system.coupling.order == 2 * k and parts.ledger.summary().closed
+    for name in LOOP:
+        size = np.abs(whole.column(name)).max()
+        np.testing.assert_allclose(parts.column(name), whole.column(name), rtol=0, atol=1e-12 * size)
+    with pytest.raises(KeyError, match="fed by a signal"):
+        system.set_value("actuator.torque", 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kinds", ["fmi2", "fmi3", "fmi3 native fmi2 python"])
+def test_a_governed_machine_of_units_is_the_composed_one(with_units: Any, kinds: str) -> None:
+    net, stop = governed(), 0.005
+    parts = ran(net, with_units(net, kinds, 2, 1e-3), 1e-3, stop)
+    assert apart_by(parts, ran(net, composed(net, 2, NativeInstance), 1e-3, stop)) < 1e-12
+    assert parts.ledger.summary().closed
+
+
+def test_a_plain_importer_sees_plain_inputs_and_outputs(compiler: None, tmp_path: Path) -> None:
+    """Held, by its own name, with the bits of the engine; values at nodes are more variables, which none has to set."""
+    model = build_model(loop().separate()["controller"], Collocated(2))
+    (path,) = export(model, tmp_path, ("3.0",), step=1e-2, node_inputs=True)
+    engine = NativeInstance(model)
+    with FMUInstance(path) as unit:
+        about = unit.interface.variables
+        given = {n for n, v in about.items() if v.causality == "input"}
+        assert given == {"reference", "measured", "measured_node[1]", "measured_node[2]"}
+        found = {n for n, v in about.items() if v.causality == "output"}
+        assert {"command", "error", "command_node[1]", "command_node[2]"} <= found and unit.ports == ()
+        assert about["measured"].unit == "rad/s" and about["command_node[1]"].unit == "N.m"
+        unit.set({"measured": 95.0})
+        engine.set_input([95.0, 0.0])
+        for i in range(3):
+            unit.do_step(i * 1e-2, 1e-2)
+            engine.do_step(i * 1e-2, 1e-2)
+            assert unit.get(["x"])[0] == engine.x[0]
+        assert unit.get(["command"])[0] == pytest.approx(0.8 * 5.0 + 8.0 * engine.x[0], rel=1e-15)

@@ -22,7 +22,6 @@ from phfmu.network.junctions.interface import interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.unknowns import junction_unknowns
 from phfmu.network.members.differences import instant_sensitivity
-from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.network.members.stepped_last import SteppedLast
 from phfmu.words import meant
@@ -64,9 +63,8 @@ class Joined:
         """(member, signal) of those that ports take and send -> place among all inputs and outputs."""
         taken, sent = dict[tuple[str, str], int](), dict[tuple[str, str], int]()
         for m, place in zip(self.members, self.places, strict=True):
-            if isinstance(m, EngineMember):
-                taken |= {(m.name, n): place.start + i for n, i in m.taken.items()}
-                sent |= {(m.name, n): place.start + i for n, i in m.sent.items()}
+            taken |= {(m.name, n): place.start + i for n, i in m.taken.items()}
+            sent |= {(m.name, n): place.start + i for n, i in m.sent.items()}
         return taken, sent
 
     @property

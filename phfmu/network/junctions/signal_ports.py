@@ -10,14 +10,14 @@ So inputs and outputs at nodes, sensitivities, internal steps and halved ones ar
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
 
 from phfmu.declare.block import skew
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.port import SIGNAL, Port
+from phfmu.declare.port import SIGNAL, Given, Port
 from phfmu.network.junctions.fed import fed
 from phfmu.network.junctions.wires import Output, Wire, outputs
 
@@ -25,30 +25,32 @@ from phfmu.network.junctions.wires import Output, Wire, outputs
 def with_signal_ports(model: PHDAE, taken: Collection[str], sent: Collection[str]) -> PHDAE:
     """`model` with ports for some of its signal inputs and outputs, by their bare names; the ports stand after its own."""
     inputs = [v for v in model.parameters if v.signal and v.name in taken]
-    into = [Port(v.name, SIGNAL, "effort", {}, v.size, start=v.start if v.size else v.start[0]) for v in inputs]
+    into = [_port(v.name, "effort", v.size, v.unit, v.start, v.description) for v in inputs]
     values = {
         n: u for v, p in zip(inputs, into, strict=True) for n, u in zip(v.names(), ca.vertsplit(p.u), strict=True)
     }
     model = fed(model, values) if values else model
     found = outputs(model)
-    out = {name: Port(name, SIGNAL, "flow", {}, _size(name, found[name])) for name in sent}
+    out = {name: _port(name, "flow", _size(name, found[name]), found[name].unit) for name in sent}
     unit = Port("signals", SIGNAL, "flow", {}, source=1.0)
     blocks = [skew(port, unit, -found[name].expr) for name, port in out.items()]
     ports = (*model.ports, *into, *out.values(), *([unit] if out else []))
     return replace(model, ports=ports, structure=(*model.structure, *blocks))
 
 
-def is_sent(port: Port) -> bool:
-    """Whether it is that of a signal output, whose input is no one's."""
-    return port.domain is SIGNAL and port.given == "flow"
+def _port(
+    name: str, given: Given, size: int | None, unit: str, start: Sequence[float] = (0.0,), description: str = ""
+) -> Port:
+    domain = replace(SIGNAL, effort_unit=unit, flow_unit=unit)
+    return Port(name, domain, given, {}, size, start=start if size else start[0], description=description)
 
 
 def signal_places(model: PHDAE) -> tuple[dict[str, int], dict[str, int]]:
     """Scalar names of the signals that ports of `model` take and send, with their places among the external inputs."""
     taken, sent, at = dict[str, int](), dict[str, int](), 0
     for port in (p for p in model.ports if p.external):
-        if port.domain is SIGNAL:
-            into = sent if is_sent(port) else taken
+        if port.signal:
+            into = sent if port.sends else taken
             into |= {n: at + j for j, n in enumerate(port.input_names())}
         at += port.n
     return taken, sent

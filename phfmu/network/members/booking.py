@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking, PortKey
-from phfmu.declare.port import SIGNAL
 from phfmu.discretise.model import Model
 from phfmu.signals import ordered_ports
 
@@ -18,7 +17,7 @@ def booking(model: Model) -> Booking:
     at = {end: name for name, ends in d.junctions for end in ends}
     pairs = []
     for p, _ in ordered_ports(d):
-        if p.domain is SIGNAL:
+        if p.signal:
             continue
         short = p.name.removeprefix(p.owner + ".") if p.owner else p.name
         for j in range(p.n):
@@ -29,5 +28,5 @@ def booking(model: Model) -> Booking:
 
 def booked(model: Model) -> NDArray[np.intp]:
     """Which pairs of its ledger are booked: all but signals, whose power is zero."""
-    found = [at + j for p, at in ordered_ports(model.declaration) if p.domain is not SIGNAL for j in range(p.n)]
+    found = [at + j for p, at in ordered_ports(model.declaration) if not p.signal for j in range(p.n)]
     return np.array(found, int)

@@ -53,7 +53,11 @@ class FMUMember:
 
     def __init__(self, name: str, unit: FMUInstance):
         self.name, self.unit = name, unit
-        self.nu = unit.nu
+        #: signals that it exchanges at the nodes of its steps, behind its ports
+        signals = unit.interface.taken, unit.interface.sent
+        self.taken = {n: unit.nu + i for i, n in enumerate(signals[0])}
+        self.sent = {n: unit.nu + len(self.taken) + i for i, n in enumerate(signals[1])}
+        self.nu = unit.nu + len(self.taken) + len(self.sent)
         self.places: dict[str, slice] = {}
         start = 0
         for p in unit.ports:
@@ -68,14 +72,17 @@ class FMUMember:
         self._length: float | None = None
         self.booking = _booking(unit, name)
         self._tunable = frozenset(unit.tunable)
-        self._others = [*unit.other_inputs, *unit.tunable]
-        self._u = unit.start_inputs()
+        self._others = [*(n for n in unit.other_inputs if n not in self.taken), *unit.tunable]
+        self._u = self.start_inputs()
         #: what was set by name
         self._given: dict[str, float] = {}
         self._moved = False
-        self.input_sign = unit.input_sign
+        more = np.ones(self.nu - unit.nu)
+        self.input_sign = np.append(unit.input_sign, more)
         self._happened = UnitHappenings(unit, name)
-        self.nominal = np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs])
+        self.nominal = np.append(
+            np.abs(unit.input_sign) * np.array([unit.variable(n).nominal for n in unit.inputs]), more
+        )
 
     @property
     def saves(self) -> bool:
@@ -88,17 +95,17 @@ class FMUMember:
 
     @property
     def input_names(self) -> list[str]:
-        return list(self.unit.inputs)
+        return [*self.unit.inputs, *self.taken, *self.sent]
 
     def signals(self) -> dict[str, float]:
-        names = list(self.unit.other_inputs)
+        names = [n for n in self.unit.other_inputs if n not in self.taken]
         return dict(zip(names, self.unit.get(names).tolist(), strict=True)) if names else {}
 
     def settable(self) -> list[str]:
-        return [*self.unit.inputs, *self._others]
+        return [*self.unit.inputs, *self.taken, *self._others]
 
     def input_places(self, name: str) -> list[int]:
-        return places({n: i for i, n in enumerate(self.unit.inputs)}, name)
+        return places({n: i for i, n in enumerate([*self.unit.inputs, *self.taken])}, name)
 
     def set_parameter(self, name: str, value: float) -> str:
         """Tunable parameters and inputs without power; ValueError for parameters that are fixed once it is initialised."""
@@ -125,11 +132,17 @@ class FMUMember:
         self.unit.set(now)
 
     def start_inputs(self) -> Array:
-        return self.unit.start_inputs()
+        starts = [self.unit.variable(n).start or 0.0 for n in self.taken]
+        return np.concatenate([self.unit.start_inputs(), starts, np.zeros(len(self.sent))])
 
     def set_input(self, u: Array) -> None:
         self._u = np.array(u)
-        self.unit.set_input(u)
+        self.unit.set_input(u[: self.unit.nu])
+        if self.taken:
+            self.unit.set(self._signals(u))
+
+    def _signals(self, u: Array) -> dict[str, float]:
+        return {n: float(u[i]) for n, i in self.taken.items()}
 
     @property
     def states(self) -> dict[str, float]:
@@ -152,7 +165,7 @@ class FMUMember:
             self.set_input(u)
             return
         self._u = np.array(u)
-        self.unit.reset(self._given, u)
+        self.unit.reset(self._given | self._signals(u), u[: self.unit.nu])
 
     def do_step(self, t: float, h: float) -> None:
         """All of the step; UnitFailure where the unit takes a part of it only, which is taken back, or not this length."""
@@ -175,14 +188,19 @@ class FMUMember:
             raise UnitFailure(self.unit.name, t, h, what, "other length")
 
     def output(self) -> Array:
-        return self.unit.output()
+        return self._with_signals(self.unit.output())
 
     def end_output(self) -> Array:
-        return self.unit.end_output()
+        return self._with_signals(self.unit.end_output())
+
+    def _with_signals(self, y: Array) -> Array:
+        """Outputs of ports (..); those of signals are read by name."""
+        return np.append(y, np.zeros(self.nu - len(y))) if self.nu > len(y) else y
 
     def sensitivity(self, t: float, h: float, state: Any) -> Array:
         try:
-            return self.unit.sensitivity()
+            more = self.nu - self.unit.nu
+            return np.pad(self.unit.sensitivity(), (0, more)) if more else self.unit.sensitivity()
         except StepFailure as failure:
             if failure.status is not Status.NO_SENSITIVITY:
                 raise

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.network.junctions.signal_ports import is_sent
 
 if TYPE_CHECKING:
     from phfmu.network.members.interpolant import Interpolant
@@ -33,7 +32,7 @@ class Inputs:
         self.parameters = {n: i for i, n in enumerate(names)}
         self._signals = {n for v in d.parameters if v.signal for n in (v.name, *v.names())}
         free = [(p, n) for p in d.ports if p.external for n in p.input_names()]
-        self.inputs = {n: i for i, (p, n) in enumerate(free) if not is_sent(p)}
+        self.inputs = {n: i for i, (p, n) in enumerate(free) if not p.sends}
         self.u = self.model.u0.copy()
         #: name of a free input, or bare name of a vector -> its places in u
         self.free = {n: places(self.inputs, n) for n in with_bare(self.inputs) if not places(self.parameters, n)}

@@ -20,6 +20,7 @@ class Member(Protocol):
 
     `input_sign` (nu): -1 where an input called by its name counts out of the member (outward ports of units).
     `saves`: whether it can give its state and take it back.
+    `taken`, `sent`: signals that it exchanges at the nodes of its steps, with their places among inputs and outputs.
     """
 
     name: str
@@ -29,6 +30,8 @@ class Member(Protocol):
     nominal: Array
     input_sign: Array
     booking: Booking
+    taken: dict[str, int]
+    sent: dict[str, int]
 
     @property
     def saves(self) -> bool: ...

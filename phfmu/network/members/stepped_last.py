@@ -35,7 +35,7 @@ class SteppedLast:
         self.inner, self._h, (first, self._G) = inner, h, response
         self.name, self.nu, self.names = inner.name, inner.nu, inner.names
         self.places, self.nominal, self.booking = inner.places, inner.nominal, inner.booking
-        self.input_sign, self.saves = inner.input_sign, False
+        self.input_sign, self.saves, self.taken, self.sent = inner.input_sign, False, inner.taken, inner.sent
         self._u = inner.start_inputs()
         self._end = inner.end_output().copy()
         self._last, self._b = self._u, first - self._end
