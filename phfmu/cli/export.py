@@ -69,6 +69,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.fmu.export import PLATFORMS, export
     from phfmu.fmu.schedule import fed_inside
     from phfmu.fmu.version import VERSIONS
+    from phfmu.network.junctions.signal_ports import exchanging
     from phfmu.target import scene
 
     s = scene(args.target)
@@ -92,7 +93,10 @@ def call(args: argparse.Namespace) -> int:
     asked = {_short(n): n for n in VERSIONS}
     versions = [asked[v] for v in (args.fmi or asked)]
     platforms = list(PLATFORMS) if args.all_platforms else args.platform
-    model = build_model(declaration, scheme_of(args, declaration))
+    scheme = scheme_of(args, declaration)
+    if args.node_inputs and scheme.node_values and not declaration.state_events:
+        declaration = exchanging(declaration, [e.name for e in inside])
+    model = build_model(declaration, scheme)
     paths = export(model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
                    node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
                    terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward,

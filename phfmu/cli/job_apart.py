@@ -28,7 +28,7 @@ def apart(
     args: argparse.Namespace, s: Scene, network: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
 ) -> Job:
     from phfmu.network.couplings.named import named_coupling
-    from phfmu.network.couplings.told import kicked
+    from phfmu.network.couplings.told import held_wires, kicked
 
     sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
     coupling = named_coupling(name, network, sequence, args.unconverged)
@@ -75,7 +75,7 @@ def apart(
             network, [member(name, d) for name, d in network.members.items()], coupling.make, threads=threads
         )
 
-    holds = any({w.source, w.target} & {*held, *network.units} for w in network.wires)
+    holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, held)))
     most = _most(coupling, schemes.values(), network.units.values(), holds)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
     head = label(list(schemes.values()), stepping.words, coupling.words, most, words)

@@ -40,11 +40,14 @@ from phfmu import (
     signal_output,
     state,
 )
+from phfmu.cli import main
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.synchronous_machine import machine_at_bus
 from phfmu.components.mechanical.torque_source import torque_source
 from phfmu.components.scenes.smib import circuit, smib
 from phfmu.components.scenes.speed_control import speed_control
+from phfmu.network.couplings.told import order_told
+from phfmu.network.junctions.junction import ConnectionError
 from phfmu.network.members.member import Member
 from phfmu.network.scene import Event
 from tests.wide import slow, wide
@@ -411,3 +414,33 @@ def test_a_plain_importer_sees_plain_inputs_and_outputs(compiler: None, tmp_path
             engine.do_step(i * 1e-2, 1e-2)
             assert unit.get(["x"])[0] == engine.x[0]
         assert unit.get(["command"])[0] == pytest.approx(0.8 * 5.0 + 8.0 * engine.x[0], rel=1e-15)
+
+
+def test_units_from_the_command_line_find_each_others_signals(compiler: None, tmp_path: Path) -> None:
+    """A controller and an actuator exported alone, with `--node-inputs`, in a network with a rotor: order 4."""
+    source = tmp_path / "parts.py"
+    source.write_text(
+        "from phfmu.components.scenes.speed_control import speed_control as s\n"
+        "def controller():\n    return s().system.declared['controller']\n"
+        "def actuator():\n    return s().system.declared['actuator']\n"
+    )
+    for name in ("controller", "actuator"):
+        words = ["export", f"{source}:{name}", "--order", "4", "--node-inputs", "--step", "1e-2", "--fmi", "3"]
+        assert main([*words, "-o", str(tmp_path / name)]) == 0
+    net = Network("mixed", members={"rotor": loop().declared["rotor"]})
+    for name in ("controller", "actuator"):
+        (path,) = (tmp_path / name).glob("*.fmu")
+        net.add(name, str(path))
+    net.connect("rotor.a", "actuator.shaft", name="shaft")
+    net.signal("rotor.w", "controller.measured")
+    net.signal("controller.command", "actuator.torque")
+    assert "at most 4" in order_told(net)
+    rotor = build_model(net.separate()["rotor"], Collocated(2))
+    with ExitStack() as stack:
+        members: list[Member] = [EngineMember("rotor", rotor, PythonInstance(rotor))]
+        for name, unit in net.units.items():
+            members.append(FMUMember(name, stack.enter_context(FMUInstance(unit.path, name=name))))
+        found = run(Coupled(net, members), Options(stop=0.2, step=1e-2, events=speed_control().events))
+    np.testing.assert_allclose(found.column("rotor.w"), speed(2)[0].column("rotor.w"), rtol=1e-13)
+    with pytest.raises(ConnectionError, match="has no signal input"):
+        net.signal("rotor.w", "controller.measured_node[1]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from math import inf
 from typing import TYPE_CHECKING
 
@@ -25,23 +26,35 @@ def order_told(network: Network) -> str:
     """What `--order` is composed and apart, for members under their usual schemes."""
     held = _held(network)
     if network.units:
-        most = min(
-            Newton.order if held or held_wires(network) else inf, *(2 * (u.k or 1) for u in network.units.values())
-        )
+        limited = held or held_wires(network, _holding(network))
+        most = min(Newton.order if limited else inf, *(2 * (u.k or 1) for u in network.units.values()))
         why = f"; {', '.join(held)} take{'s' if len(held) == 1 else ''} held inputs" if held else ", that of its units"
         return f"at most {most:g} with --coupling newton{why}"
     if held:
         which = f"{', '.join(held)} take{'s' if len(held) == 1 else ''} held inputs"
         return f"--order composed; {Newton.order} with --coupling newton: {which}"
-    if held_wires(network):
+    if held_wires(network, _holding(network)):
         return f"--order composed; {Newton.order} with --coupling newton: signals are held over a step"
     return "--order, composed and with --coupling newton (k = order / 2 values per step)"
 
 
-def held_wires(network: Network) -> list[Wire]:
-    """Signals that are held over a step: from and to units, and members that take one held value."""
-    held = {*network.units, *_held(network), *(n for n, d in network.declared.items() if d.state_events)}
-    return [w for w in network.wires if {w.source, w.target} & held]
+def held_wires(network: Network, held: Collection[str]) -> list[Wire]:
+    """Signals that are held over a step: from and to `held` members, and units without their values at nodes."""
+    there = network.units
+    given = {n: d.interface.sent if d.k else {} for n, d in there.items()}
+    taken = {n: d.interface.taken if d.k else {} for n, d in there.items()}
+    return [
+        w
+        for w in network.wires
+        if {w.source, w.target} & set(held)
+        or (w.source in there and w.output not in given[w.source])
+        or (w.target in there and w.input not in taken[w.target])
+    ]
+
+
+def _holding(network: Network) -> list[str]:
+    """Declared members whose signals are held."""
+    return [n for n, d in network.declared.items() if d.state_events or n in _held(network)]
 
 
 def exchanged(network: Network) -> dict[str, str]:

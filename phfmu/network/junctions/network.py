@@ -153,11 +153,18 @@ class Network:
     def separate(self, held: Collection[str] = ()) -> dict[str, PHDAE]:
         """Declared members as they are stepped apart: named, and with ports for the signals that they exchange at nodes.
 
-        Signals from and to units, and members that are `held`, which take no values at the nodes of their steps, stay
-        parameters, which are held over a step.
+        Signals from and to units without values at nodes, and members that are `held`, which take none, stay parameters, which
+        are held over a step.
         """
-        at_nodes = self.declared.keys() - set(held)
-        wires = [w for w in self.wires if {w.source, w.target} <= at_nodes]
+        there = {n: u.interface for n, u in self.units.items() if u.k}
+        at_nodes = {*self.declared, *there} - set(held)
+        wires = [
+            w
+            for w in self.wires
+            if {w.source, w.target} <= at_nodes
+            and (w.source not in there or w.output in there[w.source].sent)
+            and (w.target not in there or w.input in there[w.target].taken)
+        ]
         return {n: replace(d, name=n) for n, d in separate(self.declared, wires).items()}
 
     @property

@@ -19,7 +19,7 @@ from phfmu.declare.block import skew
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import SIGNAL, Given, Port
 from phfmu.network.junctions.fed import fed
-from phfmu.network.junctions.wires import Output, Wire, outputs
+from phfmu.network.junctions.wires import Output, Wire, outputs, works
 
 
 def with_signal_ports(model: PHDAE, taken: Collection[str], sent: Collection[str]) -> PHDAE:
@@ -36,6 +36,13 @@ def with_signal_ports(model: PHDAE, taken: Collection[str], sent: Collection[str
     blocks = [skew(port, unit, -found[name].expr) for name, port in out.items()]
     ports = (*model.ports, *into, *out.values(), *([unit] if out else []))
     return replace(model, ports=ports, structure=(*model.structure, *blocks))
+
+
+def exchanging(model: PHDAE, left: Collection[str] = ()) -> PHDAE:
+    """`model` with ports for its signal inputs, but those `left` and those that do work, and for its signal outputs."""
+    free = [v for v in model.parameters if v.signal and not {v.name, *v.names()} & set(left)]
+    taken = [v.name for v in free if not works(model, v.names())]
+    return with_signal_ports(model, taken, [o.name for o in model.observables if o.signal])
 
 
 def _port(
@@ -61,9 +68,10 @@ def _size(name: str, output: Output) -> int | None:
 
 
 def separate(members: Mapping[str, PHDAE], wires: Collection[Wire]) -> dict[str, PHDAE]:
-    """`members` with ports for the ends of these wires."""
+    """`members` with ports for those ends of these wires that they are."""
     ends = {name: (dict[str, None](), dict[str, None]()) for name in members}
     for w in wires:
-        ends[w.target][0][w.input.partition("[")[0]] = None
-        ends[w.source][1][w.output.partition("[")[0]] = None
+        for end, side, name in ((w.target, 0, w.input), (w.source, 1, w.output)):
+            if end in ends:
+                ends[end][side][name.partition("[")[0]] = None
     return {n: with_signal_ports(m, *ends[n]) if any(ends[n]) else m for n, m in members.items()}

@@ -78,8 +78,9 @@ def _inputs(model: PHDAE | UnitFile) -> dict[str, str]:
     """Scalar name -> unit of signal inputs; of a unit its inputs that belong to no port."""
     if isinstance(model, PHDAE):
         return signal_inputs(model)
-    ports = {n for p in model.port_maps for n in p.inputs}
-    return {n: v.unit for n, v in model.interface.variables.items() if v.causality == "input" and n not in ports}
+    pairs = (names for p in model.port_maps for names in (*p.node_inputs, *p.impulses))
+    own = {n for p in model.port_maps for n in p.inputs}.union(*pairs, *model.interface.taken.values())
+    return {n: v.unit for n, v in model.interface.variables.items() if v.causality == "input" and n not in own}
 
 
 def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: str) -> list[Wire]:
@@ -133,19 +134,23 @@ def _split(members: Mapping[str, PHDAE | UnitFile], end: str) -> tuple[str, str]
 
 def _refuse_work(model: PHDAE, names: Sequence[str], target: str) -> None:
     """A signal that H, E or a constraint depends on would do work that no port books."""
+    if what := works(model, names):
+        raise ConnectionError(
+            f"signal input {target}",
+            f"{target} stands in {what} of its member: a change would do work that no port books",
+            "let it act on J, R, B or a source, or change it by events, which book their energy",
+        )
+
+
+def works(model: PHDAE, names: Sequence[str]) -> str:
+    """What of a model, other than flows, depends on signals; "" if nothing does."""
     symbols = signal_symbols(model, names)
     places = [
         *(("H", e.expr) for e in model.energies),
         *(("a closed pair", ca.SX(p.hamiltonian)) for p in model.closed),
     ]
     places += [("E", ca.SX(_sx(m))) for m in model.E.values()] + [("a constraint", c.g) for c in model.constraints]
-    for what, expr in places:
-        if read_by(expr, symbols):
-            raise ConnectionError(
-                f"signal input {target}",
-                f"{target} stands in {what} of its member: a change would do work that no port books",
-                "let it act on J, R, B or a source, or change it by events, which book their energy",
-            )
+    return next((what for what, expr in places if read_by(expr, symbols)), "")
 
 
 def signal_symbols(model: PHDAE, names: Sequence[str]) -> list[ca.SX]:
