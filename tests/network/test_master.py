@@ -200,6 +200,30 @@ def test_steps_start_from_what_the_last_ones_missed(k: int) -> None:
     assert iterations is not None and iterations[5:].mean() <= 2.2 < 3.0 <= iterations[0]
 
 
+def test_long_steps_take_three_trials() -> None:
+    """smib turning by 18 degrees a step, once the polynomial through the last steps is known; and steps after are no worse."""
+    net: Any = smib().system
+    stepper = Coupled(net, members(net, 1))
+    stepper.check_start()
+    stepper.advance(0.0, 1e-3, 600)
+    iterations = stepper.advance(0.0, 1e-3, 300, 600).iterations
+    assert iterations is not None and iterations.max() <= 4 and iterations.mean() <= 3.3
+
+
+def test_derivatives_are_taken_along_what_is_joined() -> None:
+    """Not along impulses at ports elsewhere: of the machine's 5 and the line's 6 ports that take some, 3 are at the bare node."""
+    net: Any = smib().system
+    stepper = Coupled(net, members(net, 1))
+    assert stepper._master is not None
+    parts = {p.member.name: p for p in stepper._master.found.parts}
+    assert {n: (len(p.inputs), p.kicks, len(p.kicked)) for n, p in parts.items()} == {
+        "gen": (3, 5, 3),
+        "line": (6, 6, 3),
+        "grid": (3, 0, 0),
+    }
+    assert [p.directions for p in parts.values()] == [9, 12, 3]
+
+
 @pytest.mark.parametrize("make", [lambda: smib().system, slow(lambda: coupling_bench.star(40))], ids=["smib", "star"])
 def test_threads_change_no_bit(make: Callable[[], Any]) -> None:
     """However many step the members, more than there are processors too; their rows, books, trials and tests."""

@@ -21,6 +21,8 @@ ITERATIONS = int(_NUMBERS["COUPLED_ITERATIONS"])
 ENERGY, ROUNDING, STAGNATION = (_NUMBERS[f"COUPLED_{n}"] for n in ("ENERGY", "ROUNDING", "STAGNATION"))
 SHRINKING, STALLING, STALLED = (_NUMBERS[f"COUPLED_{n}"] for n in ("SHRINKING", "STALLING", "STALLED"))
 STALLS, FLOOR, END = (_NUMBERS[f"COUPLED_{n}"] for n in ("STALLS", "FLOOR", "END"))
+#: steps that tell what the continuation of the last one will miss
+KNOWN = int(_NUMBERS["COUPLED_KNOWN"])
 
 BY_ENERGY, BY_FLOOR = "energy", "rounding floor"
 #: of steps that did not converge and were kept, or taken in parts

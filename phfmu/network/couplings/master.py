@@ -18,7 +18,7 @@ from phfmu.engine.steps import Steps
 from phfmu.engine.structures import Structures
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings import newton
-from phfmu.network.couplings.acceptance import ITERATIONS
+from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
 from phfmu.network.couplings.coupling import Coupling, Solution
 from phfmu.network.couplings.crew import cores, crew, worth
 from phfmu.network.couplings.end_sums import EndSums
@@ -53,7 +53,7 @@ class Master:
         self._inputs: list[Array] = []
         self._shares = [self._share(i) for i in range(len(found.parts))]
         self._z, self._last = np.zeros(found.size), np.zeros(found.size)
-        self._missed = [np.zeros(found.size) for _ in range(2)]
+        self._missed = np.zeros((KNOWN, found.size))
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
         self.taken, self.rules = 0, self._memory.fill("ph_rules", self._rules())
         self._array = self._memory.array(self._shares)
@@ -168,24 +168,24 @@ class Master:
         start = handle.signals
         unit = np.zeros((all_, kn))
         unit[np.arange(len(part.inputs)), part.inputs] = 1.0
-        ends = np.zeros((all_, part.kicks))
-        ends[all_ - part.kicks :] = np.eye(part.kicks)
         self._inputs.append(np.zeros(kn))
         values = {
             "calls": m.calls(handle.lib), "in": handle.instance, "kicks": kicks.address if kicks else None,
             "chain_calls": m.calls(chain.lib) if chain else None, "chain": chain.address if chain else None,
             "parts": part.member.parts, "nu": nu, "nq": plan.nq, "k": part.k, "ncomp": plan.ncomp,
             "nsignal": part.signals, "width": width,
-            "ninput": len(part.inputs), "nkick": part.kicks, "impulses": own, "ncol": len(part.col),
+            "ninput": len(part.inputs), "nkick": part.kicks, "nbare": len(part.kicked), "impulses": own, "ncol": len(part.col),
             "nrow": len(part.row), "nright": len(part.right), "nleft": len(part.left), "col": part.col, "row": part.row,
-            "entry": self._pattern.entries[i], "input": part.inputs, "right_direction": part.right_direction,
+            "entry": self._pattern.entries[i], "input": part.inputs, "kicked": part.kicked,
+            "kicked_output": part.kicked_output, "right_direction": part.right_direction,
             "right_col": part.right_col, "right": part.right, "left_output": part.left_output, "left_row": part.left_row,
             "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
             "at_end": nodes(part.k).value(1.0), "now": np.zeros(nu),
             "free": self.joined.free[self.joined.places[i]].ctypes.data,
             "outputs": start + 8 * layout["y_step"].start if part.held else handle.node_outputs,
             "signals": start, "energies": start + 8 * layout["H"].start, "end": start + 8 * layout["y_end"].start,
-            "values": kicks.values.ctypes.data if kicks else None, "du": unit, "ds": np.eye(part.kicks), "ds_end": ends,
+            "values": kicks.values.ctypes.data if kicks else None, "du": unit, "ds": np.eye(part.kicks)[part.kicked],
+            "ds_end": np.zeros((all_, part.kicks)),
             "kept": np.zeros(handle.state_size // 8 + 1), "copied": np.zeros(handle.state_size // 8 + 1),
             "kept_values": np.zeros(4 * own), "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
             "y": np.zeros(kn), "dx": np.zeros(max(all_ * width, nu * nu)), "dy": np.zeros((all_, kn)),
@@ -217,7 +217,7 @@ class Master:
             "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
             "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
-            "found": self._last, "missed": self._missed[0], "missed_before": self._missed[1], "known": 0,
+            "found": self._last, "missed": self._missed, "known": 0,
             "lu": lu, "crew": None,
             "status": np.zeros(len(e.parts), np.int32), "cost": self._cost, "xi": None, "work": None, "trials": None,
             "accepted": None,

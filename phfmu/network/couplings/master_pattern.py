@@ -35,6 +35,8 @@ class Part:
     inputs: Ints
     kicks: int
     bare: Ints
+    kicked: Ints
+    kicked_output: Ints
     col: Ints
     row: Ints
     right_direction: Ints
@@ -50,7 +52,7 @@ class Part:
 
     @property
     def directions(self) -> int:
-        return len(self.inputs) + 2 * self.kicks
+        return len(self.inputs) + 2 * len(self.kicked)
 
     @property
     def signals(self) -> int:
@@ -184,18 +186,20 @@ def _part(s: Share, where: Array, n: int) -> Part:
     right = [(d, c, fed[d, c]) for d, c in np.argwhere(fed)]
     left = [(i, r, s.back[r, i]) for r, i in np.argwhere(s.back)]
     bare, mine = np.full(kicks, -1, np.int32), np.zeros(0, int)
+    kicked = np.flatnonzero(s.Q.any(axis=1)).astype(np.int32)
+    outputs = np.array(s.values.offer.kicked, np.int32)[kicked] if kicks and s.values.offer else kicked
     if kicks:
         mine = where[s.bare]
         for i, c in np.argwhere(s.Q):
-            bare[i] = mine[c]
+            bare[i], d = mine[c], int(np.searchsorted(kicked, i))
             right += [
-                (len(inputs) + i, len(own) + c, s.Q[i, c]),
-                (len(inputs) + kicks + i, len(own) + len(mine) + c, s.Q[i, c]),
+                (len(inputs) + d, len(own) + c, s.Q[i, c]),
+                (len(inputs) + len(kicked) + d, len(own) + len(mine) + c, s.Q[i, c]),
             ]
         left += [(rule.k * member.nu + i, len(own) + c, s.ends[i, c]) for i, c in np.argwhere(s.ends)]
     col = np.concatenate([own, n + mine, n + len(where) + mine])
     return Part(
-        member, isinstance(s.values, HeldNodes), rule.k, rule.b, inputs, kicks, bare,
+        member, isinstance(s.values, HeldNodes), rule.k, rule.b, inputs, kicks, bare, kicked, outputs,
         col.astype(np.int32), col[: len(own) + len(mine)].astype(np.int32),
         *(np.array([r[i] for r in right], kind) for i, kind in enumerate((np.int32, np.int32, float))),
         *(np.array([v[i] for v in left], kind) for i, kind in enumerate((np.int32, np.int32, float))),

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import comb
 from operator import itemgetter
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.status import Status, StepFailure
-from phfmu.network.couplings.acceptance import END, FLOOR, ITERATIONS, Progress
+from phfmu.network.couplings.acceptance import END, FLOOR, ITERATIONS, KNOWN, Progress
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
@@ -53,7 +54,7 @@ class Unknowns:
 class NodeSolution(Solution):
     """A solution with what the next step starts from: its unknowns.
 
-    `missed`: what the continuation of the step before it missed of it, and of the step before that, as far as known.
+    `missed`: what the continuation of the step before missed of it, that one's of the step before, and so on, as far as known.
     """
 
     found: Unknowns | None = None
@@ -109,7 +110,7 @@ class NodeNewton:
             solution = self._solve(joined, plain, step)
         if before is None or solution.found is None:
             return solution
-        return replace(solution, missed=(solution.found.flat - plain.flat, *missed[:1]))
+        return replace(solution, missed=(solution.found.flat - plain.flat, *missed[: KNOWN - 1]))
 
     def _solve(self, joined: Joined, z: Unknowns, step: Step) -> NodeSolution:
         """From the unknowns z."""
@@ -250,8 +251,9 @@ class NodeNewton:
 
 
 def forecast(missed: Sequence[Array]) -> Array:
-    """What a continuation will miss: the line through what the last two did, or what the last one did."""
-    return missed[0] if len(missed) == 1 else 2 * missed[0] - missed[1]
+    """What a continuation will miss: the polynomial through what the last ones did, the latest first."""
+    n = len(missed)
+    return np.sum([(-1) ** j * comb(n, j + 1) * m for j, m in enumerate(missed)], axis=0)
 
 
 def _at_floor(z: Unknowns, trial: Trial, matrix: Any) -> bool:

@@ -34,6 +34,9 @@
 /* Units of rounding in a row that cannot be told from zero. */
 #define PH_COUPLED_FLOOR 16
 
+/* So many steps tell what the continuation of the last one will miss. */
+#define PH_COUPLED_KNOWN 4
+
 /* held: of newton.py, where every member holds one value, else of node_newton.py. */
 typedef struct ph_rules {
     int held;

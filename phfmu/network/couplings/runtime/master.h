@@ -38,7 +38,7 @@ typedef struct ph_calls {
     void (*impulses_along)(ph_impulses *, int, int, const double *, double *);
 } ph_calls;
 
-/* A member's part. Its directions are: ninput inputs at nodes, nkick impulses at the start, nkick at the end.
+/* A member's part. Its directions are: ninput inputs at nodes, nbare impulses at the start, nbare at the end.
  * Its unknowns and rows have numbers of their own, that of unknown c in z is col[c], that of row r is row[r].
  */
 typedef struct ph_share {
@@ -56,6 +56,7 @@ typedef struct ph_share {
     int width; /* nx+1+na */
     int ninput;
     int nkick;    /* impulses of the model if it is at a bare node, else 0 */
+    int nbare;    /* how many of them are at bare nodes */
     int impulses; /* impulses of the model */
     int ncol;
     int nrow;
@@ -65,6 +66,8 @@ typedef struct ph_share {
     const int *row;             /* nrow */
     const int *entry;           /* nrow*ncol: entries of the matrix */
     const int *input;           /* ninput: place of each direction among the k*nu inputs */
+    const int *kicked;          /* nbare: place of each among the impulses */
+    const int *kicked_output;   /* nbare: and of its output among the nu */
     const int *right_direction; /* nright: direction += value * unknown */
     const int *right_col;       /* nright */
     const double *right;        /* nright */
@@ -81,8 +84,8 @@ typedef struct ph_share {
     const double *end;          /* nu, of the instance: outputs now */
     double *values;             /* 4*impulses, of the instance: impulses that belong to its state */
     const double *du;           /* directions*(k*nu), unit */
-    const double *ds;           /* nkick*nkick, unit */
-    const double *ds_end;       /* directions*nkick */
+    const double *ds;           /* nbare*nkick, unit */
+    const double *ds_end;       /* directions*nkick, zero */
     double *kept;               /* state at the start of the step, then the impulses: work, as all below */
     double *copied;             /* state for the chain */
     double *kept_values;        /* 4*impulses */
@@ -111,7 +114,7 @@ typedef struct ph_master {
     int nnz;
     int capacity;
     int nwire;
-    int known;              /* how many of missed and missed_before are known */
+    int known;              /* rows of missed that are known */
     int points;             /* of the rule for the root of impulses */
     const double *cosines;  /* points: cos^2 t_l */
     const double *weights;  /* nxi */
@@ -141,8 +144,7 @@ typedef struct ph_master {
     const int *prefer;      /* nz */
     double *z;              /* nz: work, as all below, but for found and the factors */
     double *found;          /* nz: of the last accepted step */
-    double *missed;         /* nz: what the continuation missed of that step */
-    double *missed_before;  /* nz: and of the one before */
+    double *missed;         /* PH_COUPLED_KNOWN*nz: what continuations missed, of the last step first */
     double *plain;          /* nz: the continuation */
     double *rows;           /* nz */
     double *size;           /* nz */
@@ -219,7 +221,8 @@ void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *throug
 int ph_share_along(const ph_share *s);
 void ph_share_add_matrix(ph_master *m, const ph_share *s);
 int ph_share_more(const ph_master *m, const ph_share *s, const double *more);
-int ph_share_end(const ph_share *s, int nxi, double *S, double *sums);
+int ph_share_before(const ph_share *s, int nxi, double *S, double *sums);
+int ph_share_end(const ph_share *s, int nxi, double *sums);
 void ph_share_keep(const ph_share *s);
 int ph_share_restore(const ph_share *s);
 void ph_share_record(const ph_share *s, int row);

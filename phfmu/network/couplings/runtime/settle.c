@@ -21,6 +21,6 @@ int ph_settle(ph_master *m) {
         status = ph_share_more(m, &m->shares[i], m->moved);
     ph_clear(sums, nb);
     for (int i = 0; i < m->nshare && status == PH_OK; i++)
-        status = ph_share_end(&m->shares[i], n, m->mixed, sums);
+        status = ph_share_end(&m->shares[i], n, sums);
     return status;
 }

@@ -28,20 +28,31 @@ static int look(const ph_share *s) {
     return status;
 }
 
-/* sums += of outputs at the present time, S += of the jumps. */
-static void add_end(const ph_share *s, int nxi, double *S, double *sums) {
+static void add_sums(const ph_share *s, int nxi, double *sums) {
     for (int e = 0; s->nkick && e < s->nleft; e++)
         if (s->left_output[e] >= s->k * s->nu)
             sums[s->row[s->left_row[e]] - nxi] += s->left[e] * s->end[s->left_output[e] - s->k * s->nu];
+}
+
+static void add_jump(const ph_share *s, double *S) {
     for (int i = 0; i < s->nkick * s->nkick; i++)
         if (s->jump_entry[i] >= 0)
             S[s->jump_entry[i]] += s->jump[i];
 }
 
-int ph_share_end(const ph_share *s, int nxi, double *S, double *sums) {
+int ph_share_before(const ph_share *s, int nxi, double *S, double *sums) {
     int status = look(s);
+    if (status)
+        return status;
+    add_sums(s, nxi, sums);
+    add_jump(s, S);
+    return PH_OK;
+}
+
+int ph_share_end(const ph_share *s, int nxi, double *sums) {
+    int status = s->nkick ? s->calls->refresh(s->in) : PH_OK;
     if (status == PH_OK)
-        add_end(s, nxi, S, sums);
+        add_sums(s, nxi, sums);
     return status;
 }
 
@@ -55,16 +66,21 @@ static int step(const ph_share *s, double t, double h) {
                     : s->calls->step_parts(s->in, t, h, s->parts);
 }
 
+/* Where what is along direction d goes: an input, or an impulse. */
+static double *place(const ph_share *s, int d) {
+    const int i = d - s->ninput;
+    if (i < 0)
+        return s->u + s->input[d];
+    return i < s->nbare ? s->s + s->kicked[i] : s->s + s->nkick + s->kicked[i - s->nbare];
+}
+
 int ph_share_step(const ph_master *m, const ph_share *s, double t, double h) {
     const int kn = s->k * s->nu;
     int status;
     ph_clear(s->u, kn);
     ph_clear(s->s, 2 * s->nkick);
-    for (int e = 0; e < s->nright; e++) {
-        const int d = s->right_direction[e];
-        double *to = d < s->ninput ? s->u + s->input[d] : s->s + d - s->ninput;
-        *to += s->right[e] * m->z[s->col[s->right_col[e]]];
-    }
+    for (int e = 0; e < s->nright; e++)
+        *place(s, s->right_direction[e]) += s->right[e] * m->z[s->col[s->right_col[e]]];
     for (int i = 0; i < kn; i++)
         s->u[i] += s->free[i % s->nu];
     status = step(s, t, h);
@@ -72,17 +88,19 @@ int ph_share_step(const ph_master *m, const ph_share *s, double t, double h) {
 }
 
 int ph_share_more(const ph_master *m, const ph_share *s, const double *more) {
-    const int ends = s->ninput + s->nkick, first = m->nxi + m->nbare;
+    const int ends = s->ninput + s->nbare, first = m->nxi + m->nbare;
     ph_clear(s->s, s->nkick);
     for (int e = 0; e < s->nright; e++)
         if (s->right_direction[e] >= ends)
-            s->s[s->right_direction[e] - ends] += s->right[e] * more[s->col[s->right_col[e]] - first];
+            s->s[s->kicked[s->right_direction[e] - ends]] +=
+                s->right[e] * more[s->col[s->right_col[e]] - first];
     return s->nkick ? s->calls->kick_more(s->kicks, s->s) : PH_OK;
 }
 
 void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *through) {
     const int kn = s->k * s->nu;
-    add_end(s, m->nxi, m->S1, m->rows + m->nxi);
+    add_sums(s, m->nxi, m->rows + m->nxi);
+    add_jump(s, m->S1);
     for (int i = 0; i < s->k; i++)
         for (int j = 0; j < s->nu; j++) {
             const double y = s->outputs[i * s->nq + j];
@@ -108,27 +126,32 @@ static int held(const ph_share *s) {
     return status;
 }
 
-/* dy and dend along all directions; those of impulses at the end change outputs there only. */
+/* dy and dend along all directions; impulses at the end change outputs there only, by their jump. */
 static int along(const ph_share *s) {
-    const int through = s->ninput + s->nkick, all = through + s->nkick, kn = s->k * s->nu;
-    const ph_directions nodes = {through, s->du, s->dx, s->dy}, end = {all, s->du, s->dx, s->dend};
+    const int through = s->ninput + s->nbare, kn = s->k * s->nu;
+    const ph_directions nodes = {through, s->du, s->dx, s->dy}, end = {through, s->du, s->dx, s->dend};
     int status;
-    ph_clear(s->dx, all * s->width);
+    ph_clear(s->dx, through * s->width);
     if (s->nkick)
-        s->calls->impulses_along(s->kicks, 0, s->nkick, s->ds, s->dx + s->ninput * s->width);
+        s->calls->impulses_along(s->kicks, 0, s->nbare, s->ds, s->dx + s->ninput * s->width);
     s->calls->save(s->in, s->copied);
     status = s->chain_calls->load(s->chain, s->copied);
     if (status == PH_OK)
         status = s->chain_calls->step_along(s->chain, &nodes);
     if (!s->nkick || status)
         return status;
-    ph_clear(s->dy + through * kn, s->nkick * kn);
-    s->calls->impulses_along(s->kicks, 1, all, s->ds_end, s->dx);
+    ph_clear(s->dy + through * kn, s->nbare * kn);
+    ph_clear(s->dend + through * s->nu, s->nbare * s->nu);
+    for (int j = 0; j < s->nbare; j++)
+        for (int i = 0; i < s->nbare; i++)
+            s->dend[(through + j) * s->nu + s->kicked_output[i]] =
+                s->jump[s->kicked[i] * s->nkick + s->kicked[j]];
+    s->calls->impulses_along(s->kicks, 1, through, s->ds_end, s->dx);
     return s->chain_calls->end_along(s->chain, &end);
 }
 
 int ph_share_along(const ph_share *s) {
-    const int all = s->ninput + 2 * s->nkick, kn = s->k * s->nu;
+    const int all = s->ninput + 2 * s->nbare, kn = s->k * s->nu;
     int status;
     if (all == 0)
         return PH_OK;
@@ -147,7 +170,7 @@ int ph_share_along(const ph_share *s) {
 }
 
 void ph_share_add_matrix(ph_master *m, const ph_share *s) {
-    const int all = s->ninput + 2 * s->nkick;
+    const int all = s->ninput + 2 * s->nbare;
     for (int e = 0; all && e < s->nright; e++)
         for (int r = 0; r < s->nrow; r++)
             m->a[s->entry[r * s->ncol + s->right_col[e]]] +=
