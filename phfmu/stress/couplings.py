@@ -13,7 +13,7 @@ from phfmu.stress.coupled import stiff_pair
 from phfmu.stress.drive import instance
 
 
-def coupled(net: Any, coupling: Any = None, parts: dict[str, int] | None = None) -> Any:
+def coupled(net: Any, coupling: Any = None, parts: dict[str, int] | None = None, threads: int | None = None) -> Any:
     """Members of a network stepped apart, by Newton's method if no other coupling is given."""
     from phfmu.network.couplings.coupled import Coupled
     from phfmu.network.couplings.node_newton import newton
@@ -21,7 +21,7 @@ def coupled(net: Any, coupling: Any = None, parts: dict[str, int] | None = None)
 
     units = {n: instance(replace(d, name=n)) for n, d in net.members.items()}
     members: list[Any] = [EngineMember(n, u.model, u, (parts or {}).get(n, 1)) for n, u in units.items()]
-    return Coupled(net, members, newton if coupling is None else coupling)
+    return Coupled(net, members, newton if coupling is None else coupling, threads=threads)
 
 
 def run(stepper: Any, stop: float, step: float, **more: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phfmu.stress import coupled, couplings, crash, events, linkage, machine, particles, redundant, steps, units
+from phfmu.stress import coupled, couplings, crash, events, linkage, machine, near, particles, redundant, steps, units
 from phfmu.stress.case import Case
 
 #: scenes and components whose steps are put to the test without a target
@@ -15,7 +15,7 @@ def cases(target: str | None) -> list[Case]:
 
     own = [
         c
-        for module in (particles, linkage, redundant, coupled, couplings, crash, units, machine, events)
+        for module in (particles, linkage, redundant, coupled, couplings, near, crash, units, machine, events)
         for c in module.CASES
     ]
     if target is None:

@@ -10,7 +10,7 @@ import pytest
 from phfmu import StepFailure
 from phfmu.cli import main
 from phfmu.engine.status import remedy
-from phfmu.stress import coupled, couplings, crash, events, linkage, machine, matrix, particles, units
+from phfmu.stress import coupled, couplings, crash, events, linkage, machine, matrix, near, particles, units
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
 from phfmu.words import counted
@@ -206,7 +206,9 @@ def test_whole_matrix():
 EVENTS = tuple(c for c in events.CASES if not c.long)
 
 
-@pytest.mark.parametrize("given", (*couplings.CASES, *units.CASES, *EVENTS), ids=lambda c: f"{c.target}: {c.name}")
+@pytest.mark.parametrize(
+    "given", (*couplings.CASES, *near.CASES, *units.CASES, *EVENTS), ids=lambda c: f"{c.target}: {c.name}"
+)
 def test_couplings_units_and_events_at_their_limits(given):
     line = answer(given)
     assert line.verdict is Verdict.PASS, line.happened
@@ -241,3 +243,8 @@ def test_an_honest_unit_is_not_blamed_for_an_iteration_that_is_given_up(monkeypa
 def test_a_star_moves_as_one_spring():
     found = coupled.star(40)
     assert found.holds, found.happened
+
+
+def test_a_constraint_that_hardly_acts_is_not_taken_for_held():
+    """At 1e-7 its force is made of rounding: the ledger says so, and only a case that asks for that passes."""
+    assert near.between(1e-7, True).holds and not near.between(1e-7, False).holds
