@@ -6,22 +6,22 @@ supplied; rows of the ledger are sums.  What jumps add to the stored energy is t
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.landing import landed
-from phfmu.engine.record import Grid
 from phfmu.engine.state import State
-from phfmu.events.happened import Happened
+from phfmu.events.happened import Happened, Landed
 from phfmu.plan.plan import Plan
 
 Array = NDArray[Any]
 
 #: rows that are summed, and means
 SUMS, MEANS = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs"), ("y_step", "a")
+MERGED = (*SUMS, *MEANS)
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,12 @@ class MergedStep:
             s.y_node, s.path = np.tile(s.y_step, (plan.k, 1)), []
 
 
-def merged(instance: Any, t: float, h: float, parts: int) -> MergedStep:
-    """Takes [t, t + h], h > 0, in `parts` equal internal steps that end on the zeros of guards too."""
+def merged(pieces: Iterable[Landed], t: float) -> MergedStep:
+    """Takes the `pieces` of a step from t, of which MERGED is recorded."""
     rows: dict[str, Array] = {}
     means: dict[str, Array] = {}
     found, n = [], 0
-    for piece in landed(instance, Grid(t, h / parts, parts), (*SUMS, *MEANS), True):
+    for piece in pieces:
         for i, begun in enumerate(piece.t):
             row = {name: values[i] for name, values in piece.rows.items()}
             before = (begun - t) / (begun + piece.h[i] - t)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.engine.event_step import merged
+from phfmu.engine.event_step import MERGED, merged
 from phfmu.engine.inputs import carried
 from phfmu.engine.landing import landed
 from phfmu.engine.limits import LIMITS
@@ -135,7 +135,7 @@ class PythonInstance(PythonReadings):
             raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
         before = self.get_state()
         try:
-            found = merged(self, t, h, parts)
+            found = merged(landed(self, Grid(t, h / parts, parts), MERGED, True), t)
         except StepFailure:
             self.restore(before)
             raise

@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.discretise.model import Model
 from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.event_jump import MOST, NO_MODE, SHARED
+from phfmu.engine.event_step import MERGED, MergedStep, merged
 from phfmu.engine.instance import Signals
 from phfmu.engine.landing import Change, landed
 from phfmu.engine.record import Grid, recordable
+from phfmu.engine.status import Status, StepFailure
 from phfmu.events.comply import Wanted, select
 from phfmu.events.dependent import could_hold
-from phfmu.events.happened import Landed
+from phfmu.events.happened import Happened, Landed
 from phfmu.events.modes import Mode
 from phfmu.events.switch_system import At
 from phfmu.terms.canonical import member
@@ -45,8 +47,12 @@ class SwitchedInstance(Signals):
         self.model, self._models, self._make = model, model.modes, make
         self._mode = self._models.modes.start
         self._instances: dict[Mode, Any] = {self._mode: make(self._models[self._mode])}
+        self._fresh = {self._mode: self.present.get_state()}
         self._asked = self._mode
-        self._started = False
+        self._started, self._step = False, 0.0
+        self._merged: MergedStep | None = None
+        #: state events of the last `do_step`
+        self.happened: tuple[Happened, ...] = ()
 
     # -- the present mode ----------------------------------------------------------------------------------------------
 
@@ -62,8 +68,21 @@ class SwitchedInstance(Signals):
 
     def _of(self, mode: Mode) -> Any:
         if mode not in self._instances:
-            self._instances[mode] = self._make(self._models[mode])
+            made = self._instances[mode] = self._make(self._models[mode])
+            self._fresh[mode] = made.get_state()
         return self._instances[mode]
+
+    def _entered(self, mode: Mode) -> Any:
+        """The instance of a mode, which goes on from the present one and knows nothing of when it was in use before."""
+        old, new = self.present, self._of(mode)
+        if new is not old:
+            new.restore(self._fresh[mode])
+            new.continue_from(old)
+        return new
+
+    def prepare(self, h: float) -> None:
+        """Steps will be about as long as h: modes are tried over a small part of it where nothing else says what is short."""
+        self._step = h
 
     @property
     def changes(self) -> Array:
@@ -93,7 +112,7 @@ class SwitchedInstance(Signals):
         # what the steps left of the constraints of the old mode would decide in the new one
         left = system.enter(At(old.x, a, u, system.in_mode(p, self._mode), t)) if fixed else None
         here = At(old.x if left is None else left.x, a, u, p, t)
-        mode = select(modes, here, h, Wanted(self._mode, proposal, fixed))
+        mode = select(modes, here, h or self._step, Wanted(self._mode, proposal, fixed))
         if mode is None:
             names = [switches[j].name for j in sorted(fixed)] or [s.name for s in switches]
             raise EventRefused(self.model.name, t, NO_MODE, names, 0.0, 0.0)
@@ -107,9 +126,7 @@ class SwitchedInstance(Signals):
             )
             if not mode[j] and cut > most and entry.impulse.any() and entry.lost > 0.0:
                 raise EventRefused(self.model.name, t, MOST, [switches[j].name], cut, switches[j].most)
-        new = self._of(mode)
-        if new is not old:
-            new.continue_from(old)
+        new = self._entered(mode)
         new.set_parameters(p)
         if (entry.x != old.x).any():
             new.set_x(t, entry.x)
@@ -132,6 +149,27 @@ class SwitchedInstance(Signals):
 
             return landed_natively(self, grid, names, changed)
         return landed(self, grid, names, changed, self)
+
+    def do_step(self, t: float, h: float, parts: int = 1) -> None:
+        """One communication step in `parts` equal internal steps, h >= 0; modes change in it, and it is told as one."""
+        if not h >= 0:
+            raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
+        before, self._merged, self.happened = self.get_state(), None, ()
+        if h == 0:
+            self.present.step_exactly(t, h)
+            return
+        try:
+            found = merged(self.land(t, h / parts, parts, MERGED), t)
+        except StepFailure:
+            self.restore(before)
+            raise
+        self.happened = found.happened
+        self._merged = found if found.parts > 1 or found.happened else None
+
+    def step_exactly(self, t: float, h: float) -> None:
+        """A step in the present mode; no guard is looked at."""
+        self._merged, self.happened = None, ()
+        self.present.step_exactly(t, h)
 
     # -- an instance ---------------------------------------------------------------------------------------------------
 
@@ -183,24 +221,45 @@ class SwitchedInstance(Signals):
         self._started = False
 
     def initialise(self) -> None:
+        self._merged = None
         self.present.initialise()
+
+    def continue_from(self, other: SwitchedInstance) -> None:
+        """Go on from another of the same declaration under another scheme, in its mode."""
+        self._asked, self._started, self._step, self._merged = other._asked, other._started, other._step, None
+        self._mode = other._mode
+        self.present.continue_from(other.present)
 
     def reset(self) -> None:
         """Back to the start values and modes."""
         self._mode = self._asked = self._models.modes.start
-        self._started = False
+        self._started, self._merged = False, None
         self.present.reset()
 
     def ledger(self) -> dict[str, Array]:
-        return self.present.ledger()
+        return self.present.ledger() if self._merged is None else dict(self._merged.rows)
+
+    def output(self) -> Array:
+        """Step-conjugate means of the external pairs (nu)."""
+        return self.signal("y_step")[: self.model.step.nu].copy()
+
+    def sensitivity(self) -> Array:
+        """d(mean external outputs)/d(held inputs) of the last step; StepFailure NO_SENSITIVITY if something happened in it."""
+        if self._merged is not None:
+            raise StepFailure(Status.NO_SENSITIVITY, self.model.name, self.time, 0.0)
+        return self.present.sensitivity()
 
     def signals(self) -> dict[str, Array]:
-        found = self.present.signals()
-        found["observables"] = found["observables"][: len(self.model.observable_names)]
-        return found
+        return {block: self._shown(block, values) for block, values in self.present.signals().items()}
 
     def signal(self, block: str) -> Array:
-        found = self.present.signal(block)
+        return self._shown(block, self.present.signal(block))
+
+    def _shown(self, block: str, found: Array) -> Array:
+        """A block without what only the mode has; means are those of the step as it is told."""
+        means = {} if self._merged is None else self._merged.means
+        if block in means and not (block == "a" and self.model.step.carries):
+            return means[block].copy()
         return found[: len(self.model.observable_names)] if block == "observables" else found
 
     def trimmed(self, signals: Array) -> Array:
@@ -211,8 +270,14 @@ class SwitchedInstance(Signals):
 
     def get_state(self) -> Any:
         """A complete copy, modes included."""
-        return self._mode, self._asked, self._started, self.present.get_state()
+        return (self._mode, self._asked, self._started, self._merged), self.present.get_state()
 
     def set_state(self, state: Any) -> None:
-        self._mode, self._asked, self._started, inner = state
+        """Restores what `get_state` gave; stepping on gives the same bits, over changes of modes too."""
+        (self._mode, self._asked, self._started, self._merged), inner = state
         self.present.set_state(inner)
+
+    def restore(self, state: Any) -> None:
+        """`set_state`; the counts of what the solver did go on."""
+        (self._mode, self._asked, self._started, self._merged), inner = state
+        self.present.restore(inner)

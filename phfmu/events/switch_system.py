@@ -149,6 +149,7 @@ class SwitchSystem:
         energies = ca.vertcat(*component_energies(terms))
         self._energy = _Dense("energy", [x, p], [ca.jacobian(energies, x)])
         names = [n for v in symbolic.parameters for n in v.names()]
+        self._switches = model.switches
         self.places = [names.index(s.mode_name) for s in model.switches]
         variables = [n for v in symbolic.algebraics for n in v.names()]
         self.multipliers = [variables.index(s.multiplier.names()[0]) for s in model.switches]
@@ -159,6 +160,14 @@ class SwitchSystem:
         self._known = dict[bytes, Array]()
         self._undetermined: dict[tuple[int, ...], tuple[Undetermined, ...]] = {}
         self._size = np.array([n for v in symbolic.states for n in v.nominal]), terms.nu
+
+    @property
+    def between_inputs(self) -> list[str]:
+        """Switches whose c depends on inputs from outside and on nothing inside."""
+        x, a, p = self._start
+        found = self.rates(At(x, a, np.zeros(self._size[1]), p, 0.0))
+        inside = [bool(row.any()) for row in np.hstack([found.cx, found.ca])]
+        return [s.name for s, own in zip(self._switches, inside, strict=True) if not own and s.gap is None]
 
     def in_mode(self, p: Array, mode: Sequence[int]) -> Array:
         """Parameters with the modes set."""

@@ -177,10 +177,12 @@ def test_run_by_command(capsys: Any) -> None:
     assert "3 state" in out and "VIOLATED" not in out
 
 
-def test_ideal_switches_are_refused_by_name_in_members_and_units(tmp_path: Path) -> None:
+def test_ideal_switches_between_inputs_and_in_units_are_refused_by_name(tmp_path: Path) -> None:
     """Each of their modes is another plan."""
     model = build_model(diode())
-    with pytest.raises(ValueError, match="member 'd' has ideal switches .*; leave out --coupling newton"):
+    with pytest.raises(
+        ValueError, match="member 'd' has ideal switches .* between inputs.*; leave out --coupling newton"
+    ):
         EngineMember("d", model, None)
     with pytest.raises(FMUError, match="has ideal switches .* units have one"):
         export(model, tmp_path, ("3.0",), step=1e-3)

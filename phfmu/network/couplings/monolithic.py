@@ -13,6 +13,7 @@ from phfmu.discretise.model import Model, build_model
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import LEDGER, Steps
+from phfmu.engine.switched import stepped
 from phfmu.network.couplings.projections import Projections
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.members.booking import booking
@@ -94,7 +95,9 @@ class Monolithic:
         return found
 
     def prepare(self, t0: float, h: float) -> None:
-        """One instance has its values from its own start."""
+        """One instance has its values from its own start; with switches it is told how long steps are."""
+        if self.model.modes is not None:
+            self.instance.prepare(h)
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         try:
@@ -154,7 +157,10 @@ class Monolithic:
 
     def companion(self, scheme: Scheme) -> Any:
         """An instance of the same declaration and engine under another scheme."""
-        return type(self.instance)(build_model(self.model.declaration, scheme))
+        modes, present = self.model.modes, self.instance
+        if modes is None:
+            return type(present)(build_model(self.model.declaration, scheme))
+        return stepped(build_model(modes.modes.declaration, scheme), type(present.present))
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
@@ -163,7 +169,7 @@ class Monolithic:
             return self._steps(instance, instance.run(t0, h, n, record=wanted, inputs=given, first=first))
         before = instance.row()
         r = instance.run(t0, h, n, record=(*wanted, "unknowns"), first=first)
-        return self._filled(instance, before, r, t0 + h * (first + np.arange(n)), np.full(n, h))
+        return self._filled(instance, before, r, np.asarray(t0 + h * (first + np.arange(n)), np.float64), np.full(n, h))
 
     def _filled(self, instance: Any, before: Array, r: dict[str, Array], t: Array, h: Array) -> Steps:
         """Recorded steps, with rows within them if these are asked for."""

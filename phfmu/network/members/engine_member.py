@@ -32,11 +32,11 @@ class EngineMember:
     saves = True
 
     def __init__(self, name: str, model: Model, instance: Any, parts: int = 1):
-        if model.modes is not None:
-            names = ", ".join(s.name for s in model.modes.modes.switches[:4])
+        if model.modes is not None and (bound := model.modes.modes.system.between_inputs):
             raise ValueError(
-                f"member '{name}' has ideal switches ({names}), which are stepped in one composed model only; leave out "
-                "--coupling newton, which composes the network"
+                f"member '{name}' has ideal switches ({', '.join(bound[:4])}) between inputs, which other members set, so that "
+                "none of its own values follows where they are closed; leave out --coupling newton, which composes the network, "
+                "or make one member of them and what is on one side"
             )
         self.name, self.model, self.instance, self.parts = name, model, instance, parts
         self._inputs = Inputs(instance, model)
@@ -121,6 +121,8 @@ class EngineMember:
     def guards_states(self) -> bool:
         """Whether its state events read states only, so that they can be looked at on the polynomial of a step."""
         events = self.model.events
+        if self.model.modes is not None:  # their steps have no inputs at nodes
+            return False
         return self.parts == 1 and events is not None and not any(g.yi.size for g in events.groups)
 
     def do_step(self, t: float, h: float) -> None:

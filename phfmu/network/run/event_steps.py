@@ -101,8 +101,6 @@ class AdaptiveEventSteps:
         from phfmu.network.run.adaptive import Adaptive
 
         _require_fit(options)
-        if stepper.model.declaration.switches:
-            raise ValueError("--rtol does not go with ideal switches yet; take equal steps without it")
         assert options.rtol is not None
         self.stepper, self.book, self.landing = stepper, book, options.landing
         self._booked, self._adaptive = Booked(stepper, book), Adaptive(stepper, options, options.rtol)

@@ -1,0 +1,175 @@
+"""Models with ideal switches in adaptive steps, and as members stepped apart: modes change within a step that is told as one."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from event_reference import bridge as bridge_by_hand
+
+from phfmu import (
+    ELECTRICAL,
+    PHDAE,
+    Collocated,
+    Coupled,
+    EngineMember,
+    Monolithic,
+    NativeInstance,
+    Network,
+    Options,
+    Port,
+    PythonInstance,
+    Switch,
+    SwitchedInstance,
+    algebraic,
+    build_model,
+    damping,
+    energy,
+    parameter,
+    run,
+    state,
+    time,
+)
+from phfmu.cli import main
+from phfmu.engine.status import Status, StepFailure
+from phfmu.network.couplings.told import exchanged, order_told
+from tests.events.test_switches import LA, LD, STOP, bridge
+from tests.wide import wide
+
+ENGINES = [PythonInstance, NativeInstance]
+
+
+@pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (2, 3)], (NativeInstance, 3)))
+def test_adaptive_steps_commutate_within_their_tolerance(engine, k):
+    """Eleven events at their times; the error of currents at the stop follows the tolerance; every joule is booked."""
+    times, ia, idc = bridge_by_hand()
+    model, errors = build_model(bridge(), Collocated(k)), []
+    for rtol in (1e-4, 1e-6):
+        result = run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=STOP, step=5e-4, rtol=rtol))
+        summary = result.ledger.summary()
+        assert summary.closed and summary.events == {"state": 11}
+        found = result.time[np.flatnonzero(np.diff(result.time) == 0)]
+        errors.append(np.hypot(result.column("fa")[-1] / LA - ia, result.column("fd")[-1] / LD - idc))
+        assert np.abs(found - times).max() <= rtol * 0.01
+    assert errors[0] <= 2e-4 and errors[1] <= 2e-6 and errors[1] <= 0.05 * errors[0]
+
+
+R, L, C, LOAD, E, W, H = 0.5, 5e-3, 1e-3, 10.0, 10.0, 2 * pi * 50, 5e-4
+
+
+def branch() -> PHDAE:
+    """An inductor with a source and an ideal diode in series; while it blocks, a voltage u holds its current at zero."""
+    flux, u = state("flux", unit="Wb", start=0.5 * L, nominal=L), algebraic("u", unit="V", nominal=E)
+    blocks = parameter("blocks", 0.0)
+    ports = (
+        Port("terminal", ELECTRICAL, "effort", {flux: 1.0}, nominal=E),
+        Port("source", ELECTRICAL, "effort", {flux: 1.0}, source=E * ca.cos(W * time + 2.0), nominal=E),
+    )
+    return PHDAE(
+        "branch", states=(flux,), algebraics=(u,), parameters=(blocks,), energies=(energy(flux**2 / (2 * L)),),
+        dissipation=(damping(flux, R),), ports=ports, switches=(Switch("diode", u, {flux: 1.0}, blocks, nominal=1.0, unit="A"),),
+    )  # fmt: skip
+
+
+def rc() -> PHDAE:
+    q = state("q", unit="C", start=-2.0 * C, nominal=C * E)
+    port = Port("terminal", ELECTRICAL, "flow", {q: 1.0}, nominal=1.0)
+    return PHDAE(
+        "rc", states=(q,), energies=(energy(q**2 / (2 * C)),), dissipation=(damping(q, 1 / LOAD),), ports=(port,)
+    )
+
+
+def network() -> Network:
+    net = Network("charger")
+    net.add("supply", branch())
+    net.add("load", rc())
+    net.connect("supply.terminal", "load.terminal", name="node")
+    return net
+
+
+def instance_of(model: Any, engine: Any) -> Any:
+    return engine(model) if model.modes is None else SwitchedInstance(model, engine)
+
+
+def apart(engine: Any, k: int = 1) -> Coupled:
+    net = network()
+    models = {n: build_model(d, Collocated(k)) for n, d in net.declared.items()}
+    return Coupled(net, [EngineMember(n, m, instance_of(m, engine)) for n, m in models.items()])
+
+
+@pytest.fixture(scope="module")
+def reference() -> Any:
+    model = build_model(network().compose(), Collocated(3))
+    return run(Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=0.04, step=H))
+
+
+@pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (1, 2)], (NativeInstance, 1)))
+def test_members_with_switches_keep_order_two(reference, engine, k):
+    """Slope 2 in the states, ledgers and junctions closed; a guard that reads a held input is zero a little early or late."""
+    errors = []
+    times = [float(note.split()[2]) for note in reference.notes if note.startswith("t =")]
+    assert len(times) == 5
+    for h in (H, H / 4):
+        result = run(apart(engine, k), Options(stop=0.04, step=h))
+        summary = result.ledger.summary()
+        assert summary.closed and summary.events == {"state": len(times)}
+        notes = [note for note in result.notes if note.startswith("t =")]
+        assert all("supply.diode" in note for note in notes)
+        late = np.abs(np.array([float(note.split()[2]) for note in notes]) - times)
+        assert late.max() <= 0.05 * h
+        errors.append(abs(result.column("load.q")[-1] - reference.column("load.q")[-1]))
+    assert np.log2(errors[0] / errors[1]) / 2 >= 1.8
+
+
+def test_engines_change_modes_alike_in_members():
+    one, two = (run(apart(engine), Options(stop=0.01, step=H)) for engine in ENGINES)
+    assert one.column("load.q") == pytest.approx(two.column("load.q"), abs=1e-13 * E)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_step_with_a_change_of_mode_is_told_as_one_and_taken_back_bitwise(engine):
+    """Its books are those of its parts, h u^T y is what the port supplied, and after a rollback it gives the same bits."""
+    model = build_model(branch(), Collocated(2))
+    instance = SwitchedInstance(model, engine)
+    h, step, seen = 1e-3, 0, 0
+    while seen < 3:
+        t, before = step * h, instance.signal("H").sum()
+        instance.set_input([-0.4 * E * np.sin(70.0 * t)])
+        state, mode = instance.get_state(), instance.mode
+        instance.do_step(t, h)
+        row, out, x = instance.ledger(), instance.output(), instance.x
+        lost = sum(e.lost.sum() for e in instance.happened)
+        supplied = row["supplied"].sum()
+        change = instance.signal("H").sum() - before
+        assert change + row["dissipated"].sum() + lost - supplied == pytest.approx(0.0, abs=1e-15 * E * E)
+        assert h * out @ instance.held_input == pytest.approx(row["pairs"][0], abs=1e-16 * E)
+        if any(e.switched for e in instance.happened):
+            seen += 1
+            with pytest.raises(StepFailure) as refused:
+                instance.sensitivity()
+            assert refused.value.status is Status.NO_SENSITIVITY
+        again = [instance.get_state()]
+        for _ in range(2):
+            instance.set_state(state)
+            assert instance.mode == mode
+            instance.do_step(t, h)
+            assert instance.x.tobytes() == x.tobytes() and instance.output().tobytes() == out.tobytes()
+            assert all(instance.ledger()[name].tobytes() == row[name].tobytes() for name in row)
+        instance.set_state(again[0])
+        step += 1
+    assert step < 60
+
+
+def test_what_members_with_switches_exchange_is_told():
+    assert "2 with --coupling newton: supply takes held inputs" in order_told(network())
+    assert "supply has ideal switches, whose modes change within its step" in exchanged(network())["node"]
+
+
+def test_a_bridge_between_currents_that_are_given_is_refused_as_a_member_by_name(capsys):
+    """Apart, both sides of its switches are inputs; composed it runs."""
+    assert main(["run", "rectifier", "--coupling", "newton", "--engine", "python"]) != 0
+    err = capsys.readouterr().err
+    assert "bridge" in err and "leave out --coupling newton" in err
