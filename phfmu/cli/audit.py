@@ -98,6 +98,11 @@ def _left(path: Path) -> str:
 
 def _existing(path: str) -> Path:
     found = Path(path)
+    if found.suffix == ".csv":
+        raise ValueError(
+            f"{path} is the table of a run; its audit is a file besides: phfmu run TARGET --audit X.parquet"
+        )
     if not found.is_file() and not found.with_suffix(".arrows").is_file():
-        raise FileNotFoundError(f"no audit file '{path}'; write one with: phfmu run TARGET --audit {path}")
+        name = path if found.suffix == ".parquet" else f"{path}.audit.parquet"
+        raise FileNotFoundError(f"no audit file '{path}'; write one with: phfmu run TARGET --audit {name}")
     return found

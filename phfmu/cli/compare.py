@@ -40,6 +40,11 @@ def call(args: argparse.Namespace) -> int:
         if not 0 <= getattr(args, name) < float("inf"):
             raise ValueError(f"--{name} {getattr(args, name)}: expected a number from 0")
     a, b = opened(args.a), opened(args.b)
+    if type(a) is not type(b) and not common(a, b):
+        raise ValueError(
+            f"{args.a} and {args.b}: one is the table of a run, the other an audit, without a common signal; compare two of "
+            "a kind"
+        )
     names = None
     if args.signals:
         names = pick(args.signals, common(a, b), f"what {args.a} and {args.b} have in common")

@@ -89,6 +89,11 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     return call
 
 
+def test_a_table_and_an_audit_are_not_compared(refused: Cli) -> None:
+    assert main("run mass --engine python --stop 0.2 --step 0.1 -o o.csv --audit a.parquet --quiet".split()) == 0
+    refused(2, "compare o.csv a.parquet", "o.csv and a.parquet: one is the table of a run, the other an audit")
+
+
 # -- the command line itself ---------------------------------------------------------------------------------
 
 
@@ -145,6 +150,10 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         ("run four_particle --order 4", "odd stages use --order 2 or 6"),
         ("run four_particle --order 4 --scheme collocated", "four_particle: order 4 use --order 2 or 6"),
         ("run four_particle --coupling newton", "four_particle is a single component"),
+        ("audit none", "no audit file 'none' phfmu run TARGET --audit none.audit.parquet"),
+        ("audit o.csv", "o.csv is the table of a run; --audit X.parquet"),
+        ("plot mass -o x.png", "mass is no file of a run; run it first, phfmu run mass -o RUN.csv"),
+        ("report models.py:itself -o x.html", "models.py:itself is no file of a run; phfmu run models.py:itself -o"),
         ("audit none.parquet", "no audit file 'none.parquet' phfmu run TARGET --audit none.parquet"),
         ("audit recover none.arrows", "no stream none.arrows to recover"),
         ("audit bad.py", "bad.py is not an audit log"),
