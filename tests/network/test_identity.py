@@ -66,6 +66,8 @@ def stepper(name: str, coupling: str) -> tuple[Any, Any]:
     if coupling == "monolithic":
         model = build_model(scene.declaration())
         return scene, Monolithic(model, PythonInstance(model))
+    if coupling.startswith("newton") and scene.system.wires:  # signals at nodes
+        parts = {n: build_model(d) for n, d in scene.system.separate().items()}
     members: list[Any] = [EngineMember(n, m, PythonInstance(m)) for n, m in parts.items()]
     return scene, Coupled(scene.system, members, COUPLINGS[coupling])
 
