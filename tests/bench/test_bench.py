@@ -219,6 +219,7 @@ def test_sweeps_are_iterations(compiler: None) -> None:
 # -- the command --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_bench_of_the_oscillator(compiler: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Rows of own schemes fall with their order; the reference is exact: q1 = (cos 2 pi t + cos 6 pi t)/2."""
     words = ["bench", "oscillator", "--steps", "0.02,0.01", "--stop", "1", "--times", "0.3", "--repeat", "1"]

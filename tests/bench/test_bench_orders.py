@@ -29,6 +29,7 @@ def test_runs_that_are_exact_last_a_second():
     assert span(build_model(d, named_scheme(d, order=6))) == 1.0
 
 
+@pytest.mark.slow
 def test_rows_have_slopes_and_words():
     (row,) = measure(["rl_line"])
     assert float(row.cells[Method("collocated", 2)]) == pytest.approx(2.0, abs=0.05)

@@ -9,6 +9,7 @@ from phfmu.bench import coupling
 from phfmu.network.couplings.coupled import Coupled
 
 
+@pytest.mark.slow
 def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coupling, "ROUNDS", 1)
     monkeypatch.setattr(coupling, "SIZES", {"ring": (3,), "star": (3,)})

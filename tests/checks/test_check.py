@@ -566,7 +566,8 @@ def library() -> list[tuple[str, Any]]:
             for kwargs in ARGUMENTS.get(name, ({},)):
                 given = {p.name: 1.0 for p in needed if p.name not in kwargs} | kwargs
                 label = ", ".join(f"{k}={v}" for k, v in given.items())
-                found.append(pytest.param(function, given, id=f"{name}({label})"))
+                long = pytest.mark.slow if name in ("fekete", "net") else ()
+                found.append(pytest.param(function, given, id=f"{name}({label})", marks=long))
     return found
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from phfmu.cli import main
 from phfmu.target import functions
+from tests.wide import wide
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def by_itself(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, cwd=folder, capture_output=True, text=True, env=alone)
 
 
-@pytest.mark.parametrize("kind", ["component", "scene"])
+@pytest.mark.parametrize("kind", wide(["component", "scene"], "scene"))
 def test_what_is_written_runs_and_passes_its_test(kind: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new", kind, "my_part"]) == 0
     told = capsys.readouterr().out
@@ -41,6 +42,7 @@ def test_what_is_written_runs_and_passes_its_test(kind: str, here: Path, capsys:
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_the_test_notices_a_wrong_sign(here: Path) -> None:
     """Passing says something: a part that is changed without its solution fails."""
     assert main(["new", "component", "part"]) == 0

@@ -127,6 +127,7 @@ def test_damaged_objects_are_compiled_again(folder: Path, compiled: Callable[[],
     assert compiled() == ["a.c"]
 
 
+@pytest.mark.slow
 def test_a_unit_has_the_same_bytes_from_a_cold_and_a_warm_cache(
     folder: Path, tmp_path: Path, compiled: Callable[[], list[str]]
 ) -> None:

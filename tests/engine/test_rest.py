@@ -145,6 +145,7 @@ def test_a_run_tells_when_which_row_rests(ill_chosen: Model) -> None:
     )
 
 
+@pytest.mark.slow
 def test_an_exchange_is_reversible(ill_chosen: Model) -> None:
     instance = NativeInstance(ill_chosen)
     instance.run(0.0, 0.01, 60)

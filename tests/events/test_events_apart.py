@@ -124,6 +124,7 @@ def test_an_event_that_is_refused_leaves_all_members_at_the_last_step(network: A
     assert len({m.instance.time for m in members}) == 1
 
 
+@pytest.mark.slow
 def test_engines_agree_and_units_too(network: Any, tmp_path: Path) -> None:
     """A breaker that is a unit gives what it gives as a member of an engine, in the run and in the audit."""
     options = Options(stop=STOP, step=2.5e-4, events=EVENTS)
@@ -161,6 +162,7 @@ def test_the_audit_has_a_row_for_each_event_of_a_member(network: Any, tmp_path: 
     assert "VIOLATED" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_steps_that_are_halved_book_the_events_of_both_halves(network: Any) -> None:
     """Explicit exchange books them as well; what it makes at its junctions is told there."""
     models = {n: build_model(d, Collocated(1)) for n, d in network.declared.items()}

@@ -261,6 +261,7 @@ def test_units_without_state_events_have_nothing_of_them() -> None:
     assert not {"events.count", "events.last", "energy.events"} & names
 
 
+@pytest.mark.slow
 @needs_cc
 def test_the_sources_compile_without_warnings_and_run_in_a_host_without_interpreter(
     ball: Any, units: dict[tuple[str, str], Path], tmp_path: Path

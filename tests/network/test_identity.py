@@ -39,7 +39,7 @@ STATE_EVENTS = {"bouncing_ball", "buffer", "breaker_opening", "smib_breaker", "t
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene" and n not in STATE_EVENTS]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
 BARE = {"smib", "smib_hydro", "two_machine"}
-QUICK = {"oscillator", "drive", "smib"}
+QUICK = {"oscillator", "drive"}
 
 COUPLINGS: dict[str, Callable[[Any], Any]] = {
     "newton": newton,

@@ -385,7 +385,7 @@ def test_the_interface_matrix_of_a_ring_is_sparse(k: int) -> None:
 def test_what_a_run_begins_with_grows_with_the_members_only(make: Callable[[int], Network]) -> None:
     """Memory to join members, check their start and take the first steps: nothing is as large as unknowns squared."""
     peak = {}
-    for n in (60, 60, 240):  # the first one loads what is needed
+    for n in (30, 30, 120):  # the first one loads what is needed
         stepper = coupling_bench.coupled(make(n), 1)
         apart = stepper.joined  # pyright: ignore[reportAttributeAccessIssue]
         tracemalloc.start()
@@ -398,7 +398,7 @@ def test_what_a_run_begins_with_grows_with_the_members_only(make: Callable[[int]
         finally:
             tracemalloc.stop()
         assert again._master is not None and again._master.taken == 2
-    assert peak[240] <= 5.0 * peak[60]
+    assert peak[120] <= 5.0 * peak[30]
 
 
 @pytest.mark.slow

@@ -133,6 +133,7 @@ def test_columns_show_the_signals_of_the_present_time() -> None:
     np.testing.assert_allclose(r.column("controller.command"), together.column("controller.command"), atol=0.05)
 
 
+@pytest.mark.slow
 def test_engines_and_units_agree(tmp_path: Any) -> None:
     np.testing.assert_allclose(composed(1, 1e-2, NativeInstance).values, composed(1, 1e-2).values, rtol=1e-9, atol=1e-9)
     plain = apart(1, 1e-2)

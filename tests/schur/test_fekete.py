@@ -22,6 +22,7 @@ def charges() -> Model:
     return build_model(declaration, default_scheme(declaration, 6))
 
 
+@pytest.mark.slow
 def test_a_thousand_seconds_end_at_the_published_positions(charges: Model, compiler: None) -> None:
     unit = NativeInstance(charges)
     rows = unit.run(0.0, 0.1, 10_000, ["stored", "dissipated", "supplied"])

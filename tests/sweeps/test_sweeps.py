@@ -24,6 +24,7 @@ from phfmu.sweeps.design import axes, table
 from phfmu.sweeps.outcome import Outcome
 from phfmu.sweeps.runs import taken
 from phfmu.sweeps.words import KINDS
+from tests.wide import wide
 
 FOUR = grid({"k13": [40.0, 60.0], "m[1]": [1.0, 4.0]})
 
@@ -107,7 +108,7 @@ def test_a_run_does_not_depend_on_the_one_before_it(compiler: None) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:invalid value")  # numpy's word for the energy that is not finite
-@pytest.mark.parametrize("engine", ["native", "python"])
+@pytest.mark.parametrize("engine", wide(["native", "python"], "native"))
 def test_runs_that_fail_are_rows_with_their_reason(engine: str, compiler: None) -> None:
     """A start off the constraints, and an energy that is not finite; the others go on."""
     q = build("four_particle").states[0].start[0]
