@@ -17,9 +17,7 @@ static int solve(ph_master *m, double t, double h, int *trials, int *by) {
     ph_progress p = {0};
     while (p.trials < rules->iterations) {
         ph_trial now;
-        int left, floor, status = p.trials > 0 ? restore(m) : PH_OK;
-        if (status == PH_OK)
-            status = ph_trial_take(m, t, h, &now);
+        int left, floor, status = ph_trial_take(m, t, h, p.trials > 0, &now);
         if (status)
             return status;
         ph_coupled_note(rules, &p, now.scaled);
@@ -48,8 +46,6 @@ static void record(ph_master *m, double h, int row) {
         xi[m->column[i]] += m->weights[i] * m->z[i];
     for (int b = 0; b < m->nbare; b++)
         xi[m->bare_column[b]] += (m->z[m->nxi + b] + m->z[m->nxi + m->nbare + b]) / h;
-    for (int i = 0; i < m->nshare; i++)
-        ph_share_record(&m->shares[i], row);
 }
 
 int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next) {
@@ -59,15 +55,13 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
         double *swap;
         if (done || next)
             ph_continue_ahead(m);
-        for (int i = 0; i < m->nshare; i++)
-            ph_share_keep(&m->shares[i]);
         status = solve(m, t0 + (double)(first + done) * h, h, &m->trials[done], &by);
         if (status == PH_OK)
             status = ph_settle(m);
         if (status == PH_OK)
             status = ph_signals_present(m);
-        for (int i = 0; i < m->nshare && status == PH_OK; i++)
-            status = m->shares[i].calls->refresh(m->shares[i].in);
+        if (status == PH_OK)
+            status = ph_shares_finish(m, done);
         if (status) {
             restore(m);
             break;

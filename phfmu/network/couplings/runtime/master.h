@@ -186,7 +186,7 @@ PH_API int ph_master_run(ph_master *m, double t0, double h, int n, long long fir
 
 /* trial.c: S0 and sums before a step; a trial; ph_energy_left of it. */
 int ph_trial_before(ph_master *m);
-int ph_trial_take(ph_master *m, double t, double h, ph_trial *found);
+int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found);
 int ph_trial_left(ph_master *m, ph_trial *now);
 int ph_all_finite(const double *values, int n);
 
@@ -210,8 +210,10 @@ int ph_signals_present(const ph_master *m);
 /* work.c: what the accepted trial did at the junctions. */
 void ph_work_record(const ph_master *m, double h, int row);
 
-/* shares.c: steps of all members, and their derivatives, by all threads. */
-int ph_shares_step(ph_master *m, double t, double h);
+/* shares.c: of all members, by all threads: steps, from what is kept for those that come again; end values
+ * and rows of an accepted step; derivatives. */
+int ph_shares_step(ph_master *m, double t, double h, int again);
+int ph_shares_finish(ph_master *m, int row);
 int ph_shares_along(ph_master *m);
 
 /* share.c: of one member its step under z, alone, then what that adds to the rows; its derivatives, alone,

@@ -10,6 +10,7 @@ typedef struct step {
     ph_master *m;
     double t;
     double h;
+    int again;
 } step;
 
 /* Of this thread where the system tells, so that what else the machine does counts for nothing. */
@@ -26,8 +27,14 @@ static double seconds(void) {
 static void one_step(void *with, int i) {
     const step *s = with;
     ph_master *m = s->m;
+    const ph_share *share = &m->shares[i];
     const double before = m->cost ? seconds() : 0.0;
-    m->status[i] = ph_share_step(m, &m->shares[i], s->t, s->h);
+    int status = PH_OK;
+    if (s->again)
+        status = ph_share_restore(share);
+    else
+        ph_share_keep(share);
+    m->status[i] = status ? status : ph_share_step(m, share, s->t, s->h);
     if (m->cost)
         m->cost[i] += seconds() - before;
 }
@@ -37,6 +44,19 @@ static void one_along(void *with, int i) {
     m->status[i] = ph_share_along(&m->shares[i]);
 }
 
+typedef struct finish {
+    ph_master *m;
+    int row;
+} finish;
+
+static void one_finish(void *with, int i) {
+    const finish *f = with;
+    const ph_share *share = &f->m->shares[i];
+    f->m->status[i] = share->calls->refresh(share->in);
+    if (f->m->status[i] == PH_OK)
+        ph_share_record(share, f->row);
+}
+
 static int first_failure(const ph_master *m) {
     for (int i = 0; i < m->nshare; i++)
         if (m->status[i])
@@ -44,9 +64,15 @@ static int first_failure(const ph_master *m) {
     return PH_OK;
 }
 
-int ph_shares_step(ph_master *m, double t, double h) {
-    step s = {m, t, h};
+int ph_shares_step(ph_master *m, double t, double h, int again) {
+    step s = {m, t, h, again};
     ph_crew_each(m->crew, m->nshare, one_step, &s);
+    return first_failure(m);
+}
+
+int ph_shares_finish(ph_master *m, int row) {
+    finish f = {m, row};
+    ph_crew_each(m->crew, m->nshare, one_finish, &f);
     return first_failure(m);
 }
 

@@ -35,8 +35,8 @@ int ph_trial_before(ph_master *m) {
     return PH_OK;
 }
 
-/* One step of all members under z, and what their rows leave. */
-int ph_trial_take(ph_master *m, double t, double h, ph_trial *found) {
+/* One step of all members under z, and what their rows leave; again: from where the trial before began. */
+int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found) {
     const int n = m->nxi, nb = m->nbare;
     const double *start = m->z + n, *end = start + nb;
     int status;
@@ -49,7 +49,7 @@ int ph_trial_take(ph_master *m, double t, double h, ph_trial *found) {
         m->rows[m->skew_row[e]] += term;
         m->size[m->skew_row[e]] += fabs(term);
     }
-    status = ph_shares_step(m, t, h);
+    status = ph_shares_step(m, t, h, again);
     if (status)
         return status;
     for (int i = 0; i < m->nshare; i++)
