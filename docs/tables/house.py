@@ -211,7 +211,10 @@ def words_of(path: Path) -> set[str]:
 
 def repeated(files: Sequence[Path]) -> list[tuple[Path, int]]:
     """(file, line) where lines begin that stand elsewhere before; blank lines, comments, imports and brackets do not count."""
-    lines = {p: [(i, s) for i, line in enumerate(text(p).splitlines(), 1) if counts(s := line.strip())] for p in files}
+    lines = {
+        p: [(i, s) for i, line in enumerate(text(p).splitlines(), 1) if i not in imports and counts(s := line.strip())]
+        for p, imports in ((p, import_lines(p)) for p in files)
+    }
     first: dict[tuple[str, ...], tuple[Path, int]] = {}
     runs: list[tuple[Path, int]] = []
     for path, kept in lines.items():
@@ -225,5 +228,12 @@ def repeated(files: Sequence[Path]) -> list[tuple[Path, int]]:
     return runs
 
 
+def import_lines(path: Path) -> set[int]:
+    """Numbers of the lines that import something, also in lists of names."""
+    nodes = ast.walk(ast.parse(text(path))) if path.suffix in (".py", ".pyi") else ()
+    imports = [n for n in nodes if isinstance(n, ast.Import | ast.ImportFrom)]
+    return {i for n in imports for i in range(n.lineno, (n.end_lineno or n.lineno) + 1)}
+
+
 def counts(line: str) -> bool:
-    return len(line) > 2 and not line.startswith(("#", "//", "/*", "*", "import ", "from "))
+    return len(line) > 2 and not line.startswith(("#", "//", "/*", "*"))

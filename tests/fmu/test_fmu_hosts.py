@@ -5,10 +5,6 @@ The importers come with `pip install phfmu[hosts]`; they run in a process of the
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import fmpy
@@ -18,6 +14,7 @@ import pytest
 from phfmu import build_model, export
 from phfmu.components.library import build
 from phfmu.fmu.reader import FMUInstance
+from tests.fmu.other_hosts import READ, run_elsewhere
 
 pytestmark = pytest.mark.slow
 
@@ -31,18 +28,7 @@ UNITS = {
 N = 50
 
 ECOS = """
-import ctypes, json, sys
-from importlib.metadata import PackageNotFoundError, files
-try:
-    found = [f for f in files("tbb") if f.name == "libtbb.so.12"]
-    ctypes.CDLL(str(found[0].locate()), mode=ctypes.RTLD_GLOBAL)
-except (PackageNotFoundError, IndexError):
-    pass  # the system may have it
-try:
-    from ecospy import EcosSimulation, EcosSimulationStructure
-except OSError as error:
-    sys.exit(f"cannot load: {error}")
-path, h, n, starts, names, _ = json.loads(sys.argv[1])
+path, h, n, starts, names, _ = task
 structure = EcosSimulationStructure()
 structure.add_model("unit", path)
 structure.add_parameter_set("start", {f"unit::{k}": v for k, v in starts.items()})
@@ -53,14 +39,7 @@ print("RESULT", json.dumps([simulation.get_real(f"unit::{name}") for name in nam
 """
 
 COSIM = """
-import json, sys
-try:
-    from libcosimpy.CosimExecution import CosimExecution
-    from libcosimpy.CosimObserver import CosimObserver
-    from libcosimpy.CosimSlave import CosimLocalSlave
-except OSError as error:
-    sys.exit(f"cannot load: {error}")
-path, h, n, starts, names, refs = json.loads(sys.argv[1])
+path, h, n, starts, names, refs = task
 execution = CosimExecution.from_step_size(step_size=round(h * 1e9))
 slave = execution.add_local_slave(local_slave=CosimLocalSlave(fmu_path=path, instance_name="unit"))
 observer = CosimObserver.create_last_value()
@@ -71,7 +50,7 @@ execution.step(step_count=n)
 print("RESULT", json.dumps(observer.last_real_values(slave_index=slave, variable_references=[refs[name] for name in names])))
 """
 
-HOSTS = {"ecos": (ECOS, "ecospy", ("2.0", "3.0")), "libcosim": (COSIM, "libcosimpy", ("2.0",))}
+SCRIPTS = {"ecos": ECOS, "libcosim": COSIM}
 
 
 @pytest.fixture(scope="module")
@@ -85,24 +64,16 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], Pat
 
 
 @pytest.mark.parametrize("name", UNITS)
-@pytest.mark.parametrize(("host", "version"), [(h, v) for h, (_, _, versions) in HOSTS.items() for v in versions])
+@pytest.mark.parametrize(("host", "version"), READ)
 def test_other_importers_get_the_numbers_of_fmpy(
     units: dict[tuple[str, str], Path], name: str, host: str, version: str
 ) -> None:
-    script, module, _ = HOSTS[host]
-    if find_spec(module) is None:
-        pytest.skip(f"{module} is not installed (pip install phfmu[hosts])")
     path, (h, starts) = units[name, version], UNITS[name]
     with FMUInstance(path) as unit:
         about = unit.interface.variables
         names = [n for n, v in about.items() if v.causality in ("output", "local")]
-    task = [str(path), h, N, starts, names, {n: about[n].reference for n in (*names, *starts)}]
-    done = subprocess.run([sys.executable, "-c", script, json.dumps(task)], capture_output=True, text=True, timeout=120)
-    if "cannot load" in done.stderr:
-        pytest.skip(done.stderr.strip())
-    assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
-    (line,) = [t for t in done.stdout.splitlines() if t.startswith("RESULT ")]
-    found = json.loads(line.removeprefix("RESULT "))
+    refs = {n: about[n].reference for n in (*names, *starts)}
+    found = run_elsewhere(host, SCRIPTS[host], str(path), h, N, starts, names, refs)
     rows = fmpy.simulate_fmu(
         str(path), stop_time=N * h, step_size=h, output_interval=h, start_values=starts, output=names
     )

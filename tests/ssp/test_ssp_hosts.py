@@ -5,11 +5,7 @@ They come with `pip install phfmu[hosts]`; they run in a process of their own, b
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +13,7 @@ import pytest
 
 from phfmu.cli import main
 from phfmu.ssp.loading import load
+from tests.fmu.other_hosts import READ, run_elsewhere
 from tests.ssp.packages import pack, unpacked
 
 pytestmark = pytest.mark.slow
@@ -24,18 +21,7 @@ H, N = 1e-3, 200
 NAMES = ("mass1.q", "mass2.q", "spring12.e", "mass1.flange.velocity", "spring12.a.force", "mass2.energy.residual")
 
 ECOS = """
-import ctypes, json, sys
-from importlib.metadata import PackageNotFoundError, files
-try:
-    found = [f for f in files("tbb") if f.name == "libtbb.so.12"]
-    ctypes.CDLL(str(found[0].locate()), mode=ctypes.RTLD_GLOBAL)
-except (PackageNotFoundError, IndexError):
-    pass  # the system may have it
-try:
-    from ecospy import EcosSimulation
-except OSError as error:
-    sys.exit(f"cannot load: {error}")
-path, h, n, names, _ = json.loads(sys.argv[1])
+path, h, n, names, _ = task
 simulation = EcosSimulation(ssp_path=path, step_size=h)
 simulation.init(parameter_set="parameters")
 simulation.step(n)
@@ -44,13 +30,8 @@ print("RESULT", json.dumps([simulation.get_real(name.replace(".", "::", 1)) for 
 
 #: takes an unpacked package
 COSIM = """
-import json, os, sys, tempfile, zipfile
-try:
-    from libcosimpy.CosimExecution import CosimExecution
-    from libcosimpy.CosimObserver import CosimObserver
-except OSError as error:
-    sys.exit(f"cannot load: {error}")
-path, h, n, names, refs = json.loads(sys.argv[1])
+import os, tempfile, zipfile
+path, h, n, names, refs = task
 with tempfile.TemporaryDirectory() as folder:
     zipfile.ZipFile(path).extractall(folder)
     execution = CosimExecution.from_ssp_file(ssp_path=folder, step_size=round(h * 1e9))
@@ -65,32 +46,20 @@ with tempfile.TemporaryDirectory() as folder:
     os._exit(0)  # its units hold files of the folder
 """
 
-HOSTS = {"ecos": (ECOS, "ecospy", ("2", "3")), "libcosim": (COSIM, "libcosimpy", ("2",))}
+SCRIPTS = {"ecos": ECOS, "libcosim": COSIM}
 
 
-def run_elsewhere(script: str, *task: object) -> list[float]:
-    done = subprocess.run([sys.executable, "-c", script, json.dumps(task)], capture_output=True, text=True, timeout=120)
-    if "cannot load" in done.stderr:
-        pytest.skip(done.stderr.strip())
-    assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
-    (line,) = [t for t in done.stdout.splitlines() if t.startswith("RESULT ")]
-    return json.loads(line.removeprefix("RESULT "))
-
-
-@pytest.mark.parametrize(("host", "fmi"), [(h, v) for h, (_, _, versions) in HOSTS.items() for v in versions])
+@pytest.mark.parametrize(("host", "fmi"), READ)
 def test_other_masters_get_the_numbers_of_an_explicit_run(tmp_path: Path, host: str, fmi: str) -> None:
     """Parameters of the package count: the spring has another stiffness inside its unit."""
-    script, module, _ = HOSTS[host]
-    if find_spec(module) is None:
-        pytest.skip(f"{module} is not installed (pip install phfmu[hosts])")
-    assert main(["export", "oscillator", "--ssp", "--fmi", fmi, "--step", str(H), "-o", str(tmp_path)]) == 0
+    assert main(["export", "oscillator", "--ssp", "--fmi", fmi[0], "--step", str(H), "-o", str(tmp_path)]) == 0
     files = unpacked(tmp_path / "oscillator.ssp")
     stiffer = re.sub(rb'value="157[.0-9]*"', b'value="170.0"', files["resources/spring12.ssv"])
     assert stiffer != files["resources/spring12.ssv"]
     path, table = pack(tmp_path / "stiffer.ssp", files | {"resources/spring12.ssv": stiffer}), tmp_path / "rows.csv"
     units = load(path).system.units
     refs = {n: units[n.partition(".")[0]].interface.variables[n.partition(".")[2]].reference for n in NAMES}
-    found = run_elsewhere(script, str(path), H, N, NAMES, refs)
+    found = run_elsewhere(host, SCRIPTS[host], str(path), H, N, NAMES, refs)
     line = [
         "run",
         str(path),
