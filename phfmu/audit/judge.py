@@ -5,7 +5,8 @@ A step is measured against the energies in play in it and, as rounding, against 
     |residual| <= allowed = rtol P + FLOOR eps max(P, |sum dH|) + ULPS eps max(|H0|, |H1|),
     P = (moved or max(|H0|, |H1|)) + |dissipated| + |numerical| + |supplied| + sum |port energies|,
 
-with the maximum over the run up to the step. `moved` is the sum over the component's energies of |change|: a constant in
+with the maximum over the run up to the step; a component that never stored energy is allowed ULPS eps of the sum of max P
+over all components besides.  `moved` is the sum over the component's energies of |change|: a constant in
 H is in these only by its rounding, which a closed-form pair leaves in a difference of large energies.
 """
 
@@ -119,7 +120,7 @@ class Judge:
         reach = largest_so_far([a.reach for a in accounts], _larger_finite(in_play, np.abs(stored)))
         with np.errstate(invalid="ignore", over="ignore"):
             H = _larger_finite(np.abs(block.H0), np.abs(block.steps.H))
-            rounding, of_H = FLOOR * EPS * reach, ULPS * EPS * H
+            rounding, of_H = FLOOR * EPS * reach, ULPS * EPS * (H + self._relations(accounts, H, reach))
             in_step = self.rtol * in_play + rounding
             allowed = in_step + of_H
             self._mark("balance", names, block.residual, allowed, block, judged)
@@ -137,6 +138,18 @@ class Judge:
         if self.rtol != DEFAULT_RTOL:
             found = ratio(block.residual, DEFAULT_RTOL * in_play + rounding + of_H)
         return DEFAULT_RTOL * found
+
+    def _relations(self, accounts: list[Account], H: Floats, reach: Floats) -> Floats:
+        """Energies in play in the network [n,c] where a component never stored any, else 0.
+
+        It is a relation, as a junction is, solved with all others at once: a stop that holds a body at rest passes no energy
+        on, but the force on it and the rounding of a velocity.
+        """
+        largest = np.array([a.largest for a in accounts])
+        if (largest > 0.0).all():
+            return np.zeros_like(H)
+        silent = np.maximum.accumulate(np.maximum(H, largest), axis=0) == 0.0
+        return np.where(silent, rows(reach)[:, None], 0.0)
 
     def _account(self, name: str, block: Block, i: int) -> Account:
         account = self.accounts.get(name)

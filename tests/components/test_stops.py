@@ -26,7 +26,8 @@ from phfmu import (
 from phfmu.components.control.relay import relay
 from phfmu.components.electrical.switches import chopper
 from phfmu.components.library import build
-from phfmu.components.mechanical.contacts import bumper
+from phfmu.components.mechanical.contacts import bumper, end_stop
+from phfmu.components.mechanical.translational import mass, spring
 from phfmu.engine.switched import stepped
 from tests.wide import wide
 
@@ -128,6 +129,21 @@ def test_an_end_stop_pushes_and_lets_go(engine):
     assert result.column("other.v")[-1] == pytest.approx(exact["speed"], abs=1e-8)
     assert result.column("stop.gap")[-1] == pytest.approx(exact["gap"], abs=1e-8)
     assert result.column("stop.gap").min() >= -1e-15 and result.column("stop.F").min() >= -1e-9
+
+
+def test_a_fixed_stop_holds_a_body_and_its_ledger_is_closed():
+    """Nothing passes through it but a force and the rounding of a velocity."""
+    net = Network("held")
+    net.add("body", mass(2.0))
+    net.add("spring", spring(200.0, elongation=0.15))
+    net.add("stop", end_stop(0.1, nominal=0.1, f=10.0))
+    net.junction("joint", ["body.flange", "spring.b", "stop.b"])
+    made = build_model(net.compose(), Collocated(1))
+    result = run(Monolithic(made, stepped(made, PythonInstance)), Options(stop=0.2, step=0.01))
+    assert result.ledger.summary().closed
+    assert lost(result) == pytest.approx(2.0, rel=1e-12) and result.column("stop.F")[-1] == pytest.approx(
+        10.0, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("k", wide([1, 2, 3], 2))
