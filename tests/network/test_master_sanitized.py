@@ -25,7 +25,7 @@ from phfmu import Collocated, Coupled, EngineMember, NativeInstance, Options, St
 from phfmu.components.scenes.%s import %s as make
 scene = make()
 def members(k):
-    models = {n: build_model(replace(d, name=n), Collocated(k)) for n, d in scene.system.declared.items()}
+    models = {n: build_model(d, Collocated(k)) for n, d in scene.system.separate().items()}
     return [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]
 events = [replace(e, t=3e-3) for e in scene.events]
 for k in (1, 2):
@@ -58,9 +58,9 @@ def preloaded() -> dict[str, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["oscillator", "smib"])
+@pytest.mark.parametrize("scene", ["oscillator", "smib", "speed_control"])
 def test_nothing_is_out_of_bounds(preloaded: dict[str, str], tmp_path: Path, scene: str) -> None:
-    """Held values and node values, impulses (smib), an event, and steps that are left to Python."""
+    """Held values and node values, impulses (smib), signals (speed_control), an event, and steps that are left to Python."""
     code = CODE % (SANITIZE, SANITIZE, scene, scene)
     environment = preloaded | {"PHFMU_CACHE_DIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=1500)
