@@ -111,11 +111,16 @@ def test_many_junctions_are_made_in_linear_time_and_joined_ends_are_known() -> N
 
 
 @pytest.mark.slow
-def test_a_thousand_members_start_within_ten_seconds_of_processor_time(tmp_path: Path) -> None:
-    (tmp_path / "star.py").write_text(STAR.format(n=500))
-    words = [sys.executable, "-m", "phfmu", "run", "star.py", "--coupling", "newton", "--stop", "0.001"]
-    subprocess.run([*words, "--quiet"], cwd=tmp_path, check=True)  # compiles once on this machine
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([*words, "--quiet"], cwd=tmp_path, check=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime <= 10.0
+def test_a_thousand_members_start_in_few_times_the_processor_time_of_five(tmp_path: Path) -> None:
+    """Some 7 s against 2 s on a quiet machine; planned one by one it would be 50 s."""
+
+    def spent(n: int) -> float:
+        (tmp_path / "star.py").write_text(STAR.format(n=n))
+        words = ["run", "star.py", "--coupling", "newton", "--stop", "0.001", "--quiet"]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "phfmu", *words], cwd=tmp_path, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+
+    spent(2)  # compiles, once on a machine
+    assert spent(500) <= 6.0 * spent(2)
