@@ -103,7 +103,7 @@ def apart(engine: Any, k: int = 1) -> Coupled:
 @pytest.fixture(scope="module")
 def reference() -> Any:
     model = build_model(network().compose(), Collocated(3))
-    return run(Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=0.04, step=H))
+    return run(Monolithic(model, SwitchedInstance(model, NativeInstance)), Options(stop=0.02, step=H))
 
 
 @pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (1, 2)], (NativeInstance, 1)))
@@ -111,9 +111,9 @@ def test_members_with_switches_keep_order_two(reference, engine, k):
     """Slope 2 in the states, ledgers and junctions closed; a guard that reads a held input is zero a little early or late."""
     errors = []
     times = [float(note.split()[2]) for note in reference.notes if note.startswith("t =")]
-    assert len(times) == 5
+    assert len(times) == 3
     for h in (H, H / 4):
-        result = run(apart(engine, k), Options(stop=0.04, step=h))
+        result = run(apart(engine, k), Options(stop=0.02, step=h))
         summary = result.ledger.summary()
         assert summary.closed and summary.events == {"state": len(times)}
         notes = [note for note in result.notes if note.startswith("t =")]
@@ -125,7 +125,7 @@ def test_members_with_switches_keep_order_two(reference, engine, k):
 
 
 def test_engines_change_modes_alike_in_members():
-    one, two = (run(apart(engine), Options(stop=0.01, step=H)) for engine in ENGINES)
+    one, two = (run(apart(engine), Options(stop=0.004, step=H)) for engine in ENGINES)
     assert one.column("load.q") == pytest.approx(two.column("load.q"), abs=1e-13 * E)
 
 
