@@ -296,7 +296,7 @@ def random_energy(rng: np.random.Generator, x: ca.SX) -> ca.SX:
     ("rule", "k"),
     wide(
         [("general", 1), ("general", 2), ("general", 3), ("joint", 1), ("itoh-abe", 1)],
-        *(("general", 2), ("joint", 1), ("itoh-abe", 1)),
+        *(("general", 2), ("joint", 1)),
     ),
 )
 def test_directionality_of_random_energies_of_all_operations(rule, k):

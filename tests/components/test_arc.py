@@ -105,7 +105,7 @@ def test_arcs_strike_go_out_and_reignite(engine, k, h, late):
 
 
 @pytest.mark.parametrize("engine", [NativeInstance, pytest.param(PythonInstance, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("k", "steps"), [(1, (2.5e-4, 6.25e-5)), (2, (2.5e-4, 6.25e-5)), (3, (1e-3, 2.5e-4))])
+@pytest.mark.parametrize(("k", "steps"), [slow((1, (2.5e-4, 6.25e-5))), (2, (2.5e-4, 6.25e-5)), (3, (1e-3, 2.5e-4))])
 def test_events_of_arcs_are_of_order_2k(engine, k, steps):
     times = sorted(t for alpha in ALPHA for t in pole(alpha)[0])
     errors = []

@@ -190,7 +190,7 @@ def test_a_duty_signal_sets_the_mean_voltage():
     assert result.ledger.summary().closed
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 @pytest.mark.parametrize(("k", "n", "error"), [slow((1, 80, 1e-4)), slow((2, 80, 1e-9)), (3, 40, 1e-12)])
 def test_a_bead_leaves_its_cylinder(engine, k, n, error):
     """At the height r (2/3 + v^2/(3 g r)), of the order of the steps; the radius stays, the energy too."""

@@ -58,7 +58,7 @@ def reference(network: Any) -> Any:
     return run(Monolithic(model, NativeInstance(model)), Options(stop=STOP, step=2e-5, events=EVENTS))
 
 
-@pytest.mark.parametrize("k", wide([1, 2], 2))
+@pytest.mark.parametrize("k", wide([1, 2]))
 def test_events_inside_a_member_keep_order_two(network: Any, reference: Any, k: int) -> None:
     """Members of order 2 and 4 with held inputs: slope 2 in states and times of events, ledgers and junctions closed."""
     expected = np.array([reference.column(n)[-1] for n in KEPT])

@@ -267,7 +267,7 @@ def test_of_an_iteration_stopped_early_the_junctions_take_what_the_theorem_says(
         assert master.taken_by_junctions(h) == pytest.approx(supplied, rel=1e-11)
 
 
-@pytest.mark.parametrize("k", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("k", wide([2, 3]))
 def test_members_with_internal_steps_of_their_own_keep_order_2k(k):
     """Against an independent solution of the joined equations; a wrong adjoint of the outputs leaves order 2 or less."""
 

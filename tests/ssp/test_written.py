@@ -104,6 +104,7 @@ def test_a_single_component_is_a_package_of_one_unit(compiler: None, tmp_path: P
     np.testing.assert_allclose(rows["mass.v"], 0.5 * rows["time"], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_outward_ports_need_no_factor(written: dict[str, Path], tmp_path: Path) -> None:
     line = [
         "export",
