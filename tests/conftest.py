@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
+from collections.abc import Generator
+from typing import Any
 
 import pytest
 
@@ -13,6 +16,44 @@ def pytest_configure(config: pytest.Config) -> None:
     """By default equations are compiled without optimisation, which takes a fifth; the slow tests compile as users do."""
     if config.option.markexpr == "not slow":
         os.environ.setdefault("PHFMU_MODEL_FLAGS", "-O0")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--cpu", action="store_true", help="files by CPU time, with that of processes they start")
+
+
+def spent() -> float:
+    """CPU time so far of this process and of those that it has waited for."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol() -> Generator[None, Any, Any]:
+    SINCE[:] = [spent()]
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, Any, Any]:
+    """Set-up, call and end have the time since the one before; reports of workers carry it."""
+    report = yield
+    SINCE.append(spent())
+    report.cpu = SINCE[-1] - SINCE[-2]
+    return report
+
+
+SINCE: list[float] = []
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    if not config.option.cpu:
+        return
+    files: Counter[str] = Counter()
+    for report in (r for reports in terminalreporter.stats.values() for r in reports if hasattr(r, "cpu")):
+        files[report.nodeid.partition("::")[0]] += report.cpu
+    terminalreporter.section(f"{files.total():.0f} s of CPU time in tests")
+    for name, seconds in files.most_common(30):
+        terminalreporter.write_line(f"{seconds:7.1f}  {name}")
 
 
 @pytest.fixture
