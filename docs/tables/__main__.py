@@ -33,6 +33,7 @@ MAKERS = {
     ),
     "multibody": ("chain", "top"),
     "stepping": ("restart", "tolerance", "between"),
+    "audit_cost": ("audit_cost",),
     "library": ("orders",),
     "events": ("event_orders", "event_losses"),
     "event_peers": ("event_peers", "event_peers_equal"),
