@@ -80,7 +80,7 @@ class Cluster:
     """Workers of a Dask cluster; each of their threads has runs of its own, made by what `make` says when it is called there."""
 
     def __init__(self, client: Any, make: Callable[[], Runs]):
-        from cloudpickle import dumps
+        from cloudpickle import dumps  # pyright: ignore[reportMissingImports]
 
         self._client, self._recipe = client, dumps(make)
         self.size = sum(client.nthreads().values())
