@@ -13,6 +13,7 @@ from phfmu.components.mechanical.multibody import Multibody
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.bouncing_ball import bouncing_ball
 from phfmu.engine.library import build as build_library
+from tests.wide import wide
 
 HEAVY = ("numpy", "casadi", "scipy", "fmpy", "lxml", "pyarrow", "matplotlib", "plotly", "rich", "ziglang")
 LOADED = "import sys; print(*sorted(m for m in %r if m in sys.modules))"
@@ -56,7 +57,7 @@ print("loaded", *[m for m in ("fmpy", "lxml", "pyarrow", "matplotlib", "rich") i
 """
 
 
-@pytest.mark.parametrize("engine", ["native", "python"])
+@pytest.mark.parametrize("engine", wide(["native", "python"], "native"))
 def test_a_run_without_audit_writes_no_file_and_loads_no_table_library(engine):
     lines = python(RUN.replace("ENGINE", repr(engine)), "-B").splitlines()
     assert lines[-2:] == ["written", "loaded"]

@@ -59,6 +59,7 @@ def test_sizes_that_are_none(build, message: str) -> None:
         build(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", wide(FAMILIES, "chain"))
 def test_code_is_the_same_and_memory_linear(name: str, compiler: None) -> None:
     """Generated C does not grow (the hooks of the net are numbers in it); unknowns and memory are affine in n."""

@@ -219,6 +219,7 @@ def test_order(cli: Cli) -> None:
     assert 0.01 < errors[0] < 0.1 and errors[1] < 2e-4
 
 
+@pytest.mark.slow
 def test_engines_and_couplings_agree(cli: Cli) -> None:
     results = {}
     for engine, coupling in product(("python", "native", "fmu"), ("monolithic", "newton")):

@@ -126,6 +126,7 @@ def test_a_six_pulse_bridge_equals_an_integration_by_hand(three_phase, engine, k
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2 * k, abs=0.3)
 
 
+@pytest.mark.slow
 def test_the_single_phase_scene_is_the_bridge_of_the_tests_of_switches():
     result = simulated(build("rectifier"), 3, 2.5e-4)
     times, ia, idc = bridge(0.05)

@@ -126,6 +126,7 @@ def test_default_scheme_takes_large_steps(engine, h, end):
     assert {instance.counts[n] for n in ("restarts", "line_searches", "substeps")} == {0}
 
 
+@pytest.mark.slow
 def test_sixth_order_takes_the_same_large_steps():
     for h, end in ((0.1, 0.68504), (0.4, 0.68536), (1.0, 0.68557)):
         instance = NativeInstance(model(THIRD))

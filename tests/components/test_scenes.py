@@ -128,6 +128,7 @@ def test_smib_in_other_coordinates(coordinates) -> None:
     assert slope(errors)[0] == pytest.approx(2.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", wide([monolithic, coupled], coupled))
 def test_two_machine_through_fault_and_clearing(how) -> None:
     """Order 2 in currents and angles through both events (moved to 0.02 s and 0.06 s)."""

@@ -115,6 +115,7 @@ def ill_chosen() -> Model:
         return model(bricard()[0], 6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", wide([120, 400], 120))
 def test_a_row_that_loses_its_share_is_exchanged(ill_chosen: Model, steps: int) -> None:
     instance = NativeInstance(ill_chosen)

@@ -87,6 +87,7 @@ def test_long_entries_are_refused_with_number_and_remedy(
     assert "PHFMU_LIMITS=" in said or "damaged" in said
 
 
+@pytest.mark.slow
 @on_linux
 @pytest.mark.parametrize("distinct", [pytest.param(True, marks=pytest.mark.slow), False], ids=["names", "variables"])
 def test_many_distinct_entries_are_refused_in_little_memory(tmp_path: Path, distinct: bool) -> None:

@@ -115,6 +115,7 @@ def test_kinds_of_interfaces(tmp_path: Path, version: str, capsys: pytest.Captur
     assert "no Co-Simulation interface; export it for Co-Simulation" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
 def test_folders_with_spaces_and_other_letters(
     tmp_path: Path, version: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -88,6 +88,7 @@ def test_the_polynomial_ends_where_the_step_ends(engine, order):
         assert np.array_equal(polynomial(x, instance.unknowns, 0.0), x)
 
 
+@pytest.mark.slow
 def test_adaptive_and_restarted_steps_have_rows_within_them_too():
     from phfmu.components.scenes.two_machine import two_machine
 

@@ -99,6 +99,7 @@ def test_the_number_of_threads_changes_no_bit(compiler: None) -> None:
     assert found[0].equals(found[1]) and found[0].equals(found[2])
 
 
+@pytest.mark.slow
 def test_a_run_does_not_depend_on_the_one_before_it(compiler: None) -> None:
     rows = grid({"k13": np.linspace(40, 60, 7)}).rows
     ways = [
