@@ -121,7 +121,7 @@ COINED = {
     r"closed-form pair": ("closed-form-pair", "schemes.md ledger.md plan.md"),
     r"hidden constraint": ("hidden-constraint", "plan.md ledger.md fmu.md"),
     r"restart steps": ("restart-steps", "steps.md"),
-    r"\bguards?\b": ("guard-jump-landing", "events.md"),
+    r"\bguards?\b": ("guard-jump-landing", "events.md stress.md"),
     r"stepped last": ("stepped-last", "couplings.md stress.md"),
     r"held inputs?": ("held", "fmu.md plan.md"),
 }
@@ -161,4 +161,6 @@ def test_code_names_pages_that_exist() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_pages_are_short(page: Path) -> None:
-    assert len(page.read_text(encoding="utf-8").splitlines()) < 300
+    """Tables apart, which commands make."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    assert len([line for line in lines if not line.startswith("|")]) < 300

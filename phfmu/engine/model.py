@@ -58,8 +58,10 @@ def kernels(model: Model) -> list[Kernel]:
 
 
 def first(model: Model) -> Model | None:
-    """The model whose plans it shares; None: they are its own, as are those of models made by hand."""
-    return getattr(model, "first", None)
+    """The model whose plans it shares; None: they are its own, as are those of models made by hand or changed by `replace`."""
+    found = getattr(model, "first", None)
+    shared = found is not None and all(getattr(found, n) is getattr(model, n) for n in ("step", "instant", "events"))
+    return found if shared else None
 
 
 def require_built(model: object, engine: str) -> None:

@@ -98,3 +98,14 @@ def test_switches_and_mistakes_are_as_before() -> None:
     assert build_model(build("diode")).modes is not None
     with pytest.raises(ValueError, match="start"):
         build_model(mass(1.0, v=np.nan))
+
+
+def test_a_plan_changed_by_hand_is_compiled_for_itself() -> None:
+    """Without its Schur stepper a model takes Newton's method, though one that is alike was compiled with it before."""
+    one, two = build_model(build("four_particle")), build_model(build("four_particle"))
+    changed = replace(two, step=replace(two.step, schur=None))
+    assert compiled(two).lib is compiled(one).lib
+    with_it, without = NativeInstance(two), NativeInstance(changed)
+    with_it.do_step(0.0, 0.01)
+    without.do_step(0.0, 0.01)
+    assert (with_it.counts["schur"], without.counts["schur"]) == (1, 0)

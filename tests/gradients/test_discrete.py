@@ -43,7 +43,7 @@ EXPONENTS = [e for e in itertools.product(range(5), repeat=N) if 1 <= sum(e) <= 
 P = ca.SX.sym("p", len(EXPONENTS))
 POLYNOMIAL = sum(P[i] * math.prod(X[j] ** e[j] for j in range(N)) for i, e in enumerate(EXPONENTS))
 _a, _b, _c = (ca.dot(P[3 * i : 3 * i + 3], X) for i in range(3))
-SMOOTH = P[9] * ca.exp(_a) + P[10] * ca.sin(_b + P[11]) + P[12] * ca.sqrt(1 + _c**2) + P[13] * ca.log(4 + _a) * X[1]
+SMOOTH = P[9] * ca.exp(_a) + P[10] * ca.sin(_b + P[11]) + P[12] * ca.sqrt(1 + _c**2) + P[13] * ca.log(8 + _a) * X[1]
 ENERGIES = {"polynomial": POLYNOMIAL, "smooth": SMOOTH}
 SYMMETRIC = [m for m in GRADIENTS if m != "itoh-abe"]
 
