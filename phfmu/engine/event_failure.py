@@ -29,7 +29,7 @@ REASONS = (
     ),
     (
         f"{int(LIMITS['MOST_EVENTS'])} events fall into one step, at one instant, the last {{names}}: each drives the state back "
-        "over the guard of another, along which it would slide (Coulomb friction, a relay without hysteresis)",
+        "over a guard, where it would bounce without end or slide along (Coulomb friction, a relay without hysteresis)",
         "round the force off (F tanh(v/v0) for F sign(v)), give a relay a hysteresis, or declare what holds at rest "
         "(StateEvent(rest=..)): sliding has no mode",
     ),

@@ -90,7 +90,7 @@ static void reason(const ph_event_refusal *r, char *text, size_t size) {
         break;
     case PH_REFUSED_SLIDES:
         snprintf(text, size,
-                 "%d events fall into one step, at one instant: the state would slide along their guards",
+                 "%d events fall into one step, at one instant: it would bounce or slide without end",
                  PH_MOST_EVENTS);
         break;
     default:
