@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import phfmu
+from tests.sources import nodes
 
 ROOT = Path(phfmu.__file__).parent
 TESTS = Path(__file__).parent
@@ -39,16 +40,10 @@ def module(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-@cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
 def imported(path: Path) -> list[str]:
-    nodes = ast.walk(parsed(path))
     return [
         f"{node.module}.{a.name}".removeprefix("phfmu.")
-        for node in nodes
+        for node in nodes(path)
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("phfmu.")
         for a in node.names
     ]
@@ -101,7 +96,7 @@ def test_every_import_names_a_file() -> None:
 
 def bound(path: Path) -> set[str]:
     """Names that a file binds outside its functions and classes."""
-    found, todo = set[str](), list[ast.AST](parsed(path).body)
+    found, todo = set[str](), list[ast.AST](ast.iter_child_nodes(nodes(path)[0]))
     while todo:
         node = todo.pop()
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):

@@ -297,6 +297,7 @@ def test_time_may_enter_a_constraint_directly():
     assert np.sum(rows["supplied"]) == pytest.approx((np.cos(1.0) ** 2 - 1) / 2, abs=1e-14)
 
 
+@pytest.mark.slow
 def test_declaration_time_grows_linearly():
     def seconds(n):
         start = process_time()

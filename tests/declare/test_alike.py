@@ -60,7 +60,11 @@ def test_alike_components_share_plans_and_code_not_values() -> None:
     assert two.step is one.step and two.instant is one.instant
     assert two.name == "second" and two.declaration.name == "second"
     assert list(two.x0) == [1.0, 3.0] and list(two.p0) == [2.0, 9.0] and list(one.x0) == [0.0, 0.0]
-    assert two.first is one and compiled(two).lib is compiled(one).lib and compiled(two).tables.size < compiled(one).tables.size / 4
+    assert (
+        two.first is one
+        and compiled(two).lib is compiled(one).lib
+        and compiled(two).tables.size < compiled(one).tables.size / 4
+    )
     a, b = NativeInstance(one), NativeInstance(two)
     h = 0.1
     for unit in (a, b):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from phfmu import (
 )
 from phfmu.declare.error import RULES
 from phfmu.schemes.named import named_scheme
+from tests.sources import nodes
 
 #: it asks what a user reads
 READERS = {"stress/case.py"}
@@ -115,9 +116,7 @@ def test_every_rule_that_is_given_is_listed():
     """By calls with constant words in the files below the check, whose own rules have a table and tests."""
     root, given = Path(phfmu.__file__).parent, set()
     files = [p for p in root.rglob("*.py") if p.relative_to(root).parts[0] not in ("checks", "components")]
-    for call in (
-        n for p in files for n in ast.walk(ast.parse(p.read_text(encoding="utf-8"))) if isinstance(n, ast.Call)
-    ):
+    for call in (n for p in files for n in nodes(p) if isinstance(n, ast.Call)):
         if isinstance(call.func, ast.Name) and call.func.id == "DeclarationError" and len(call.args) > 3:
             assert isinstance(call.args[3], ast.Constant)
             given.add(call.args[3].value)
@@ -127,9 +126,9 @@ def test_every_rule_that_is_given_is_listed():
 # -- nothing matches the words of an error ------------------------------------------------------------------------------
 
 
-def matched(code: str) -> Iterator[int]:
+def matched(code: Iterable[ast.AST]) -> Iterator[int]:
     """Lines of `x in str(e)`, or of `in` its args, for a caught e, also by way of a name."""
-    for handler in ast.walk(ast.parse(code)):
+    for handler in code:
         if not isinstance(handler, ast.ExceptHandler) or not handler.name:
             continue
         texts = {handler.name}
@@ -152,12 +151,12 @@ def names(node: ast.AST) -> set[str]:
 def test_no_file_finds_an_error_again_in_its_text():
     root = Path(phfmu.__file__).parent
     files = {p.relative_to(root).as_posix(): p for p in root.rglob("*.py")}
-    found = {n: [*matched(p.read_text(encoding="utf-8"))] for n, p in files.items() if n not in READERS}
+    found = {n: [*matched(nodes(p))] for n, p in files.items() if n not in READERS}
     assert {n: lines for n, lines in found.items() if lines} == {}
 
 
 def test_a_match_is_seen():
     form = "try:\n    f()\nexcept ValueError as e:\n    {}\n"
-    assert [*matched(form.format("ok = 'x' in str(e)"))] == [4]
-    assert [*matched(form.format("t = str(e)\n    ok = any(w not in t for w in ws)"))] == [5]
-    assert [*matched(form.format("ok = e.rule in REASONS"))] == []
+    assert [*matched(ast.walk(ast.parse(form.format("ok = 'x' in str(e)"))))] == [4]
+    assert [*matched(ast.walk(ast.parse(form.format("t = str(e)\n    ok = any(w not in t for w in ws)"))))] == [5]
+    assert [*matched(ast.walk(ast.parse(form.format("ok = e.rule in REASONS"))))] == []

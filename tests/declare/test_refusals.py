@@ -18,6 +18,7 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.junctions.junction import ConnectionError
+from tests.sources import nodes
 
 ROOT = Path(phfmu.__file__).parent
 KINDS = (DeclarationError, ConnectionError, InconsistentState, MachineDataError)
@@ -76,7 +77,7 @@ def test_every_refusal_in_the_package_gives_the_three() -> None:
     short = [
         (path.name, node.lineno)
         for path in [*ROOT.rglob("*.py"), *(ROOT / "components").rglob("*.py")]
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes(path)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in {k.__name__ for k in KINDS}
         and len(node.args) + len(node.keywords) < 3 and not any(isinstance(a, ast.Starred) for a in node.args)
     ]  # fmt: skip

@@ -60,6 +60,7 @@ def test_a_stored_energy_that_is_not_finite_is_told(engine) -> None:
         instance.initialise()
 
 
+@pytest.mark.slow
 def test_the_work_of_a_step_is_bounded() -> None:
     """Thrown states of the four particles at order 6; the worst of these took thousands of iterations."""
     model = build_model(four_particle(), TwoLevel(3))

@@ -132,6 +132,7 @@ def test_a_long_chain_keeps_its_equations_and_short_code(seed: int | None) -> No
     assert len(kernels) < 20 and max(kernel.function.n_instructions() for kernel in kernels) < 3000
 
 
+@pytest.mark.slow
 def test_a_dense_system_has_one_function_for_all_energies(compiler: None) -> None:
     """100 states, all matrices full: as many small functions as rates of dissipation, and the exact solution."""
     s, x0 = random_system(100, 2, 5), np.ones(100)

@@ -381,7 +381,8 @@ def test_the_interface_matrix_of_a_ring_is_sparse(k: int) -> None:
     assert room2 < n2**2 / 4
 
 
-@pytest.mark.parametrize("make", [coupling_bench.ring, slow(coupling_bench.star)])
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [coupling_bench.ring, coupling_bench.star])
 def test_what_a_run_begins_with_grows_with_the_members_only(make: Callable[[int], Network]) -> None:
     """Memory to join members, check their start and take the first steps: nothing is as large as unknowns squared."""
     peak = {}

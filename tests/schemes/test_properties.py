@@ -14,6 +14,7 @@ from phfmu.schemes.radau import Radau
 from phfmu.schemes.scheme import Scheme
 from phfmu.schemes.semi_explicit import SemiExplicit
 from phfmu.schemes.two_level import TwoLevel
+from tests.sources import nodes
 
 ROOT = Path(phfmu.__file__).parent
 SCHEMES = (Collocated(1), DiracDissipative(), GradientPair(), Midpoint(), Radau(), SemiExplicit(), TwoLevel(1))
@@ -24,7 +25,7 @@ def probes(path: Path) -> list[tuple[str, int]]:
     """Calls that look at the class or the attributes of what is called a scheme."""
     names = {"scheme", *(type(s).__name__ for s in SCHEMES), "Scheme"}
     found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in PROBES:
             inside = {n.id for a in node.args for n in ast.walk(a) if isinstance(n, ast.Name)}
             inside |= {n.attr for a in node.args for n in ast.walk(a) if isinstance(n, ast.Attribute)}

@@ -215,7 +215,7 @@ def test_symbolic_elimination_factors_a_schur_matrix(m: int, n: int, listed: int
     assert np.abs(whole - exact).max() <= 1e-12
 
 
-@pytest.mark.parametrize(("name", "order"), [("chain", 2), slow(("stiff chain", 6)), ("pushed", 6)])
+@pytest.mark.parametrize(("name", "order"), [("chain", 2), slow(("stiff chain", 6)), slow(("pushed", 6))])
 def test_written_out_loops_give_the_same_bits(
     name: str, order: int, optimised: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -234,7 +234,8 @@ def test_written_out_loops_give_the_same_bits(
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("order", [2, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [2, 6])
 def test_wider_vectors_give_the_same_bits(order: int, optimised: None) -> None:
     """The library for this machine's vectors against the portable one of an FMU."""
     if not host_flags():

@@ -20,6 +20,7 @@ from phfmu.terms.located import Constant, Row, RowAt, ValueAt
 from phfmu.terms.rest import ConstraintsAtStart, at_start
 from phfmu.terms.term import CONSTRAINT, Terms
 from phfmu.terms.velocities import Velocities, velocity_of
+from tests.sources import nodes
 
 ROOT = Path(phfmu.__file__).parent
 ROOMS = ("terms", "plan", "schemes", "discretise", "schur")
@@ -43,10 +44,10 @@ def test_terms_and_constants_of_a_model_are_typed(particles: Terms) -> None:
 
 def short_strings(path: Path) -> list[tuple[str, int]]:
     """Comparisons with strings of one or two characters, the kinds of old."""
-    nodes = (n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Compare))
+    compared = (n for n in nodes(path) if isinstance(n, ast.Compare))
     return [
         (path.name, n.lineno)
-        for n in nodes
+        for n in compared
         for side in (n.left, *n.comparators)
         for c in (side.elts if isinstance(side, ast.Tuple | ast.Set | ast.List) else (side,))
         if isinstance(c, ast.Constant) and isinstance(c.value, str) and len(c.value) in (1, 2)
@@ -80,7 +81,7 @@ def test_the_plan_names_no_technique() -> None:
     )
     found = set()
     for path in (ROOT / "plan").glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             own = {ast.Name: "id", ast.Attribute: "attr", ast.FunctionDef: "name", ast.alias: "name", ast.arg: "arg"}
             name = str(getattr(node, own.get(type(node), ""), "")).lower()
             found |= {(path.name, name) for w in words if w in name}
