@@ -376,7 +376,7 @@ def pattern(net: Network, k: int) -> tuple[int, int, int]:
 @pytest.mark.parametrize("k", wide([1, 2], 2))
 def test_the_interface_matrix_of_a_ring_is_sparse(k: int) -> None:
     """Twice the members, twice the entries."""
-    (n, entries, _), (n2, entries2, room2) = pattern(ring(20), k), pattern(ring(40), k)
+    (n, entries, _), (n2, entries2, room2) = pattern(ring(40), k), pattern(ring(80), k)
     assert n2 == 2 * n and entries2 == 2 * entries
     assert room2 < n2**2 / 4
 
