@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
+from phfmu.events.null_space import RANK, apart, inverse, null_space, pivots, scaled_rows
 from phfmu.terms.component_energies import component_energies
 from phfmu.terms.extract import extract
 from phfmu.terms.port_impulses import masses
@@ -29,8 +30,6 @@ from phfmu.terms.term import CLOSED, CONSTRAINT, MASS_BLOCK
 
 Array = NDArray[np.float64]
 
-#: singular values below this part of the largest are none
-RANK = 1e-10
 #: null spaces that are kept
 KNOWN = 256
 #: times that the equation of an impulse is solved; the second and third correct rounding
@@ -86,7 +85,7 @@ class Undetermined:
     row: Array
 
 
-class _Dense:
+class _Buffered:
     """A function of vectors and numbers with dense matrices as results, on memory of its own in each thread.
 
     At a change of modes it is called some ten times, and a call by way of CasADi's matrices costs as much as a step.
@@ -142,12 +141,12 @@ class SwitchSystem:
                 (ca.SX(0) if s.gap is None else ca.SX(_sx(s.gap)) for s in model.switches),
             )
         )
-        self._masses = _Dense("E", [p], [masses(terms)])
+        self._masses = _Buffered("E", [p], [masses(terms)])
         out = [f, ca.jacobian(f, x), ca.jacobian(f, a), g, ca.jacobian(g, x), ca.jacobian(g, a)]
         out += [c, ca.jacobian(c, x), ca.jacobian(c, a), gap]
-        self._rates = _Dense("rates", [x, a, u, p, time], out)
+        self._rates = _Buffered("rates", [x, a, u, p, time], out)
         energies = ca.vertcat(*component_energies(terms))
-        self._energy = _Dense("energy", [x, p], [ca.jacobian(energies, x)])
+        self._energy = _Buffered("energy", [x, p], [ca.jacobian(energies, x)])
         names = [n for v in symbolic.parameters for n in v.names()]
         self._switches = model.switches
         self.places = [names.index(s.mode_name) for s in model.switches]
@@ -200,14 +199,12 @@ class SwitchSystem:
             found = self.rates(At(x, a, np.zeros(nu), self.in_mode(p, mode), 0.0))
             rows += [found.fa * self.nominal, found.ga * self.nominal]
             x = x + size * draw.uniform(0.1, 1.0, len(x))
-        matrix = np.vstack(rows)
-        least = np.abs(matrix).max(axis=1)
         if not self.nominal.size:
             return ()
-        directions = _sparse(null_space(matrix[least > 0] / least[least > 0, None], len(self.nominal)))
+        directions = apart(null_space(scaled_rows(np.vstack(rows)), len(self.nominal)))
         directions = np.where(np.abs(directions) > RANK, directions, 0.0)
         scaled = directions / self.nominal[:, None] * np.sqrt(self.power)
-        return tuple(Undetermined(int(i), n[i] * n) for i, n in zip(_pivots(directions), scaled.T, strict=True))
+        return tuple(Undetermined(int(i), n[i] * n) for i, n in zip(pivots(directions), scaled.T, strict=True))
 
     def _free(self, ga: Array) -> Array:
         """What of the scaled algebraic variables no row g determines, a column each; dg/da is that of the mode, mostly."""
@@ -215,7 +212,7 @@ class SwitchSystem:
         if key not in self._known:
             if len(self._known) >= KNOWN:
                 self._known.clear()
-            self._known[key] = null_space(_scaled_rows(ga * self.nominal), len(self.nominal))
+            self._known[key] = null_space(scaled_rows(ga * self.nominal), len(self.nominal))
         return self._known[key]
 
     def enter(self, at: At) -> Entry:
@@ -230,10 +227,10 @@ class SwitchSystem:
         if L.shape[1] == 0:
             return Entry(x, np.zeros(len(before)), impulse)
         impulse = np.zeros(len(self.nominal))
-        inverse = _inverse(N.T @ found.gx @ L)
+        S_inverse = inverse(N.T @ found.gx @ L)
         for _ in range(PASSES):
             c = N.T @ self.rates(At(x, at.a, at.u, at.p, at.t)).g
-            m = -(inverse @ c)
+            m = -(S_inverse @ c)
             x = x + L @ m
             impulse += N @ m
         (after,) = self._energy(x, at.p)
@@ -249,56 +246,3 @@ def _fed(pair: object) -> ca.SX:
 def _bound(pair: object, u: ca.SX) -> ca.SX:
     port = pair.port  # type: ignore[attr-defined]
     return port.bound[pair.j] if port.bound is not None else u  # type: ignore[attr-defined]
-
-
-def _scaled_rows(matrix: Array) -> Array:
-    largest = np.abs(matrix).max(axis=1, initial=0)
-    return matrix[largest > 0] / largest[largest > 0, None]
-
-
-def null_space(matrix: Array, n: int) -> Array:
-    """An orthonormal basis of the null space of rows of length n, a column each."""
-    if not matrix.size:
-        return np.eye(n)
-    _, values, v = np.linalg.svd(matrix)
-    rank = int((values > RANK * max(values[0], 1.0)).sum())
-    return v[rank:].T
-
-
-def _sparse(N: Array) -> Array:
-    """Orthonormal columns with the same span: those that share no entries stay apart."""
-    parts, left = [], list(range(len(N)))
-    coupled = np.abs(N @ N.T) > RANK
-    while left:
-        group, queue = set(), [left[0]]
-        while queue:
-            i = queue.pop()
-            if i not in group:
-                group.add(i)
-                queue += [j for j in left if coupled[i, j]]
-        left = [i for i in left if i not in group]
-        rows = sorted(group)
-        own = np.zeros_like(N)
-        own[rows] = N[rows]
-        u, s, _ = np.linalg.svd(own, full_matrices=False)
-        parts.append(u[:, s > 0.5])
-    return np.hstack(parts) if parts else N
-
-
-def _pivots(N: Array) -> list[int]:
-    """A row for each column, so that the matrix of these rows is regular."""
-    left, out = N.copy(), []
-    for j in range(N.shape[1]):
-        i = int(np.argmax(np.abs(left[:, j])))
-        out.append(i)
-        left[:, j + 1 :] -= np.outer(left[:, j], left[i, j + 1 :] / left[i, j])
-        left[i] = 0.0
-    return out
-
-
-def _inverse(S: Array) -> Array:
-    """That of a square matrix, scaled; of what depends on each other the one that is least in norm."""
-    scale = np.sqrt(np.maximum(np.abs(np.diag(S)), np.finfo(float).tiny))
-    if len(S) == 1 and S[0, 0] != 0.0:
-        return 1.0 / S
-    return np.linalg.pinv(S / np.outer(scale, scale), rcond=RANK) / np.outer(scale, scale)
