@@ -9,19 +9,20 @@ if TYPE_CHECKING:
     from .block import Block, make_block
     from .booking import Booking, PartKey, PortKey
     from .events import EventRow
-    from .judge import DEFAULT_RTOL, Judge, Violation
+    from .judge import DEFAULT_RTOL, Judge
     from .ledger import Ledger
     from .report import audit_table
     from .sink import Sink
     from .stream import AuditWriter
     from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
+    from .violation import Violation
 
 _HOME = {
     "analysis": ("summarise", "verdict"),
     "archive": ("Recovered", "metadata", "read", "recover"),
     "block": ("Block", "make_block"),
     "booking": ("Booking", "PartKey", "PortKey"),
-    "judge": ("DEFAULT_RTOL", "Judge", "Violation"),
+    "judge": ("DEFAULT_RTOL", "Judge"),
     "ledger": ("Ledger",),
     "report": ("audit_table",),
     "events": ("EventRow",),
@@ -31,6 +32,7 @@ _HOME = {
         *("ComponentSummary", "JunctionSummary", "LedgerSummary", "NetworkSummary", "PartSummary"),
         "PortSummary",
     ),
+    "violation": ("Violation",),
 }
 
 __all__ = [

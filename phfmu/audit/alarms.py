@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from .kinds import LedgerVerdict
 from .summary import LedgerSummary
 
 
@@ -25,7 +26,7 @@ def alarms(summary: LedgerSummary, levels: Alarms) -> Iterator[str]:
     """A line for each place beyond a level that is not violated; estimates are said, and never more."""
     broken = {v.name for v in summary.violations}
     for c in summary.components:
-        if c.verdict == "closed" and c.worst_ratio > levels.residual:
+        if c.verdict is LedgerVerdict.CLOSED and c.worst_ratio > levels.residual:
             yield (
                 f"warning: {c.component}: step {c.worst_step} at t = {c.worst_t0:.9g} s misses {c.worst_residual:.3e} J, "
                 f"{c.worst_ratio:.2g} of what is allowed"

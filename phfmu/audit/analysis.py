@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from phfmu.engine.steps import Steps
 
 from .block import make_block
-from .booking import ESTIMATED, EXACT, LOOSE, SILENT, Booking, PartKey, PortKey
+from .booking import Booking, PartKey, PortKey
 from .contradictions import Contradictions
-from .judge import DEFAULT_RTOL, Violation
+from .judge import DEFAULT_RTOL
+from .kinds import Quality, RowKind
 from .ledger import Ledger
 from .reading import Batches, Interned, Rows
 from .summary import LedgerSummary
 from .sums import Floats
+from .violation import Violation
 from .window import Window, judged_by
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ Ints = NDArray[np.int64]
 #: rows that may wait for the network row of their step
 WAITING_ROWS = 1 << 22
 
-_STEPPED = ("component", "port", "junction", "part")
+_STEPPED = (RowKind.COMPONENT, RowKind.PORT, RowKind.JUNCTION, RowKind.PART)
 _OPTIONAL = ("numerical", "moved")
 
 
@@ -55,7 +57,7 @@ def summarise(
     return judged_by(_summed((window.of(batch) for batch in batches), rtol, batches.interned), judged)
 
 
-def _summed(batches: Iterable[Mapping[str, Rows]], rtol: float, interned: Interned) -> LedgerSummary:
+def _summed(batches: Iterable[Mapping[RowKind, Rows]], rtol: float, interned: Interned) -> LedgerSummary:
     reader = _Reader(interned, rtol)
     for batch in batches:
         reader.take(batch)
@@ -78,16 +80,16 @@ class _Reader:
     def __init__(self, interned: Interned, rtol: float) -> None:
         self.ledger = Ledger(rtol=rtol)
         self._interned = interned
-        self._waiting: dict[str, Rows] = {}
+        self._waiting: dict[RowKind, Rows] = {}
         self._bookings: dict[tuple[bytes, ...], Booking] = {}
         self._contradictions = Contradictions(self.ledger, interned)
         self._next: int | None = None
 
-    def take(self, batch: Mapping[str, Rows]) -> None:
+    def take(self, batch: Mapping[RowKind, Rows]) -> None:
         """Take the rows of a batch, and book all steps that are complete now."""
         for kind, rows in batch.items():
             self._waiting[kind] = Rows.joined([self._waiting[kind], rows]) if kind in self._waiting else rows
-        network = self._waiting.pop("network", None)
+        network = self._waiting.pop(RowKind.NETWORK, None)
         if network is None:
             waiting = sum(rows.n for rows in self._waiting.values())
             if waiting > WAITING_ROWS:
@@ -95,7 +97,7 @@ class _Reader:
             return
         steps, at = np.unique(network.step, return_index=True)
         self._check_order(network.step, steps)
-        grouped = {"network": _grouped(network.take(at), steps)}
+        grouped = {RowKind.NETWORK: _grouped(network.take(at), steps)}
         for kind in _STEPPED:
             rows = self._waiting.pop(kind, None)
             if rows is not None:
@@ -107,7 +109,7 @@ class _Reader:
 
     def finish(self) -> None:
         """Say what is left."""
-        self._book_events(self._waiting.pop("event", None), None)
+        self._book_events(self._waiting.pop(RowKind.EVENT, None), None)
         for kind, rows in self._waiting.items():
             self._contradictions.tell(
                 int(rows.step[0]), f"{rows.n} {kind} rows from step {rows.step[0]} on have no network row"
@@ -124,7 +126,7 @@ class _Reader:
             )
         self._next = int(steps[-1]) + 1
 
-    def _own(self, kind: str, rows: Rows, steps: Ints) -> _Grouped:
+    def _own(self, kind: RowKind, rows: Rows, steps: Ints) -> _Grouped:
         """The rows of the steps there are."""
         place = np.minimum(np.searchsorted(steps, rows.step), len(steps) - 1)
         known = steps[place] == rows.step
@@ -136,17 +138,17 @@ class _Reader:
             rows = rows.take(known)
         return _grouped(rows, steps)
 
-    def _book(self, grouped: dict[str, _Grouped]) -> None:
+    def _book(self, grouped: dict[RowKind, _Grouped]) -> None:
         """Book runs of steps of one booking between events, in order."""
-        network = grouped["network"].rows
+        network = grouped[RowKind.NETWORK].rows
         middle = network.values("t0") + 0.5 * network.values("h")
         edges = {0, network.n, *_changes(grouped)}
-        events = self._waiting.get("event")
+        events = self._waiting.get(RowKind.EVENT)
         if events is not None:
             edges.update(np.searchsorted(middle, events.values("t0")).tolist())
         cuts = sorted(edges)
         for a, b in zip(cuts[:-1], cuts[1:], strict=True):
-            self._book_events(self._waiting.pop("event", None), float(middle[a]))
+            self._book_events(self._waiting.pop(RowKind.EVENT, None), float(middle[a]))
             self._book_run(grouped, a, b)
 
     def _book_events(self, events: Rows | None, until: float | None) -> None:
@@ -162,19 +164,19 @@ class _Reader:
             jump = float(energy[i]) if there[i] else None
             self.ledger.event(float(t[i]), name(kinds[i]) or "", name(components[i]), jump, name(messages[i]))
         if not due.all():
-            self._waiting["event"] = events.take(~due)
+            self._waiting[RowKind.EVENT] = events.take(~due)
 
-    def _book_run(self, grouped: dict[str, _Grouped], a: int, b: int) -> None:
+    def _book_run(self, grouped: dict[RowKind, _Grouped], a: int, b: int) -> None:
         """Book steps a..b-1, which have one booking, and hold the recorded rows against them."""
         n, tables = b - a, {}
         for kind, g in grouped.items():
             m = int(g.count[a]) if len(g.count) else 0
             tables[kind] = g.rows.take(slice(int(g.first[a]), int(g.first[a]) + n * m)), m
         booking = self._booking(tables)
-        network = tables["network"][0]
-        rows, c = tables.get("component", (None, 0))
-        ports, q = tables.get("port", (None, 0))
-        parts, divided = tables.get("part", (None, 0))
+        network = tables[RowKind.NETWORK][0]
+        rows, c = tables.get(RowKind.COMPONENT, (None, 0))
+        ports, q = tables.get(RowKind.PORT, (None, 0))
+        parts, divided = tables.get(RowKind.PART, (None, 0))
 
         def required(source: Rows | None, name: str, m: int, default: float = math.nan) -> Floats:
             if source is None:
@@ -197,7 +199,7 @@ class _Reader:
         block = make_block(booking, network.step, network.values("t0"), network.values("h"), steps, H0)
         self._contradictions.hold(self.ledger.take(block), tables)
 
-    def _booking(self, tables: Mapping[str, tuple[Rows, int]]) -> Booking:
+    def _booking(self, tables: Mapping[RowKind, tuple[Rows, int]]) -> Booking:
         """Names of the columns, from the first step."""
         parts = {kind: rows.take(slice(0, m)) for kind, (rows, m) in tables.items() if kind in _STEPPED}
         key = tuple(x.tobytes() for p in parts.values() for x in (*p.names.values(), *_index(p)))
@@ -205,46 +207,46 @@ class _Reader:
             self._bookings[key] = self._new_booking(parts)
         return self._bookings[key]
 
-    def _new_booking(self, parts: Mapping[str, Rows]) -> Booking:
+    def _new_booking(self, parts: Mapping[RowKind, Rows]) -> Booking:
         name = self._interned.name
         keys, components, silent = [], (), set()
-        if "port" in parts:
-            p = parts["port"]
+        if RowKind.PORT in parts:
+            p = parts[RowKind.PORT]
             for i in range(p.n):
                 component, port, junction, quality = (
                     name(p.names[k][i]) for k in ("component", "port", "junction", "quality")
                 )
                 value, there = p.numbers["index"]
                 index = int(value[i]) if there[i] else None
-                estimated = ESTIMATED if quality == ESTIMATED else EXACT
+                estimated = Quality.ESTIMATED if quality == Quality.ESTIMATED else Quality.EXACT
                 keys.append(PortKey(component or "", port or "", index, junction, quality=estimated))
-        if "component" in parts:
-            p = parts["component"]
+        if RowKind.COMPONENT in parts:
+            p = parts[RowKind.COMPONENT]
             components = tuple(name(code) or "" for code in p.names["component"])
             owners = {key.component for key in keys}
             for i, component in enumerate(components):
                 claimed = name(p.names["quality"][i])
-                if claimed == SILENT and component not in owners and not p.values("dH")[i]:
+                if claimed == Quality.SILENT and component not in owners and not p.values("dH")[i]:
                     silent.add(component)
-        loose = "junction" in parts and LOOSE in map(name, parts["junction"].names["quality"])
-        divided = [parts["part"].names[k] for k in ("junction", "part")] if "part" in parts else []
+        loose = RowKind.JUNCTION in parts and Quality.LOOSE in map(name, parts[RowKind.JUNCTION].names["quality"])
+        divided = [parts[RowKind.PART].names[k] for k in ("junction", "part")] if RowKind.PART in parts else []
         known = tuple(PartKey(name(a) or "", name(b) or "") for a, b in zip(*divided, strict=True))
         met = {key.junction for key in keys}
         if lost := {key.junction for key in known if key.junction not in met}:
-            step = int(parts["part"].step[0])
+            step = int(parts[RowKind.PART].step[0])
             self._contradictions.tell(step, f"step {step} has parts of {', '.join(sorted(lost))}, where no ports meet")
             known = ()
         booking = Booking(components, tuple(keys), frozenset(silent), loose, known)
-        if "component" in parts:
-            for component, code in zip(components, parts["component"].names["quality"], strict=True):
-                claimed, found = name(code) or EXACT, booking.quality(component)
+        if RowKind.COMPONENT in parts:
+            for component, code in zip(components, parts[RowKind.COMPONENT].names["quality"], strict=True):
+                claimed, found = name(code) or Quality.EXACT, booking.quality(component)
                 if claimed != found:
-                    step = int(parts["component"].step[0])
+                    step = int(parts[RowKind.COMPONENT].step[0])
                     self._contradictions.tell(
                         step, f"{component}: step {step} calls its books '{claimed}'; by its ports they are '{found}'"
                     )
         if len(set(components)) < len(components):
-            step = int(parts["component"].step[0])
+            step = int(parts[RowKind.COMPONENT].step[0])
             self._contradictions.tell(step, f"step {step} has two rows of one component")
         return booking
 
@@ -266,13 +268,13 @@ def _grouped(rows: Rows, steps: Ints) -> _Grouped:
     return _Grouped(rows, np.concatenate([[0], np.cumsum(count)[:-1]]), count)
 
 
-def _changes(grouped: Mapping[str, _Grouped]) -> set[int]:
+def _changes(grouped: Mapping[RowKind, _Grouped]) -> set[int]:
     """Steps at which the rows of a step are not those of the step before: other names, other columns filled."""
     edges = {0}
     for kind in _STEPPED:
         if kind in grouped:
             edges.update((np.flatnonzero(np.diff(grouped[kind].count)) + 1).tolist())
-    cuts = sorted({*edges, len(grouped["network"].first)})
+    cuts = sorted({*edges, len(grouped[RowKind.NETWORK].first)})
     for kind in _STEPPED:
         if kind not in grouped:
             continue

@@ -7,15 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from .kinds import Quality
 from .sums import Floats
 
-# how well the energy of a component or port is known
-EXACT = "exact"
-ESTIMATED = "estimated"  # a quadrature, not the step's own
-SILENT = "none"  # a unit that tells nothing
 #: the part of a junction's energy that projecting impulses take from the states of a composed model: a loss, or nothing
 PROJECTION = "projection"
-LOOSE = "loose"  # of junctions: members are coupled once a step, or an iteration was given up; their energy is told, not judged
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +22,7 @@ class PortKey:
     port: str
     index: int | None = None
     junction: str | None = None
-    quality: str = EXACT
+    quality: Quality = Quality.EXACT
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +87,10 @@ class Booking:
 
     @cached_property
     def estimated(self) -> frozenset[str]:
-        return frozenset(port.component for port in self.ports if port.quality == ESTIMATED)
+        return frozenset(port.component for port in self.ports if port.quality == Quality.ESTIMATED)
 
-    def quality(self, component: str) -> str:
+    def quality(self, component: str) -> Quality:
         """exact, estimated (a quadrature of its ports' power) or none."""
         if component in self.silent:
-            return SILENT
-        return ESTIMATED if component in self.estimated else EXACT
+            return Quality.SILENT
+        return Quality.ESTIMATED if component in self.estimated else Quality.EXACT

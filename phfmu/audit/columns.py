@@ -12,65 +12,70 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .block import Block
-from .booking import LOOSE
 from .events import EventRow
+from .kinds import ColumnType, Quality, RowKind
 
 SCHEMA_VERSION = 1
 
-# column -> i64 | i32 | f64 | name (dictionary-encoded string) | text
-COLUMNS = {
-    "row": "name",
-    "step": "i64",
-    "t0": "f64",  # [s], of an event: its time
-    "h": "f64",  # [s]
-    "component": "name",
-    "port": "name",
-    "index": "i32",  # of the pair within a vector port, from 1
-    "junction": "name",
-    "part": "name",  # of a junction's energy
-    "kind": "name",  # of an event: what happened
-    "quality": "name",  # exact | estimated | none; of a junction that no coupling closes: loose
-    "H": "f64",  # [J] network: sum over the components at the end of the step
-    "H0": "f64",  # [J]
-    "H1": "f64",  # [J]
-    "dH": "f64",  # [J]
-    "dissipated": "f64",  # [J]
-    "supplied": "f64",  # [J]
-    "numerical": "f64",  # [J] lost by a damping scheme (Radau); null elsewhere
-    "external": "f64",  # [J] supplied through ports without a junction
-    "residual": "f64",  # [J] component: dH + dissipated + numerical - supplied; junction: sum of supplied; part: its share
-    "residual_rel": "f64",  # r |residual| / (what r = 1e-11 allows), whatever --audit-rtol: closed at r if not above r
-    "moved": "f64",  # [J] sum over the component's energies of |change|; where null, max(|H0|, |H1|) counts
-    "exchanged": "f64",  # [J] junction: half the sum of |supplied|
-    "junction_residual": "f64",  # [J] network: sum over the junctions
-    "unexplained": "f64",  # [J] network: balance - junction_residual
-    "cum_dissipated": "f64",
-    "cum_external": "f64",
-    "cum_junction_residual": "f64",
-    "cum_unexplained": "f64",
-    "iterations": "i32",  # network: of Newton's method, of a coupling that of its interface
-    "accepted_by": "name",  # network: by which test the coupling took the step
-    "energy_jump": "f64",  # [J] event
-    "lost": "f64",  # [J] event: by a jump of the states at a guard
-    "message": "text",
+COLUMNS: dict[str, ColumnType] = {
+    "row": ColumnType.NAME,
+    "step": ColumnType.I64,
+    "t0": ColumnType.F64,  # [s], of an event: its time
+    "h": ColumnType.F64,  # [s]
+    "component": ColumnType.NAME,
+    "port": ColumnType.NAME,
+    "index": ColumnType.I32,  # of the pair within a vector port, from 1
+    "junction": ColumnType.NAME,
+    "part": ColumnType.NAME,  # of a junction's energy
+    "kind": ColumnType.NAME,  # of an event: what happened
+    "quality": ColumnType.NAME,  # exact | estimated | none; of a junction that no coupling closes: loose
+    "H": ColumnType.F64,  # [J] network: sum over the components at the end of the step
+    "H0": ColumnType.F64,  # [J]
+    "H1": ColumnType.F64,  # [J]
+    "dH": ColumnType.F64,  # [J]
+    "dissipated": ColumnType.F64,  # [J]
+    "supplied": ColumnType.F64,  # [J]
+    "numerical": ColumnType.F64,  # [J] lost by a damping scheme (Radau); null elsewhere
+    "external": ColumnType.F64,  # [J] supplied through ports without a junction
+    "residual": ColumnType.F64,  # [J] component: as in `ledger.py`; junction: sum of supplied; part: its share
+    "residual_rel": ColumnType.F64,  # r |residual| / (what r = 1e-11 allows), whatever --audit-rtol: closed at r if not above r
+    "moved": ColumnType.F64,  # [J] sum over the component's energies of |change|; where null, max(|H0|, |H1|) counts
+    "exchanged": ColumnType.F64,  # [J] junction: half the sum of |supplied|
+    "junction_residual": ColumnType.F64,  # [J] network: sum over the junctions
+    "unexplained": ColumnType.F64,  # [J] network: balance - junction_residual
+    "cum_dissipated": ColumnType.F64,
+    "cum_external": ColumnType.F64,
+    "cum_junction_residual": ColumnType.F64,
+    "cum_unexplained": ColumnType.F64,
+    "iterations": ColumnType.I32,  # network: of Newton's method, of a coupling that of its interface
+    "accepted_by": ColumnType.NAME,  # network: by which test the coupling took the step
+    "energy_jump": ColumnType.F64,  # [J] event
+    "lost": ColumnType.F64,  # [J] event: by a jump of the states at a guard
+    "message": ColumnType.TEXT,
 }
 
-DTYPES = {"i64": np.int64, "i32": np.int32, "f64": np.float64, "name": np.int32, "text": object}
+DTYPES = {
+    ColumnType.I64: np.int64,
+    ColumnType.I32: np.int32,
+    ColumnType.F64: np.float64,
+    ColumnType.NAME: np.int32,
+    ColumnType.TEXT: object,
+}
 
 #: columns that rows of a kind fill
-FIELDS: dict[str, tuple[str, ...]] = {
-    "component": (
+FIELDS: dict[RowKind, tuple[str, ...]] = {
+    RowKind.COMPONENT: (
         *("component", "H0", "H1", "dH", "dissipated", "supplied", "numerical", "residual", "moved", "quality"),
         "residual_rel",
     ),
-    "port": ("component", "port", "index", "junction", "quality", "supplied"),
-    "junction": ("junction", "quality", "residual", "exchanged"),
-    "part": ("junction", "part", "residual"),
-    "network": (
+    RowKind.PORT: ("component", "port", "index", "junction", "quality", "supplied"),
+    RowKind.JUNCTION: ("junction", "quality", "residual", "exchanged"),
+    RowKind.PART: ("junction", "part", "residual"),
+    RowKind.NETWORK: (
         *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained"),
         *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained", "iterations", "accepted_by"),
     ),
-    "event": ("kind", "component", "energy_jump", "lost", "message"),
+    RowKind.EVENT: ("kind", "component", "energy_jump", "lost", "message"),
 }
 
 Encode = Callable[[str, Sequence[str | None]], NDArray[np.int32]]
@@ -86,19 +91,19 @@ class Section:
 
 def _filled(column: str, values: Sequence[Any], encode: Encode) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     kind = COLUMNS[column]
-    if kind == "name":
+    if kind is ColumnType.NAME:
         codes = encode(column, values)
         return codes, codes >= 0
     valid = np.array([value is not None for value in values], bool)
-    if kind == "text":
+    if kind is ColumnType.TEXT:
         return np.array(values, object), valid
     return np.array([0 if value is None else value for value in values], DTYPES[kind]), valid
 
 
 def event_section(events: Sequence[EventRow], encode: Encode) -> Section:
     """Rows of events."""
-    values: dict[str, Sequence[Any]] = {"row": ["event"] * len(events), "t0": [event.t for event in events]}
-    values |= {column: [getattr(event, column) for event in events] for column in FIELDS["event"]}
+    values: dict[str, Sequence[Any]] = {"row": [RowKind.EVENT] * len(events), "t0": [event.t for event in events]}
+    values |= {column: [getattr(event, column) for event in events] for column in FIELDS[RowKind.EVENT]}
     columns = {column: _filled(column, entries, encode) for column, entries in values.items()}
     return Section(len(events), {name: entry for name, entry in columns.items() if entry[1].any()})
 
@@ -118,22 +123,22 @@ def block_sections(block: Block, encode: Encode) -> list[Section]:
         "residual_rel": block.relative,
         "moved": s.moved,
     }
-    sections = [_repeat(block, "component", names, values, encode)]
+    sections = [_repeat(block, RowKind.COMPONENT, names, values, encode)]
     if booking.ports:
         keys = ("component", "port", "index", "junction", "quality")
         names = {name: [getattr(port, name) for port in booking.ports] for name in keys}
-        sections.append(_repeat(block, "port", names, {"supplied": s.pairs}, encode))
+        sections.append(_repeat(block, RowKind.PORT, names, {"supplied": s.pairs}, encode))
     if booking.junctions:
         values = {"residual": block.junction_residual, "exchanged": block.junction_exchanged}
         names = {"junction": list(booking.junctions)}
         if booking.loose:
-            names["quality"] = [LOOSE] * len(booking.junctions)
-        sections.append(_repeat(block, "junction", names, values, encode))
+            names["quality"] = [Quality.LOOSE] * len(booking.junctions)
+        sections.append(_repeat(block, RowKind.JUNCTION, names, values, encode))
     if s.works is not None and booking.parts:
         names = {name: [getattr(key, name) for key in booking.parts] for name in ("junction", "part")}
-        sections.append(_repeat(block, "part", names, {"residual": s.works}, encode))
+        sections.append(_repeat(block, RowKind.PART, names, {"residual": s.works}, encode))
     network = {name: column[:, None] for name, column in block.network.items()}
-    sections.append(_repeat(block, "network", {}, network, encode))
+    sections.append(_repeat(block, RowKind.NETWORK, {}, network, encode))
     if s.iterations is not None:
         sections[-1].columns["iterations"] = s.iterations.astype(np.int32), None
     if s.accepted_by is not None:
@@ -143,7 +148,7 @@ def block_sections(block: Block, encode: Encode) -> list[Section]:
 
 def _repeat(
     block: Block,
-    kind: str,
+    kind: RowKind,
     names: dict[str, list[Any]],
     values: Mapping[str, NDArray[Any] | None],
     encode: Encode,

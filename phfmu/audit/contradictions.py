@@ -6,10 +6,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from .block import Block
-from .judge import EPS, ULPS, Violation
+from .judge import EPS, ULPS
+from .kinds import RowKind
 from .ledger import Ledger
 from .reading import Interned, Rows
 from .sums import Floats
+from .violation import Violation, ViolationKind
 
 
 class Contradictions:
@@ -19,20 +21,20 @@ class Contradictions:
         self._ledger, self._name = ledger, interned.name
         self._played = 0.0  # sum of all energies in play so far
 
-    def hold(self, block: Block, tables: Mapping[str, tuple[Rows, int]]) -> None:
+    def hold(self, block: Block, tables: Mapping[RowKind, tuple[Rows, int]]) -> None:
         """Compare what the rows say with what follows from the others."""
         size = np.nan_to_num(block.in_play, posinf=0.0).sum(axis=1)
         size += np.nan_to_num(np.abs(block.steps.pairs), posinf=0.0).sum(axis=1)
-        if "component" in tables:
-            rows, c = tables["component"]
+        if RowKind.COMPONENT in tables:
+            rows, c = tables[RowKind.COMPONENT]
             for i, name in enumerate(block.booking.components):
                 part = rows.take(slice(i, None, c))
                 self._same(block, f"component {name}", part, "residual", block.residual[:, i], size)
                 self._scale(block, f"component {name}", part, i)
                 self._same(block, f"component {name}", part, "t0", block.t0, np.abs(block.t0))
                 self._same(block, f"component {name}", part, "h", block.h, np.abs(block.h))
-        self._junctions(block, tables.get("junction"), size)
-        network = tables["network"][0]
+        self._junctions(block, tables.get(RowKind.JUNCTION), size)
+        network = tables[RowKind.NETWORK][0]
         played = self._played + np.cumsum(size)
         self._played = float(played[-1])
         for column, values in block.network.items():
@@ -84,4 +86,6 @@ class Contradictions:
 
     def tell(self, step: int, note: str, size: float = math.nan, allowed: float = 0.0, steps: int = 1) -> None:
         where = note.split(":")[0]
-        self._ledger.contradiction(Violation("file", where, step, math.nan, math.nan, size, allowed, steps, note))
+        self._ledger.contradiction(
+            Violation(ViolationKind.FILE, where, step, math.nan, math.nan, size, allowed, steps, note)
+        )

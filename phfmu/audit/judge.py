@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .block import Block, per_owner
-from .booking import ESTIMATED, EXACT, PROJECTION, SILENT
+from .booking import PROJECTION
+from .kinds import Quality
 from .sums import CompensatedSum, Floats, add, all_finite, largest_so_far, ratio, rows
+from .violation import Violation, ViolationKind
 
 DEFAULT_RTOL = 1e-11
 EPS = float(np.finfo(float).eps)
@@ -29,57 +31,6 @@ FLOOR = 1024.0
 #: roundings of |H| with which H is known, and of what is summed twice
 ULPS = 64.0
 
-CLOSED, VIOLATED = "closed", "VIOLATED"
-#: kinds of violations of a component
-COMPONENT = ("balance", "dissipation", "ports", "gap", "change", "drift")
-#: and of a junction
-JUNCTION = ("junction", "parts")
-
-_TEXT = {
-    "balance": "{name}: step {step} at t = {t0:.9g} s misses {size:.3e} J",
-    "dissipation": "{name}: step {step} at t = {t0:.9g} s dissipates {size:.3e} J; a dissipation cannot be negative",
-    "ports": "{name}: step {step} at t = {t0:.9g} s is booked as supplied with {size:.3e} J more than its ports say",
-    "gap": "{name}: H changed by {size:.3e} J between its steps, before step {step} at t = {t0:.9g} s; no event books it",
-    "change": "{name}: step {step} at t = {t0:.9g} s changes H by {size:.3e} J more than it books as stored",
-    "drift": "{name}: H changed by {size:.3e} J more than the steps and events of the run book",
-    "parts": "{name}: step {step} at t = {t0:.9g} s: the parts of the junction's energy miss {size:.3e} J of it",
-    "junction": "{name}: step {step} at t = {t0:.9g} s creates {size:.3e} J at the junction",
-    "unexplained": "{name}: step {step} at t = {t0:.9g} s leaves {size:.3e} J unexplained",
-    "file": "{note}",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Violation:
-    """Something of one kind that does not close at one place: its worst step, and how many steps do so.
-
-    kind: balance | dissipation | ports | gap | change | drift (components), junction | parts (junctions), unexplained
-    (network), file (rows that contradict each other); size and allowed [J].
-    """
-
-    kind: str
-    name: str
-    step: int
-    t0: float
-    h: float
-    size: float
-    allowed: float
-    steps: int = 1
-    note: str = ""
-
-    @property
-    def ratio(self) -> float:
-        """|size| / allowed; infinite for what is not a finite number."""
-        return float(ratio(self.size, self.allowed))
-
-    def __str__(self) -> str:
-        if self.kind == "file":
-            said = self.note
-        else:
-            said = _TEXT[self.kind].format(name=self.name, step=self.step, t0=self.t0, size=self.size)
-            said += f"; allowed: {self.allowed:.1e} J"
-        return said + (f" ({self.steps} steps)" if self.steps > 1 else "")
-
 
 @dataclass(slots=True)
 class Account:
@@ -87,7 +38,7 @@ class Account:
 
     H_start: float
     H_end: float
-    quality: str = EXACT
+    quality: Quality = Quality.EXACT
     reach: float = 0.0  # most energy in play so far
     largest: float = 0.0  # |H|
     allowed: float = 0.0  # sum over the steps
@@ -106,7 +57,7 @@ class Judge:
         self.rtol = rtol
         self.accounts: dict[str, Account] = {}
         self._junctions: dict[str, float] = {}
-        self._found: dict[tuple[str, str], Violation] = {}
+        self._found: dict[tuple[ViolationKind, str], Violation] = {}
 
     def steps(self, block: Block, stored: Floats) -> Floats:
         """Judge a block; `stored` [n,c] are the sums of dH up to each step.
@@ -115,7 +66,7 @@ class Judge:
         """
         booking, names = block.booking, block.booking.components
         accounts = [self._account(name, block, i) for i, name in enumerate(names)]
-        judged = np.array([booking.quality(name) == EXACT for name in names], bool)
+        judged = np.array([booking.quality(name) is Quality.EXACT for name in names], bool)
         in_play = _or(math.nan, block.in_play)
         reach = largest_so_far([a.reach for a in accounts], _larger_finite(in_play, np.abs(stored)))
         with np.errstate(invalid="ignore", over="ignore"):
@@ -123,11 +74,13 @@ class Judge:
             rounding, of_H = FLOOR * EPS * reach, ULPS * EPS * (H + self._relations(accounts, H, reach))
             in_step = self.rtol * in_play + rounding
             allowed = in_step + of_H
-            self._mark("balance", names, block.residual, allowed, block, judged)
-            self._mark("dissipation", names, np.minimum(block.steps.dissipated, 0.0), allowed, block, judged)
+            self._mark(ViolationKind.BALANCE, names, block.residual, allowed, block, judged)
+            self._mark(
+                ViolationKind.DISSIPATION, names, np.minimum(block.steps.dissipated, 0.0), allowed, block, judged
+            )
             if names:
                 booked = block.steps.supplied - per_owner(booking, block.steps.pairs)
-                self._mark("ports", names, booked, allowed, block, judged)
+                self._mark(ViolationKind.PORTS, names, booked, allowed, block, judged)
             self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
             missed = allowed if judged.all() else np.where(judged, allowed, np.abs(block.residual))
             self._joined(block, missed, reach)
@@ -157,7 +110,7 @@ class Judge:
             H0 = float(block.H0[0, i])
             account = self.accounts[name] = Account(H0, H0)
         quality = block.booking.quality(name)
-        if quality != EXACT:
+        if quality is not Quality.EXACT:
             account.quality = quality
         return account
 
@@ -170,8 +123,8 @@ class Judge:
         largest = largest_so_far([a.largest for a in accounts], H)
         permitted = allowed + ULPS * EPS * largest
         between, within = block.H0 - before, H1 - block.H0 - block.steps.stored
-        self._mark("gap", names, between, permitted, block)
-        self._mark("change", names, within, permitted, block)
+        self._mark(ViolationKind.GAP, names, between, permitted, block)
+        self._mark(ViolationKind.CHANGE, names, within, permitted, block)
         add([account.gap for account in accounts], between + within)
         for i, account in enumerate(accounts):
             account.allowed += float(allowed[:, i].sum())
@@ -190,10 +143,12 @@ class Judge:
             self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
             permitted = self.rtol * passed + FLOOR * EPS * reach + ULPS * EPS * rows(played)[:, None]
-            self._mark("junction", names, block.junction_residual - self._lost(block), permitted, block, judged)
+            self._mark(
+                ViolationKind.JUNCTION, names, block.junction_residual - self._lost(block), permitted, block, judged
+            )
             self._divided(block, permitted)
         permitted = (rows(allowed) + ULPS * EPS * rows(np.abs(block.steps.pairs)))[:, None]
-        self._mark("unexplained", ("network",), block.network["unexplained"][:, None], permitted, block)
+        self._mark(ViolationKind.UNEXPLAINED, ("network",), block.network["unexplained"][:, None], permitted, block)
 
     def _lost(self, block: Block) -> Floats:
         """What the junctions have lost by projections [n,junctions], which is booked; what these would have created is not."""
@@ -211,7 +166,7 @@ class Judge:
         names = tuple(block.booking.junctions)
         at = [names.index(name) for name in divided]
         sums = np.stack([works[:, own].sum(axis=1) for own in divided.values()], axis=1)
-        self._mark("parts", tuple(divided), block.junction_residual[:, at] - sums, permitted[:, at], block)
+        self._mark(ViolationKind.PARTS, tuple(divided), block.junction_residual[:, at] - sums, permitted[:, at], block)
 
     def _keep_worst(self, account: Account, block: Block, found: Floats, i: int) -> None:
         k = int(np.argmax(found))
@@ -221,7 +176,7 @@ class Judge:
 
     def _mark(
         self,
-        kind: str,
+        kind: ViolationKind,
         names: Sequence[str],
         size: Floats,
         allowed: Floats,
@@ -252,10 +207,16 @@ class Judge:
         self._found[key] = replace(worst, steps=violation.steps + (known.steps if known else 0))
 
     @property
-    def quality(self) -> str:
+    def quality(self) -> Quality:
         """Of the network: estimated where a component is, none where no component tells anything."""
         found = {account.quality for account in self.accounts.values()}
-        return ESTIMATED if ESTIMATED in found else SILENT if found == {SILENT} else EXACT
+        return (
+            Quality.ESTIMATED
+            if Quality.ESTIMATED in found
+            else Quality.SILENT
+            if found == {Quality.SILENT}
+            else Quality.EXACT
+        )
 
     def jump(self, component: str, energy: float) -> None:
         """An event between the steps added energy [J] to a component's H."""
@@ -267,16 +228,12 @@ class Judge:
         drifts = []
         for name, a in self.accounts.items():
             allowed = a.allowed + ULPS * EPS * a.largest
-            if not {("gap", name), ("change", name)} & self._found.keys() and not abs(a.gap.value) <= allowed:
-                drifts.append(Violation("drift", name, 0, math.nan, math.nan, a.gap.value, allowed))
+            if (
+                not {(ViolationKind.GAP, name), (ViolationKind.CHANGE, name)} & self._found.keys()
+                and not abs(a.gap.value) <= allowed
+            ):
+                drifts.append(Violation(ViolationKind.DRIFT, name, 0, math.nan, math.nan, a.gap.value, allowed))
         return [*self._found.values(), *drifts]
-
-
-def word(violations: Sequence[Violation], kinds: Sequence[str], name: str, quality: str = EXACT) -> str:
-    """The verdict on one component, junction or network: closed, VIOLATED, or why it is not judged."""
-    if any(v.name == name and v.kind in kinds for v in violations):
-        return VIOLATED
-    return quality if quality != EXACT else CLOSED
 
 
 def _or(other: float, x: Floats) -> Floats:

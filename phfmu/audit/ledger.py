@@ -22,12 +22,14 @@ from phfmu.engine.steps import Steps
 from phfmu.words import counted
 
 from .block import Block, make_block
-from .booking import ESTIMATED, EXACT, LOOSE, Booking, PartKey
+from .booking import Booking, PartKey
 from .events import EventCount, EventRow
-from .judge import COMPONENT, DEFAULT_RTOL, JUNCTION, Judge, Violation, word
+from .judge import DEFAULT_RTOL, Judge
+from .kinds import Quality
 from .sink import Sink
 from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
 from .sums import Floats, Sums, larger, largest, use_compiled
+from .violation import COMPONENT, JUNCTION, Violation, ViolationKind, word
 
 #: columns of the network that have running sums beside them
 CUMULATIVE = ("dissipated", "external", "junction_residual", "unexplained")
@@ -48,7 +50,7 @@ class Ledger:
         self._sink = sink
         self._judge = Judge(rtol)
         self._sums = Sums()
-        self._ports: dict[tuple[str, str], tuple[str | None, str]] = {}
+        self._ports: dict[tuple[str, str], tuple[str | None, Quality]] = {}
         self._junctions: dict[str, float] = {}
         self._parts: dict[PartKey, float] = {}
         self._estimated: set[str] = set()
@@ -114,7 +116,7 @@ class Ledger:
         for j, port in enumerate(booking.ports):
             self._ports.setdefault((port.component, port.port), (port.junction, port.quality))
             widths.setdefault((port.component, port.port), []).append(j)
-            if port.quality == ESTIMATED and port.junction is not None:
+            if port.quality == Quality.ESTIMATED and port.junction is not None:
                 self._estimated.add(port.junction)
         for width in {len(js) for js in widths.values()}:
             some = {key: js for key, js in widths.items() if len(js) == width}
@@ -215,7 +217,9 @@ class Ledger:
 
     def _junction(self, name: str, worst: float, found: list[Violation]) -> JunctionSummary:
         get = self._sums.get
-        quality = LOOSE if name in self._loose else ESTIMATED if name in self._estimated else EXACT
+        quality = (
+            Quality.LOOSE if name in self._loose else Quality.ESTIMATED if name in self._estimated else Quality.EXACT
+        )
         verdict = word(found, JUNCTION, name, quality)
         return JunctionSummary(name, get("junction", name) or 0.0, get("exchanged", name), worst, verdict)
 
@@ -228,6 +232,6 @@ class Ledger:
             junction_residual=get("junction_residual"),
             unexplained=get("unexplained") or 0.0,
             worst_unexplained=self._unexplained,
-            verdict=word(found, ("unexplained",), "network", self._judge.quality),
+            verdict=word(found, (ViolationKind.UNEXPLAINED,), "network", self._judge.quality),
             numerical=get("numerical"),
         )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .archive import Stream, check_schema, there
 from .columns import COLUMNS, FIELDS
+from .kinds import ColumnType, RowKind
 from .sums import Floats
 
 if TYPE_CHECKING:
@@ -90,19 +91,19 @@ class Rows:
         return self.numbers[column][0]
 
 
-_NEEDED = {
-    "component": (
+_NEEDED: dict[RowKind, tuple[str, ...]] = {
+    RowKind.COMPONENT: (
         *("H0", "H1", "dH", "dissipated", "supplied", "numerical", "moved", "residual", "residual_rel"),
         *("component", "quality"),
     ),
-    "port": ("supplied", "index", "component", "port", "junction", "quality"),
-    "junction": ("junction", "quality", "residual", "exchanged"),
-    "part": FIELDS["part"],
-    "network": tuple(name for name in FIELDS["network"] if name not in ("iterations", "accepted_by")),
-    "event": ("energy_jump", "lost", "kind", "component", "message"),
+    RowKind.PORT: ("supplied", "index", "component", "port", "junction", "quality"),
+    RowKind.JUNCTION: ("junction", "quality", "residual", "exchanged"),
+    RowKind.PART: FIELDS[RowKind.PART],
+    RowKind.NETWORK: tuple(name for name in FIELDS[RowKind.NETWORK] if name not in ("iterations", "accepted_by")),
+    RowKind.EVENT: ("energy_jump", "lost", "kind", "component", "message"),
 }
 _COMMON = ("row", "step", "t0", "h")
-_TEXTS = tuple(name for name, kind in COLUMNS.items() if kind in ("name", "text"))
+_TEXTS = tuple(name for name, kind in COLUMNS.items() if kind in (ColumnType.NAME, ColumnType.TEXT))
 
 
 class Batches:
@@ -112,7 +113,7 @@ class Batches:
         self.interned = Interned()
         self._source = source
 
-    def __iter__(self) -> Iterator[dict[str, Rows]]:
+    def __iter__(self) -> Iterator[dict[RowKind, Rows]]:
         import pyarrow as pa
 
         shown = "the audit table" if isinstance(self._source, pa.Table) else str(self._source)
@@ -141,10 +142,10 @@ class Batches:
         else:
             yield from _parquet(path)
 
-    def _by_kind(self, batch: "pa.RecordBatch") -> dict[str, Rows]:
+    def _by_kind(self, batch: "pa.RecordBatch") -> dict[RowKind, Rows]:
         columns = dict(zip(batch.schema.names, batch.columns, strict=True))
         codes = self.interned.codes(columns["row"]) if "row" in columns else np.zeros(0, np.int64)
-        found: dict[str, Rows] = {}
+        found: dict[RowKind, Rows] = {}
         read: dict[str, Any] = {}
         for kind, needed in _NEEDED.items():
             at = np.flatnonzero(codes == self.interned._code(kind))

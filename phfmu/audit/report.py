@@ -10,7 +10,8 @@ from phfmu.words import counted, shown
 from .alarms import Alarms, alarms
 from .analysis import summarise
 from .events import EventRow
-from .judge import DEFAULT_RTOL, VIOLATED
+from .judge import DEFAULT_RTOL
+from .kinds import CellKind, LedgerVerdict, RowKind
 from .sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
 from .shortened import shortened
 from .summary import LedgerSummary
@@ -60,7 +61,9 @@ def audit_table(
     return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()) + "\n"
 
 
-def audit_csv(summary: LedgerSummary, kind: str, scale: Scale = JOULE, events: Sequence[EventRow] = ()) -> str:
+def audit_csv(
+    summary: LedgerSummary, kind: RowKind | str, scale: Scale = JOULE, events: Sequence[EventRow] = ()
+) -> str:
     """One kind of table (component, port, junction, part, event) as CSV, with all digits.
 
     The header, which is there without rows too, has the unit of energies.
@@ -69,10 +72,12 @@ def audit_csv(summary: LedgerSummary, kind: str, scale: Scale = JOULE, events: S
     writer = csv.writer(out, lineterminator="\n")
     for sheet in all_sheets(summary, events):
         if sheet.title == kind:
-            writer.writerow(f"{c.header} [{scale.label}]" if c.kind == "energy" else c.header for c in sheet.columns)
+            writer.writerow(
+                f"{c.header} [{scale.label}]" if c.kind is CellKind.ENERGY else c.header for c in sheet.columns
+            )
             writer.writerows(
                 [
-                    scale.of(v) if c.kind == "energy" and v is not None else v
+                    scale.of(v) if c.kind is CellKind.ENERGY and v is not None else v
                     for c, v in zip(sheet.columns, row, strict=True)
                 ]
                 for row in sheet.rows
@@ -102,7 +107,7 @@ def _parts(
         yield f"there is no {' and no '.join(by)} in it"
     if summary.violations:
         yield _table(
-            f"{VIOLATED}: what does not close; allowed: {summary.rtol:.1e} of the energies in play, and rounding"
+            f"{LedgerVerdict.VIOLATED}: what does not close; allowed: {summary.rtol:.1e} of the energies in play, and rounding"
         )
         yield from (shown(str(v)) for v in summary.violations[:most])
         if most is not None and len(summary.violations) > most:
@@ -118,20 +123,25 @@ def _drawn(sheet: Sheet, scale: Scale) -> "Table":
     table = _table(first.header)
     for c in others:
         table.add_column(
-            c.header, justify="left" if c.kind == "word" else "right", no_wrap=c.header not in ("junction", "message")
+            c.header,
+            justify="left" if c.kind is CellKind.WORD else "right",
+            no_wrap=c.header not in ("junction", "message"),
         )
     for row in sheet.rows:
         table.add_row(*(shown(_cell(c, v, scale)) for c, v in zip(sheet.columns, row, strict=True)))
     return table
 
 
+_FORMAT = {CellKind.RATIO: ".1e", CellKind.TIME: ".6g"}
+
+
 def _cell(column: Column, value: Any, scale: Scale) -> str:
     if value is None:
         return ""
-    if column.kind == "energy":
+    if column.kind is CellKind.ENERGY:
         number = scale.of(value)
         return f"{number:.3e}" if scale.label == "J" else f"{number:.4g}"
-    return f"{value:.1e}" if column.kind == "ratio" else f"{value:.6g}" if column.kind == "time" else str(value)
+    return format(value, _FORMAT[column.kind]) if column.kind in _FORMAT else str(value)
 
 
 def _table(title: str) -> "Table":

@@ -1,4 +1,6 @@
-"""Units and kinds of tables by the names users know; imports nothing, so that the command line stays fast."""
+"""Units and kinds of tables by the names users know; imports little, so that the command line stays fast."""
+
+from .kinds import RowKind
 
 #: units an audit may be read in, in J
 UNITS = {
@@ -13,6 +15,7 @@ UNITS = {
     "kWh": 3.6e6,
     "MWh": 3.6e9,
 }
-KINDS = ("component", "port", "junction", "part", "event")
+#: tables that can be asked for
+KINDS = tuple(kind.value for kind in RowKind if kind is not RowKind.NETWORK)
 #: rows of a table that are printed unless all are asked for
 ROWS = 24

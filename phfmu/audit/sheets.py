@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .booking import ESTIMATED
 from .events import EventRow
+from .kinds import CellKind, Quality, RowKind
 from .sheet_names import UNITS
 from .summary import LedgerSummary
 
@@ -22,7 +22,7 @@ class Column:
 
     header: str
     value: Callable[[Any], Any]
-    kind: str = "energy"
+    kind: CellKind = CellKind.ENERGY
     adds: bool = True
 
 
@@ -30,7 +30,7 @@ class Column:
 class Sheet:
     """Rows of values under columns; the first is the name of the row."""
 
-    title: str
+    title: RowKind
     columns: tuple[Column, ...]
     rows: tuple[tuple[Any, ...], ...]
 
@@ -79,13 +79,13 @@ def all_sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> tuple
     return (*flows, _network(summary), _events(events))
 
 
-def _sheet(title: str, columns: Sequence[Column], entries: Sequence[Any]) -> Sheet:
+def _sheet(title: RowKind, columns: Sequence[Column], entries: Sequence[Any]) -> Sheet:
     return Sheet(title, tuple(columns), tuple(tuple(c.value(e) for c in columns) for e in entries))
 
 
 def _components(summary: LedgerSummary) -> Sheet:
     columns = [
-        Column("component", lambda c: c.component, "name"),
+        Column("component", lambda c: c.component, CellKind.NAME),
         Column("H start", lambda c: c.H_start),
         Column("H end", lambda c: c.H_end),
         Column("stored", lambda c: c.stored),
@@ -93,49 +93,52 @@ def _components(summary: LedgerSummary) -> Sheet:
     for name in ("dissipated", "numerical", "supplied", "jumps"):
         if any(getattr(c, name) for c in summary.components):
             columns.append(Column(name, lambda c, name=name: getattr(c, name)))
-    columns += [Column("worst", lambda c: c.worst_ratio, "ratio"), Column("verdict", lambda c: c.verdict, "word")]
-    return _sheet("component", columns, summary.components)
+    columns += [
+        Column("worst", lambda c: c.worst_ratio, CellKind.RATIO),
+        Column("verdict", lambda c: c.verdict, CellKind.WORD),
+    ]
+    return _sheet(RowKind.COMPONENT, columns, summary.components)
 
 
 def _ports(summary: LedgerSummary) -> Sheet:
     columns = [
-        Column("port", lambda p: f"{p.component}.{p.port}", "name"),
+        Column("port", lambda p: f"{p.component}.{p.port}", CellKind.NAME),
         Column("supplied", lambda p: p.supplied),
     ]
     if any(p.junction for p in summary.ports):
-        columns.append(Column("junction", lambda p: p.junction or "(external)", "word"))
-    if any(p.quality == ESTIMATED for p in summary.ports):
-        columns.append(Column("quality", lambda p: p.quality, "word"))
-    return _sheet("port", columns, summary.ports)
+        columns.append(Column("junction", lambda p: p.junction or "(external)", CellKind.WORD))
+    if any(p.quality == Quality.ESTIMATED for p in summary.ports):
+        columns.append(Column("quality", lambda p: p.quality, CellKind.WORD))
+    return _sheet(RowKind.PORT, columns, summary.ports)
 
 
 def _junctions(summary: LedgerSummary) -> Sheet:
     columns = [
-        Column("junction", lambda j: j.junction, "name"),
+        Column("junction", lambda j: j.junction, CellKind.NAME),
         Column("residual", lambda j: j.residual),
         Column("worst step", lambda j: j.worst_residual, adds=False),
         Column("exchanged", lambda j: j.exchanged),
-        Column("verdict", lambda j: j.verdict, "word"),
+        Column("verdict", lambda j: j.verdict, CellKind.WORD),
     ]
-    return _sheet("junction", columns, summary.junctions)
+    return _sheet(RowKind.JUNCTION, columns, summary.junctions)
 
 
 def _parts(summary: LedgerSummary) -> Sheet:
     columns = [
-        Column("junction", lambda p: p.junction, "name"),
-        Column("part", lambda p: p.part, "word"),
+        Column("junction", lambda p: p.junction, CellKind.NAME),
+        Column("part", lambda p: p.part, CellKind.WORD),
         Column("residual", lambda p: p.residual),
         Column("worst step", lambda p: p.worst_residual, adds=False),
     ]
-    return _sheet("part", columns, summary.parts)
+    return _sheet(RowKind.PART, columns, summary.parts)
 
 
 def _network(summary: LedgerSummary) -> Sheet:
     network = summary.network
     if network is None:
-        return Sheet("network", (), ())
+        return Sheet(RowKind.NETWORK, (), ())
     jumps = [c.jumps for c in summary.components if c.jumps]
-    guessed = [p.supplied for p in summary.ports if p.quality == ESTIMATED]
+    guessed = [p.supplied for p in summary.ports if p.quality == Quality.ESTIMATED]
     values = {
         "stored": network.stored,
         "dissipated": network.dissipated,
@@ -148,20 +151,20 @@ def _network(summary: LedgerSummary) -> Sheet:
         "unexplained, worst step": network.worst_unexplained,
     }
     columns = (
-        Column("network", lambda e: e[0], "name"),
+        Column("network", lambda e: e[0], CellKind.NAME),
         Column("energy", lambda e: e[1]),
-        Column("verdict", lambda e: network.verdict if e[0] == "unexplained" else "", "word"),
+        Column("verdict", lambda e: network.verdict if e[0] == "unexplained" else "", CellKind.WORD),
     )
-    return _sheet("network", columns, [(k, v) for k, v in values.items() if v is not None])
+    return _sheet(RowKind.NETWORK, columns, [(k, v) for k, v in values.items() if v is not None])
 
 
 def _events(events: Sequence[EventRow]) -> Sheet:
-    columns = [Column("event", lambda e: e.kind, "name"), Column("t [s]", lambda e: e.t, "time")]
+    columns = [Column("event", lambda e: e.kind, CellKind.NAME), Column("t [s]", lambda e: e.t, CellKind.TIME)]
     if any(e.component for e in events):
-        columns.append(Column("component", lambda e: e.component or "", "word"))
+        columns.append(Column("component", lambda e: e.component or "", CellKind.WORD))
     if any(e.energy_jump for e in events):
         columns.append(Column("jump", lambda e: e.energy_jump))
     if any(e.lost for e in events):
         columns.append(Column("lost", lambda e: e.lost))
-    columns.append(Column("message", lambda e: e.message or "", "word"))
-    return _sheet("event", columns, events)
+    columns.append(Column("message", lambda e: e.message or "", CellKind.WORD))
+    return _sheet(RowKind.EVENT, columns, events)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from .judge import VIOLATED
+from .kinds import CellKind, LedgerVerdict
 from .sheets import Column, Sheet
 
 
@@ -24,15 +24,15 @@ def shortened(sheet: Sheet, most: int) -> Sheet:
 
 
 def _weight(columns: Sequence[Column], row: Sequence[Any]) -> tuple[bool, float]:
-    energies = [abs(v) for c, v in zip(columns, row, strict=True) if c.kind == "energy" and v is not None]
-    return VIOLATED in row, max((e for e in energies if not math.isnan(e)), default=0.0)
+    energies = [abs(v) for c, v in zip(columns, row, strict=True) if c.kind is CellKind.ENERGY and v is not None]
+    return LedgerVerdict.VIOLATED in row, max((e for e in energies if not math.isnan(e)), default=0.0)
 
 
 def _together(column: Column, values: Sequence[Any]) -> Any:
     """Energies add up, of the worst the worst remains, and a word that all share."""
     there = [v for v in values if v is not None]
-    if column.kind == "energy" and column.adds:
+    if column.kind is CellKind.ENERGY and column.adds:
         return math.fsum(there)
-    if column.kind in ("energy", "ratio"):
+    if column.kind in (CellKind.ENERGY, CellKind.RATIO):
         return max(there, key=abs, default=None)
     return values[0] if len(set(values)) == 1 else None

@@ -16,6 +16,7 @@ import numpy as np
 
 from .archive import SCHEMA_KEY, WRITER_KEY, compact, occupied, stream_path
 from .columns import COLUMNS, DTYPES, SCHEMA_VERSION, Section, block_sections, event_section
+from .kinds import ColumnType
 from .lock import try_lock
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class AuditWriter:
         # absolute: what a run loads may change the working folder
         self.stream = Path(os.path.abspath(stream_path(path)))
         self.path = self.stream.with_suffix(".parquet")
-        self._codes: dict[str, dict[str, int]] = {name: {} for name, kind in COLUMNS.items() if kind == "name"}
+        self._codes: dict[str, dict[str, int]] = {name: {} for name, kind in COLUMNS.items() if kind is ColumnType.NAME}
         self._names: dict[str, pa.Array] = {}
         self._events: list[EventRow] = []
         self._sections: list[Section] = []
@@ -171,13 +172,13 @@ class AuditWriter:
         n = sum(section.n for section in sections)
         arrays = []
         for column, kind in COLUMNS.items():
-            type_ = pa.int32() if kind == "name" else self._schema.field(column).type
+            type_ = pa.int32() if kind is ColumnType.NAME else self._schema.field(column).type
             if any(column in section.columns for section in sections):
                 values, null = _joined(column, sections, n)
                 array = pa.array(values, type_, mask=null, from_pandas=False)
             else:
                 array = pa.nulls(n, type_)
-            if kind == "name":
+            if kind is ColumnType.NAME:
                 array = pa.DictionaryArray.from_arrays(array, self._dictionary(column))
             arrays.append(array)
         return pa.RecordBatch.from_arrays(arrays, schema=self._schema)
@@ -225,10 +226,10 @@ def _schema(metadata: Mapping[str, Any], table: str | os.PathLike[str] | None) -
     writer |= {"table": os.path.realpath(table)} if table else {}
     keys[WRITER_KEY] = json.dumps(writer).encode()
     types = {
-        "i64": pa.int64(),
-        "i32": pa.int32(),
-        "f64": pa.float64(),
-        "name": pa.dictionary(pa.int32(), pa.string()),
-        "text": pa.string(),
+        ColumnType.I64: pa.int64(),
+        ColumnType.I32: pa.int32(),
+        ColumnType.F64: pa.float64(),
+        ColumnType.NAME: pa.dictionary(pa.int32(), pa.string()),
+        ColumnType.TEXT: pa.string(),
     }
     return pa.schema([pa.field(name, types[kind]) for name, kind in COLUMNS.items()], metadata=keys)

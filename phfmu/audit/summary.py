@@ -3,7 +3,9 @@
 import math
 from dataclasses import dataclass, field
 
-from .judge import DEFAULT_RTOL, Violation
+from .judge import DEFAULT_RTOL
+from .kinds import LedgerVerdict, Quality
+from .violation import Violation
 
 
 @dataclass
@@ -27,7 +29,7 @@ class ComponentSummary:
     worst_step: int
     worst_t0: float
     gap: float
-    verdict: str
+    verdict: LedgerVerdict
     numerical: float | None = None
 
 
@@ -38,7 +40,7 @@ class PortSummary:
     component: str
     port: str
     junction: str | None
-    quality: str
+    quality: Quality
     supplied: float
 
 
@@ -53,7 +55,7 @@ class JunctionSummary:
     residual: float
     exchanged: float | None
     worst_residual: float
-    verdict: str
+    verdict: LedgerVerdict
 
 
 @dataclass
@@ -76,7 +78,7 @@ class NetworkSummary:
     junction_residual: float | None
     unexplained: float
     worst_unexplained: float
-    verdict: str
+    verdict: LedgerVerdict
     numerical: float | None = None
 
 

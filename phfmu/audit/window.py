@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .events import EventRow
+from .kinds import RowKind
 from .reading import Batches, Rows
 from .summary import LedgerSummary
 
@@ -27,12 +28,12 @@ class Window:
         if not self.start < self.end:
             raise ValueError(f"window {self.start:g}:{self.end:g} s: the start must be before the end")
 
-    def of(self, batch: Mapping[str, Rows]) -> dict[str, Rows]:
+    def of(self, batch: Mapping[RowKind, Rows]) -> dict[RowKind, Rows]:
         """The rows within, without the columns that depend on what came before."""
         found = {}
         for kind, rows in batch.items():
             t0 = rows.values("t0")
-            h = np.zeros(rows.n) if kind == "event" else rows.values("h")
+            h = np.zeros(rows.n) if kind is RowKind.EVENT else rows.values("h")
             kept = rows.take((t0 >= self.start - CLOSE * h) & (t0 + h <= self.end + CLOSE * h))
             for name, (values, there) in kept.numbers.items():
                 if name.startswith("cum_") or name == "residual_rel":
@@ -66,7 +67,7 @@ def event_rows(source: str, window: Window | None = None) -> Iterator[EventRow]:
     batches = Batches(source)
     name = batches.interned.name
     for batch in batches:
-        rows = (batch if window is None else window.of(batch)).get("event")
+        rows = (batch if window is None else window.of(batch)).get(RowKind.EVENT)
         if rows is None:
             continue
         energies = [rows.numbers[k] for k in ("energy_jump", "lost")]

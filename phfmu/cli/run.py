@@ -88,6 +88,7 @@ def call(args: argparse.Namespace) -> int:
 
     from phfmu.audit import audit_table
     from phfmu.audit.sheet_names import ROWS
+    from phfmu.audit.violation import ViolationKind
     from phfmu.cli import options
     from phfmu.cli.build import job_of
     from phfmu.cli.codes import FINE, LEDGER
@@ -131,9 +132,8 @@ def call(args: argparse.Namespace) -> int:
         places = dict.fromkeys(v.name for v in summary.violations)
         print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
         if not is_fmu(args.target) and not scene.units:
-            _print_signs_lost(
-                scene, [*events, *given], result, {v.name for v in summary.violations if v.kind == "dissipation"}
-            )
+            lost = {v.name for v in summary.violations if v.kind is ViolationKind.DISSIPATION}
+            _print_signs_lost(scene, [*events, *given], result, lost)
         return LEDGER
     return FINE
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phfmu.audit.archive import Stream, check_schema, there
+from phfmu.audit.kinds import RowKind
 from phfmu.audit.reading import Interned
 from phfmu.report.recording import Floats
 
@@ -15,20 +16,20 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 #: number columns that are read of each kind of row; a log without one gives NaN
-NUMBERS: dict[str, tuple[str, ...]] = {
-    "component": ("H0", "H1", "dH", "dissipated", "numerical", "residual", "residual_rel"),
-    "port": ("supplied",),
-    "junction": ("residual",),
-    "network": ("iterations",),
-    "event": ("energy_jump",),
+NUMBERS: dict[RowKind, tuple[str, ...]] = {
+    RowKind.COMPONENT: ("H0", "H1", "dH", "dissipated", "numerical", "residual", "residual_rel"),
+    RowKind.PORT: ("supplied",),
+    RowKind.JUNCTION: ("residual",),
+    RowKind.NETWORK: ("iterations",),
+    RowKind.EVENT: ("energy_jump",),
 }
 #: columns that tell rows of a kind apart
-KEYS: dict[str, tuple[str, ...]] = {
-    "component": ("component",),
-    "port": ("component", "port", "junction"),
-    "junction": ("junction",),
-    "network": (),
-    "event": ("kind", "component", "message"),
+KEYS: dict[RowKind, tuple[str, ...]] = {
+    RowKind.COMPONENT: ("component",),
+    RowKind.PORT: ("component", "port", "junction"),
+    RowKind.JUNCTION: ("junction",),
+    RowKind.NETWORK: (),
+    RowKind.EVENT: ("kind", "component", "message"),
 }
 BATCH_ROWS = 1 << 17
 _WHEN = ("step", "t0", "h")
@@ -51,7 +52,7 @@ class History:
     ports: dict[Key, Columns] = field(default_factory=dict)
     junctions: dict[Key, Columns] = field(default_factory=dict)
     events: dict[Key, Columns] = field(default_factory=dict)
-    steps: Columns = field(default_factory=lambda: {name: np.zeros(0) for name in (*_WHEN, *NUMBERS["network"])})
+    steps: Columns = field(default_factory=lambda: {name: np.zeros(0) for name in (*_WHEN, *NUMBERS[RowKind.NETWORK])})
 
     def within(self, start: float, stop: float) -> "History":
         """Steps whose middle lies within [start, stop], and the events there."""
@@ -74,7 +75,7 @@ def read_history(path: str | os.PathLike[str]) -> History:
     import pyarrow as pa
 
     interned = Interned()
-    parts: dict[str, dict[tuple[int, ...], list[Columns]]] = {kind: {} for kind in NUMBERS}
+    parts: dict[RowKind, dict[tuple[int, ...], list[Columns]]] = {kind: {} for kind in NUMBERS}
     try:
         schema, batches = _batches(path)
         for batch in batches:
@@ -86,13 +87,14 @@ def read_history(path: str | os.PathLike[str]) -> History:
     except OSError as error:
         raise ValueError(f"{path} is damaged: {error}") from error
 
-    def whole(kind: str) -> dict[Key, Columns]:
+    def whole(kind: RowKind) -> dict[Key, Columns]:
         named = {tuple(interned.name(code) or "" for code in key): p for key, p in parts[kind].items()}
         return {key: {name: np.concatenate([c[name] for c in p]) for name in p[0]} for key, p in named.items()}
 
-    components, ports, junctions, events = (whole(kind) for kind in ("component", "port", "junction", "event"))
+    told = (RowKind.COMPONENT, RowKind.PORT, RowKind.JUNCTION, RowKind.EVENT)
+    components, ports, junctions, events = map(whole, told)
     found = History(str(path), _about(schema), components, ports, junctions, events)
-    found.steps = whole("network").get((), found.steps)
+    found.steps = whole(RowKind.NETWORK).get((), found.steps)
     return found
 
 
@@ -112,7 +114,7 @@ def _batches(path: str | os.PathLike[str]) -> "tuple[pa.Schema, Iterator[pa.Reco
 
 
 def _sort_in(
-    batch: "pa.RecordBatch", interned: Interned, parts: dict[str, dict[tuple[int, ...], list[Columns]]]
+    batch: "pa.RecordBatch", interned: Interned, parts: dict[RowKind, dict[tuple[int, ...], list[Columns]]]
 ) -> None:
     """Put the rows of a batch to those of their kind and key."""
     columns = dict(zip(batch.schema.names, batch.columns, strict=True))

@@ -12,7 +12,8 @@ import pytest
 import phfmu as ph
 from phfmu import PHDAE, Collocated, NativeInstance, Network, Options, PythonInstance, block, build_model, energy, run
 from phfmu.audit import AuditWriter, Block, EventRow, LedgerSummary, read, summarise
-from phfmu.audit.booking import ESTIMATED, EXACT, Booking, PortKey
+from phfmu.audit.booking import Booking, PortKey
+from phfmu.audit.kinds import Quality
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupled import Coupled
@@ -107,7 +108,7 @@ class Unit:
 
     def __init__(self, pairs: Sequence[float], supplied: float, estimated: bool = False):
         self.names: list[str] = []
-        quality = ESTIMATED if estimated else EXACT
+        quality = Quality.ESTIMATED if estimated else Quality.EXACT
         port = (PortKey("unit", "shaft", quality=quality),) if len(pairs) else ()
         self.booking = Booking(("unit",), port, frozenset({"unit"} if estimated and not port else ()))
         self._pairs, self._supplied, self._H = np.array(pairs, float), supplied, 0.0
@@ -217,4 +218,4 @@ def test_members_and_the_audit_have_one_booking() -> None:
         ("m", "flange", "joint"),
         ("s", "a", "joint"),
     ]
-    assert unit.quality("unit") == ESTIMATED
+    assert unit.quality("unit") == Quality.ESTIMATED

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.audit.booking import ESTIMATED, EXACT, Booking, PortKey
+from phfmu.audit.booking import Booking, PortKey
+from phfmu.audit.kinds import Quality
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.steps import StepEvent
@@ -31,7 +32,7 @@ def _columns(unit: FMUInstance) -> list[str]:
 
 
 def _booking(unit: FMUInstance, name: str) -> Booking:
-    quality = ESTIMATED if unit.estimated else EXACT
+    quality = Quality.ESTIMATED if unit.estimated else Quality.EXACT
     ports = []
     for p in unit.ports:
         vector = p.vector or len(p.inputs) > 1

@@ -1,0 +1,55 @@
+"""Kinds of what the audit writes and says: each is a string in files and tables, and a typed value in the code."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class ColumnType(StrEnum):
+    """What the values of a column are."""
+
+    I64 = "i64"
+    I32 = "i32"
+    F64 = "f64"
+    NAME = "name"  # dictionary-encoded string
+    TEXT = "text"
+
+
+class RowKind(StrEnum):
+    """What a row of the table is about, and thereby which columns it fills."""
+
+    COMPONENT = "component"
+    PORT = "port"
+    JUNCTION = "junction"
+    PART = "part"  # of a junction's energy
+    NETWORK = "network"
+    EVENT = "event"
+
+
+class Quality(StrEnum):
+    """How well the energy of a component, port or junction is known."""
+
+    EXACT = "exact"
+    ESTIMATED = "estimated"  # a quadrature, not the step's own
+    SILENT = "none"  # a unit that tells nothing
+    LOOSE = "loose"  # junctions of members coupled once a step, or whose iteration was given up: told, not judged
+
+
+class LedgerVerdict(StrEnum):
+    """What is said of a component, junction or network; one that is not judged is named by its quality."""
+
+    CLOSED = "closed"
+    VIOLATED = "VIOLATED"
+    ESTIMATED = Quality.ESTIMATED
+    SILENT = Quality.SILENT
+    LOOSE = Quality.LOOSE
+
+
+class CellKind(StrEnum):
+    """How a value of a printed table is written and added up."""
+
+    ENERGY = "energy"  # J, in the unit of the table
+    RATIO = "ratio"
+    TIME = "time"
+    WORD = "word"
+    NAME = "name"  # of the row
