@@ -1,38 +1,58 @@
-"""A unit that ends the process (`exit` in its library) does not do so unnoticed.
+"""A unit that ends the process (`exit` in its library, a crash) does not do so unnoticed.
 
-While a call into a unit is under way its name stands here.  A handler that the C library runs on `exit` finds it, says which
-unit ended the process and in which call, and leaves with exit code 3.  Handlers of a library handle of our own can be
-taken back (`__cxa_finalize`), which is done before the interpreter ends, so none of it runs on an ordinary exit.
-Only where the C library can do this: glibc and macOS.  `_exit` and signals end the process without any handler.
+While a call into a unit is under way its name stands here.  A handler that the C library runs on `exit`, and one for signals
+that a fault raises, find it, say which unit ended the process, in which call and how, and leave with exit code 3.
+Handlers of `exit` are taken back (`__cxa_finalize`) before the interpreter ends, so none of it runs on an ordinary
+end; only glibc and macOS can do that.  Of a signal, a handler that something else has set (another language's runtime)
+stays; that of faulthandler still prints its traceback.  `_exit`, SIGKILL and an exhausted stack leave no time for any handler.
 """
 
 from __future__ import annotations
 
 import atexit
 import ctypes
+import faulthandler
 import os
+import signal
 import sys
+from contextlib import suppress
 from typing import Any
 
 #: exit code of a run that did not reach its end
 CODE = 3
+#: time in s after which a handler that hangs, since the memory it works with is broken, is ended
+PATIENCE = 5
 
-#: name of the unit and function of the call that is under way; between calls there is none
-current: tuple[str, Any] | None = None
+#: name of the unit, the function and the arguments of the call that is under way; between calls there is none
+current: tuple[str, Any, tuple[Any, ...]] | None = None
+
+_FAULTS = {
+    "SIGSEGV": "it used memory that is not its own",
+    "SIGBUS": "it used memory that is not there",
+    "SIGFPE": "a fault in arithmetic",
+    "SIGILL": "an instruction that this machine does not have",
+    "SIGABRT": "its library called abort, or an assertion failed",
+}
 
 _armed: list[Any] = []  # what must not be collected while the C library may call it
+_before: dict[int, Any] = {}  # handlers of signals that ours took the place of
 
 
 def arm() -> None:
-    """Once a process; nothing where the C library cannot take handlers back."""
-    if _armed or not _can_take_back():
+    """Once a process; each part where the C library can do it."""
+    if _armed:
+        return
+    _armed.append(None)
+    if sys.platform == "win32":
         return
     library = ctypes.CDLL(None)
-    handle = ctypes.c_char()
-    handler = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_leave)
-    _armed.extend((library, handle, handler))
-    library.__cxa_atexit(handler, None, ctypes.byref(handle))
-    atexit.register(_take_back)
+    if _can_take_back():
+        handle = ctypes.c_char()
+        handler = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_exits)
+        _armed.extend((handle, handler))
+        library.__cxa_atexit(handler, None, ctypes.byref(handle))
+        atexit.register(lambda: library.__cxa_finalize(ctypes.byref(handle)))  # finds no call
+    _arm_signals(library)
 
 
 def leave_alone() -> None:
@@ -49,24 +69,52 @@ def _can_take_back() -> bool:
         return False
 
 
-def _take_back() -> None:
-    """Runs the handler, which finds no call, and forgets it."""
-    library, handle, _ = _armed
-    library.__cxa_finalize(ctypes.byref(handle))
+def _arm_signals(library: ctypes.CDLL) -> None:
+    set_handler = library.signal
+    set_handler.restype, set_handler.argtypes = ctypes.c_void_p, (ctypes.c_int, ctypes.c_void_p)
+
+    def fault(number: int) -> None:
+        if current is None:  # not a unit's: what was there before takes it when the faulty instruction is run again
+            set_handler(number, _before[number])
+            if number == signal.SIGABRT:
+                signal.raise_signal(number)
+            return
+        signal.alarm(PATIENCE)
+        name = signal.Signals(number).name
+        _leave(f"crashed in {_call()}", f"{name}: {_FAULTS[name]}")
+
+    handler = ctypes.CFUNCTYPE(None, ctypes.c_int)(fault)
+    _armed.append(handler)
+    for number in (getattr(signal, name) for name in _FAULTS):
+        before = set_handler(number, ctypes.cast(handler, ctypes.c_void_p))
+        if before is None or faulthandler.is_enabled():  # the default action, or a traceback
+            _before[number] = before
+        else:
+            set_handler(number, before)
+    atexit.register(lambda: [set_handler(number, before) for number, before in _before.items()])
 
 
-def _leave(_: object) -> None:
-    if current is None:
-        return
-    unit, function = current
-    call = getattr(function, "__name__", function)
-    print(
-        f"phfmu: the unit '{unit}' ended the process in {call} (its library called exit); the run is not finished: rows are "
-        "in the .partial file of -o, `phfmu audit recover` reads an audit",
-        file=sys.stderr,
-        flush=True,
-    )
-    try:
+def _exits(_: object) -> None:
+    if current is not None:
+        _leave(f"ended the process in {_call()}", "its library called exit")
+
+
+def _call() -> str:
+    """The function, and the time at which it is to begin a step."""
+    assert current is not None
+    _, function, arguments = current
+    name = getattr(function, "__name__", str(function))
+    return f"{name} at t = {arguments[0]:.9g} s" if name == "doStep" and arguments else name
+
+
+def _leave(what: str, how: str) -> None:
+    """Says so in pieces that need no memory of the C library, which may be broken, and leaves."""
+    assert current is not None
+    with suppress(OSError):
+        os.write(2, f"phfmu: the unit '{current[0]}' {what} ({how}).".encode())
+        os.write(2, b" Next: --isolate gives it a process of its own, and keeps the rows and the audit until then;")
+        os.write(2, b" of this run rows are in the .partial file of -o, `phfmu audit recover` reads an audit\n")
+        if faulthandler.is_enabled():
+            faulthandler.dump_traceback()
         sys.stdout.flush()
-    finally:
-        os._exit(CODE)
+    os._exit(CODE)

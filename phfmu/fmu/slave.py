@@ -76,7 +76,7 @@ class Slave:
                 "(canBeInstantiatedOnlyOncePerProcess); give each a process of its own (--isolate)"
             )
         exit_guard.arm()
-        exit_guard.current = (name, "the start of its library")
+        exit_guard.current = (name, "the start of its library", ())
         try:
             library = archive.folder / archive.library
             self.fmu: Any = self._names.instance(library, common, self._log, ours, early_return)
@@ -100,7 +100,7 @@ class Slave:
         if self.dead:
             raise UnitCallError(self.name, _name(function), "fatal", ["it met a fatal error before"])
         self.words.clear()
-        exit_guard.current = (self.name, function)
+        exit_guard.current = (self.name, function, arguments)
         try:
             return function(*arguments)
         except FMICallException as error:

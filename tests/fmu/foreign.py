@@ -14,8 +14,8 @@ from phfmu.fmu import sources
 CODE = Path(__file__).parent / "foreign_unit.c"
 
 
-#: what doStep does from t = 0.25 on: die, never answer, print and exit with code 7, print
-CRASH, HANG, LAST_WORDS, PRINT = range(10, 14)
+#: what doStep does from t = 0.25 on: die, never answer, print and exit with code 7, print, abort
+CRASH, HANG, LAST_WORDS, PRINT, ABORT = range(10, 15)
 
 #: a mass on a spring, which may forget on restore and misbehave by `mode`; {unit}: of the force
 MASS = {

@@ -34,7 +34,8 @@ enum {
     CRASH,
     HANG,
     LAST_WORDS,
-    PRINT
+    PRINT,
+    ABORT
 };
 
 typedef struct unit {
@@ -83,8 +84,12 @@ static int step(unit *m, double t, double h) {
             say(m, 3, long_text);
         return 3;
     }
-    if (mode == CRASH)
-        raise(SIGSEGV);
+    if (mode == CRASH) {
+        int *volatile nowhere = NULL;
+        *nowhere = 1;
+    }
+    if (mode == ABORT)
+        abort();
     while (mode == HANG)
         ;
     if (mode == LAST_WORDS || mode == PRINT) {

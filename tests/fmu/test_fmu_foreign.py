@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -150,6 +151,46 @@ def test_a_library_that_calls_exit_is_noticed(units: dict[str, Path], version: s
     assert "the unit 'foreign' ended the process in" in done.stderr and "doStep" in done.stderr
     done = subprocess.run([*run, "mode=0"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and "ended the process" not in done.stderr, "an ordinary end is not one"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize(
+    ("mode", "before", "code"),
+    wide(
+        [
+            (foreign.CRASH, "", 3),
+            (foreign.ABORT, "", 3),
+            (foreign.CRASH, "faulthandler.enable()", 3),
+            (foreign.ABORT, "signal.signal(signal.SIGABRT, signal.SIG_IGN)", -signal.SIGABRT),
+        ],
+        (foreign.CRASH, "", 3),
+    ),
+)
+def test_a_unit_that_crashes_is_named(units: dict[str, Path], mode: int, before: str, code: int) -> None:
+    """Which unit, in which call, when and how; a handler that something else has set stays."""
+    program = f"import faulthandler, signal, sys; {before}\nfrom phfmu.cli import main\nsys.exit(main(sys.argv[1:]))"
+    run = [sys.executable, "-c", program, "run", str(units["3.0"]), "--set", f"mode={mode}"]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60)
+    assert done.returncode == code
+    if code == 3:
+        assert "the unit 'foreign' crashed in doStep at t = 0.3 s" in done.stderr and "--isolate" in done.stderr
+        assert ("SIGABRT" if mode == foreign.ABORT else "SIGSEGV") in done.stderr
+    else:
+        assert "crashed" not in done.stderr
+    assert ("Current thread" in done.stderr) is ("faulthandler.enable" in before)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_crash_between_calls_is_no_units(units: dict[str, Path]) -> None:
+    program = (
+        "import os, sys\nfrom phfmu.fmu.reader import FMUInstance\n"
+        "unit = FMUInstance(sys.argv[1]); unit.do_step(0.0, 0.1); os.abort()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(units["3.0"])], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == -signal.SIGABRT and not done.stderr
 
 
 @pytest.mark.parametrize("version", VERSIONS)
