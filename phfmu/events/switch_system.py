@@ -166,7 +166,7 @@ class SwitchSystem:
         x, a, p = self._start
         found = self.rates(At(x, a, np.zeros(self._size[1]), p, 0.0))
         inside = [bool(row.any()) for row in np.hstack([found.cx, found.ca])]
-        return [s.name for s, own in zip(self._switches, inside, strict=True) if not own and s.gap is None]
+        return [s.name for s, own in zip(self._switches, inside, strict=True) if not own]
 
     def in_mode(self, p: Array, mode: Sequence[int]) -> Array:
         """Parameters with the modes set."""

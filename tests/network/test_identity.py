@@ -22,7 +22,6 @@ from phfmu import (
     Network,
     Options,
     PythonInstance,
-    Scene,
     SwitchedInstance,
     build_model,
     run,
@@ -65,9 +64,9 @@ TRIALS = 2
 
 
 @cache
-def models(name: str) -> tuple[Scene, dict[str, Any]]:
+def models(name: str) -> tuple[Any, dict[str, Any]]:
     """The scene and the models of its members."""
-    scene = build(name)
+    scene: Any = build(name)
     return scene, {n: build_model(d) for n, d in scene.system.members.items()}
 
 
@@ -115,7 +114,7 @@ def test_the_identity_holds(name: str, coupling: str, monkeypatch: pytest.Monkey
             return
         result = run(own, options)
     except (ValueError, EventRefused) as refusal:  # what switches do is known where both sides of them are
-        assert name in SWITCHED and coupling != "monolithic" and any(n in str(refusal) for n in ("switch", "contact"))
+        assert name in SWITCHED and coupling != "monolithic" and "switch" in str(refusal)
         return
     s = result.ledger.summary()
     n = s.network

@@ -35,7 +35,7 @@ class EngineMember:
         if model.modes is not None and (bound := model.modes.modes.system.between_inputs):
             raise ValueError(
                 f"member '{name}' has ideal switches ({', '.join(bound[:4])}) between inputs, which other members set, so that "
-                "none of its own values follows where they are closed; leave out --coupling newton, which composes the network, "
+                "none of its own values follows where they are closed; leave out --coupling, so that the network is composed, "
                 "or make one member of them and what is on one side"
             )
         self.name, self.model, self.instance, self.parts = name, model, instance, parts
