@@ -33,7 +33,7 @@ class Outputs:
         self._table_path = self._audit_path = None
         self.table: TableWriter | None = None
         self.sink: AuditWriter | None = None
-        self._units_row = args.units_row
+        self._units_row, self._title = args.units_row, ""
         self._picture: Path | None = None
         self._drawn: Rows | None = None
         #: wall time spent on the result table
@@ -61,22 +61,21 @@ class Outputs:
                 raise ValueError(f"-o and --audit both name {args.output}; give the audit a file of its own")
 
     def begin(self, about: dict[str, str]) -> None:
-        """Open the audit of a run."""
+        """Open the audit of a run; the picture is called by what `about` tells."""
+        self._title = ": ".join(about.values())
         if self._audit_path:
             from phfmu.audit import AuditWriter
 
             self.sink = AuditWriter(self._audit_path, about, self._table_path)
 
-    def columns(
-        self, target: str, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str]
-    ) -> None:
+    def columns(self, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str]) -> None:
         """Open table and picture of its rows; `marked`: rows within steps are among them."""
         if self._picture:
             from phfmu.report.recording import Mark
             from phfmu.report.rows import Rows
 
             marks = [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events]
-            self._drawn = Rows(target, names, marks, dict(zip(names, units, strict=True)))
+            self._drawn = Rows(self._title, names, marks, dict(zip(names, units, strict=True)))
         if self._table_path:
             from phfmu.results.writer import TableWriter
 

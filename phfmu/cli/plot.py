@@ -24,7 +24,7 @@ def add_parser(verbs: Any) -> None:
 def call(args: argparse.Namespace) -> int:
     from phfmu.cli.codes import FINE
     from phfmu.pick import pick
-    from phfmu.report.audit_signals import marks
+    from phfmu.report.audit_signals import HOLDS, AuditSignals, marks
     from phfmu.report.draw import check_picture, draw
     from phfmu.report.history import read_history
     from phfmu.report.opening import opened
@@ -33,7 +33,7 @@ def call(args: argparse.Namespace) -> int:
     check_picture(args.output, "-o")
     size = _size(args)
     found = opened(args.file)
-    chosen = pick(args.signals, found.names, args.file)
+    chosen = pick(args.signals, found.names, args.file, HOLDS if isinstance(found, AuditSignals) else "")
     span = window(args.window)
     drawn = picture(found, chosen, span)
     if args.events:

@@ -118,7 +118,7 @@ def call(args: argparse.Namespace) -> int:
 
         marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
         outputs.begin({"target": args.target, "run": label})
-        columns = partial(outputs.columns, args.target, marks, args.dense is not None)
+        columns = partial(outputs.columns, marks, args.dense is not None)
         options_here = replace(chosen, sink=outputs.sink, progress=progress, columns=columns, keep=outputs.keep)
         result = run(stepper, options_here, inputs=rows, interpolate=args.interpolate)
         seconds = perf_counter() - begun - outputs.seconds

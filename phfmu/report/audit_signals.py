@@ -22,6 +22,11 @@ RESIDUAL, ITERATIONS, STEP = (
     "Newton iterations of a step",
     "step size",
 )
+#: what to say where the signals of a model are looked for
+HOLDS = (
+    "an audit holds '*.power', '*.H', '*.residual', 'iterations' ..; the model's signals are in the table that "
+    "phfmu run TARGET -o RUN.csv writes"
+)
 #: of the ratio that a log records
 RECORDED_RTOL = 1e-11
 
@@ -38,7 +43,8 @@ class AuditSignals:
 
     @property
     def title(self) -> str:
-        return str(self.history.about.get("target") or Path(self.history.path).name)
+        about = self.history.about
+        return ": ".join(str(about[k]) for k in ("target", "run") if about.get(k)) or Path(self.history.path).name
 
     @property
     def names(self) -> list[str]:

@@ -7,11 +7,13 @@ from importlib import import_module
 from typing import Any
 
 from phfmu.report.extra import require
-from phfmu.report.picture import COLOURS, Curve, Picture
+from phfmu.report.labels import LINE, Label, height, labels
+from phfmu.report.picture import COLOURS, Curve, Panel, Picture
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 PANEL, ENTRY, GAP, FRAME = 190, 19, 55, 110
-LABELLED = 12
+#: pixels of an axis that texts of events are laid out for
+AXIS = 800
 _FONT = "system-ui, 'Segoe UI', Roboto, sans-serif"
 _STYLE = f"""
 body {{ font-family: {_FONT}; margin: 1.5rem auto; max-width: 1250px; padding: 0 1rem; color: #222; }}
@@ -48,30 +50,61 @@ def write_page(path: str | os.PathLike[str], title: str, body: Sequence[str]) ->
 def chart(drawn: Picture) -> str:
     """Panels below each other over one time axis, each with a legend of its own."""
     require("plotly")
-    heights = [max(PANEL, ENTRY * sum(not c.limit for c in p.curves)) for p in drawn.panels]
+    panels = drawn.panels
+    heights = [max(PANEL, ENTRY * sum(not c.limit for c in p.curves)) for p in panels]
     total = sum(heights) + GAP * (len(heights) - 1)
+    texts = labels(drawn.marks, *_span(drawn), AXIS)
+    near = any(p.near for p in panels)
+    specs = [[{}, {}] if p.near else [{"colspan": 2}, None] for p in panels] if near else None
     figure: Any = import_module("plotly.subplots").make_subplots(
-        rows=max(len(heights), 1), cols=1, shared_xaxes=True, vertical_spacing=GAP / max(total, 1),
-        row_heights=heights or None, subplot_titles=[html.escape(p.title) for p in drawn.panels],
+        rows=max(len(heights), 1), cols=1 + near, vertical_spacing=GAP / max(total, 1), row_heights=heights or None,
+        column_widths=[0.68, 0.32] if near else None, horizontal_spacing=0.05 if near else None, specs=specs,
     )  # fmt: skip
-    for i, panel in enumerate(drawn.panels, 1):
-        legend = "legend" if i == 1 else f"legend{i}"
+    for i, panel in enumerate(panels, 1):
+        name = "legend" if i == 1 else f"legend{i}"
         for curve in panel.curves:
-            figure.add_scatter(x=curve.time, y=curve.values, legend=legend, row=i, col=1, **_style(curve))
-        axis = figure.layout["yaxis" if i == 1 else f"yaxis{i}"]
-        axis.update(title={"text": panel.unit}, type="log" if panel.log else "linear", exponentformat="power")
-        figure.layout[legend] = {"y": axis.domain[1], "yanchor": "top", "x": 1.01, "font": {"size": 11}}
-    _marks(figure, drawn)
-    for note in figure.layout.annotations[: len(drawn.panels)]:
-        note.update(x=0.0, xanchor="left", font={"size": 13})
+            figure.add_scatter(x=curve.time, y=curve.values, legend=name, row=i, col=1, **_style(curve))
+        x, y = next(figure.select_xaxes(row=i, col=1)), next(figure.select_yaxes(row=i, col=1))
+        x.update(matches="x" if i > 1 else None, showticklabels=i == len(panels))
+        y.update(title={"text": panel.unit}, type="log" if panel.log else "linear", exponentformat="power")
+        figure.layout[name] = {"y": y.domain[1], "yanchor": "top", "x": 1.01, "font": {"size": 11}}
+        _title(figure, panel.title, 0.0, y.domain[1], height(texts) * (i == 1))
+        if panel.near:
+            _near(figure, panel, i)
+    _marks(figure, drawn, texts)
     figure.update_xaxes(title_text="time [s]", row=len(heights), col=1)
     figure.update_xaxes(showgrid=True, gridcolor="#e8e8e8", zeroline=False)
     figure.update_yaxes(showgrid=True, gridcolor="#e8e8e8", zeroline=False)
     figure.update_layout(
-        height=total + FRAME, margin={"l": 80, "r": 20, "t": 40, "b": 50}, plot_bgcolor="white",
-        font={"family": _FONT, "size": 12}, showlegend=True,
+        height=total + FRAME + height(texts), margin={"l": 80, "r": 20, "t": 40 + height(texts), "b": 50},
+        plot_bgcolor="white", font={"family": _FONT, "size": 12}, showlegend=True,
     )  # fmt: skip
     return part(figure)
+
+
+def _near(figure: Any, panel: Panel, row: int) -> None:
+    """A few periods beside the whole, and where they are in it."""
+    for curve in panel.near:
+        figure.add_scatter(x=curve.time, y=curve.values, row=row, col=2, **(_style(curve) | {"showlegend": False}))
+    x, y = next(figure.select_xaxes(row=row, col=2)), next(figure.select_yaxes(row=row, col=2))
+    _title(figure, "in the grey window", x.domain[0], y.domain[1], colour="#777")
+    time = next(c.time for c in panel.near if len(c.time))
+    figure.add_vrect(
+        x0=float(time[0]), x1=float(time[-1]), fillcolor="#777", opacity=0.35, line_width=0, row=row, col=1,
+        layer="below",
+    )  # fmt: skip
+
+
+def _title(figure: Any, text: str, x: float, y: float, up: int = 0, colour: str = "#222") -> None:
+    figure.add_annotation(
+        x=x, y=y, xref="paper", yref="paper", text=html.escape(text), showarrow=False, xanchor="left", yanchor="bottom",
+        yshift=up, font={"size": 13, "color": colour},
+    )  # fmt: skip
+
+
+def _span(drawn: Picture) -> tuple[float, float]:
+    times = [t for p in drawn.panels for c in p.curves for t in (c.time[:1], c.time[-1:]) if len(t)]
+    return (min(float(t[0]) for t in times), max(float(t[0]) for t in times)) if times else (0.0, 0.0)
 
 
 def part(figure: Any) -> str:
@@ -86,21 +119,25 @@ def _style(curve: Curve) -> dict[str, Any]:
     if curve.limit:
         return {"mode": "lines", "name": name, "showlegend": False, "opacity": 0.8,
                 "line": {"color": colour, "dash": "dash", "width": 1}}  # fmt: skip
+    if curve.band is not None:  # as lines, to zoom into
+        return {"mode": "lines", "name": name, "opacity": 0.6, "line": {"color": colour, "width": 0.8}}
     dash = DASHES[curve.dash % len(DASHES)]
     return {"mode": "lines", "name": name, "line": {"color": colour, "dash": dash, "width": 1.5}}
 
 
-def _marks(figure: Any, drawn: Picture) -> None:
-    """A dotted line through all panels for each mark, its text at the first."""
-    shapes = [
-        {"type": "line", "xref": "x", "yref": "paper", "x0": m.time, "x1": m.time, "y0": 0, "y1": 1,
+def _marks(figure: Any, drawn: Picture, texts: Sequence[Label]) -> None:
+    """A dotted line in all panels for each mark, its text above the first."""
+    axes = [figure.get_subplot(i, 1) for i in range(1, len(drawn.panels) + 1)]
+    names = [(a.xaxis.plotly_name.replace("axis", ""), a.yaxis.plotly_name.replace("axis", "")) for a in axes]
+    lines = [
+        {"type": "line", "xref": x, "yref": f"{y} domain", "x0": m.time, "x1": m.time, "y0": 0, "y1": 1,
          "line": {"color": "#777", "width": 1, "dash": "dot"}}
-        for m in drawn.marks
+        for x, y in names for m in drawn.marks
     ]  # fmt: skip
-    figure.update_layout(shapes=shapes)
-    if len(drawn.marks) <= LABELLED:
-        for m in drawn.marks:
-            figure.add_annotation(
-                x=m.time, y=1.0, xref="x", yref="paper", text=html.escape(m.text), textangle=-90, showarrow=False,
-                xanchor="left", yanchor="top", font={"size": 10, "color": "#444"},
-            )  # fmt: skip
+    figure.update_layout(shapes=[*figure.layout.shapes, *lines])
+    for t in texts:
+        figure.add_annotation(
+            x=t.time, y=1.0, xref="x", yref="paper", text=html.escape(t.text), showarrow=False,
+            xanchor="right" if t.right else "left", yanchor="bottom", yshift=2 + LINE * t.row,
+            font={"size": 10, "color": "#444"},
+        )  # fmt: skip

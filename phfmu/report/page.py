@@ -57,7 +57,8 @@ def write_report(run: Run, path: str | os.PathLike[str], window: tuple[float, fl
     if run.audit is not None:
         history, summary = read_history(run.audit), summarise(run.audit)
         recording, closed = AuditSignals(history), summary.closed
-        title = recording.title if recording.title == run.name else f"{recording.title} ({run.name})"
+        target = str(history.about.get("target") or run.name)
+        title = target if target == run.name else f"{target} ({run.name})"
         events = marks(history)
         body += [*_verdict(summary), *_facts(history, run)]
         if summary.steps:

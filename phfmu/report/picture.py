@@ -6,20 +6,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from phfmu.report.choice import few, told
+from phfmu.report.pace import BAND, band, swings
+from phfmu.report.pace import window as periods
 from phfmu.report.prefix import scaled
 from phfmu.report.recording import Floats, Mark, Recording, Signal
 from phfmu.report.thin import COLUMNS, PER_COLUMN, thin
-from phfmu.words import counted
 
 #: axes of a picture of signals that nobody chose
 MOST_PANELS = 24
+#: height of a signal that can be seen as a band, of its axis
+SEEN = 0.05
+#: variables that the title of an axis names
+TITLED = 4
 #: Okabe and Ito's colours, told apart by colour-blind readers; their yellow is lost on white
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Points to draw, thinned; `colour` is an index of `COLOURS`, `dash` counts the lines of that colour on the axis."""
+    """Points to draw, thinned; `colour` is an index of `COLOURS`, `dash` counts the lines of that colour on the axis.
+
+    `band`: times, smallest and largest values of what swings too fast to be seen as a line.
+    """
 
     label: str
     time: Floats
@@ -27,17 +36,22 @@ class Curve:
     colour: int
     dash: int = 0
     limit: bool = False
+    band: tuple[Floats, Floats, Floats] | None = None
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One axis: values are in `unit`, its SI prefix or power of ten included ("" where there is none); `whole`: counts."""
+    """One axis: values are in `unit`, its SI prefix or power of ten included ("" where there is none); `whole`: counts.
+
+    `near`: the curves in a short window, where some have bands.
+    """
 
     title: str
     unit: str
     curves: tuple[Curve, ...]
     log: bool = False
     whole: bool = False
+    near: tuple[Curve, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,26 +69,29 @@ ALWAYS = (-math.inf, math.inf)
 
 
 def picture(recording: Recording, names: Sequence[str] = (), window: tuple[float, float] = ALWAYS) -> Picture:
-    """The picture of some signals, or of the usual ones, over a window of time.
+    """The picture of some signals, or of those that `choice` takes, over a window of time.
 
-    Signals of one unit share an axis; where units are not known, the entries of a variable do.
+    Signals of one unit share an axis, slow and fast ones apart; where units are not known, the entries of a variable do.
     Errors: ValueError for a window without a row.
     """
-    chosen = list(names) or recording.usual()
-    groups, notes = grouped(recording.read(chosen)), []
-    if not names and len(groups) > MOST_PANELS:
-        others = ", ".join(list(groups)[MOST_PANELS:])
-        notes.append(f"{MOST_PANELS} of {len(groups)} axes drawn; name signals for others: {others}")
-        groups = dict(list(groups.items())[:MOST_PANELS])
-    left = len(recording.names) - len(chosen)
-    if left and not names:
-        notes.append(f"{counted(left, 'signal')} left out (means and ends of steps, energies); name those wanted")
-    groups = {title: [clipped(s, window) for s in group] for title, group in groups.items()}
-    shown = [s for group in groups.values() for s in group]
-    if shown and not any(len(s.time) for s in shown):
+    found = [clipped(s, window) for s in recording.read(list(names) or recording.usual())]
+    if found and not any(len(s.time) for s in found):
         raise ValueError(f"{recording.title} has no row from {window[0]:g} s to {window[1]:g} s")
-    drawn = Picture(recording.title, panels(groups), notes=(*notes, *thinned(shown)))
-    return with_marks(drawn, recording.marks(), window)
+    groups, notes = grouped(found), list[str]()
+    if not names:
+        groups = [few(group, recording.names) for group in groups][:MOST_PANELS]
+        drawn = {s.name for group in groups for s in group}
+        drawn |= {s.name for s in found if s.limit}
+        left = [s.name for s in found if s.name not in drawn]
+        left += [n for n in recording.names if n not in {s.name for s in found}]
+        if left:
+            notes.append(told(left, len(recording.names), bool(found[0].topic)))
+    shown = [s for group in groups for s in group]
+    marks = [m for m in recording.marks() if window[0] <= m.time <= window[1]]
+    axes = tuple(panel(title_of(group), group, [m.time for m in marks]) for group in groups)
+    if any(p.near for p in axes):
+        notes.append("bands: least to largest value of signals with too many periods to draw; a few of them beside")
+    return Picture(recording.title, axes, tuple(marks), (*notes, *thinned(shown)))
 
 
 def with_marks(drawn: Picture, marks: Sequence[Mark], window: tuple[float, float] = ALWAYS) -> Picture:
@@ -90,54 +107,78 @@ def clipped(s: Signal, window: tuple[float, float]) -> Signal:
     return replace(s, time=s.time[a:b], values=s.values[a:b])
 
 
-def grouped(signals: Sequence[Signal]) -> dict[str, list[Signal]]:
-    """Signals that share an axis, by its title."""
+def grouped(signals: Sequence[Signal]) -> list[list[Signal]]:
+    """Signals that share an axis."""
     groups: dict[str, list[Signal]] = {}
     for s in signals:
-        title = s.topic or (f"unit {s.unit}" if s.unit not in (None, "", "1") else s.name.partition("[")[0])
-        groups.setdefault(title, []).append(s)
-    return {_title(title, group): group for title, group in groups.items()}
+        key = s.topic or (s.unit if s.unit not in (None, "", "1") else s.name.partition("[")[0])
+        groups.setdefault(key, []).append(s)
+    return [part for group in groups.values() for part in ([group] if group[0].topic else _by_pace(group)) if part]
 
 
-def _title(title: str, group: Sequence[Signal]) -> str:
-    """An axis of one variable is called by it."""
-    variables = {s.name.partition("[")[0] for s in group}
-    return variables.pop() if len(variables) == 1 and not group[0].topic else title
+def _by_pace(group: Sequence[Signal]) -> tuple[list[Signal], list[Signal]]:
+    """Slow signals, fast ones."""
+    reach = max(_largest(s.values) for s in group)
+    fast = [swings(s.values, reach) > 0.0 for s in group]
+    return tuple([s for s, f in zip(group, fast, strict=True) if f == kind] for kind in (False, True))  # type: ignore[return-value]
 
 
-def panels(groups: dict[str, list[Signal]]) -> tuple[Panel, ...]:
-    return tuple(panel(title, group) for title, group in groups.items())
+def title_of(group: Sequence[Signal]) -> str:
+    """An axis is called by what it is about, or by its variables."""
+    variables = list(dict.fromkeys(s.name.partition("[")[0] for s in group))
+    return group[0].topic or ", ".join(variables[:TITLED]) + (", .." if len(variables) > TITLED else "")
 
 
-def panel(title: str, signals: Sequence[Signal]) -> Panel:
-    """Signals on one axis, in the SI prefix that fits the largest of them."""
+def panel(title: str, signals: Sequence[Signal], events: Sequence[float] = ()) -> Panel:
+    """Signals on one axis, in the SI prefix that fits the largest of them; `events`: times, the first is looked at closely."""
     log, unit = signals[0].log, signals[0].unit
     size = max((_largest(s.values) for s in signals), default=0.0)
     factor, text = (1.0, unit or "") if log else scaled(size, unit)
-    curves, lines = list[Curve](), dict[int, int]()
-    for i, s in enumerate(signals):
-        time, values = thin(s.time, _logged(s.values) if log else s.values)
+    paces = [0.0 if log else _pace(s.values, size) for s in signals]
+    span = periods(signals[0].time, min(p for p in paces if p), sorted(events)) if any(paces) else None
+    curves, near, lines = list[Curve](), list[Curve](), dict[int, int]()
+    for i, (s, pace) in enumerate(zip(signals, paces, strict=True)):
+        time, values = _highest(s) if log else thin(s.time, s.values)
         colour = (i if s.owner is None else s.owner) % len(COLOURS)
-        curves.append(Curve(s.name, time, values * factor, colour, lines.get(colour, 0), s.limit))
+        edges = band(s.time, s.values * factor, pace) if pace else None
+        curve = Curve(s.name, time, values * factor, colour, lines.get(colour, 0), s.limit, edges)
+        curves.append(curve)
+        if span:
+            part = clipped(s, span)
+            time, values = thin(part.time, part.values * factor)
+            near.append(replace(curve, time=time, values=values, band=None))
         lines[colour] = lines.get(colour, 0) + (not s.limit)
     whole = unit == "1" and all((s.values == np.round(s.values)).all() for s in signals)
-    return Panel(title, "" if text == "1" else text, tuple(curves), log, whole)
+    return Panel(title, "" if text == "1" else text, tuple(curves), log, whole, tuple(near))
 
 
 def thinned(signals: Sequence[Signal]) -> list[str]:
     """What the reader must know of points that are not drawn."""
-    most = max((len(s.time) for s in signals), default=0)
-    if most <= PER_COLUMN * COLUMNS:
-        return []
-    return [
-        f"drawn from {most} rows: first, smallest, largest and last of each of {COLUMNS} columns; no more of them to zoom into"
-    ]
+    notes = []
+    if any(s.log and len(s.time) > 2 * BAND for s in signals):
+        notes.append(f"magnitudes on log axes: the largest of each of {BAND} parts of the time")
+    most = max((len(s.time) for s in signals if not s.log), default=0)
+    if most > PER_COLUMN * COLUMNS:
+        notes.append(
+            f"drawn from {most} rows: first, smallest, largest and last of each of {COLUMNS} columns; "
+            "no more of them to zoom into"
+        )
+    return notes
 
 
-def _logged(values: Floats) -> Floats:
-    """Magnitudes; a zero has no place on a log axis."""
-    size = np.abs(values)
-    return np.where(size > 0.0, size, np.nan)
+def _highest(s: Signal) -> tuple[Floats, Floats]:
+    """Magnitudes, of many rows the largest of each part; a zero has no place on a log axis."""
+    size = np.abs(s.values)
+    size = np.where(size > 0.0, size, np.nan)
+    if len(size) <= 2 * BAND:
+        return s.time, size
+    time, _, high = band(s.time, size)
+    return time, high
+
+
+def _pace(values: Floats, size: float) -> float:
+    """Swings of a signal that can be seen on an axis of this size."""
+    return swings(values, size) if len(values) and np.nanmax(values) - np.nanmin(values) > SEEN * size else 0.0
 
 
 def _largest(values: Floats) -> float:

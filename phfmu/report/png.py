@@ -7,15 +7,19 @@ from typing import Any
 import numpy as np
 
 from phfmu.report.extra import require
+from phfmu.report.labels import Label, height, labels
 from phfmu.report.picture import COLOURS, Curve, Panel, Picture
+from phfmu.report.prefix import scaled
 
 DPI = 100
-WIDTH, HEIGHT, ENTRY, FRAME = 1100, 190, 15, 90
+WIDTH, HEIGHT, ENTRY, FRAME = (1100, 1500), 190, 15, 90
 #: panels above which they stand beside each other
 ONE_COLUMN = 6
 DASHES = ("-", (0, (5, 2)), (0, (1, 1.3)), (0, (6, 2, 1, 2)))
-#: marks that have room for a text
-LABELLED = 12
+#: widths of the whole run and of the close look at a part of it; share of a column that axes have beside their legends
+WIDE, NEAR, SHARE = 1.7, 1.0, 0.75
+#: points between lines of texts of events
+UP = 10
 
 
 def write_png(drawn: Picture, path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> None:
@@ -29,26 +33,45 @@ def write_png(drawn: Picture, path: str | os.PathLike[str], size: tuple[int, int
 
     columns = 1 if len(drawn.panels) <= ONE_COLUMN else 2
     rows = max(ceil(len(drawn.panels) / columns), 1)
-    width, height = size or (WIDTH, FRAME + sum(_heights(drawn, rows, columns)))
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, layout="constrained")
+    span = _span(drawn)
+    texts = labels(drawn.marks, *span, (size or (WIDTH[columns - 1], 0))[0] / columns * SHARE)
+    heights = _heights(drawn, rows, columns)
+    width, full = size or (WIDTH[columns - 1], FRAME + height(texts) + sum(heights))
+    figure = Figure(figsize=(width / DPI, full / DPI), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(
-        rows, columns, squeeze=False, sharex=True, gridspec_kw={"height_ratios": _heights(drawn, rows, columns)}
+    near = any(p.near for p in drawn.panels)
+    grid = figure.add_gridspec(
+        rows,
+        columns * (1 + near),
+        height_ratios=heights,
+        width_ratios=[WIDE, NEAR] * columns if near else [1] * columns,
     )
-    for ax, panel in zip(axes.flat, drawn.panels, strict=False):
-        _panel(ax, panel)
-        _marks(ax, drawn, labelled=ax in axes[0])
-    for ax in axes.flat[len(drawn.panels) :]:
-        ax.set_visible(False)
-    for j in range(columns):
-        last = [ax for ax in axes[:, j] if ax.get_visible()]
-        if last:
-            last[-1].set_xlabel("time [s]")
-            last[-1].tick_params(labelbottom=True)
+    for i, panel in enumerate(drawn.panels):
+        row, column = i // columns, i % columns * (1 + near)
+        places = [grid[row, column], grid[row, column + 1]] if panel.near else [grid[row, column : column + 1 + near]]
+        axes = [figure.add_subplot(place) for place in places]
+        _panel(axes[0], panel, panel.curves)
+        axes[0].set_xlim(*span)
+        above = texts if row == 0 else []
+        axes[0].set_title(
+            panel.title, fontsize=9, loc="left", pad=4 + UP * (1 + max((t.row for t in above), default=-1))
+        )
+        _marks(axes[0], drawn, above)
+        if panel.near:
+            _near(axes[1], panel, axes[0])
+        _legend(axes[-1], panel)
+        last = i + columns >= len(drawn.panels)
+        _times(axes[0], span, last)
     figure.suptitle(_wrapped(drawn.title, width // 9), fontsize=11)
     if drawn.notes:
         figure.supxlabel(_wrapped("\n".join(drawn.notes), width // 6), fontsize=7, color="0.35")
     figure.savefig(path, dpi=DPI, format="png")
+
+
+def _span(drawn: Picture) -> tuple[float, float]:
+    times = [c.time for p in drawn.panels for c in p.curves if len(c.time)]
+    first, last = min((float(t[0]) for t in times), default=0.0), max((float(t[-1]) for t in times), default=1.0)
+    return (first, last) if last > first else (first - 0.5, first + 0.5)
 
 
 def _heights(drawn: Picture, rows: int, columns: int) -> list[int]:
@@ -57,12 +80,23 @@ def _heights(drawn: Picture, rows: int, columns: int) -> list[int]:
     return [max(HEIGHT, 30 + ENTRY * max(entries[i * columns : (i + 1) * columns])) for i in range(rows)]
 
 
-def _panel(ax: Any, panel: Panel) -> None:
+def _panel(ax: Any, panel: Panel, curves: tuple[Curve, ...]) -> None:
+    """Curves on their axis; the higher bands lie below."""
     from matplotlib.ticker import MaxNLocator
 
-    for curve in panel.curves:
-        ax.plot(curve.time, curve.values, **_style(curve, panel.log))
-    if panel.log and any(np.isfinite(c.values).any() for c in panel.curves):
+    reach = [0.0 if c.band is None else float(np.nanmax(c.band[2]) - np.nanmin(c.band[1])) for c in curves]
+    below = sorted(range(len(curves)), key=lambda i: -reach[i])
+    for i, curve in enumerate(curves):
+        if curve.band is not None:
+            time, low, high = curve.band
+            ax.fill_between(
+                time, low, high, fc=COLOURS[curve.colour], ec="none", alpha=0.25, zorder=1 + below.index(i) / 100
+            )
+            ax.plot(time, low, color=COLOURS[curve.colour], lw=0.5)
+            ax.plot(time, high, color=COLOURS[curve.colour], lw=0.5)
+        else:
+            ax.plot(curve.time, curve.values, **_style(curve, panel.log))
+    if panel.log and any(np.isfinite(c.values).any() for c in curves):
         ax.set_yscale("log")
     else:
         ax.yaxis.set_major_locator(MaxNLocator("auto", integer=panel.whole, steps=[1, 2, 2.5, 5, 10]))
@@ -70,14 +104,47 @@ def _panel(ax: Any, panel: Panel) -> None:
             low, high = ax.get_ylim()
             ax.set_ylim(min(low, np.ceil(low) - 0.5), max(high, np.floor(high) + 0.5))
         ax.ticklabel_format(axis="y", useOffset=False, style="plain")
-    ax.set_title(panel.title, fontsize=9, loc="left")
     ax.set_ylabel(panel.unit, fontsize=9)
     ax.tick_params(labelsize=8)
     ax.grid(color="0.9", lw=0.6)
     ax.spines[["top", "right"]].set_visible(False)
-    ax.margins(x=0.0)
-    if [c.label for c in panel.curves] != [panel.title]:
-        ax.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=2.6)
+
+
+def _near(ax: Any, panel: Panel, whole: Any) -> None:
+    """A few periods, and where they are in the whole."""
+    from matplotlib.ticker import MaxNLocator
+
+    _panel(ax, panel, panel.near)
+    ax.set_ylabel("")
+    times = [c.time for c in panel.near if len(c.time)]
+    start, stop = float(times[0][0]), float(times[0][-1])
+    ax.set_xlim(start, stop)
+    ax.xaxis.set_major_locator(MaxNLocator(3))
+    ax.set_title("in the grey window", fontsize=8, loc="left", color="0.4")
+    ax.set_facecolor("0.975")
+    whole.axvspan(start, stop, color="0.5", alpha=0.35, lw=0, zorder=0.5)
+
+
+def _legend(ax: Any, panel: Panel) -> None:
+    from matplotlib.lines import Line2D
+
+    curves = [c for c in panel.curves if not c.limit]
+    if [c.label for c in curves] == [panel.title]:
+        return
+    lines = [Line2D([], [], **_style(c, panel.log)) for c in curves]
+    ax.legend(handles=lines, fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.02), handlelength=2.6)
+
+
+def _times(ax: Any, span: tuple[float, float], last: bool) -> None:
+    """Times in s, ms or µs, written at the lowest axis of a column."""
+    from matplotlib.ticker import FuncFormatter
+
+    factor, unit = scaled(max(abs(t) for t in span), "s")
+    if factor != 1.0:
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda t, _: f"{t * factor:g}"))
+    ax.tick_params(labelbottom=last)
+    if last:
+        ax.set_xlabel(f"time [{unit}]")
 
 
 def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
@@ -88,20 +155,17 @@ def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     return {"color": colour, "ls": dash, "lw": 0.6 if log else 1.1, "label": curve.label}
 
 
-def _marks(ax: Any, drawn: Picture, labelled: bool) -> None:
+def _marks(ax: Any, drawn: Picture, texts: list[Label]) -> None:
+    """A dotted line for each event; its text above the axis, below the title."""
     for mark in drawn.marks:
         ax.axvline(mark.time, color="0.45", lw=0.8, ls=":")
-    if labelled and len(drawn.marks) <= LABELLED:
-        for mark in drawn.marks:
-            ax.annotate(
-                _shortened(mark.text), (mark.time, 0.97), (2, 0), xycoords=ax.get_xaxis_transform(),
-                textcoords="offset points", rotation=90, va="top", fontsize=7, color="0.3",
-                bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75},
-            )  # fmt: skip
-
-
-def _shortened(text: str, most: int = 26) -> str:
-    return text if len(text) <= most else f"{text[: most - 1]}…"
+    for t in texts:
+        ax.annotate(
+            t.text, (t.time, 1.0), (-3 if t.right else 3, 2 + UP * t.row), xycoords=ax.get_xaxis_transform(),
+            textcoords="offset points", ha="right" if t.right else "left", va="bottom", fontsize=7.5, color="0.25",
+            arrowprops={"arrowstyle": "-", "ls": ":", "lw": 0.8, "color": "0.45", "relpos": (1.0 if t.right else 0.0, 0.0),
+                        "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
 
 
 def _wrapped(text: str, columns: int) -> str:

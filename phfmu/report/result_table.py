@@ -3,21 +3,9 @@
 import os
 from collections.abc import Sequence
 
+from phfmu.report.choice import usual
 from phfmu.report.recording import Mark, Signal
 from phfmu.results.file import ResultFile
-from phfmu.signals import CONSTRAINT, END, ENERGY, LEDGER, MEAN, total
-
-#: endings of what is not drawn unasked: mean and end values of a step, books and constraints
-_BESIDE = (MEAN, END, ENERGY, *(total(name) for name, _, _ in LEDGER))
-
-
-def usual(names: Sequence[str]) -> list[str]:
-    """Signals that a picture shows unasked: all but means and ends of steps, energies and the marks of rows."""
-    bases = {n: n.partition("[")[0] for n in names}
-    chosen = [
-        n for n, b in bases.items() if not b.endswith(_BESIDE) and not b.startswith(CONSTRAINT) and b != "interpolated"
-    ]
-    return chosen or list(names)
 
 
 class ResultTable:

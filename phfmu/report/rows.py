@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from phfmu.report.choice import usual
 from phfmu.report.recording import Floats, Mark, Signal
-from phfmu.report.result_table import usual
 
 
 class Rows:

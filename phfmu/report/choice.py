@@ -1,0 +1,84 @@
+"""Which signals a picture shows that nobody chose.
+
+At most `MOST` on an axis.  Of a result table: states, observables and inputs before values at ports, these before algebraic
+variables; first entries before second ones, so that every variable has its turn; no signal that is another one or its
+negative again.  Of an audit: the largest.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from phfmu.report.recording import Signal
+from phfmu.signals import CONSTRAINT, END, ENERGY, LEDGER, MEAN, total
+from phfmu.words import counted
+
+#: signals on an axis
+MOST = 6
+#: endings of what is not drawn unasked: mean and end values of a step, books
+_BESIDE = (MEAN, END, ENERGY, *(total(name) for name, _, _ in LEDGER))
+#: rows at which two signals are compared
+_SAMPLES = 500
+
+
+def usual(names: Sequence[str]) -> list[str]:
+    """Signals of a table that may be drawn: all but means and ends of steps, energies and the marks of rows."""
+    bases = {n: _base(n) for n in names}
+    chosen = [
+        n for n, b in bases.items() if not b.endswith(_BESIDE) and not b.startswith(CONSTRAINT) and b != "interpolated"
+    ]
+    return chosen or list(names)
+
+
+def few(signals: Sequence[Signal], names: Sequence[str]) -> list[Signal]:
+    """Those of one axis that are drawn, in their order; `names`: all of the recording."""
+    if signals[0].topic:
+        return _largest(signals)
+    bases = {_base(n) for n in names}
+    turns: dict[str, int] = {}
+    keys = dict[int, tuple[int, int]]()
+    for i, s in enumerate(signals):
+        base = _base(s.name)
+        turns[base] = turns.get(base, -1) + 1
+        keys[i] = _rank(base, bases), turns[base]
+    kept: list[int] = []
+    for i in sorted(keys, key=keys.__getitem__):
+        if len(kept) < MOST and not (keys[i][0] and any(_again(signals[i], signals[k]) for k in kept)):
+            kept.append(i)
+    return [signals[i] for i in sorted(kept)]
+
+
+def told(left: Sequence[str], total: int, audit: bool) -> str:
+    """The line that says what is left out and how to see it."""
+    rule = "the largest" if audit else "states, observables and inputs first; no means and ends of steps, no energies"
+    return (
+        f"{counted(len(left), 'signal')} of {total} left out (at most {MOST} an axis: {rule}); "
+        f"to see them: phfmu plot FILE {left[0].partition('[')[0]} ..."
+    )
+
+
+def _base(name: str) -> str:
+    return name.partition("[")[0]
+
+
+def _rank(base: str, bases: set[str]) -> int:
+    """0: state, observable, input; 1: at a port, which has a mean too; 2: algebraic, which has a value at the end too."""
+    return 1 if base + MEAN in bases else 2 if base + END in bases else 0
+
+
+def _again(a: Signal, b: Signal) -> bool:
+    """Whether two signals of different variables draw the same curve, or its mirror image."""
+    if _base(a.name) == _base(b.name) or len(a.values) != len(b.values):
+        return False
+    every = max(len(a.values) // _SAMPLES, 1)
+    x, y = a.values[::every], b.values[::every]
+    close = 1e-6 * float(np.nanmax(np.abs(x), initial=0.0))
+    return any(bool((np.abs(x - sign * y) <= close).all()) for sign in (1.0, -1.0))
+
+
+def _largest(signals: Sequence[Signal]) -> list[Signal]:
+    """The largest of a topic, and their limits."""
+    sizes = {i: float(np.nanmax(np.abs(s.values), initial=0.0)) for i, s in enumerate(signals) if not s.limit}
+    kept = set(sorted(sizes, key=lambda i: -sizes[i])[:MOST])
+    owners = {signals[i].owner for i in kept}
+    return [s for i, s in enumerate(signals) if i in kept or (s.limit and s.owner in owners)]
