@@ -82,7 +82,7 @@ def bumper(
         structure=(skew(q, speed, 1.0),),
         ports=(flange,),
         state_events=(
-            StateEvent(hits, when={"free": 1.0}, jump=Jump({speed: 1.0}, es), rest={"free": 0.0}),
+            StateEvent(hits, when={"free": 1.0}, jump=Jump({speed: 1.0}, es, law="unilateral"), rest={"free": 0.0}),
             StateEvent(leaves, when={"free": 0.0}, sets={"free": 1.0}),
         ),
         description="body with a bumper before a wall",

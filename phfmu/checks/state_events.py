@@ -9,7 +9,7 @@ from math import isfinite, isnan
 from phfmu.checks.sample import Sample
 from phfmu.declare.entries import Entries, Entry
 from phfmu.declare.entry_kind import EntryKind
-from phfmu.declare.event import StateEvent
+from phfmu.declare.event import LAWS, Jump, StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
 
@@ -21,9 +21,8 @@ def state_events(entries: Entries) -> list[Problem]:
         found += _direction(e)
         for what in ("when", "sets", "rest"):
             found += _values(model, e, what)
-        if e.jump is not None and not e.jump.most >= 0:
-            text = f"most = {e.jump.most:g}"
-            found.append(Problem("state-event", f"jump '{e.guard.name}'", text, "give the largest |c|, from 0"))
+        if e.jump is not None:
+            found += _jump(f"jump '{e.guard.name}'", e.jump)
     if not found and (jumps := entries.of(EntryKind.RESTITUTION)):
         found += _restitutions(Sample(entries), jumps)
     return found
@@ -37,6 +36,15 @@ def _direction(e: StateEvent) -> Iterator[Problem]:
             f"direction = {e.guard.direction}",
             "give -1 (falling), 1 (rising) or 0 (both)",
         )
+
+
+def _jump(entry: str, jump: Jump) -> Iterator[Problem]:
+    if not jump.most >= 0:
+        yield Problem("state-event", entry, f"most = {jump.most:g}", "give the largest |c|, from 0")
+    if jump.law not in LAWS:
+        close = get_close_matches(jump.law, LAWS, 1)
+        remedy = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(LAWS)}"
+        yield Problem("state-event", entry, f"{jump.law!r} is no law", remedy)
 
 
 def _values(model: PHDAE, e: StateEvent, what: str) -> Iterator[Problem]:

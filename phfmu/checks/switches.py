@@ -8,9 +8,10 @@ from difflib import get_close_matches
 
 import casadi as ca
 
+from phfmu.declare.event import LAWS
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
-from phfmu.declare.switch import LAWS, Switch
+from phfmu.declare.switch import Switch
 from phfmu.declare.variable import _sx, key
 
 

@@ -11,9 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
-from typing import Any
+from typing import Any, Literal
 
 from phfmu.declare.variable import Variable
+
+Law = Literal["free", "unilateral"]
+LAWS: tuple[Law, ...] = ("free", "unilateral")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +44,15 @@ class Jump:
     restitution:  e in [0, 1], a number or an expression of parameters; 0: c vanishes
     most:         the largest |c| that may jump, in the unit of c (chopping current of a breaker); more refuses the step
     owner:        member that the loss (1 - e^2)/2 c S^-1 c, S = L^T H'' L, is booked at
+    law:          "free": m of either sign, a grip;  "unilateral": a contact that pushes only, 0 <= m, 0 <= c(x+) + e c(x-), one
+                  of them zero; c is the rate at which it opens
     """
 
     on: Mapping[Variable, Any]
     restitution: Any = 0.0
     most: float = inf
     owner: str = ""
+    law: Law = "free"
 
 
 @dataclass(frozen=True, eq=False)

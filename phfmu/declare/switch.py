@@ -11,18 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
-from phfmu.declare.event import Guard, StateEvent
+from phfmu.declare.event import Guard, Law, StateEvent
 from phfmu.declare.variable import Variable, _sx
 
 if TYPE_CHECKING:
     from phfmu.declare.port import Port
-
-Law = Literal["free", "unilateral"]
-LAWS: tuple[Law, ...] = ("free", "unilateral")
 
 
 @dataclass(frozen=True, eq=False)

@@ -182,7 +182,8 @@ def schur_sizes(schur: SchurStepper) -> dict[str, Any]:
 def event_values(plan: EventPlan) -> dict[str, Any]:
     """Sizes, the jumps, and the matrices of the fit at its points."""
     found, polynomial, jump = fit(plan.polynomial.nodes.k), plan.polynomial, plan.jump
-    tables = {f"jump_{name}": () if jump is None else getattr(jump, name) for name in ("moved", "component", "most")}
+    names = ("moved", "component", "most", "pushes")
+    tables = {f"jump_{name}": () if jump is None else getattr(jump, name) for name in names}
     return {
         **tables,
         "jump_of": np.full(plan.n, -1) if jump is None else jump.of,

@@ -17,7 +17,7 @@ REASONS = (
     ("{names} would jump with |c| = {value:.6g}, more than its most = {limit:.6g}", "let it jump later, or allow more"),
     (
         "the jumps of {names} together gain {value:.6g} J: their restitutions differ",
-        "give events that happen together one restitution",
+        'give events that happen together one restitution, or let contacts push only (Jump(law="unilateral"))',
     ),
     (
         f"{int(LIMITS['MOST_EVENTS'])} events fall into one step, the last {{names}}",

@@ -11,7 +11,7 @@ from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.guards import Guards
 from phfmu.engine.limits import LIMITS
 from phfmu.events.event_plan import EventPlan
-from phfmu.events.impulse import impulses
+from phfmu.events.impulse import impulses, pushing
 
 Array = NDArray[Any]
 
@@ -47,9 +47,11 @@ class Jumps:
         for j, c in enumerate(at.c.sum(axis=0)[:n]):
             if abs(c) > jump.most[which[j]]:
                 self.refuse(t, MOST, [jumping[j]], abs(float(c)), float(jump.most[which[j]]))
+        least, pushes = LIMITS["JUMP_DEPENDENT"], jump.pushes[which] > 0
+        acts = pushing(at.S, goal, pushes, least, LIMITS["PUSH_ROUNDING"], int(LIMITS["MOST_PUSHING"]))
         for _ in range(2):  # the second corrects the rounding of the first
-            found = impulses(at.S, goal, n, LIMITS["JUMP_DEPENDENT"])
-            if found is None:
+            found = None if acts is None else impulses(at.S, goal, acts, n, least)
+            if found is None or acts is None:
                 self.refuse(t, DEPENDENT, jumping)
             m += found
             x[jump.moved] += at.L @ found

@@ -1,4 +1,4 @@
-"""Impulses of jumps at one instant: x+ = x- + L m with c(x+) = -e c(x-), and what they cost."""
+"""Impulses of jumps at one instant: x+ = x- + L m with c(x+) = -e c(x-), contacts that push only among them."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Columns:
         return Columns(self.L[:, which], self.c[:, which], self.S[np.ix_(which, which)], self.e[jumps])
 
 
-def impulses(S: Array, goal: Array, strict: int, least: float) -> Array | None:
-    """m with S m = goal by Cholesky's method.
+def impulses(S: Array, goal: Array, acts: NDArray[np.bool_], strict: int, least: float) -> Array | None:
+    """m with S m = goal in the columns that act by Cholesky's method, zero in the others.
 
     None where one of the first `strict` pivots is below `least` of its diagonal: columns depend on each other.  Later columns
     that depend on those before them (redundant constraints, nodes that nothing is joined to) get m = 0.
@@ -38,8 +38,8 @@ def impulses(S: Array, goal: Array, strict: int, least: float) -> Array | None:
     factor, m = np.zeros_like(S), goal.copy()
     for j in range(n):
         pivot = S[j, j] - factor[j, :j] @ factor[j, :j]
-        if not pivot > least * S[j, j]:
-            if j < strict:
+        if not acts[j] or not pivot > least * S[j, j]:
+            if acts[j] and j < strict:
                 return None
             m[j] = 0.0  # and so is its column of the factor
             continue
@@ -51,3 +51,24 @@ def impulses(S: Array, goal: Array, strict: int, least: float) -> Array | None:
         if factor[j, j]:
             m[j] = (m[j] - factor[j + 1 :, j] @ m[j + 1 :]) / factor[j, j]
     return m
+
+
+def pushing(
+    S: Array, goal: Array, pushes: NDArray[np.bool_], least: float, rounding: float, most: int
+) -> NDArray[np.bool_] | None:
+    """Which columns act, with 0 <= m, 0 <= S m - goal, one of them zero, in the first ones (jumps) where `pushes`; others act.
+
+    The first that is wrong by more than `rounding` changes sides until none is, which ends for S positive definite (Murty,
+    Opsearch 11, 1974); None where columns depend on each other, or after `most` sets.
+    """
+    acts, own = np.ones(len(goal), bool), np.flatnonzero(pushes)
+    for _ in range(most):
+        m = impulses(S, goal, acts, len(pushes), least)
+        if m is None:
+            return None
+        value = np.where(acts, S.diagonal() * m, S @ m - goal)[own]
+        wrong = value < -rounding * (np.abs(S) @ np.abs(m) + np.abs(goal))[own]
+        if not wrong.any():
+            return acts
+        acts[own[wrong.argmax()]] ^= True
+    return None

@@ -1,6 +1,7 @@
 """Jumps of state events as one kernel: L, c by component, S and e at a state.
 
-With the columns of `jump_columns`, c+ = c- + S m; the jumps want c+ = -e c-, the constraints c+ = 0, and it costs
+With the columns of `jump_columns`, c+ = c- + S m; the jumps want c+ = -e c-, or 0 <= m and 0 <= c+ + e c- of which one is zero,
+the constraints c+ = 0, and it costs
 
     lost = -1/2 m^T (c- + c+) = (1 - e^2)/2 c-^T S^-1 c-   (common e).
 """
@@ -18,7 +19,7 @@ from phfmu.declare.event import StateEvent
 from phfmu.declare.value import Value
 from phfmu.events.jump_columns import jump_columns
 from phfmu.plan.address import Address, row
-from phfmu.plan.plan import Floats, Group, Ints
+from phfmu.plan.plan import Floats, Group, Ints, Powers
 from phfmu.plan.spec import Spec, build
 from phfmu.terms.canonical import Locator, make_term
 from phfmu.terms.located import Row, RowAt
@@ -32,7 +33,7 @@ class JumpTables:
     """The n jumps of a model, and the constraints that hold through them: N columns together.
 
     of:      event -> its jump, -1 for none;  moved (m): states that jump;  component (c): those whose energy they change
-    held:    names of the N - n constraints;  most (n): largest |c|
+    held:    names of the N - n constraints;  most (n): largest |c|;  pushes (n): 1 = its impulse is not negative
     group:   one kernel of x and p with the results [c by component (c N) | L by column (m N) | S (N N) | e (n)]
     """
 
@@ -41,6 +42,7 @@ class JumpTables:
     component: Ints
     held: tuple[str, ...]
     most: Floats
+    pushes: Powers
     group: Group
 
     @property
@@ -89,5 +91,6 @@ def jump_tables(terms: Terms, events: Sequence[StateEvent]) -> JumpTables | None
         np.array(found.components, np.int32),
         found.held,
         np.array([j.most for j in jumps if j is not None], float),
+        np.array([j.law == "unilateral" for j in jumps if j is not None], np.int8),
         group,
     )

@@ -5,7 +5,8 @@
  *
  * INPUT_REFERENCE -1: no input. MORE: lengths of steps that follow the N, joined by commas, or -; after each
  * of them values are printed again. VERSION 3.0-early: the unit may return early. Where it does, or discards
- * a step, the last successful time and the values there are printed, and the run ends. */
+ * a step, the last successful time and the values there are printed, and the run ends; VERSION 3.0-events: it
+ * goes on from there to the end of the step. */
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -49,7 +50,7 @@ static void *symbol(void *library, const char *name) {
 
 typedef struct plan {
     double h, u, more[64], t;
-    int n, nmore, input, m, early;
+    int n, nmore, input, m, early, on;
     unsigned ref[1024];
 } plan;
 
@@ -116,21 +117,28 @@ static int run3(void *library, const char *token, plan *p) {
         MUST(set(c, &in, 1, &p->u, 1));
     MUST(leave(c));
     for (int k = 0; k < p->n + p->nmore; k++) {
-        const double h = k < p->n ? p->h : p->more[k - p->n];
-        bool event, end, early;
-        double last;
-        MUST(step(c, p->t, h, 0, &event, &end, &early, &last));
-        if (early) {
-            printf("%.17g\n", last);
-            p->n = k + 1;
-            p->nmore = 0;
-        }
-        p->t = k < p->n ? (k + 1) * h : p->t + h;
-        for (int i = 0; k + 1 >= p->n && i < p->m; i++) {
-            double value;
-            MUST(get(c, &p->ref[i], 1, &value, 1));
-            printf("%.17g\n", value);
-        }
+        const double h = k < p->n ? p->h : p->more[k - p->n], end = k < p->n ? (k + 1) * h : p->t + h;
+        bool event, stop, early = false;
+        double last, t = p->t, part = h;
+        do {
+            MUST(step(c, t, part, 0, &event, &stop, &early, &last));
+            if (event || stop)
+                return 1;
+            if (early)
+                printf("%.17g\n", last);
+            if (early && !p->on) {
+                p->n = k + 1;
+                p->nmore = 0;
+            }
+            for (int i = 0; ((early && p->on) || k + 1 >= p->n) && i < p->m; i++) {
+                double value;
+                MUST(get(c, &p->ref[i], 1, &value, 1));
+                printf("%.17g\n", value);
+            }
+            t = last;
+            part = end - last;
+        } while (early && p->on);
+        p->t = end;
     }
     MUST(terminate(c));
     release(c);
@@ -149,7 +157,8 @@ int main(int argc, char **argv) {
         fprintf(stderr, "%s\n", dlerror());
         return 1;
     }
-    p.early = strcmp(argv[2], "3.0-early") == 0;
+    p.on = strcmp(argv[2], "3.0-events") == 0;
+    p.early = p.on || strcmp(argv[2], "3.0-early") == 0;
     p.h = atof(argv[4]);
     p.n = atoi(argv[5]);
     p.input = atoi(argv[6]);

@@ -228,6 +228,38 @@ def test_a_unit_of_fmi_3_may_return_early_at_an_event(ball: Any, units: dict[tup
     assert len(returns) == whole_count(ball) and returns[0] == pytest.approx((2 / 9.81) ** 0.5, abs=1e-14)
 
 
+@needs_cc
+def test_a_host_without_interpreter_goes_on_from_each_event(units: dict[tuple[str, str], Path], tmp_path: Path) -> None:
+    """Early returns in C: at the impacts by hand, with height and speed there, and the end of the whole run to the bit."""
+    path, n = units["ball", "3.0"], 256
+    with zipfile.ZipFile(path) as archive:
+        library = next(name for name in archive.namelist() if name.startswith("binaries/"))
+        (tmp_path / "unit.so").write_bytes(archive.read(library))
+    host = tmp_path / "host"
+    command = ["cc", "-std=c11", "-isystem", str(sources.HEADERS), str(HERE / "fmu_host.c"), "-o", str(host), "-ldl"]
+    subprocess.run(command, check=True)
+    names = ["time", "q", "p", "events.count", "events.last", "energy.events", "energy.gap", "energy.residual"]
+    with FMUInstance(path) as unit:
+        about = unit.interface
+        for k in range(n):
+            unit.do_step(k * H, H)
+        whole = unit.get(names[:5]).tolist()
+    references = [str(about.variables[name].reference) for name in names]
+    command = [str(host), str(tmp_path / "unit.so"), "3.0-events", about.token, repr(H), str(n), "-1", "0", "-"]
+    done = subprocess.run([*command, *references], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    printed = np.array([float(line) for line in done.stdout.split()])
+    returns, end = printed[: -len(names)].reshape(3, 1 + len(names)), printed[-len(names) :]
+    impacts, t, v = [], (2 / 9.81) ** 0.5, (2 * 9.81) ** 0.5
+    for _ in range(3):
+        v *= 0.8
+        impacts.append([t, t, 0.0, v, len(impacts) + 1, t, v**2 / 2 - 9.81, 0.0, 0.0])
+        t += 2 * v / 9.81
+    assert returns == pytest.approx(np.array(impacts), abs=2e-12)
+    assert (returns[:, 0] == returns[:, 1]).all() and (returns[:, 0] == returns[:, 5]).all()
+    assert end[:5].tolist() == whole and abs(end[6:]).max() < 1e-13
+
+
 def whole_count(model: Any) -> int:
     return len([n for n in composed(model, H, 2 * 128).notes if "floor" in n])
 

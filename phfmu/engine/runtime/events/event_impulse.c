@@ -21,12 +21,12 @@ static void columns(ph_landing *l, int n) {
     }
 }
 
-/* Row j of the factor of s; its pivot is 0 where the column depends on those before it. */
-static void factorise(const double *s, int n, int j, double *factor) {
+/* Row j of the factor of s; its pivot is 0 where it does not act or depends on those before it. */
+static void factorise(const double *s, const signed char *acts, int n, int j, double *factor) {
     double pivot = s[j * n + j];
     for (int k = 0; k < j; k++)
         pivot -= factor[j * n + k] * factor[j * n + k];
-    factor[j * n + j] = pivot > PH_JUMP_DEPENDENT * s[j * n + j] ? sqrt(pivot) : 0.0;
+    factor[j * n + j] = acts[j] && pivot > PH_JUMP_DEPENDENT * s[j * n + j] ? sqrt(pivot) : 0.0;
     for (int i = j + 1; i < n; i++) {
         double value = s[i * n + j];
         for (int k = 0; k < j; k++)
@@ -35,19 +35,22 @@ static void factorise(const double *s, int n, int j, double *factor) {
     }
 }
 
-/* m (n) with S m = goal by Cholesky's method; 0: one of the first `strict` columns depends on those before
- * it.  Later ones that do (redundant constraints, nodes that nothing is joined to) get m = 0. */
-static int solve(const double *s, const double *goal, int n, int strict, double *factor, double *m) {
+/* l->found (n) with S m = goal for the columns that act by Cholesky's method; 0: one of the first `strict`
+ * depends on those before it. Later ones that do (redundant constraints, nodes that nothing is joined to) get
+ * m = 0, as those that do not act. */
+static int solve(ph_landing *l, int n, int strict) {
+    const double *s = l->s, *goal = l->goal;
+    double *factor = l->factor, *m = l->found;
     for (int j = 0; j < n; j++) {
         const double *own = factor + j * n;
-        factorise(s, n, j, factor);
+        factorise(s, l->acts, n, j, factor);
         m[j] = 0.0;
         if (own[j] > 0.0) {
             m[j] = goal[j];
             for (int k = 0; k < j; k++)
                 m[j] -= own[k] * m[k];
             m[j] /= own[j];
-        } else if (j < strict)
+        } else if (l->acts[j] && j < strict)
             return 0;
     }
     for (int j = n - 1; j >= 0; j--)
@@ -57,6 +60,36 @@ static int solve(const double *s, const double *goal, int n, int strict, double 
             m[j] /= factor[j * n + j];
         }
     return 1;
+}
+
+/* The first jump that pushes only whose impulse, or whose c beyond its goal, is negative; -1: none is. */
+static int pulls(const ph_landing *l, int n, int jumping) {
+    for (int j = 0; j < jumping; j++) {
+        double left = -l->goal[j], size = fabs(left);
+        if (!l->events->jump_pushes[l->which[j]])
+            continue;
+        for (int i = 0; i < n; i++) {
+            const double part = l->s[j * n + i] * l->found[i];
+            left += part;
+            size += fabs(part);
+        }
+        if ((l->acts[j] ? l->s[j * n + j] * l->found[j] : left) < -PH_PUSH_ROUNDING * size)
+            return j;
+    }
+    return -1;
+}
+
+/* 0 <= m, 0 <= S m - goal, one of them zero, for jumps that push only: the first that is wrong changes sides
+ * until none is, which ends for S positive definite; the twin of `pushing` in events/impulse.py. */
+static int choose(ph_landing *l, int n, int jumping) {
+    memset(l->acts, 1, (size_t)n);
+    for (int tries = 0; tries < PH_MOST_PUSHING && solve(l, n, jumping); tries++) {
+        const int wrong = pulls(l, n, jumping);
+        if (wrong < 0)
+            return 1;
+        l->acts[wrong] = !l->acts[wrong];
+    }
+    return 0;
 }
 
 static double sum_c(const ph_landing *l, const double *c, int n, int j) {
@@ -95,7 +128,7 @@ static int aim(ph_landing *l, int n, int jumping) {
     return PH_OK;
 }
 
-/* x += L m, c(x) = -e c before; twice, which corrects the rounding of the first. */
+/* x += L m, c(x) = -e c before where it acts; twice, which corrects the rounding of the first. */
 static int move(ph_landing *l, int n, int jumping) {
     const ph_events *e = l->events;
     int status;
@@ -103,7 +136,7 @@ static int move(ph_landing *l, int n, int jumping) {
     memcpy(l->before_c, l->c, sizeof(double) * (size_t)(n * e->ncomponent));
     status = aim(l, n, jumping);
     for (int pass = 0; pass < 2 && status == PH_OK; pass++) {
-        if (!solve(l->s, l->goal, n, jumping, l->factor, l->found))
+        if (!(pass ? solve(l, n, jumping) : choose(l, n, jumping)))
             return refuse_jumping(l);
         for (int j = 0; j < n; j++) {
             const double *column = l->jump + e->ncolumn * e->ncomponent + l->which[j] * e->nmoved;

@@ -43,6 +43,7 @@ static size_t lay_out(ph_landing *l, char *base) {
     l->e = doubles(base, &used, n);
     l->which = place(base, &used, sizeof(int) * (size_t)n);
     l->whose = place(base, &used, sizeof(int) * (size_t)e->njump);
+    l->acts = place(base, &used, (size_t)n);
     l->fired = place(base, &used, (size_t)e->n);
     l->rests = place(base, &used, (size_t)e->n);
     l->looked = place(base, &used, (size_t)e->n);

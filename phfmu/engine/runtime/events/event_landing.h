@@ -33,6 +33,7 @@ struct ph_landing {
     double *s, *factor;       /* ncolumn*ncolumn */
     double *goal, *m, *found; /* ncolumn */
     double *e;                /* ncolumn */
+    signed char *acts;        /* ncolumn: 1 = has an impulse */
     int *which;               /* ncolumn: the jumps that happen, then the constraints, */
     int *whose;               /* njump: and the events of the jumps */
     signed char *fired, *rests, *looked, *from_zero, *refused; /* n */

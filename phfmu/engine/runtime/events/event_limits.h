@@ -38,4 +38,9 @@
 /* Pivots of S this small against its diagonal: the jumps depend on each other. */
 #define PH_JUMP_DEPENDENT 1e-12
 
+/* An impulse that only pushes, and what is left of its c, may be negative by this part of what they are made
+ * of, rounding. Sets of contacts that push are tried up to so many. */
+#define PH_PUSH_ROUNDING 1e-12
+#define PH_MOST_PUSHING 4096
+
 #endif

@@ -38,6 +38,7 @@ typedef struct ph_events {
     const int *jump_moved;             /* nmoved */
     const int *jump_component;         /* ncomponent */
     const double *jump_most;           /* njump: largest |c| */
+    const signed char *jump_pushes;    /* njump: 1 = its impulse is not negative */
     const int *polynomial_state;       /* nincrement: each increment with its state, */
     const int *polynomial_w;           /* its place among the unknowns */
     const int *polynomial_node;        /* and its node */
