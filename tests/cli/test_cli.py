@@ -339,10 +339,11 @@ def test_recover(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_no_progress_bar_in_a_pipe(cli: Cli) -> None:
     call = [sys.executable, "-c", "from phfmu.cli import main; raise SystemExit(main())"]
-    done = subprocess.run([*call, "run", "mass", "--stop", "0.1"], capture_output=True, text=True, check=True)
+    words = ["run", "mass", "--engine", "python", "--stop", "0.1"]
+    done = subprocess.run([*call, *words], capture_output=True, text=True, check=True)
     assert done.stderr == "" and not {"\r", "\x1b"} & set(done.stdout) and "closed" in done.stdout
-    done = subprocess.run([*call, "run", "none"], capture_output=True, text=True)
-    assert done.returncode == 2 and done.stdout == "" and done.stderr.startswith("phfmu: no component")
+    code, out, err = cli("run", "none")
+    assert (code, out) == (2, "") and err.startswith("phfmu: no component")
 
 
 # -- names and the terminal ----------------------------------------------------------------------------------
@@ -385,8 +386,7 @@ def test_a_terminal_without_the_letters(tmp_path: Path, verb: str) -> None:
 
 
 def test_the_package_is_a_command() -> None:
-    for words, said in ((["--version"], "phfmu "), (["list"], "smib")):
-        done = subprocess.run([sys.executable, "-m", "phfmu", *words], capture_output=True, text=True)
-        assert done.returncode == 0 and said in done.stdout
+    done = subprocess.run([sys.executable, "-m", "phfmu", "--version"], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("phfmu ")
     done = subprocess.run([sys.executable, "-m", "phfmu", "run", "none"], capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.startswith("phfmu: no component")

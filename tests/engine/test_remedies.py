@@ -13,6 +13,7 @@ from phfmu.components.mechanical.translational import mass
 from phfmu.engine.status import Status
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.members.engine_member import EngineMember
+from tests.wide import wide
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
@@ -133,12 +134,15 @@ def test_no_message_names_an_option_that_does_not_exist() -> None:
         assert "--engine native for" not in path.read_text(), path
 
 
-def test_newton_says_its_order_and_why(capsys, compiler) -> None:
-    """Members keep theirs, also as units; `info` says what a junction exchanges."""
-    common = ("run", "oscillator", "--stop", "0.02", "--coupling", "newton")
-    for engine in ("fmu", "python"):
-        code, text = said(capsys, *common, "--engine", engine, "--order", "4")
-        assert code == 0 and f"order 4, {engine} engine, newton" in text and "inputs held" not in text
+@pytest.mark.parametrize("engine", wide(["fmu", "python"], "python"))
+def test_newton_says_its_order(capsys, compiler, engine) -> None:
+    """Members keep theirs, also as units."""
+    words = ("run", "oscillator", "--stop", "0.02", "--coupling", "newton", "--engine", engine, "--order", "4")
+    code, text = said(capsys, *words)
+    assert code == 0 and f"order 4, {engine} engine, newton" in text and "inputs held" not in text
+
+
+def test_info_says_what_a_junction_exchanges(capsys) -> None:
     info = said(capsys, "info", "smib")[1]
     assert "--order, composed and with --coupling newton" in info
     assert "junction bus1: gen.terminal, line.a" in info and "newton: k values and a pair of impulses" in info

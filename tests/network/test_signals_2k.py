@@ -170,7 +170,7 @@ def test_a_loop_apart_is_the_composed_one(k: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("engine", "k"), wide([(PythonInstance, 2), *((NativeInstance, k) for k in (1, 2, 3))], (NativeInstance, 2))
+    ("engine", "k"), wide([(PythonInstance, 2), *((NativeInstance, k) for k in (1, 2, 3))], (NativeInstance, 1))
 )
 def test_a_governed_and_excited_machine_apart_is_the_composed_one(engine: Any, k: int) -> None:
     """Beside a bare node with its impulses, with an output that is not linear in the states."""

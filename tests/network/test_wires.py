@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -51,12 +52,14 @@ def exact(t: float) -> float:
     return float((rest + expm(A * (t - 0.1)) @ ([100.0, d * 100.0 / ki] - rest))[0])
 
 
+@cache
 def composed(k: int, h: float, engine: Any = PythonInstance) -> Any:
     scene = speed_control()
     model = build_model(scene.declaration(), Collocated(k))
     return run(Monolithic(model, engine(model)), Options(stop=STOP, step=h, events=scene.events))
 
 
+@cache
 def apart(k: int, h: float, engine: Any = PythonInstance, folder: Any = None, version: str = "3.0") -> Any:
     scene = speed_control()
     assert isinstance(scene.system, Network)
