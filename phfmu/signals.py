@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from phfmu.declare.variable_kind import VariableKind
+
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.declare.port import Port
@@ -139,7 +141,7 @@ def _scalars(declared: Sequence[Variable]) -> Iterator[tuple[int, str, str, Vari
     place = 0
     for v in declared:
         for i, name in enumerate(v.names()):
-            text = v.description or f"{v.role} {v.name}"
+            text = v.description or f"{v.kind} {v.name}"
             yield place, name, text if v.size is None else f"{text}, entry {i + 1}", v, i
             place += 1
 
@@ -159,7 +161,7 @@ def _parameters(model: Model) -> Iterator[Quantity]:
 
 def _nominal(v: Variable, entry: int) -> float | None:
     """Parameters have no nominal value of their own."""
-    return None if v.role == "parameter" or not v.nominal[entry] else abs(v.nominal[entry])
+    return None if v.kind is VariableKind.PARAMETER or not v.nominal[entry] else abs(v.nominal[entry])
 
 
 def _algebraics(model: Model) -> Iterator[Quantity]:

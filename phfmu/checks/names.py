@@ -61,10 +61,10 @@ def _signals(model: PHDAE) -> Iterator[tuple[str, str, str]]:
     for member in model.members:
         for what in _LEDGER:
             yield member, f"the ledger of '{member}'", f"{member}.energy.{what}" if member else f"energy.{what}"
-    for v, role in variables(model):
+    for v, entry in variables(model):
         for name in v.names():
             yield v.name, f"variable '{v.name}'", name
-            if role == "algebraics":
+            if entry == "algebraics":
                 base, bracket, index = name.partition("[")
                 yield v.name, f"value of '{v.name}' at the end of a step", f"{base}_end{bracket}{index}"
     for port in model.ports:
@@ -148,7 +148,7 @@ def units(model: PHDAE) -> list[Problem]:
 
 def nominals(model: PHDAE) -> list[Problem]:
     """Nominal values are positive and finite."""
-    values = [(f"variable '{v.name}'", v.nominal) for v, role in variables(model) if role != "parameters"]
+    values = [(f"variable '{v.name}'", v.nominal) for v, entry in variables(model) if entry != "parameters"]
     values += [(f"port '{p.name}'", p.nominal) for p in model.ports]
     values += [(f"guard '{e.guard.name}'", e.guard.nominal) for e in model.state_events]
     found = []

@@ -13,6 +13,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem
 from phfmu.declare.switch import Switch
 from phfmu.declare.variable import _sx, key
+from phfmu.declare.variable_kind import VariableKind
 
 
 def switches(model: PHDAE) -> list[Problem]:
@@ -29,15 +30,19 @@ def switches(model: PHDAE) -> list[Problem]:
 
 def _switch(model: PHDAE, s: Switch) -> Iterator[Problem]:
     entry = f"switch '{s.name}'"
-    for what, role, listed in (("multiplier", "algebraic", model.algebraics), ("mode", "parameter", model.parameters)):
+    asked = (
+        ("multiplier", VariableKind.ALGEBRAIC, model.algebraics),
+        ("mode", VariableKind.PARAMETER, model.parameters),
+    )
+    for what, kind, listed in asked:
         v = getattr(s, what)
         names, symbols = (
             [n for w in listed for n in w.names()],
             {e.element_hash() for w in listed for e in ca.vertsplit(w.sx)},
         )
-        if v.role != role or v.n != 1 or v.sx.element_hash() not in symbols:
+        if v.kind is not kind or v.n != 1 or v.sx.element_hash() not in symbols:
             close = get_close_matches(v.name, names, 3) or names[:8]
-            shown = f"its {what} '{v.name}' is {v.role} of {v.n}, not one {role} of the model"
+            shown = f"its {what} '{v.name}' is {v.kind} of {v.n}, not one {kind} of the model"
             yield Problem("switch", entry, shown, f"there are: {', '.join(close) or 'none'}")
     if float(s.mode.start[0]) not in (0.0, 1.0):
         yield Problem("switch", entry, f"its mode starts at {s.mode.start[0]:g}", "start with 1 (on) or 0 (off)")

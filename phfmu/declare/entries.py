@@ -17,6 +17,7 @@ from phfmu.declare.port import Port
 from phfmu.declare.problem import Problem
 from phfmu.declare.value import Value
 from phfmu.declare.variable import Variable, _sx, key, time
+from phfmu.declare.variable_kind import VariableKind
 
 _ENERGY = (Value.STATE, Value.PARAMETER)
 _ALL = (Value.STATE, Value.COSTATE, Value.ALGEBRAIC, Value.INPUT, Value.PARAMETER, Value.TIME)
@@ -235,7 +236,7 @@ def normal_form(e: Entries) -> None:
         e.add(EntryKind.E, f"E of {', '.join(repr(v.name) for v in rows)}", value, (n, n), rows)
     for v, value in m.z.items():
         e.add(
-            EntryKind.EFFORT if v.role == "algebraic" else EntryKind.COSTATE,
+            EntryKind.EFFORT if v.kind is VariableKind.ALGEBRAIC else EntryKind.COSTATE,
             f"z of '{v.name}'",
             value,
             (v.n, 1),

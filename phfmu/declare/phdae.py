@@ -25,6 +25,7 @@ from phfmu.declare.port import Port
 from phfmu.declare.problem import Problem
 from phfmu.declare.switch import Switch, renamed_switches
 from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.variable_kind import VariableKind
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,7 +94,7 @@ class PHDAE:
 
     def effort(self, v: Variable | Port) -> ca.SX:
         """The costate of `v`: the symbol of a state's z; of an algebraic variable its given z, else itself."""
-        given = self.z.get(v) if isinstance(v, Variable) and v.role == "algebraic" else None
+        given = self.z.get(v) if isinstance(v, Variable) and v.kind is VariableKind.ALGEBRAIC else None
         return v.z if given is None else ca.SX(_sx(given))
 
     def port(self, name: str) -> Port:

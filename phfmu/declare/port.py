@@ -80,7 +80,7 @@ class Port:
         return self.size or 1
 
     @property
-    def role(self) -> str:
+    def kind(self) -> str:
         """Tells it from variables."""
         return "port"
 

@@ -14,16 +14,16 @@ from phfmu.declare.variable import Variable
 
 def variables(model: PHDAE) -> Iterator[tuple[Variable, str]]:
     """Every variable with the list it stands in."""
-    for role in ("states", "algebraics", "parameters"):
-        for v in getattr(model, role):
-            yield v, role
+    for entry in ("states", "algebraics", "parameters"):
+        for v in getattr(model, entry):
+            yield v, entry
 
 
 def starts(model: PHDAE) -> list[Problem]:
     """Start values are finite and as many as the variable has entries."""
     found = []
-    for v, role in variables(model):
-        what = "value" if role == "parameters" else "start"
+    for v, entry in variables(model):
+        what = "value" if entry == "parameters" else "start"
         found += _start(f"variable '{v.name}'", what, v.start, v.n, v.names())
         if len(v.nominal) != v.n:
             found.append(_count(f"variable '{v.name}'", "nominal", len(v.nominal), v.n))

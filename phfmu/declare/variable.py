@@ -6,17 +6,17 @@ import operator
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.variable_kind import VariableKind
 
 # NumPy's functions of an expression are expressions, as the notice says of symbols; it concerns arrays of numbers.
 warnings.filterwarnings("ignore", r"\s*casadi: a numpy function was called", FutureWarning)
 
-Role = Literal["state", "algebraic", "parameter"]
 Number = float | Sequence[float] | np.ndarray
 
 #: The one symbol for time; sources and observables may depend on it.
@@ -141,7 +141,7 @@ class Variable(_Arithmetic):
     """
 
     name: str
-    role: Role
+    kind: VariableKind
     size: int | None
     unit: str
     start: tuple[float, ...]
@@ -206,14 +206,14 @@ def slices(variables: Sequence[Variable]) -> dict[int, slice]:
 
 
 def make_variable(
-    role: Role, name: str, size: int | None, unit: str, start: Number, nominal: Number, description: str
+    kind: VariableKind, name: str, size: int | None, unit: str, start: Number, nominal: Number, description: str
 ) -> Variable:
     """Build a variable with fresh symbols; `size=None` is a scalar."""
     n = 1 if size is None else size
     sx = ca.SX.sym(name, n)
-    z = sx if role != "state" else ca.SX.sym("z." + name, n)
+    z = sx if kind is not VariableKind.STATE else ca.SX.sym("z." + name, n)
     starts = _values(name, "start", start, n)
-    return Variable(name, role, size, unit, starts, _values(name, "nominal", nominal, n), description, sx, z)
+    return Variable(name, kind, size, unit, starts, _values(name, "nominal", nominal, n), description, sx, z)
 
 
 def state(
@@ -226,7 +226,7 @@ def state(
     description: str = "",
 ) -> Variable:
     """A differential variable, part of x1.  `nominal`: typical magnitude, scales the stopping test."""
-    return make_variable("state", name, size, unit, start, nominal, description)
+    return make_variable(VariableKind.STATE, name, size, unit, start, nominal, description)
 
 
 def algebraic(
@@ -239,7 +239,7 @@ def algebraic(
     description: str = "",
 ) -> Variable:
     """An algebraic variable, part of x2 = z2 (multiplier, node voltage, source current)."""
-    return make_variable("algebraic", name, size, unit, start, nominal, description)
+    return make_variable(VariableKind.ALGEBRAIC, name, size, unit, start, nominal, description)
 
 
 def parameter(
@@ -258,6 +258,6 @@ def parameter(
     `min`, `max`: limits, allowed themselves;  `positive`: above 0.  Without `min` it is derived where the declaration
     proves it (a resistance, a mass: see `phfmu.declare.parameter_limits`); `min=-inf` says that there is none.
     """
-    made = make_variable("parameter", name, size, unit, value, 1.0, description)
+    made = make_variable(VariableKind.PARAMETER, name, size, unit, value, 1.0, description)
     limits = {what: _values(name, what, v, made.n) for what, v in (("min", min), ("max", max)) if v is not None}
     return replace(made, **limits, positive=positive) if limits or positive else made

@@ -17,6 +17,7 @@ from phfmu.declare.dense import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import Jump, StateEvent
 from phfmu.declare.variable import _sx
+from phfmu.declare.variable_kind import VariableKind
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import Locator, components
 from phfmu.terms.component_energies import component_energies
@@ -99,9 +100,9 @@ def _column(terms: Terms, locator: Locator, name: str, jump: Jump) -> ca.SX:
     out = ca.SX(terms.n1, 1)
     for v, value in jump.on.items():
         column = coefficient(value, v.n, 1)
-        if v.role != "state" or column.shape != (v.n, 1):
+        if v.kind is not VariableKind.STATE or column.shape != (v.n, 1):
             raise DeclarationError(
-                f"{terms.model.name}: jump '{name}'", f"acts on {v.role} '{v.name}' with {column.shape[0]} x {column.shape[1]}",
+                f"{terms.model.name}: jump '{name}'", f"acts on {v.kind} '{v.name}' with {column.shape[0]} x {column.shape[1]}",
                 f"give states and a column for each, here {v.n} x 1", "shape",
             )  # fmt: skip
         for j, at in enumerate(locator.of(v)):

@@ -28,6 +28,7 @@ from phfmu.declare.transform.maps import Maps
 from phfmu.declare.transform.transformation import SystemTransformation
 from phfmu.declare.transform.transformed import transformed
 from phfmu.declare.variable import Variable, key, slices
+from phfmu.declare.variable_kind import VariableKind
 from phfmu.gradients.discrete import discrete_gradient, discrete_jacobian
 
 TwoPointMatrix = Callable[[ca.SX, ca.SX], ca.SX]
@@ -162,7 +163,7 @@ def with_closed_pair(model: PHDAE, T: SystemTransformation, method: str = "per-t
 
 
 def _constant_descriptor(model: PHDAE, maps: Maps, old: tuple[Variable, ...]) -> ca.SX:
-    bad = [v.name for v in (*old, *maps.new) if v.role != "state"]
+    bad = [v.name for v in (*old, *maps.new) if v.kind is not VariableKind.STATE]
     if bad or ca.depends_on(ca.vec(maps.U), maps.x):
         what = f"{', '.join(bad)} is algebraic" if bad else "U depends on the state"
         raise DeclarationError(

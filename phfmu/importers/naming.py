@@ -14,6 +14,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.observable import Observable, observable
 from phfmu.declare.port import Domain, Port
 from phfmu.declare.variable import Variable, algebraic, make_variable, state
+from phfmu.declare.variable_kind import VariableKind
 from phfmu.importers.coordinates import Coordinates
 from phfmu.importers.definite import Sparse, csc
 from phfmu.importers.given import Given, symbolic
@@ -37,7 +38,7 @@ def named_states(name: str, states: Sequence[Variable] | None, n: int) -> tuple[
     """The n given states; DeclarationError if the variables are not as many."""
     found = (state("x", n),) if states is None else tuple(states)
     for v in found:
-        if not isinstance(v, Variable) or v.role != "state":
+        if not isinstance(v, Variable) or v.kind is not VariableKind.STATE:
             raise DeclarationError(f"{name}: states", f"one of them is {v!r}", "make them with state(..)", "type")
     if sum(v.n for v in found) != n:
         sizes = " + ".join(f"{v.name}: {v.n}" for v in found)
@@ -131,10 +132,10 @@ def _selected(x: tuple[Variable, ...], inner: set[int], reported: bool) -> Named
             states.append(v)
             continue
         if not D:
-            rest.append(_part(v, "algebraic", v.name, v.size, A))
+            rest.append(_part(v, VariableKind.ALGEBRAIC, v.name, v.size, A))
             continue
-        states.append(_part(v, "state", f"{v.name}.differential", len(D) if len(D) > 1 else None, D))
-        rest.append(_part(v, "algebraic", f"{v.name}.algebraic", len(A) if len(A) > 1 else None, A))
+        states.append(_part(v, VariableKind.STATE, f"{v.name}.differential", len(D) if len(D) > 1 else None, D))
+        rest.append(_part(v, VariableKind.ALGEBRAIC, f"{v.name}.algebraic", len(A) if len(A) > 1 else None, A))
         if reported:
             value = ca.SX(v.n, 1)
             value[D], value[A] = states[-1].sx, rest[-1].sx
@@ -142,6 +143,6 @@ def _selected(x: tuple[Variable, ...], inner: set[int], reported: bool) -> Named
     return Named(tuple(states), tuple(rest), tuple(reports))
 
 
-def _part(v: Variable, role, name: str, size: int | None, which: list[int]) -> Variable:  # noqa: ANN001
+def _part(v: Variable, kind: VariableKind, name: str, size: int | None, which: list[int]) -> Variable:
     start, nominal = ([values[i] for i in which] for values in (v.start, v.nominal))
-    return make_variable(role, name, size, v.unit, start, nominal, v.description)
+    return make_variable(kind, name, size, v.unit, start, nominal, v.description)

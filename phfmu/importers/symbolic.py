@@ -14,6 +14,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, algebraic, parameter, state
+from phfmu.declare.variable_kind import VariableKind
 from phfmu.importers.naming import PLAIN, entries, scalar_names
 from phfmu.importers.sympy_expressions import Converter
 
@@ -62,13 +63,13 @@ def from_sympy(
     hamiltonian = convert.expression("H", H)
     if show is not None:
         _show(show, hamiltonian, matrix, scalar_names(x), scalar_names(ports))
-    inner = [i for i, v in enumerate(entries(x)) if v.role == "state"]
+    inner = [i for i, v in enumerate(entries(x)) if v.kind is VariableKind.STATE]
     held = tuple(entries(x)[i] for i in inner)
     E1 = matrix["E"][inner, inner] if "E" in matrix else None
     return PHDAE(
         name,
-        states=tuple(v for v in x if v.role == "state"),
-        algebraics=tuple(v for v in x if v.role == "algebraic"),
+        states=tuple(v for v in x if v.kind is VariableKind.STATE),
+        algebraics=tuple(v for v in x if v.kind is VariableKind.ALGEBRAIC),
         parameters=p,
         energies=(energy(hamiltonian),),
         E={} if E1 is None else {held: E1},

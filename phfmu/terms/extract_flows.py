@@ -14,6 +14,7 @@ from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.value import Value
 from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.variable_kind import VariableKind
 from phfmu.terms.canonical import Locator, components, make_term, member, scalars
 from phfmu.terms.located import EFFORT_OF, ROW_OF, Constant, Row, RowAt, ValueAt
 from phfmu.terms.term import FLOW, SOURCE, Terms
@@ -35,7 +36,7 @@ def _rows(
             "symbol",
         )
     rows = [RowAt(ROW_OF[at.kind], at.index) for at in found]
-    plain = [v.role != "algebraic" or v not in model.z for v in variables for _ in range(v.n)]
+    plain = [v.kind is not VariableKind.ALGEBRAIC or v not in model.z for v in variables for _ in range(v.n)]
     sources = [ValueAt(EFFORT_OF[row.kind], row.index) if ok else None for row, ok in zip(rows, plain, strict=True)]
     return rows, ca.vertcat(*(model.effort(v) for v in variables)), sources
 

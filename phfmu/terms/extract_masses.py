@@ -10,6 +10,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.regular import undetermined
 from phfmu.declare.value import Value
+from phfmu.declare.variable_kind import VariableKind
 from phfmu.terms.canonical import Locator, make_term, member, scalars
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import CLOSED, MASS, MASS_BLOCK, Terms
@@ -21,7 +22,7 @@ def masses(model: PHDAE, out: Terms, locator: Locator) -> dict[int, ca.SX]:
     for key, value in model.E.items():
         variables = stacked(key)
         label = f"E of {', '.join(repr(v.name) for v in variables)}"
-        if any(v.role != "state" for v in variables):
+        if any(v.kind is not VariableKind.STATE for v in variables):
             raise DeclarationError(
                 label,
                 "E acts on states; an algebraic variable has zero rows of E",

@@ -42,6 +42,7 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.declare.error import DeclarationError
+from phfmu.declare.variable_kind import VariableKind
 from phfmu.fmu.description import Unit
 from phfmu.network.check_scene import check_scene
 
@@ -80,6 +81,12 @@ def test_functions_of_numpy_take_expressions_without_a_notice() -> None:
     code = "import numpy, phfmu; q = phfmu.state('q'); print(numpy.exp(q / 2))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("exp((q/2))\n", "")
+
+
+def test_kinds_of_variables_are_typed_and_read_as_words():
+    kinds = [make("x").kind for make in (state, algebraic)] + [parameter("p", 1.0).kind]
+    assert kinds == [VariableKind.STATE, VariableKind.ALGEBRAIC, VariableKind.PARAMETER]
+    assert all(type(k) is VariableKind for k in kinds) and "state algebraic parameter".split() == kinds
 
 
 def test_starts_are_numbers():

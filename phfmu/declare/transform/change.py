@@ -18,6 +18,7 @@ from phfmu.declare.transform.inverse import inverted
 from phfmu.declare.transform.maps import Maps
 from phfmu.declare.transform.new_starts import solved_starts
 from phfmu.declare.variable import Variable, _sx, key, slices
+from phfmu.declare.variable_kind import VariableKind
 
 Array = NDArray[Any]
 
@@ -50,8 +51,8 @@ class Change:
         parts = np.split(start, np.cumsum([v.n for v in self.T.new])[:-1])
         self.new = tuple(replace(v, start=tuple(map(float, s))) for v, s in zip(self.T.new, parts, strict=True))
         self.column = slices(self.new)
-        self.states = [i for v in self.new if v.role == "state" for i in span(self.column[key(v)])]
-        self.algebraics = [i for v in self.new if v.role == "algebraic" for i in span(self.column[key(v)])]
+        self.states = [i for v in self.new if v.kind is VariableKind.STATE for i in span(self.column[key(v)])]
+        self.algebraics = [i for v in self.new if v.kind is VariableKind.ALGEBRAIC for i in span(self.column[key(v)])]
         self.U, self.inverse = self.T.U, inverted(self.T.U)
         self.given: dict[int, ca.SX] = {}
         around = [v for vs in (model.states, model.algebraics, self.new) for v in vs]
@@ -92,13 +93,13 @@ class Change:
 
     def costate(self) -> ca.SX:
         """z~ of all new variables, stacked."""
-        return ca.vertcat(*(v.z if v.role == "state" else self.given.get(key(v), v.sx) for v in self.new))
+        return ca.vertcat(*(v.z if v.kind is VariableKind.STATE else self.given.get(key(v), v.sx) for v in self.new))
 
     def expr(self, e: Any) -> ca.SX:
         """An expression of the old model in new symbols."""
-        olds = [v.sx for v in self.old] + [v.z for v in self.old if v.role == "state"]
+        olds = [v.sx for v in self.old] + [v.z for v in self.old if v.kind is VariableKind.STATE]
         z = ca.mtimes(self.U, self.costate())
-        news = [self.T.image] + [z[self.row[key(v)]] for v in self.old if v.role == "state"]
+        news = [self.T.image] + [z[self.row[key(v)]] for v in self.old if v.kind is VariableKind.STATE]
         return ca.substitute([ca.SX(_sx(e))], [ca.vertcat(*olds)], [ca.vertcat(*news)])[0]
 
     def at_old(self, e: Any) -> ca.SX:
@@ -141,9 +142,9 @@ class Change:
             out[int(i), int(j)] = 0
         return ca.sparsify(out), np.where(zero, 0.0, value)
 
-    def listed(self, variables: tuple[Variable, ...], role: str) -> tuple[Variable, ...]:
-        """The variables of one role, the new ones where the first old one was."""
-        new = [v for v in self.new if v.role == role]
+    def listed(self, variables: tuple[Variable, ...], kind: VariableKind) -> tuple[Variable, ...]:
+        """The variables of one kind, the new ones where the first old one was."""
+        new = [v for v in self.new if v.kind is kind]
         at = next((i for i, v in enumerate(variables) if key(v) in self.row), len(variables))
         kept = [v for v in variables[at:] if key(v) not in self.row]
         return (*variables[:at], *new, *kept)

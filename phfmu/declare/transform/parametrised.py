@@ -29,6 +29,7 @@ from phfmu.declare.problem import Problem
 from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.inverse import inverted
 from phfmu.declare.variable import Variable, _sx, key, slices, time
+from phfmu.declare.variable_kind import VariableKind
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,12 +136,12 @@ class Parametrised:
 
     def _out_of_form(self) -> Iterator[Problem]:
         name, theta = self.part.name, ca.vertcat(*(v.sx for v in self.theta))
-        if not self.theta or any(v.role != "state" for v in self.theta):
+        if not self.theta or any(v.kind is not VariableKind.STATE for v in self.theta):
             yield Problem("symbol", name, "theta is not a tuple of one or more states", "make each with state(..)")
         elif ca.depends_on(self.part.hamiltonian, theta):
             yield Problem("energy", name, "H depends on theta", "a variable with energy belongs to x1")
         for v in self.E32:
-            if v.role != "algebraic":
+            if v.kind is not VariableKind.ALGEBRAIC:
                 yield Problem(
                     "symbol", name, f"E32 acts on algebraic variables, '{v.name}' is a state", "put E31 x1' into A31"
                 )

@@ -21,6 +21,7 @@ from phfmu.declare.transform.maps import Maps
 from phfmu.declare.transform.transformed_constraints import velocity_form
 from phfmu.declare.transform.transformed_pair import costates, descriptor, singular_costates
 from phfmu.declare.variable import key
+from phfmu.declare.variable_kind import VariableKind
 
 
 def transformed(model: PHDAE, T: Maps) -> PHDAE:
@@ -39,8 +40,8 @@ def transformed(model: PHDAE, T: Maps) -> PHDAE:
     energies = tuple(_energy(change, e) for e in model.energies)
     return replace(
         model,
-        states=change.listed(model.states, "state"),
-        algebraics=change.listed(model.algebraics, "algebraic"),
+        states=change.listed(model.states, VariableKind.STATE),
+        algebraics=change.listed(model.algebraics, VariableKind.ALGEBRAIC),
         energies=energies,
         E=E,
         z=z | singular_costates(change, E),
@@ -60,12 +61,16 @@ def _energy(change: Change, e: Energy) -> Energy:
     fixed = (
         ca.DM.zeros(a.numel())
         if change.T.affine
-        else ca.DM([s for v in change.new if v.role == "algebraic" for s in v.start])
+        else ca.DM([s for v in change.new if v.kind is VariableKind.ALGEBRAIC for s in v.start])
     )
     if a.numel():
         _require_independent(change, e, h, a)
     keep = [v for v in e.correct if key(v) not in change.row]
-    correct = tuple(keep + [v for v in change.new if v.role == "state"]) if len(keep) < len(e.correct) else e.correct
+    correct = (
+        tuple(keep + [v for v in change.new if v.kind is VariableKind.STATE])
+        if len(keep) < len(e.correct)
+        else e.correct
+    )
 
     def without(expr: ca.SX) -> ca.SX:
         return ca.substitute([change.at_old(expr)], [a], [fixed])[0] if a.numel() else change.at_old(expr)
@@ -83,7 +88,7 @@ def _require_independent(change: Change, e: Energy, h: ca.SX, a: ca.SX) -> None:
     bad = np.argwhere(np.abs(value) > 1e-9 * scale)
     if len(bad):
         i, j, _ = bad[0]
-        name = [n for v in change.new if v.role == "algebraic" for n in v.names()][j]
+        name = [n for v in change.new if v.kind is VariableKind.ALGEBRAIC for n in v.names()][j]
         raise DeclarationError(
             change.model.name,
             f"H depends on the algebraic variable '{name}', dH/d({name}) = {value[i, j, 0]:.6g} with parts "

@@ -17,6 +17,7 @@ from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.change import ZERO, Change, span
 from phfmu.declare.transform.inverse import blocks
 from phfmu.declare.variable import Variable, key
+from phfmu.declare.variable_kind import VariableKind
 
 Array = NDArray[Any]
 Key = Variable | tuple[Variable, ...]
@@ -30,7 +31,7 @@ def costates(change: Change) -> dict[Variable, Any]:
     z2 = ca.mtimes(change.inverse[change.algebraics, :], _old_costates(change, change.inverse[change.algebraics, :]))
     place = {c: i for i, c in enumerate(change.algebraics)}
     for v in change.new:
-        if v.role == "algebraic":
+        if v.kind is VariableKind.ALGEBRAIC:
             expr = z2[[place[c] for c in span(change.column[key(v)])]]
             value, own = change.sampled([expr, v.sx])
             if not np.all(np.abs(value - own) <= ZERO * np.maximum(1.0, np.abs(own))):
@@ -40,14 +41,14 @@ def costates(change: Change) -> dict[Variable, Any]:
 
 def _old_costates(change: Change, rows: ca.SX) -> ca.SX:
     """z o phi of the old variables, given or from z~ of the new states; needed where `rows` has entries."""
-    z = ca.vertcat(*(v.z if v.role == "state" else ca.SX(v.n, 1) for v in change.new))
+    z = ca.vertcat(*(v.z if v.kind is VariableKind.STATE else ca.SX(v.n, 1) for v in change.new))
     given = {key(v): e for v, e in change.model.z.items()}
     needed = set(rows.sparsity().get_triplet()[1])
     parts = []
     for v in change.old:
         where = span(change.row[key(v)])
-        if v.role == "algebraic":
-            states = [w for w in change.old if w.role == "state"]
+        if v.kind is VariableKind.ALGEBRAIC:
+            states = [w for w in change.old if w.kind is VariableKind.STATE]
             olds, news = [], []
             for w in states:
                 olds.append(w.z)
@@ -70,7 +71,7 @@ def _old_costates(change: Change, rows: ca.SX) -> ca.SX:
 
 def descriptor(change: Change) -> dict[Key, Any]:
     """E~ in blocks, without the identity ones; DeclarationError unless algebraic rows and columns vanish."""
-    E = ca.diag(ca.vertcat(*(ca.SX.ones(v.n) if v.role == "state" else ca.SX(v.n, 1) for v in change.old)))
+    E = ca.diag(ca.vertcat(*(ca.SX.ones(v.n) if v.kind is VariableKind.STATE else ca.SX(v.n, 1) for v in change.old)))
     out: dict[Key, Any] = {}
     for where, value in change.model.E.items():
         rows = [i for v in stacked(where) if key(v) in change.row for i in span(change.row[key(v)])]
@@ -81,7 +82,7 @@ def descriptor(change: Change) -> dict[Key, Any]:
     E = change.at_old(ca.sparsify(E))
     new, value = change.product(change.U.T, E, change.T.jacobian)
     _require_semi_explicit(change, value)
-    return out | _grouped([v for v in change.new if v.role == "state"], change.column, new, value)
+    return out | _grouped([v for v in change.new if v.kind is VariableKind.STATE], change.column, new, value)
 
 
 def _require_semi_explicit(change: Change, value: Array) -> None:
@@ -110,7 +111,7 @@ def singular_costates(change: Change, E: dict[Key, Any]) -> dict[Variable, Any]:
         ):
             continue
         given = {key(v) for v in change.model.z}
-        missing = [v.name for v in change.old if v.role == "state" and key(v) not in given]
+        missing = [v.name for v in change.old if v.kind is VariableKind.STATE and key(v) not in given]
         if missing:
             raise DeclarationError(
                 change.model.name,
