@@ -115,3 +115,4 @@ def test_a_model_without_switches_is_what_it_was() -> None:
 def test_only_models_with_state_events_have_code_for_them(compiler: None) -> None:
     plain, ball = (NativeInstance(build_model(m)).handle.lib for m in (mass(1.0, k=4.0), bouncing_ball().declaration()))
     assert hasattr(ball, "ph_land") and not hasattr(plain, "ph_land")
+    assert not hasattr(ball, "ph_modes_land")

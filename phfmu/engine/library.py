@@ -131,9 +131,10 @@ def load(path: Path) -> ctypes.CDLL:
     return lib
 
 
-def runtime_sources(events: bool = False) -> dict[str, Path]:
-    """The hand-written part of a library: file name -> path; `events`: with that of state events."""
-    files = (p for p in sorted(RUNTIME.rglob("*")) if events or p.parent.name != "events")
+def runtime_sources(events: bool = False, modes: bool = False) -> dict[str, Path]:
+    """The hand-written part of a library: file name -> path; with that of state `events`, of `modes` of switches."""
+    absent = {"events": not events, "modes": not modes}
+    files = (p for p in sorted(RUNTIME.rglob("*")) if not absent.get(p.parent.name, False))
     return {p.name: p for p in files if p.suffix in (".c", ".h", ".inc")}
 
 

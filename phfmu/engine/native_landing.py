@@ -80,46 +80,25 @@ class NativeLanding:
         yield from self.on(grid.n, record, check)
 
     def stop_before(self, events: NDArray[np.int8]) -> None:
-        """Events with 1 (n) happen elsewhere: `on` ends before them."""
+        """Events with 1 (n) happen elsewhere: it ends before them."""
         self._stops = np.ascontiguousarray(events, np.int8)
         self._lib.ph_land_stops(self._in, self._stops.ctypes.data)
 
-    def stopped(self) -> tuple[float, list[int], int] | None:
-        """Time of the events that it ended before, these, and how many there were in the grid step; None: it did not."""
-        t, happened = ctypes.c_double(), ctypes.c_int()
-        found = self._lib.ph_land_stopped(self._in, t, happened)
-        return found and (t.value, list(_numbers(view(found, self._plan.n, np.int8) > 0)), happened.value)
-
-    def after(self, other: NativeLanding, check: Callable[[int], None]) -> None:
-        """Goes on after the events that `other`, of another mode or itself, ended before."""
-        check(self._lib.ph_land_after(self._in, other._in))
+    @property
+    def address(self) -> int:
+        """Of the landing in memory."""
+        return self._in
 
     def on(self, n: int, record: Iterable[str], check: Callable[[int], None]) -> Iterator[Landed]:
         """What is left of n grid steps."""
-        widths = record_widths(self._model, self._width)
-        rows = {name: np.full((n + STEPS, widths[name]), np.nan) for name in record}
-        request = Record(parts=1)
-        for name, array in rows.items():
-            setattr(request, name, Column(array.ctypes.data, array.shape[1]))
-        ncomp = self._model.step.ncomp
-        t, size, when = np.zeros(n + STEPS), np.zeros(n + STEPS), np.zeros(EVENTS)
-        step, fired = np.zeros(EVENTS, np.int32), np.zeros((EVENTS, self._plan.n), np.int8)
-        energy, lost = np.zeros((2, EVENTS, ncomp))
-        signals = np.zeros((EVENTS, self._width))
-        arrays = (t, size, when, step, fired, energy, lost, signals)
-        out = LandedRows(n + STEPS, EVENTS, 0, 0, 0, *(a.ctypes.data for a in arrays))
-        while not out.done and not self.stopped():
-            status = self._lib.ph_land(self._in, request, out)
-            begin = 0
-            for i in range(out.events):
-                who, parts = fired[i], (energy[i].copy(), lost[i].copy(), signals[i].copy())
-                happened = Happened(float(when[i]), _numbers(who > 0), _numbers(who > 1), *parts)
-                yield _landed(t, size, rows, begin, int(step[i]), happened)
-                begin = int(step[i])
-            if begin < out.steps:
-                yield _landed(t, size, rows, begin, out.steps, None)
+        sizes = record_widths(self._model, self._width)
+        room = Room({name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}, n + STEPS,
+                    self._plan.n, self._model.step.ncomp, self._width)  # fmt: skip
+        while not room.out.done:
+            status = self._lib.ph_land(self._in, room.request, room.out)
+            yield from room.parts()
             if status:
-                self._refuse(status)
+                self.refuse(status)
                 check(status)
 
     def step(self, t: float, h: float, parts: int, check: Callable[[int], None]) -> tuple[Happened, ...]:
@@ -131,7 +110,7 @@ class NativeLanding:
             if not code and out.events:
                 found.append(self._one.happened())
         if code:
-            self._refuse(code)
+            self.refuse(code)
             check(code)
         return tuple(found)
 
@@ -139,12 +118,49 @@ class NativeLanding:
     def _one(self) -> _Event:
         return _Event(self._plan.n, self._model.step.ncomp, self._width)
 
-    def _refuse(self, status: int) -> None:
+    def refuse(self, status: int) -> None:
+        """EventRefused where the status says so."""
         if tuple(Status)[status] is not Status.EVENT:
             return
         r = self._lib.ph_land_refusal(self._in).contents
         names = [self._plan.names[i] for i in np.flatnonzero(view(r.fired, self._plan.n, np.int8))]
         raise EventRefused(self._model.name, r.t, r.reason, names, r.value, r.limit)
+
+
+class Room:
+    """What steps and events are written to: `rows` for `steps` of them, and EVENTS events of `n` guards.
+
+    `width`: of the signals after an event;  `changed` (EVENTS x switches): 1 = went off, 2 = on
+    """
+
+    def __init__(self, rows: dict[str, Floats], steps: int, n: int, ncomp: int, width: int, switches: int = 0):
+        self.request, self._rows = Record(parts=1), rows
+        for name, array in rows.items():
+            setattr(self.request, name, Column(array.ctypes.data, array.shape[1]))
+        self._t, self._h, self._when = np.zeros(steps), np.zeros(steps), np.zeros(EVENTS)
+        self._step, self._fired = np.zeros(EVENTS, np.int32), np.zeros((EVENTS, n), np.int8)
+        self._energy, self._lost = np.zeros((2, EVENTS, ncomp))
+        self._signals, self.changed = np.zeros((EVENTS, width)), np.zeros((EVENTS, switches), np.int8)
+        arrays = (self._t, self._h, self._when, self._step, self._fired, self._energy, self._lost, self._signals)
+        self.out = LandedRows(steps, EVENTS, 0, 0, 0, *(a.ctypes.data for a in arrays))
+
+    def parts(self, words: Callable[[NDArray[np.int8]], tuple[str, ...]] = lambda _: ()) -> Iterator[Landed]:
+        """What the last call wrote; `words`: what a row of `changed` says."""
+        begin = 0
+        for i in range(self.out.events):
+            who, end = self._fired[i], int(self._step[i])
+            parts = self._energy[i].copy(), self._lost[i].copy(), self._signals[i].copy()
+            happened = Happened(
+                float(self._when[i]), _numbers(who > 0), _numbers(who > 1), *parts, words(self.changed[i])
+            )
+            yield self._landed(begin, end, happened)
+            begin = end
+        if begin < self.out.steps:
+            yield self._landed(begin, self.out.steps, None)
+
+    def _landed(self, begin: int, end: int, happened: Happened | None) -> Landed:
+        part = {name: array[begin:end].copy() for name, array in self._rows.items()} if end > begin else {}
+        return Landed(self._t[begin:end].copy(), self._h[begin:end].copy(), part, happened)
 
 
 class _Event:
@@ -165,8 +181,3 @@ class _Event:
 
 def _numbers(flags: NDArray[np.bool_]) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(flags))
-
-
-def _landed(t: Floats, h: Floats, rows: dict[str, Floats], begin: int, end: int, happened: Happened | None) -> Landed:
-    part = {name: array[begin:end].copy() for name, array in rows.items()} if end > begin else {}
-    return Landed(t[begin:end].copy(), h[begin:end].copy(), part, happened)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,9 @@ from phfmu.events.happened import Happened, Landed
 from phfmu.events.modes import Mode
 from phfmu.events.switch_system import At
 from phfmu.terms.canonical import member
+
+if TYPE_CHECKING:
+    from phfmu.engine.native_modes import NativeModes
 
 Array = NDArray[Any]
 
@@ -85,10 +89,29 @@ class SwitchedInstance(Signals):
         self._step = h
 
     @property
-    def changes(self) -> Array:
-        """Per state event 1 if it sets the mode of a switch."""
-        events, modes = self.model.declaration.state_events, {s.mode_name for s in self._models.modes.switches}
-        return np.array([int(bool(modes & e.changed)) for e in events], np.int8)
+    def typical_step(self) -> float:
+        """What it was prepared for, 0 if it was not."""
+        return self._step
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """1 once its mode fits the state, then the mode, then the one that was asked for: all that compiled code changes."""
+        return int(self._started), *self._mode, *self._asked
+
+    @sides.setter
+    def sides(self, values: Sequence[int]) -> None:
+        n = len(self._mode)
+        self._started, self._mode, self._asked = bool(values[0]), tuple(values[1 : n + 1]), tuple(values[n + 1 :])
+
+    def of(self, mode: Mode) -> tuple[Any, Any]:
+        """The instance of a mode, and its state when it was new."""
+        return self._of(mode), self._fresh[mode]
+
+    @cached_property
+    def _native(self) -> NativeModes:
+        from phfmu.engine.native_modes import NativeModes
+
+        return NativeModes(self)
 
     @property
     def unsettled(self) -> bool:
@@ -145,9 +168,7 @@ class SwitchedInstance(Signals):
         """Grid steps that end on the zeros of guards too, where modes change; see `Instance.land`."""
         grid, names = Grid(t0, h, n, first), recordable(self.model.name, record)
         if self.present.landing is not None:
-            from phfmu.engine.native_switched import landed_natively
-
-            return landed_natively(self, grid, names, changed)
+            return self._native.land(grid, names, changed)
         return landed(self, grid, names, changed, self)
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
@@ -261,12 +282,6 @@ class SwitchedInstance(Signals):
         if block in means and not (block == "a" and self.model.step.carries):
             return means[block].copy()
         return found[: len(self.model.observable_names)] if block == "observables" else found
-
-    def trimmed(self, signals: Array) -> Array:
-        """Rows of signals of the present mode -> those of the model, which have no hidden constraints."""
-        where = self.present.layout
-        end = where["observables"].start + len(self.model.observable_names)
-        return np.concatenate([signals[..., :end], signals[..., where["H"]]], axis=-1)
 
     def get_state(self) -> Any:
         """A complete copy, modes included."""

@@ -28,7 +28,9 @@ from phfmu.schur.stepper import SchurStepper
 RUNTIME = Path(__file__).parent / "runtime"
 SCALARS = {"int": ctypes.c_int, "double": ctypes.c_double, "uint64_t": ctypes.c_uint64}
 ARRAYS = {"int": np.int32, "double": np.float64, "signed char": np.int8}
-STRUCTS = ("ph_elimination", "ph_lane_group", "ph_schur", "ph_group", "ph_plan", "ph_model", "ph_events")
+STRUCTS = ("ph_elimination", "ph_lane_group", "ph_schur", "ph_group", "ph_plan", "ph_model", "ph_events", "ph_switches",
+           "ph_mode_rows")  # fmt: skip
+HEADERS = ("schur/schur.h", "plan.h", "events/events.h", "modes/modes.h")
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,8 @@ class Field:
 
 @lru_cache(maxsize=1)
 def structures() -> dict[str, tuple[Field, ...]]:
-    """Members of the structures of plan.h, schur.h and events.h, in order."""
-    return declared(
-        "".join((RUNTIME / name).read_text() for name in ("schur/schur.h", "plan.h", "events/events.h")), STRUCTS
-    )
+    """Members of the structures of HEADERS, in order."""
+    return declared("".join((RUNTIME / name).read_text() for name in HEADERS), STRUCTS)
 
 
 def declared(header: str, names: Sequence[str]) -> dict[str, tuple[Field, ...]]:
@@ -106,62 +106,19 @@ def _members(struct: str, source: Any, derived: dict[str, Any]) -> Iterator[tupl
         yield field, value
 
 
-class CTables:
-    """A model as ctypes structures; `pointer` is valid as long as this object lives.  `tangents`: address, or None."""
+class Filled:
+    """Structures for ctypes with the arrays they point to, which live as long as this object."""
 
-    def __init__(self, model: Model, index: Callable[[Kernel], int], token: int, tangents: int | None = None) -> None:
+    def __init__(self) -> None:
         self._keep: list[Any] = []
-        self._plans: CTables | None = None  # tables whose plans these are
-        self._index = index
-        self._derived = {"stamp": stamp(), "token": token, "tangents": tangents}
-        self._derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
-        self._model = self._fill("ph_model", model, self._derived)
-        self.pointer = ctypes.addressof(self._model)
-        #: of the state events, None without
-        self.events = None if model.events is None else self._events(model.events)
-
-    def like(self, model: Model) -> CTables:
-        """Tables of a model on the same plans: start values of its own, all else is that of these."""
-        other = copy(self)
-        other._keep, other._plans = [], self
-        other._model = other._fill("ph_model", model, self._derived)
-        other.pointer = ctypes.addressof(other._model)
-        return other
 
     @property
     def size(self) -> int:
         """Bytes of the tables."""
         return sum(k.nbytes if isinstance(k, np.ndarray) else ctypes.sizeof(k) for k in self._keep)
 
-    def _plan(self, plan: Plan) -> int:
-        derived = plan_values(plan, self._index)
-        rows = [self._fill("ph_group", g, values) for g, values in derived["groups"]]
-        array = (ctypes_structures()["ph_group"] * len(rows))(*rows)
-        self._keep.append(array)
-        schur = None if plan.schur is None else self._schur(plan.schur)
-        struct = self._fill("ph_plan", plan, derived | {"groups": ctypes.addressof(array), "schur": schur})
-        return ctypes.addressof(struct)
-
-    def _events(self, plan: EventPlan) -> int:
-        rows = [self._fill("ph_group", g, values) for g, values in _event_groups(plan, self._index)]
-        array = (ctypes_structures()["ph_group"] * len(rows))(*rows)
-        self._keep.append(array)
-        at, size = ctypes.addressof(array), ctypes.sizeof(ctypes_structures()["ph_group"])
-        derived = event_values(plan) | {"groups": at}
-        derived["jump"] = None if plan.jump is None else at + size * len(plan.groups)
-        return ctypes.addressof(self._fill("ph_events", plan, derived))
-
-    def _schur(self, schur: SchurStepper) -> int:
-        rows = [self._fill("ph_lane_group", g, values) for g, values in lane_groups(schur)]
-        array = (ctypes_structures()["ph_lane_group"] * len(rows))(*rows)
-        self._keep.append(array)
-        derived = schur_sizes(schur) | {"groups": ctypes.addressof(array)}
-        for name in ("hard", "soft"):
-            part = getattr(schur, name)
-            derived[name] = None if part is None else ctypes.addressof(self._fill("ph_elimination", part, {}))
-        return ctypes.addressof(self._fill("ph_schur", schur, derived))
-
-    def _fill(self, name: str, source: Any, derived: dict[str, Any]) -> ctypes.Structure:
+    def fill(self, name: str, source: Any, derived: dict[str, Any]) -> ctypes.Structure:
+        """The structure of that name; `derived` goes before attributes of `source`."""
         struct = ctypes_structures()[name]()
         for field, value in _members(name, source, derived):
             if isinstance(value, np.ndarray):
@@ -170,6 +127,59 @@ class CTables:
             setattr(struct, field.name, value)
         self._keep.append(struct)
         return struct
+
+    def groups(self, items: Sequence[tuple[Any, dict[str, Any]]]) -> int:
+        """Address of an array of groups."""
+        rows = [self.fill("ph_group", g, values) for g, values in items]
+        array = (ctypes_structures()["ph_group"] * len(rows))(*rows)
+        self._keep.append(array)
+        return ctypes.addressof(array)
+
+
+class CTables(Filled):
+    """A model as ctypes structures; `pointer` is valid as long as this object lives.  `tangents`: address, or None."""
+
+    def __init__(self, model: Model, index: Callable[[Kernel], int], token: int, tangents: int | None = None) -> None:
+        super().__init__()
+        self._plans: CTables | None = None  # tables whose plans these are
+        self._index = index
+        self._derived = {"stamp": stamp(), "token": token, "tangents": tangents}
+        self._derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
+        self._model = self.fill("ph_model", model, self._derived)
+        self.pointer = ctypes.addressof(self._model)
+        #: of the state events, None without
+        self.events = None if model.events is None else self._events(model.events)
+
+    def like(self, model: Model) -> CTables:
+        """Tables of a model on the same plans: start values of its own, all else is that of these."""
+        other = copy(self)
+        other._keep, other._plans = [], self
+        other._model = other.fill("ph_model", model, self._derived)
+        other.pointer = ctypes.addressof(other._model)
+        return other
+
+    def _plan(self, plan: Plan) -> int:
+        derived = plan_values(plan, self._index)
+        at = self.groups(derived["groups"])
+        schur = None if plan.schur is None else self._schur(plan.schur)
+        struct = self.fill("ph_plan", plan, derived | {"groups": at, "schur": schur})
+        return ctypes.addressof(struct)
+
+    def _events(self, plan: EventPlan) -> int:
+        at, size = self.groups(_event_groups(plan, self._index)), ctypes.sizeof(ctypes_structures()["ph_group"])
+        derived = event_values(plan) | {"groups": at}
+        derived["jump"] = None if plan.jump is None else at + size * len(plan.groups)
+        return ctypes.addressof(self.fill("ph_events", plan, derived))
+
+    def _schur(self, schur: SchurStepper) -> int:
+        rows = [self.fill("ph_lane_group", g, values) for g, values in lane_groups(schur)]
+        array = (ctypes_structures()["ph_lane_group"] * len(rows))(*rows)
+        self._keep.append(array)
+        derived = schur_sizes(schur) | {"groups": ctypes.addressof(array)}
+        for name in ("hard", "soft"):
+            part = getattr(schur, name)
+            derived[name] = None if part is None else ctypes.addressof(self.fill("ph_elimination", part, {}))
+        return ctypes.addressof(self.fill("ph_schur", schur, derived))
 
 
 def _event_groups(plan: EventPlan, index: Callable[[Kernel], int]) -> list[tuple[Any, dict[str, Any]]]:

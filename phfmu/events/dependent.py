@@ -29,23 +29,28 @@ class Shared:
 
 def could_hold(modes: Modes, present: Mode, proposal: Mode, a: Array) -> Shared | None:
     """The first unilateral switch that the proposal opens, of the multipliers in `a` (na), and that others could relieve."""
+    opens = [j for j, s in enumerate(modes.switches) if present[j] and not proposal[j] and s.law == "unilateral"]
+    for j in opens:
+        most = most_held(modes, present, a, j)
+        if most > 0.0:
+            return Shared(j, most)
+    return None
+
+
+def most_held(modes: Modes, present: Mode, a: Array, j: int) -> float:
+    """How much switch j, which falls to zero in a mode, could hold if others on which it depends held less; 0: nothing."""
     system, switches = modes.system, modes.switches
-    opens = [j for j, s in enumerate(switches) if present[j] and not proposal[j] and s.law == "unilateral"]
-    if not opens or not (found := system.undetermined(present)):
-        return None
+    if not (found := system.undetermined(present)):
+        return 0.0
     D = np.array([u.row for u in found]).T * system.nominal[:, None] ** 2
     D /= np.abs(D / system.nominal[:, None]).max(axis=0)
-    on = [j for j, s in enumerate(switches) if present[j] and s.law == "unilateral"]
-    at = np.array([system.multipliers[j] for j in on])
+    mine = system.multipliers[j]
+    if np.abs(a[mine]) > ZERO * system.nominal[mine] or not np.abs(D[mine]).max() > ZERO * system.nominal[mine]:
+        return 0.0
+    at = np.array([system.multipliers[i] for i, s in enumerate(switches) if present[i] and s.law == "unilateral"])
     size = system.nominal[at]
-    for j in opens:
-        mine = system.multipliers[j]
-        if np.abs(a[mine]) > ZERO * system.nominal[mine] or not np.abs(D[mine]).max() > ZERO * system.nominal[mine]:
-            continue
-        most = _most(D[mine] / system.nominal[mine], D[at] / size[:, None], np.maximum(a[at] / size, 0.0))
-        if most > ZERO:
-            return Shared(j, most * float(system.nominal[mine]))
-    return None
+    most = _most(D[mine] / system.nominal[mine], D[at] / size[:, None], np.maximum(a[at] / size, 0.0))
+    return most * float(system.nominal[mine]) if most > ZERO else 0.0
 
 
 def _most(d: Array, D: Array, mu: Array) -> float:

@@ -22,6 +22,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx, time
 from phfmu.events.null_space import RANK, apart, inverse, null_space, pivots, scaled_rows
+from phfmu.terms.canonical import member
 from phfmu.terms.component_energies import component_energies
 from phfmu.terms.extract import extract
 from phfmu.terms.port_impulses import masses
@@ -75,6 +76,18 @@ class Entry:
     def lost(self) -> float:
         """What the jump dissipates (J)."""
         return -float(self.energy.sum())
+
+
+@dataclass(frozen=True)
+class Equations:
+    """They as expressions of x, a, u, p and time: `rows` as in Rates, then the diagonal of E; `gradients`, dH/dx by component."""
+
+    x: ca.SX
+    a: ca.SX
+    u: ca.SX
+    p: ca.SX
+    rows: list[ca.SX]
+    gradients: ca.SX
 
 
 @dataclass(frozen=True)
@@ -141,12 +154,15 @@ class SwitchSystem:
                 (ca.SX(0) if s.gap is None else ca.SX(_sx(s.gap)) for s in model.switches),
             )
         )
-        self._masses = _Buffered("E", [p], [masses(terms)])
+        mass = masses(terms)
+        self._masses = _Buffered("E", [p], [mass])
         out = [f, ca.jacobian(f, x), ca.jacobian(f, a), g, ca.jacobian(g, x), ca.jacobian(g, a)]
         out += [c, ca.jacobian(c, x), ca.jacobian(c, a), gap]
         self._rates = _Buffered("rates", [x, a, u, p, time], out)
-        energies = ca.vertcat(*component_energies(terms))
-        self._energy = _Buffered("energy", [x, p], [ca.jacobian(energies, x)])
+        gradients = ca.jacobian(ca.vertcat(*component_energies(terms)), x)
+        self._energy = _Buffered("energy", [x, p], [gradients])
+        self.equations = Equations(x, a, u, p, [*out, mass], gradients)
+        self.owners = [member(terms.members, s.owner) for s in model.switches]
         names = [n for v in symbolic.parameters for n in v.names()]
         self._switches = model.switches
         self.places = [names.index(s.mode_name) for s in model.switches]
@@ -158,7 +174,8 @@ class SwitchSystem:
         self._start = [np.array([s for v in vs for s in v.start], float) for vs in starts]
         self._known = dict[bytes, Array]()
         self._undetermined: dict[tuple[int, ...], tuple[Undetermined, ...]] = {}
-        self._size = np.array([n for v in symbolic.states for n in v.nominal]), terms.nu
+        self.size = np.array([n for v in symbolic.states for n in v.nominal])
+        self._size = self.size, terms.nu
 
     @property
     def between_inputs(self) -> list[str]:

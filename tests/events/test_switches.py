@@ -71,14 +71,17 @@ def stepped(model, engine, n: int):
     """Currents, times of events, closure over H, modes taken."""
     instance = SwitchedInstance(model, engine)
     before, total, happened, modes = instance.signal("H").sum(), 0.0, [], []
+    sides = dict(zip(("pair1", "pair2"), instance.mode, strict=True))
     for part in instance.land(0.0, STOP / n, n, record=("dissipated", "supplied")):
         if part.rows:
             total += part.rows["dissipated"].sum() - part.rows["supplied"].sum()
         if part.happened is not None:
             happened.append(part.happened)
-            modes.append(instance.mode)
+            sides |= {word.split()[0]: int(word.endswith(" on")) for word in part.happened.switched}
+            modes.append(tuple(sides.values()))
             total += part.happened.lost.sum()
             assert abs(part.happened.lost.sum()) <= 1e-12 and part.happened.energy.sum() == -part.happened.lost.sum()
+    assert instance.mode == modes[-1]
     change = instance.signal("H").sum() - before
     return instance.x / [LA, LD], [h.t for h in happened], (change + total) / before, modes
 
@@ -114,6 +117,17 @@ def test_a_bridge_commutates_with_order_2k(bridges, engine, k, n, time_error):
 def test_engines_change_modes_alike(bridges):
     a, b = (stepped(bridges[2], engine, 40) for engine in ENGINES)
     assert a[0] == pytest.approx(b[0], abs=1e-12) and a[1] == pytest.approx(b[1], abs=1e-15) and a[3] == b[3]
+
+
+def test_compiled_code_changes_modes_without_returning(bridges, monkeypatch):
+    """11 changes of modes in one call, once the modes are known; Python decides none of them."""
+    monkeypatch.setattr(SwitchedInstance, "change", None)
+    stepped(bridges[3], NativeInstance, 50)
+    instance, calls = SwitchedInstance(bridges[3], NativeInstance), []
+    land = instance._native._made.lib.ph_modes_land
+    monkeypatch.setattr(instance._native._made.lib, "ph_modes_land", lambda *a: calls.append(1) or land(*a))
+    parts = list(instance.land(0.0, STOP / 50, 50))
+    assert len(calls) == 1 and sum(bool(part.happened and part.happened.switched) for part in parts) == 11
 
 
 def test_modes_share_their_kernels(bridges):

@@ -84,13 +84,11 @@ static void set(double *p, const int *ptr, const int *which, const double *value
         p[which[j]] = value[j];
 }
 
-int ph_happen(ph_landing *l, ph_landed *out) {
+int ph_happen_jump(ph_landing *l, double *energy, double *lost) {
     ph_instance *in = l->in;
     const ph_events *e = l->events;
     const ph_plan *p = in->model->step;
-    const int crowded = l->happened >= PH_MOST_EVENTS, length = in->offset[PH_NBLOCK];
-    double *energy = out->event_energy + out->events * p->ncomp,
-           *lost = out->event_lost + out->events * p->ncomp;
+    const int crowded = l->happened >= PH_MOST_EVENTS;
     int any = 0, slides = 0, status;
     for (int i = 0; i < e->n; i++) {
         const int piled = crowded || l->t - l->last[i] < PH_PILE_UP * l->grid;
@@ -112,17 +110,42 @@ int ph_happen(ph_landing *l, ph_landed *out) {
         if (l->rests[i])
             set(l->p, e->rest_ptr, e->rest_p, e->rest_value, i);
     status = ph_jump_event(l, energy, lost);
-    status = status ? status : ph_set_parameters(in, l->p);
+    if (status)
+        ph_happen_undo(l);
+    return status;
+}
+
+void ph_happen_undo(ph_landing *l) {
+    ph_load(l->in, l->before);
+}
+
+const double *ph_happen_parameters(const ph_landing *l) {
+    return l->p;
+}
+
+void ph_happen_flags(const ph_landing *l, signed char *fired) {
+    for (int i = 0; i < l->events->n; i++)
+        fired[i] = (signed char)(l->fired[i] + l->rests[i]);
+}
+
+int ph_happen(ph_landing *l, ph_landed *out) {
+    ph_instance *in = l->in;
+    const ph_events *e = l->events;
+    const int length = in->offset[PH_NBLOCK], ncomp = in->model->step->ncomp;
+    int status =
+        ph_happen_jump(l, out->event_energy + out->events * ncomp, out->event_lost + out->events * ncomp);
+    if (status)
+        return status;
+    status = ph_set_parameters(in, l->p);
     status = status ? status : ph_initialise(in);
     if (status) {
-        ph_load(in, l->before);
+        ph_happen_undo(l);
         return status;
     }
-    for (int i = 0; i < e->n; i++) {
-        out->event_fired[out->events * e->n + i] = (signed char)(l->fired[i] + l->rests[i]);
+    ph_happen_flags(l, out->event_fired + out->events * e->n);
+    for (int i = 0; i < e->n; i++)
         if (l->fired[i])
             l->last[i] = l->t;
-    }
     memcpy(out->event_signals + out->events * length, in->table, sizeof(double) * (size_t)length);
     out->event_t[out->events] = l->t;
     out->event_step[out->events] = out->steps;

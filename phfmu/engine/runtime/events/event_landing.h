@@ -70,6 +70,8 @@ int ph_try_step(ph_landing *l, int *leaves);
 double ph_guard_rate(const ph_landing *l, int i, double tau);
 int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *best);
 int ph_happen(ph_landing *l, ph_landed *out);
+/* What was taken of a communication step is that of `from`. */
+void ph_land_told(ph_landing *l, const ph_landing *from);
 /* event_impulse.c: the jumps of the events in l->fired at the parameters l->p after them; what it adds to the
  * energy of each component and what is lost. */
 int ph_jump_event(ph_landing *l, double *energy, double *lost);

@@ -1,6 +1,7 @@
 /* Communication steps with the state events in them, each told as one step: energies are sums, means are
  * means; the twin of engine/event_step.py. */
 #include <math.h>
+#include <string.h>
 
 #include "event_landing.h"
 
@@ -19,8 +20,15 @@ static int join(ph_landing *l, double from) {
     return PH_OK;
 }
 
+void ph_land_told(ph_landing *l, const ph_landing *from) {
+    l->told = from->told;
+    l->told_from = from->told_from;
+    l->told_until = from->told_until;
+    memcpy(l->kept, from->kept, sizeof(double) * (size_t)ph_kept_size(l->in->model));
+}
+
 /* After an event the means are those of the step again; it has no derivative. */
-static void tell(ph_landing *l) {
+void ph_land_tell(ph_landing *l) {
     l->in->head->parts = 0;
     if (!l->told)
         return;
@@ -76,7 +84,7 @@ int ph_land_on(ph_landing *l, ph_landed *out) {
         out->events = one.events;
         out->done = one.done;
         if (status == PH_OK)
-            tell(l);
+            ph_land_tell(l);
     }
     if (status)
         ph_load(l->in, l->begun);

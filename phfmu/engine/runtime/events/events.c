@@ -80,6 +80,10 @@ static int happen(ph_landing *l, ph_landed *out, int *room) {
 
 int ph_land(ph_landing *l, const ph_record *record, ph_landed *out) {
     out->steps = out->events = out->done = 0;
+    return ph_land_more(l, record, out);
+}
+
+int ph_land_more(ph_landing *l, const ph_record *record, ph_landed *out) {
     l->counted[0] = l->in->count[PH_ITERATIONS];
     l->counted[1] = l->in->count[PH_SOLVES];
     for (; l->k < l->end; l->k++, l->under_way = 0) {
@@ -124,6 +128,8 @@ int ph_land_after(ph_landing *l, const ph_landing *from) {
         l->last[i] = from->fired[i] ? from->t : from->last[i];
     l->changed = l->stopped = 0;
     l->under_way = 1;
+    if (l != from)
+        ph_land_told(l, from);
     return ph_already(l);
 }
 

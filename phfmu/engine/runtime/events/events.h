@@ -91,6 +91,7 @@ PH_API void ph_land_from(ph_landing *l, double t0, double h, int first, int n, i
 /* Takes them, until all are taken or there is no more room; again goes on. record: a row a step. After a
  * status other than PH_OK the instance is at the last step written. */
 PH_API int ph_land(ph_landing *l, const ph_record *record, ph_landed *out);
+PH_API int ph_land_more(ph_landing *l, const ph_record *record, ph_landed *out); /* behind what is in out */
 /* A communication step [t, t+h], h >= 0, of n equal grid steps under held inputs, told as one: rows of the
  * ledger, means and outputs at nodes are those of the whole, and have no derivative if an event is in it. */
 PH_API int ph_land_begin(ph_landing *l, double t, double h, int n);
@@ -105,6 +106,16 @@ PH_API void ph_land_stops(ph_landing *l, const signed char *stops);
 PH_API const signed char *ph_land_stopped(const ph_landing *l, double *t, int *happened);
 /* Goes on after them where `from`, of a model with the same events, perhaps l itself, ended. */
 PH_API int ph_land_after(ph_landing *l, const ph_landing *from);
+/* The first half of those events: the states jump, energy and lost (ncomp each) are overwritten, and the
+ * parameters after them (np) wait for who sets them. After a status other than PH_OK, and after undo, the
+ * instance is where it was. */
+PH_API int ph_happen_jump(ph_landing *l, double *energy, double *lost);
+PH_API void ph_happen_undo(ph_landing *l);
+PH_API const double *ph_happen_parameters(const ph_landing *l);
+PH_API void ph_happen_flags(const ph_landing *l,
+                            signed char *fired); /* n: 1 = happens, 2 = and comes to rest */
+/* After events in a communication step: its means are those of the whole again. */
+PH_API void ph_land_tell(ph_landing *l);
 PH_API const ph_event_refusal *ph_land_refusal(const ph_landing *l);
 
 /* event_roots.c: b, Bernstein coefficients of degree n. */

@@ -1,0 +1,123 @@
+/* Modes of ideal switches: which one follows at an event, how it is entered, and steps that go from one to
+ * the next without leaving compiled code.
+ *
+ * The twin of engine/switched.py, events/switch_system.py and events/comply.py, whose words are used here. A
+ * mode is a model of its own with the states, parameters and inputs of all others; its instance may be of
+ * another library. */
+#ifndef PH_MODES_H
+#define PH_MODES_H
+
+#include "events.h"
+
+/* Mirror of SwitchTables; all tables are constant. x = [states | time], Y = [algebraic variables | inputs].
+ */
+typedef struct ph_switches {
+    int n;      /* switches */
+    int nevent; /* state events, the same in all modes */
+    int nx, na, nu, np, ncomp;
+    int a_end;                     /* place of the algebraic variables now in a signal table */
+    int told;                      /* length of a signal table up to the observables that all modes have */
+    int nresult;                   /* results of rates */
+    const ph_group *rates;         /* columns of f fx fa g gx ga c cx ca gap and E, see mode_rates.c */
+    const ph_group *energy;        /* d H / d x, ncomp x nx, by columns */
+    const int *place;              /* n: parameter that is its mode */
+    const int *multiplier;         /* n: algebraic variable */
+    const int *owner;              /* n: component that its loss is booked at */
+    const signed char *unilateral; /* n: else free */
+    const signed char *gaps;       /* n: 1 = closes where a gap does */
+    const double *nominal;         /* n: of c */
+    const double *most;            /* n: largest multiplier that may be cut where states jump */
+    const double *size;            /* nx: nominal states */
+    const double *scale;           /* na: nominal algebraic variables */
+    const int *when_ptr;           /* n+1: closes while the parameters have these values */
+    const int *when_p;
+    const double *when_value;
+} ph_switches;
+
+/* What is known of a mode before there is a model of it: directions of the algebraic variables that no row
+ * determines, each with the row that a row of its own stands in. */
+typedef struct ph_mode_rows {
+    int nfree;
+    const signed char *on;  /* n: 1 or 0 for each switch */
+    const int *free_at;     /* nfree */
+    const double *free_row; /* nfree*na */
+} ph_mode_rows;
+
+/* Functions of the library that an instance is of, by their names. */
+typedef struct ph_mode_calls {
+    size_t (*ph_state_size)(const ph_instance *in);
+    void (*ph_save)(const ph_instance *in, void *out);
+    int (*ph_load)(ph_instance *in, const void *from);
+    int (*ph_refresh)(ph_instance *in);
+    const double *(*ph_signals)(const ph_instance *in);
+    const double *(*ph_input)(const ph_instance *in);
+    const double *(*ph_parameters)(const ph_instance *in);
+    int (*ph_set_parameters)(ph_instance *in, const double *p);
+    int (*ph_set_x)(ph_instance *in, double t, const double *x);
+    int (*ph_initialise)(ph_instance *in);
+    int (*ph_continue)(ph_instance *in, const ph_instance *from);
+    void (*ph_land_from)(ph_landing *l, double t0, double h, int first, int n, int changed);
+    int (*ph_land_more)(ph_landing *l, const ph_record *record, ph_landed *out);
+    const signed char *(*ph_land_stopped)(const ph_landing *l, double *t, int *happened);
+    int (*ph_land_after)(ph_landing *l, const ph_landing *from);
+    int (*ph_land_begin)(ph_landing *l, double t, double h, int n);
+    int (*ph_land_on)(ph_landing *l, ph_landed *out);
+    void (*ph_land_tell)(ph_landing *l);
+    int (*ph_happen_jump)(ph_landing *l, double *energy, double *lost);
+    void (*ph_happen_undo)(ph_landing *l);
+    const double *(*ph_happen_parameters)(const ph_landing *l);
+    void (*ph_happen_flags)(const ph_landing *l, signed char *fired);
+} ph_mode_calls;
+
+/* A mode with its instance, which others may use in between. Its landing stops before all events. */
+typedef struct ph_mode {
+    const ph_mode_rows *rows;
+    const ph_mode_calls *calls;
+    ph_instance *in;
+    ph_landing *landing;
+    const void *fresh; /* the state of an instance that is new */
+    int length;        /* of its signal table */
+} ph_mode;
+
+/* Where modes come from; `world` is the caller's. rows: NULL if there is no such mode; mode: the same with
+ * its instance, of which none may be left. most: how much switch j could hold, of those that open from a mode
+ * with the algebraic variables a (na), where dependent ones share several directions; < 0: not known. */
+typedef struct ph_mode_source {
+    void *world;
+    const ph_mode_rows *(*rows)(void *world, const signed char *on);
+    const ph_mode *(*mode)(void *world, const signed char *on);
+    double (*most)(void *world, const double *a, int j);
+} ph_mode_source;
+
+typedef struct ph_modes ph_modes;
+
+/* Why a change of modes is refused, after those of ph_event_reason. */
+enum { PH_REFUSED_NO_MODE = PH_REFUSED_SLIDES + 1, PH_REFUSED_SHARED };
+
+typedef struct ph_mode_refusal {
+    int reason; /* -1: none, ask the landing of the present mode */
+    double t, value, limit;
+    const signed char *which; /* n: switches */
+} ph_mode_refusal;
+
+/* Bytes for the changes of modes; memory: so many, aligned for double, owned by the caller, as are switches,
+ * source and sides, which outlive it. sides (1+2n), all there is to save: 1 once modes fit the state, the
+ * mode it is in, the one that was asked for. */
+PH_API size_t ph_modes_size(const ph_switches *switches);
+PH_API ph_modes *ph_modes_init(void *memory, const ph_switches *switches, const ph_mode_source *source,
+                               signed char *sides);
+/* Steps will be about as long as h. */
+PH_API void ph_modes_prepare(ph_modes *m, double h);
+/* As ph_land_from and ph_land, of the present mode and those that follow. changed: events*n, 1 = the switch
+ * went off, 2 = on. Rows of signals: what all modes have, then the energies. */
+PH_API void ph_modes_from(ph_modes *m, double t0, double h, int first, int n, int changed);
+PH_API int ph_modes_land(ph_modes *m, const ph_record *record, ph_landed *out, signed char *changed);
+/* As ph_land_begin and ph_land_on, but after a status other than PH_OK sides and instance are to be restored.
+ */
+PH_API void ph_modes_begin(ph_modes *m, double t, double h, int n);
+PH_API int ph_modes_on(ph_modes *m, ph_landed *out, signed char *changed);
+/* The present mode; NULL after its source had none. */
+PH_API const ph_mode *ph_modes_present(ph_modes *m);
+PH_API const ph_mode_refusal *ph_modes_refusal(const ph_modes *m);
+
+#endif
