@@ -28,7 +28,6 @@ class TwoLevel(Collocated):
     name: str = "two-level"
     impulses: bool = field(default=True, init=False, repr=False)
     two_level = True
-    node_values = False  # not proved for the velocity level
 
     def prepare(self, terms: Terms) -> Terms:
         """The terms with the masses of their constraints; DeclarationError says what does not fit."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.discretise.model import default_scheme
 from phfmu.network.couplings.bare_columns import Bare, bare
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.junctions.interface import Interface, interface
@@ -75,11 +74,8 @@ def exchanged(network: Network) -> dict[str, str]:
 
 def _why_held(network: Network, member: str) -> str:
     """Why a member takes one value a step."""
-    if member not in network.units and network.declared[member].switches:
-        return f"{member} has ideal switches, whose modes change within its step: it takes the mean of its inputs"
     if member not in network.units:
-        scheme = default_scheme(network.declared[member]).name
-        return f"{member} is stepped by {scheme}, which takes the mean of its inputs over a step"
+        return f"{member} has ideal switches, whose modes change within its step: it takes the mean of its inputs"
     if network.units[member].interface.energy:
         return f"{member} was exported without inputs at nodes (--node-inputs, --order 4)"
     return f"{member} is a unit of another tool, which takes held inputs"
@@ -131,4 +127,4 @@ def _bare(network: Network, held: list[str]) -> tuple[Interface, Bare]:
 def _held(network: Network) -> list[str]:
     """Members that take one held value a step."""
     units = [n for n, u in network.units.items() if not u.k]
-    return units + [n for n, d in network.declared.items() if d.switches or not default_scheme(d).node_values]
+    return units + [n for n, d in network.declared.items() if d.switches]
