@@ -41,6 +41,8 @@ PH_API ph_lu *lu_new(int n, int nnz, int capacity, const int *colptr, const int 
 PH_API int lu_factor(ph_lu *lu, const double *a, long long *count) { return ph_lu_factor(lu, a, count); }
 PH_API int lu_refactor(ph_lu *lu, const double *a) { return ph_lu_refactor(lu, a); }
 PH_API int lu_adopt(ph_lu *lu, const int *pivot) { return ph_lu_adopt(lu, pivot); }
+PH_API void lu_forget(ph_lu *lu) { lu->ready = lu->filled = 0; lu->stack[0] = -7; }
+PH_API int lu_walked(ph_lu *lu) { return lu->stack[0] != -7; } /* whether the pattern was made anew */
 PH_API void lu_solve(ph_lu *lu, const double *b, double *x) { ph_lu_solve(lu, b, x); }
 PH_API const int *lu_pivot(ph_lu *lu) { return lu->pivot; }
 PH_API int lu_entries(ph_lu *lu) { return lu->start[lu->n]; }
@@ -130,6 +132,48 @@ def test_refactorisation_has_the_bits_of_a_fresh_one(lib: ctypes.CDLL, n: int, s
     if first.count[PIVOTED] == 1 and second.count[PIVOTED] == 0:
         assert np.array_equal(first.pivots(), second.pivots())
         assert first.solve(rhs).tobytes() == second.solve(rhs).tobytes()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(1, 200), seed=st.integers(0, 10**6), change=st.sampled_from([0.0, 1e-3, 0.3, 3.0]), weak=st.booleans()
+)
+def test_a_search_after_factors_has_the_bits_of_a_fresh_one(
+    lib: ctypes.CDLL, n: int, seed: int, change: float, weak: bool
+) -> None:
+    """What was factored before shows in no bit of a search, however far the numbers have moved, ties and all."""
+    rng = np.random.default_rng(seed)
+    a = matrix(n, min(1.0, 3.0 / n), seed, weak)
+    if rng.random() < 0.3:
+        a.data = np.round(a.data) + (a.data == 0)  # many of a size
+    b = a.copy()
+    b.data = a.data * (1 + change * rng.normal(size=a.nnz))
+    prefer = np.where(rng.random(n) < 0.5, rng.permutation(n), -1)
+    first, second = LU(lib, a), LU(lib, a)
+    for lu in (first, second):
+        lu.tables[3][:] = prefer
+    if first.factor(a) is not Status.OK:
+        return
+    lib.lu_forget(first.p)
+    found = first.factor(b)
+    assert found is second.factor(b)
+    assert (first.count[PIVOTED], second.count[PIVOTED]) == (2, 1)
+    if found is not Status.OK:
+        return
+    assert np.array_equal(first.pivots(), second.pivots())
+    rhs = rng.normal(size=n)
+    assert first.solve(rhs).tobytes() == second.solve(rhs).tobytes()
+
+
+def test_a_search_that_finds_the_same_makes_no_pattern(lib: ctypes.CDLL) -> None:
+    """It goes through the factors there are; one that finds others makes theirs."""
+    a = csc_matrix(np.array([[4.0, 1.0, 0.0], [1.0, 3.0, 1.0], [0.0, 1.0, 2.0]]))
+    lu, other = LU(lib, a), a.copy()
+    other[0, 0] = 1e-4
+    assert lu.factor(a) is Status.OK
+    for now, walks in ((1.2 * a, 0), (other, 1)):
+        lib.lu_forget(lu.p)
+        assert lu.factor(now) is Status.OK and lib.lu_walked(lu.p) == walks
 
 
 def test_refactorisation_is_used_and_left(lib: ctypes.CDLL) -> None:

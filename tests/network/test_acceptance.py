@@ -26,6 +26,8 @@ class Compiled:
         lib: Any = library()
         lib.ph_coupled_note(*self._at, ctypes.c_double(scaled))
         how_much = 2 if left <= ENERGY else 1 if left <= STALLED * ENERGY else 0
+        if not lib.ph_coupled_asks_energy(*self._at):  # as its loop does: energies take an evaluation of all members
+            how_much = 0
         by = lib.ph_coupled_accepted(*self._at, int(floor), how_much)
         takes = bool(lib.ph_coupled_takes_matrix(*self._at, how_much))
         self._progress.matrices += takes

@@ -82,7 +82,7 @@ static int choose(const ph_lu *lu, int j, int end, const double *a) {
 /* Columns of the factors from the first to the last; a = NULL: pattern only, for the pivots given. */
 int ph_lu_full(ph_lu *lu, const double *a) {
     int n = lu->n, q = 0;
-    lu->ready = lu->filled = 0;
+    lu->known = lu->ready = lu->filled = 0;
     memset(lu->work, 0, sizeof(double) * (size_t)n);
     for (int i = 0; i < n; i++)
         lu->mark[i] = lu->where[i] = -1;
@@ -124,14 +124,32 @@ int ph_lu_full(ph_lu *lu, const double *a) {
             lu->index[l] = lu->where[lu->index[l]];
     for (int e = 0; e < lu->nnz; e++)
         lu->place[e] = lu->where[lu->rowind[e]];
-    lu->ready = 1;
+    lu->known = lu->ready = 1;
     lu->filled = a != NULL;
     return PH_OK;
 }
 
-/* Same pattern and pivots, new numbers, the same operations in the same order as the full
- * factorisation. Returns PH_SINGULAR when a pivot has become too small beside its column. */
-int ph_lu_refactor(ph_lu *lu, const double *a) {
+/* Whether a search would take the pivot of step j again; others: the largest below it, of equals none is. */
+static int is_chosen(const ph_lu *lu, int j, double pivot, double others, const double *a) {
+    const int prefer = lu->prefer[j], column = lu->order[j];
+    const double most = pivot > others ? pivot : others;
+    double original = 0.0;
+    for (int e = lu->colptr[column]; e < lu->colptr[column + 1]; e++)
+        if (fabs(a[e]) > original)
+            original = fabs(a[e]);
+    if (!isfinite(most) || most <= PH_DEPENDENT * DBL_EPSILON * original)
+        return 0;
+    if (prefer == lu->pivot[j])
+        return pivot >= PREFER * most;
+    if (prefer >= 0 && lu->where[prefer] > j && fabs(lu->work[lu->where[prefer]]) >= PREFER * most)
+        return 0;
+    return pivot > others;
+}
+
+/* New numbers for the pattern and the pivots there are, the same operations in the same order as the full
+ * factorisation. searched: by these very pivots, those of a search; else as long as none is too small beside
+ * its column. */
+static inline int repeat(ph_lu *lu, const double *a, int searched) {
     double *restrict x = lu->work;
     double *restrict value = lu->value;
     const int *restrict index = lu->index;
@@ -149,6 +167,12 @@ int ph_lu_refactor(ph_lu *lu, const double *a) {
                 x[index[l]] -= value[l] * xk;
         }
         pivot = x[j];
+        if (searched) {
+            for (int q = lower; q < end; q++)
+                if (fabs(x[index[q]]) > most)
+                    most = fabs(x[index[q]]);
+            most = is_chosen(lu, j, fabs(pivot), most, a) ? 0.0 : INFINITY;
+        }
         x[j] = 0.0;
         lu->inverse[j] = 1.0 / pivot;
         for (int q = lower; q < end; q++) {
@@ -165,13 +189,30 @@ int ph_lu_refactor(ph_lu *lu, const double *a) {
     return PH_OK;
 }
 
+/* Same pattern and pivots. Returns PH_SINGULAR when a pivot has become too small beside its column. */
+int ph_lu_refactor(ph_lu *lu, const double *a) {
+    return repeat(lu, a, 0);
+}
+
+/* A search for pivots, to the last bit that of ph_lu_full. It mostly finds those of the last factors, which
+ * is seen at a fraction of the cost on the way through their pattern. */
+static int search(ph_lu *lu, const double *a) {
+    if (!lu->known || repeat(lu, a, 1))
+        return ph_lu_full(lu, a);
+    lu->ready = 1;
+    return PH_OK;
+}
+
 /* Refactorisation, and only if that is refused a new pivot search; count: ph_count counters. */
 int ph_lu_factor(ph_lu *lu, const double *a, long long *count) {
     count[PH_FACTORED]++;
-    if (lu->ready && ph_lu_refactor(lu, a) == PH_OK)
-        return PH_OK;
+    if (lu->ready) {
+        if (ph_lu_refactor(lu, a) == PH_OK)
+            return PH_OK;
+        lu->known = 0; /* a search refuses it too */
+    }
     count[PH_PIVOTED]++;
-    return ph_lu_full(lu, a);
+    return search(lu, a);
 }
 
 /* Takes over pivot rows (n, pivot[0] = -1: none) and rebuilds their pattern if they are new. */

@@ -19,8 +19,9 @@ typedef struct ph_lu {
     double *work;       /* n, zero between calls */
     int *mark, *stack, *child;
     int failed; /* column without a pivot */
-    int ready;  /* pivots and pattern are valid */
-    int filled; /* so are the numbers */
+    int known;  /* pivots and their pattern are those of the last factors */
+    int ready;  /* and the next factors are to have them too */
+    int filled; /* the numbers are valid */
 } ph_lu;
 
 int ph_lu_factor(ph_lu *lu, const double *a, long long *count);

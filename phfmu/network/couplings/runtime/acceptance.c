@@ -9,6 +9,11 @@ void ph_coupled_note(const ph_rules *r, ph_progress *p, double scaled) {
     p->trials++;
 }
 
+int ph_coupled_asks_energy(const ph_rules *r, const ph_progress *p) {
+    const double solved = r->held && p->stalled ? PH_COUPLED_STAGNATION : PH_COUPLED_ROUNDING;
+    return p->scaled <= solved || p->stalls >= PH_COUPLED_STALLS || (p->stalled && p->matrices > 1);
+}
+
 int ph_coupled_accepted(const ph_rules *r, const ph_progress *p, int floor, int left) {
     if (p->stalled && p->matrices > 0 && floor)
         return PH_BY_FLOOR;

@@ -59,6 +59,8 @@ typedef enum ph_energy_left { PH_TOO_MUCH, PH_WHERE_STALLED, PH_WITHIN } ph_ener
 
 /* One more trial with its largest scaled residual. */
 PH_API void ph_coupled_note(const ph_rules *r, ph_progress *p, double scaled);
+/* Whether what is below depends on the energy that rows leave; else PH_TOO_MUCH does for it. */
+PH_API int ph_coupled_asks_energy(const ph_rules *r, const ph_progress *p);
 /* floor: whether all rows are rounding, asked for only if they stalled and there is a matrix. */
 PH_API int ph_coupled_accepted(const ph_rules *r, const ph_progress *p, int floor, int left);
 /* Whether what was not accepted needs a matrix of its last trial. */

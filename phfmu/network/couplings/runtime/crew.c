@@ -1,4 +1,5 @@
 /* Threads that take parts of the master's work. */
+#define _POSIX_C_SOURCE 200809L
 #include "crew.h"
 
 #include <stdatomic.h>
@@ -15,8 +16,10 @@ typedef CONDITION_VARIABLE signal_t;
 #define UNLOCK(l) ReleaseSRWLockExclusive(l)
 #define WAIT(s, l) SleepConditionVariableSRW(s, l, INFINITE, 0)
 #define WAKE_ALL(s) WakeAllConditionVariable(s)
+#define YIELD() SwitchToThread()
 #else
 #include <pthread.h>
+#include <sched.h>
 typedef pthread_mutex_t lock_t;
 typedef pthread_cond_t signal_t;
 #define LOCK_INIT(l) pthread_mutex_init(l, NULL)
@@ -25,10 +28,21 @@ typedef pthread_cond_t signal_t;
 #define UNLOCK(l) pthread_mutex_unlock(l)
 #define WAIT(s, l) pthread_cond_wait(s, l)
 #define WAKE_ALL(s) pthread_cond_broadcast(s)
+#define YIELD() sched_yield()
 #endif
 
-/* Looks at a number that others change before a thread sleeps: some 20 us, which is what waking one takes. */
-#define SPIN 5000
+#if defined(__x86_64__) || defined(__i386__)
+#define PAUSE() __builtin_ia32_pause()
+#elif defined(__aarch64__)
+#define PAUSE() __asm__ volatile("yield")
+#else
+#define PAUSE() ((void)0)
+#endif
+
+/* Looks at a number that others change before a thread sleeps, since waking one takes as long as a trial may:
+ * some 10 us on its own, then some 500 us in which it lets others run. */
+#define LOOKS 400
+#define YIELDS 1000
 
 /* Parts are taken several at once, so that each thread comes back a few times. */
 #define TURNS 8
@@ -65,6 +79,25 @@ ph_crew *ph_crew_init(void *memory) {
     return c;
 }
 
+/* What a thread waits for: the next round, the end of this one. */
+static int no_round(ph_crew *c, int seen) {
+    return atomic_load(&c->round) == seen && !atomic_load(&c->stop);
+}
+
+static int others_left(ph_crew *c, int seen) {
+    (void)seen;
+    return atomic_load(&c->left) > 0;
+}
+
+/* Until there is nothing to wait for or a thread had better sleep. */
+static void look(ph_crew *c, int (*waits)(ph_crew *, int), int seen) {
+    for (int i = 0; i < LOOKS + YIELDS && waits(c, seen); i++)
+        if (i < LOOKS)
+            PAUSE();
+        else
+            YIELD();
+}
+
 static void take(ph_crew *c) {
     for (;;) {
         const int first = atomic_fetch_add(&c->next, c->block), end = first + c->block;
@@ -82,10 +115,9 @@ void ph_crew_help(ph_crew *c) {
     seen = atomic_load(&c->round);
     UNLOCK(&c->lock);
     for (;;) {
-        for (int i = 0; i < SPIN && atomic_load(&c->round) == seen && !atomic_load(&c->stop); i++)
-            ;
+        look(c, no_round, seen);
         LOCK(&c->lock);
-        while (atomic_load(&c->round) == seen && !atomic_load(&c->stop))
+        while (no_round(c, seen))
             WAIT(&c->work, &c->lock);
         if (atomic_load(&c->stop)) {
             c->helpers--;
@@ -127,10 +159,9 @@ void ph_crew_each(ph_crew *c, int n, void (*part)(void *, int), void *with) {
     WAKE_ALL(&c->work);
     UNLOCK(&c->lock);
     take(c);
-    for (int i = 0; i < SPIN && atomic_load(&c->left) > 0; i++)
-        ;
+    look(c, others_left, 0);
     LOCK(&c->lock);
-    while (atomic_load(&c->left) > 0)
+    while (others_left(c, 0))
         WAIT(&c->done, &c->lock);
     UNLOCK(&c->lock);
 }

@@ -22,7 +22,7 @@ static int solve(ph_master *m, double t, double h, int *trials, int *by) {
             return status;
         ph_coupled_note(rules, &p, now.scaled);
         floor = p.stalled && p.matrices > 0 && ph_matrix_at_floor(m);
-        left = ph_trial_left(m, &now);
+        left = ph_coupled_asks_energy(rules, &p) ? ph_trial_left(m, &now) : PH_TOO_MUCH;
         *by = ph_coupled_accepted(rules, &p, floor, left);
         *trials = p.trials;
         if (*by != PH_NOT_YET)

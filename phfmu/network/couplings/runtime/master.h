@@ -210,9 +210,10 @@ int ph_signals_present(const ph_master *m);
 /* work.c: what the accepted trial did at the junctions. */
 void ph_work_record(const ph_master *m, double h, int row);
 
-/* shares.c: of all members, by all threads: steps, from what is kept for those that come again; end values
- * and rows of an accepted step; derivatives. */
+/* shares.c: of all members, by all threads: steps, from what is kept for those that come again; end values;
+ * these and rows of an accepted step; derivatives. */
 int ph_shares_step(ph_master *m, double t, double h, int again);
+int ph_shares_refresh(ph_master *m);
 int ph_shares_finish(ph_master *m, int row);
 int ph_shares_along(ph_master *m);
 

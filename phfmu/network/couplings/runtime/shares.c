@@ -44,6 +44,11 @@ static void one_along(void *with, int i) {
     m->status[i] = ph_share_along(&m->shares[i]);
 }
 
+static void one_refresh(void *with, int i) {
+    ph_master *m = with;
+    m->status[i] = m->shares[i].calls->refresh(m->shares[i].in);
+}
+
 typedef struct finish {
     ph_master *m;
     int row;
@@ -67,6 +72,11 @@ static int first_failure(const ph_master *m) {
 int ph_shares_step(ph_master *m, double t, double h, int again) {
     step s = {m, t, h, again};
     ph_crew_each(m->crew, m->nshare, one_step, &s);
+    return first_failure(m);
+}
+
+int ph_shares_refresh(ph_master *m) {
+    ph_crew_each(m->crew, m->nshare, one_refresh, m);
     return first_failure(m);
 }
 

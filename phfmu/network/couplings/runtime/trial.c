@@ -80,12 +80,11 @@ int ph_trial_left(ph_master *m, ph_trial *now) {
         return PH_WITHIN;
     if (now->in_play < 0.0) {
         double stored = 0.0;
-        for (int i = 0; i < m->nshare; i++) {
-            if (m->shares[i].calls->refresh(m->shares[i].in))
-                return PH_TOO_MUCH;
+        if (ph_shares_refresh(m))
+            return PH_TOO_MUCH;
+        for (int i = 0; i < m->nshare; i++)
             for (int c = 0; c < m->shares[i].ncomp; c++)
                 stored += fabs(m->shares[i].energies[c]);
-        }
         now->in_play = stored > now->through ? stored : now->through;
     }
     if (now->left <= budget * now->in_play)
