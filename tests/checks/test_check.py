@@ -566,7 +566,7 @@ def library() -> list[tuple[str, Any]]:
             for kwargs in ARGUMENTS.get(name, ({},)):
                 given = {p.name: 1.0 for p in needed if p.name not in kwargs} | kwargs
                 label = ", ".join(f"{k}={v}" for k, v in given.items())
-                long = pytest.mark.slow if name in ("fekete", "net") else ()
+                long = pytest.mark.slow if name in ("chain", "fekete", "ladder", "net", "smib_breaker") else ()
                 found.append(pytest.param(function, given, id=f"{name}({label})", marks=long))
     return found
 
@@ -613,14 +613,14 @@ def random_models(draw):
     return model, rng, low @ low.T
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(random_models())
 def test_random_models_are_sound(drawn):
     model, _, _ = drawn
     assert list(map(str, check(model))) == []
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(random_models(), st.floats(1e-4, 10.0), st.sampled_from(["skew", "symmetry", "passivity", "costate"]))
 def test_random_perturbations_are_caught(drawn, size, rule):
     model, rng, R = drawn

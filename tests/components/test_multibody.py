@@ -63,9 +63,9 @@ def mean_multiplier(h):
     [(FIRST, 2, (40, 80, 160), 0.1), pytest.param(THIRD, 6, (10, 20, 40), 0.15, marks=pytest.mark.slow)],
 )
 def test_damped_chain_has_full_order_in_positions_velocities_and_multipliers(scheme, order, steps, tolerance):
-    exact, errors = swing_reference(), []
+    exact, errors, model = swing_reference(), [], build_model(chain(**SWING), scheme)
     for n in steps:
-        instance = NativeInstance(build_model(chain(**SWING), scheme))
+        instance = NativeInstance(model)
         rows = instance.run(0.0, 0.4 / n, n, ("x", "a", "stored", "dissipated", "signals"))
         x = rows["x"][-1]
         assert np.max(np.abs(rows["stored"] + rows["dissipated"])) <= 2e-12  # H is 150 J

@@ -141,7 +141,7 @@ def compare(name, k, n):
     assert name in idle or (used > 0.0).all()  # power through every port
 
 
-@pytest.mark.parametrize("steps", wide([50, 200], 50))
+@pytest.mark.parametrize("steps", wide([20, 200], 20))
 @pytest.mark.parametrize("name", wide(NAMES, *QUICK))
 def test_engines_agree_and_ledgers_close(name, steps):
     compare(name, 1, steps)
@@ -149,12 +149,12 @@ def test_engines_agree_and_ledgers_close(name, steps):
 
 @pytest.mark.parametrize("name", wide(HIGHER, "dc_motor", "synchronous_machine"))
 def test_engines_agree_at_order_four(name):
-    compare(name, 2, 50)
+    compare(name, 2, 20)
 
 
 @pytest.mark.parametrize("name", wide(["dc_motor", "four_particle"], "four_particle"))
 def test_engines_agree_at_order_six(name):
-    compare(name, 3, 50)
+    compare(name, 3, 20)
 
 
 @pytest.mark.slow

@@ -112,7 +112,7 @@ def ill_chosen() -> Model:
     found = at_rest.dependences
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(at_rest, "dependences", lambda j: [Dependence(d.rows, d.rows[1:2]) for d in found(j)])
-        return model(bricard()[0], 6)
+        return model(bricard()[0], 2)
 
 
 @pytest.mark.slow
@@ -263,7 +263,7 @@ def typed() -> tuple[Model, np.ndarray]:
     declaration = bricard()[0]
     q = declaration.states[0]
     off = 1e-3 * np.cos(np.arange(1.0, q.n + 1))
-    m = model(declaration.with_starts(dict(zip(q.names(), q.start + off, strict=True))), 6)
+    m = model(declaration.with_starts(dict(zip(q.names(), q.start + off, strict=True))), 2)
     assert not m.step.hold.rests.any()
     return m, project_start(m).x
 

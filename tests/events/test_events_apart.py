@@ -104,7 +104,7 @@ def test_all_land_together_with_node_values_and_keep_order_2k(
 
 
 def test_engines_land_together_alike(network: Any) -> None:
-    options = Options(stop=0.024, step=8e-4, events=EVENTS)
+    options = Options(stop=0.024, step=1.6e-3, events=EVENTS)
     native, python = (run(apart(network, e, 2), options) for e in (NativeInstance, PythonInstance))
     np.testing.assert_allclose(python.time, native.time, rtol=1e-12)
     for name in KEPT:

@@ -291,14 +291,17 @@ needs_cc = pytest.mark.skipif(not shutil.which("cc") or sys.platform != "linux",
 
 
 @needs_cc
-def test_no_warnings_no_writable_data_and_only_the_standard_is_exported(tmp_path: Path) -> None:
+@pytest.mark.parametrize("level", wide(["-O0", "-O1"], "-O0"))  # further warnings come of optimisation
+def test_no_warnings_no_writable_data_and_only_the_standard_is_exported(tmp_path: Path, level: str) -> None:
     code, library = host_libraries(tmp_path)
     files = sorted(n for n in code if n.endswith(".c"))
     headers = tmp_path / "standard"
     headers.mkdir()
     for name in sources.headers():
         (tmp_path / name).rename(headers / name)
-    options = "-std=c11 -Wall -Wextra -Werror -O1 -fvisibility=hidden -DPH_API= -shared -fPIC -I. -isystem standard"
+    options = (
+        f"-std=c11 -Wall -Wextra -Werror {level} -fvisibility=hidden -DPH_API= -shared -fPIC -I. -isystem standard"
+    )
     command = ["cc", *options.split(), *files, "-o", str(library), "-lm"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

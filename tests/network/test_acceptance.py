@@ -51,7 +51,7 @@ def test_both_masters_decide_alike(held: bool) -> None:
     """Sequences that shrink, stall and grow, through every test of the rules, also at the very limits."""
     rng = np.random.default_rng(7)
     seen = set()
-    for _ in range(2000):
+    for _ in range(700):
         one, two = Compiled(held), InPython(held)
         scaled, left = 10.0 ** rng.uniform(-12, 0), 10.0 ** rng.uniform(-15, -8)
         for _ in range(9):

@@ -140,9 +140,9 @@ def exact(end: float) -> np.ndarray:
     ("k", "others", "order"),
     [
         pytest.param(1, {}, 2, marks=WIDE),
-        (2, {}, 4),
+        pytest.param(2, {}, 4, marks=WIDE),
         (2, {"spring": NativeInstance}, 4),
-        (3, {"spring": 2}, 4),
+        pytest.param(3, {"spring": 2}, 4, marks=WIDE),
         pytest.param(3, {}, 6, marks=WIDE),
         pytest.param(3, {"body": 1}, 2, marks=WIDE),
     ],

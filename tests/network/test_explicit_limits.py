@@ -197,8 +197,8 @@ def test_errors_of_lagged_outputs_are_those_of_a_separate_program(car: Cut, h: f
 
 @pytest.mark.parametrize(("h", "grows"), [(0.052, False), (0.0545, True)])
 def test_lagged_outputs_are_stable_up_to_0_0533(car: Cut, h: float, grows: bool) -> None:
-    v = np.abs(car.run(Lagged(), h, stop=1000 * h).column("near.v"))
-    assert bool(v[900:].max() > v[400:500].max()) is grows
+    v = np.abs(car.run(Lagged(), h, stop=500 * h).column("near.v"))
+    assert bool(v[450:].max() > v[200:250].max()) is grows
 
 
 def test_the_error_of_jacobi_is_of_order_one_and_its_energy_is_told(car: Cut) -> None:

@@ -24,8 +24,8 @@ PROBES = {"type", "isinstance", "issubclass", "getattr", "hasattr", "vars"}
 def probes(path: Path) -> list[tuple[str, int]]:
     """Calls that look at the class or the attributes of what is called a scheme."""
     names = {"scheme", *(type(s).__name__ for s in SCHEMES), "Scheme"}
-    found = []
-    for node in nodes(path):
+    found, text = [], path.read_text(encoding="utf-8")
+    for node in nodes(path) if any(name in text for name in names) else ():
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in PROBES:
             inside = {n.id for a in node.args for n in ast.walk(a) if isinstance(n, ast.Name)}
             inside |= {n.attr for a in node.args for n in ast.walk(a) if isinstance(n, ast.Attribute)}

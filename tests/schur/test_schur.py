@@ -282,9 +282,9 @@ def test_tiles_change_nothing_but_the_order_of_sums(order: int, monkeypatch: pyt
     found = []
     for size in (7, 10**6):
         monkeypatch.setattr(lane_groups, "TILE", size)
-        m = model(tangle(20), order)
+        m = model(tangle(11), order)
         schur = m.step.schur
-        assert schur is not None and len(schur.tile.dof) - 1 == -(-60 // size)
+        assert schur is not None and len(schur.tile.dof) - 1 == -(-33 // size)
         assert all(g.until[-1] == g.n and (np.diff(g.until) >= 0).all() for g in schur.groups)
         instance = NativeInstance(m)
         instance.set_input([0.3, -0.2, 0.5])
