@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from phfmu.engine.steps import Steps, balance
 
 from .booking import Booking
-from .sums import Floats, Ints, across, across_each
+from .sums import Floats, Ints, across, across_each, plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def make_block(
         in_play = np.maximum(inside, np.abs(s.stored)) + np.abs(s.supplied) + np.abs(s.dissipated) + np.abs(gone)
         size, members = np.abs(s.pairs), list(booking.junctions.values())
         if q:
-            in_play += per_owner(booking, size)
+            in_play += plain(size, booking.owned)
         created, exchanged = across_each(s.pairs, members), 0.5 * across_each(size, members)
         residual = balance(s.stored, s.dissipated, s.supplied, gone)
         return Block(
@@ -76,15 +76,6 @@ def _checked(s: Steps, n: int, c: int, q: int, parts: int) -> Steps:
         iterations=_maybe("iterations", s.iterations, (n,)),
         accepted_by=None if s.accepted_by is None else np.array(s.accepted_by),
     )
-
-
-def per_owner(booking: Booking, energy: Floats) -> Floats:
-    """Sum of port columns [n,q] for each component [n,c]."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        sums = energy @ booking.owners
-        if not np.isfinite(sums).all():  # 0 inf in the product is not a number, for components that have none of it
-            sums = _stack(len(energy), [energy[:, column > 0.0].sum(axis=1) for column in booking.owners.T])
-    return sums
 
 
 def _network(booking: Booking, s: Steps, created: Floats) -> dict[str, Floats]:
@@ -112,7 +103,3 @@ def _table(name: str, x: ArrayLike, shape: tuple[int, ...]) -> Floats:
 
 def _maybe(name: str, x: ArrayLike | None, shape: tuple[int, ...]) -> Floats | None:
     return None if x is None else _table(name, x, shape)
-
-
-def _stack(n: int, columns: list[Floats]) -> Floats:
-    return np.stack(columns, axis=1) if columns else np.zeros((n, 0))

@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from .kinds import Quality
-from .sums import Floats
 
 #: the part of a junction's energy that projecting impulses take from the states of a composed model: a loss, or nothing
 PROJECTION = "projection"
@@ -76,10 +73,21 @@ class Booking:
         ]
 
     @cached_property
-    def owners(self) -> Floats:
-        """1 where a port column belongs to a component [q,c]."""
-        table = [[float(port.component == name) for name in self.components] for port in self.ports]
-        return np.array(table).reshape(len(self.ports), len(self.components))
+    def owned(self) -> list[list[int]]:
+        """Port columns of each component."""
+        columns: dict[str, list[int]] = {name: [] for name in self.components}
+        for column, port in enumerate(self.ports):
+            if port.component in columns:
+                columns[port.component].append(column)
+        return list(columns.values())
+
+    @cached_property
+    def scalars(self) -> dict[tuple[str, str], list[int]]:
+        """Port columns of each port (component, port)."""
+        columns: dict[tuple[str, str], list[int]] = {}
+        for column, port in enumerate(self.ports):
+            columns.setdefault((port.component, port.port), []).append(column)
+        return columns
 
     @cached_property
     def with_ports(self) -> frozenset[str]:
@@ -94,3 +102,8 @@ class Booking:
         if component in self.silent:
             return Quality.SILENT
         return Quality.ESTIMATED if component in self.estimated else Quality.EXACT
+
+    @cached_property
+    def exact(self) -> list[bool]:
+        """Components that are judged."""
+        return [self.quality(name) is Quality.EXACT for name in self.components]

@@ -1,4 +1,4 @@
-"""The sums of `sums.py` in compiled code, for runs of many steps: the same bits in a tenth of the time."""
+"""The sums of `sums.py` and the pass of `ordinary.py` in compiled code, for runs of many steps: the same bits."""
 
 from __future__ import annotations
 
@@ -21,4 +21,5 @@ def library() -> Any:
     lib.ph_sums_down.argtypes = [size, size, *[pointer] * 4]
     lib.ph_sums_across.argtypes = [size, size, pointer, size, *[pointer] * 3]
     lib.ph_most_down.argtypes = [size, size, pointer, pointer]
+    lib.ph_ordinary.argtypes = [pointer, size]
     return lib

@@ -17,10 +17,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block, per_owner
-from .booking import PROJECTION
+from .block import Block
+from .booking import PROJECTION, Booking
 from .kinds import Quality
-from .sums import CompensatedSum, Floats, add, all_finite, largest_so_far, ratio, rows
+from .sums import CompensatedSum, Floats, add, all_finite, largest_so_far, plain, ratio, rows
 from .violation import Violation, ViolationKind
 
 DEFAULT_RTOL = 1e-11
@@ -41,9 +41,9 @@ class Account:
     quality: Quality = Quality.EXACT
     reach: float = 0.0  # most energy in play so far
     largest: float = 0.0  # |H|
-    allowed: float = 0.0  # sum over the steps
     jumps: float = 0.0  # booked by events since the last step
     gap: CompensatedSum = field(default_factory=CompensatedSum)
+    allowed: CompensatedSum = field(default_factory=CompensatedSum)  # sum over the steps
     worst_ratio: float = -1.0
     worst_residual: float = 0.0
     worst_step: int = 0
@@ -56,7 +56,7 @@ class Judge:
     def __init__(self, rtol: float = DEFAULT_RTOL) -> None:
         self.rtol = rtol
         self.accounts: dict[str, Account] = {}
-        self._junctions: dict[str, float] = {}
+        self.passed: dict[str, float] = {}  # most that passed through each junction in a step
         self._found: dict[tuple[ViolationKind, str], Violation] = {}
 
     def steps(self, block: Block, stored: Floats) -> Floats:
@@ -65,8 +65,8 @@ class Judge:
         Returns DEFAULT_RTOL |residual| / allowed [n,c] with what DEFAULT_RTOL allows: it does not depend on `rtol`.
         """
         booking, names = block.booking, block.booking.components
-        accounts = [self._account(name, block, i) for i, name in enumerate(names)]
-        judged = np.array([booking.quality(name) is Quality.EXACT for name in names], bool)
+        accounts = self.known(booking, block.H0)
+        judged = np.array(booking.exact, bool)
         in_play = _or(math.nan, block.in_play)
         reach = largest_so_far([a.reach for a in accounts], _larger_finite(in_play, np.abs(stored)))
         with np.errstate(invalid="ignore", over="ignore"):
@@ -79,7 +79,7 @@ class Judge:
                 ViolationKind.DISSIPATION, names, np.minimum(block.steps.dissipated, 0.0), allowed, block, judged
             )
             if names:
-                booked = block.steps.supplied - per_owner(booking, block.steps.pairs)
+                booked = block.steps.supplied - plain(block.steps.pairs, booking.owned)
                 self._mark(ViolationKind.PORTS, names, booked, allowed, block, judged)
             self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
             missed = allowed if judged.all() else np.where(judged, allowed, np.abs(block.residual))
@@ -104,15 +104,14 @@ class Judge:
         silent = np.maximum.accumulate(np.maximum(H, largest), axis=0) == 0.0
         return np.where(silent, rows(reach)[:, None], 0.0)
 
-    def _account(self, name: str, block: Block, i: int) -> Account:
-        account = self.accounts.get(name)
-        if account is None:
-            H0 = float(block.H0[0, i])
-            account = self.accounts[name] = Account(H0, H0)
-        quality = block.booking.quality(name)
-        if quality is not Quality.EXACT:
-            account.quality = quality
-        return account
+    def known(self, booking: Booking, H0: Floats) -> list[Account]:
+        """The accounts of the components; those that are new begin with the first row of H0 [n,c]."""
+        for i, name in enumerate(booking.components):
+            if name not in self.accounts:
+                self.accounts[name] = Account(float(H0[0, i]), float(H0[0, i]))
+            if not booking.exact[i]:
+                self.accounts[name].quality = booking.quality(name)
+        return [self.accounts[name] for name in booking.components]
 
     def _changes(self, accounts: list[Account], block: Block, allowed: Floats, H: Floats) -> None:
         """H from step to step and within each, against what is booked; `H` [n,c]: max(|H0|, |H1|)."""
@@ -126,8 +125,8 @@ class Judge:
         self._mark(ViolationKind.GAP, names, between, permitted, block)
         self._mark(ViolationKind.CHANGE, names, within, permitted, block)
         add([account.gap for account in accounts], between + within)
+        add([account.allowed for account in accounts], allowed)
         for i, account in enumerate(accounts):
-            account.allowed += float(allowed[:, i].sum())
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
 
     def _joined(self, block: Block, allowed: Floats, played: Floats) -> None:
@@ -139,8 +138,8 @@ class Judge:
         names = tuple(block.booking.junctions)
         if names:
             passed = 2.0 * block.junction_exchanged
-            reach = largest_so_far([self._junctions.get(name, 0.0) for name in names], _or(0.0, passed).copy())
-            self._junctions.update(zip(names, reach[-1].tolist(), strict=True))
+            reach = largest_so_far([self.passed.get(name, 0.0) for name in names], _or(0.0, passed).copy())
+            self.passed.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
             permitted = self.rtol * passed + FLOOR * EPS * reach + ULPS * EPS * rows(played)[:, None]
             self._mark(
@@ -165,7 +164,7 @@ class Judge:
             return
         names = tuple(block.booking.junctions)
         at = [names.index(name) for name in divided]
-        sums = np.stack([works[:, own].sum(axis=1) for own in divided.values()], axis=1)
+        sums = plain(works, list(divided.values()))
         self._mark(ViolationKind.PARTS, tuple(divided), block.junction_residual[:, at] - sums, permitted[:, at], block)
 
     def _keep_worst(self, account: Account, block: Block, found: Floats, i: int) -> None:
@@ -227,7 +226,7 @@ class Judge:
         """All that does not close so far; of H also what is small in each step but not in the run."""
         drifts = []
         for name, a in self.accounts.items():
-            allowed = a.allowed + ULPS * EPS * a.largest
+            allowed = a.allowed.value + ULPS * EPS * a.largest
             if (
                 not {(ViolationKind.GAP, name), (ViolationKind.CHANGE, name)} & self._found.keys()
                 and not abs(a.gap.value) <= allowed

@@ -14,6 +14,7 @@ reports no energy) lies outside the balance: what it takes from a junction leave
 import math
 from dataclasses import replace
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,21 +23,23 @@ from phfmu.engine.steps import Steps
 from phfmu.words import counted
 
 from .block import Block, make_block
-from .booking import Booking, PartKey
+from .booking import Booking
 from .events import EventCount, EventRow
 from .judge import DEFAULT_RTOL, Judge
 from .kinds import Quality
+from .run_sums import RunSums
 from .sink import Sink
 from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
-from .sums import Floats, Sums, larger, largest, use_compiled
+from .sums import Floats, compiled, use_compiled
 from .violation import COMPONENT, JUNCTION, Violation, ViolationKind, word
 
-#: columns of the network that have running sums beside them
-CUMULATIVE = ("dissipated", "external", "junction_residual", "unexplained")
+if TYPE_CHECKING:
+    from .ordinary import Ordinary
 
-
-#: numbers to add up after which sums are worth a compiled library
-LONG = 1 << 17
+#: numbers to add up and to judge after which a compiled library is worth its start, a few milliseconds
+LONG = 1 << 16
+#: of them for each component, beside one for each port pair
+COLUMNS = 8
 
 
 class Ledger:
@@ -49,13 +52,8 @@ class Ledger:
     def __init__(self, sink: Sink | None = None, rtol: float = DEFAULT_RTOL) -> None:
         self._sink = sink
         self._judge = Judge(rtol)
-        self._sums = Sums()
-        self._ports: dict[tuple[str, str], tuple[str | None, Quality]] = {}
-        self._junctions: dict[str, float] = {}
-        self._parts: dict[PartKey, float] = {}
-        self._estimated: set[str] = set()
-        self._loose: set[str] = set()
-        self._unexplained = 0.0
+        self._sums = RunSums()
+        self._ordinary: Ordinary | None = None
         self._steps = self._numbers = 0
         self._t_start = self._t_end = math.nan
         self._events = EventCount()
@@ -79,72 +77,60 @@ class Ledger:
         H0: ArrayLike | None = None,
     ) -> None:
         """Book n accepted steps; shapes and errors as for `make_block`, which copies the arrays."""
+        self._change_over(steps)
+        if self._sink is None and self._ordinarily(booking, step, t0, h, steps, H0):
+            return
         block = make_block(booking, step, t0, h, steps, H0)
         if len(block.step) == 0:
             return
-        block = self.take(block)
+        block = self._taken(block)
         if self._sink is not None:
             self._sink.write_block(block)
 
     def take(self, block: Block) -> Block:
         """Sum and judge a block of at least one step; the block with what only the run knows filled in."""
-        stored = self._add_components(block)
-        self._add_ports(block)
-        self._add_parts(block)
-        self._add_network(block.network)
+        self._change_over(block.steps)
+        return self._taken(block)
+
+    def _taken(self, block: Block) -> Block:
+        stored = self._sums.add(block)
         relative = self._judge.steps(block, stored)
-        if self._steps == 0:
-            self._t_start = float(block.t0[0])
-        self._numbers, before = self._numbers + block.steps.pairs.size + block.steps.stored.size, self._numbers
-        if before < LONG <= self._numbers:
-            use_compiled()
-        self._steps += len(block.step)
-        self._t_end = float(block.t0[-1] + block.h[-1])
+        self._count(block.t0, block.h)
         return replace(block, relative=relative)
 
-    def _add_components(self, block: Block) -> Floats:
-        """Sum the columns of the components; the sums of the changes of H up to each step [n,c]."""
-        names, s = block.booking.components, block.steps
-        for key, table in {"dissipated": s.dissipated, "supplied": s.supplied, "numerical": s.numerical}.items():
-            if table is not None:
-                self._sums.add([(key, name) for name in names], table)
-        return self._sums.extend([("stored", name) for name in names], s.stored)
+    def _change_over(self, s: Steps) -> None:
+        """To compiled code, when it begins to pay."""
+        self._numbers, before = self._numbers + np.size(s.pairs) + COLUMNS * np.size(s.stored), self._numbers
+        if before < LONG <= self._numbers:
+            use_compiled()
 
-    def _add_ports(self, block: Block) -> None:
-        booking = block.booking
-        widths: dict[tuple[str, str], list[int]] = {}
-        for j, port in enumerate(booking.ports):
-            self._ports.setdefault((port.component, port.port), (port.junction, port.quality))
-            widths.setdefault((port.component, port.port), []).append(j)
-            if port.quality == Quality.ESTIMATED and port.junction is not None:
-                self._estimated.add(port.junction)
-        for width in {len(js) for js in widths.values()}:
-            some = {key: js for key, js in widths.items() if len(js) == width}
-            pairs = block.steps.pairs
-            if width > 1 or len(some) < len(booking.ports):
-                pairs = pairs[:, list(some.values())].transpose(0, 2, 1).reshape(-1, len(some))  # steps, pairs, ports
-            self._sums.add([("port", *key) for key in some], pairs)
-        names = list(booking.junctions)
-        self._loose.update(names if booking.loose else ())
-        self._sums.add([("junction", name) for name in names], block.junction_residual)
-        self._sums.add([("exchanged", name) for name in names], block.junction_exchanged)
-        for j, name in enumerate(names):
-            self._junctions[name] = larger(self._junctions.get(name, 0.0), largest(block.junction_residual[:, j]))
+    def _ordinarily(
+        self, booking: Booking, step: ArrayLike, t0: ArrayLike, h: ArrayLike, steps: Steps, H0: ArrayLike | None
+    ) -> bool:
+        """Sum and judge steps in one pass of compiled code, if they are ordinary."""
+        library, numbers, start, size = compiled(), *(np.asarray(x) for x in (step, t0, h))
+        if library is None or not numbers.shape == start.shape == size.shape == (len(steps.H),):
+            return False
+        own = self._ordinary
+        if own is None or own.booking is not booking:
+            from .ordinary import Ordinary
 
-    def _add_parts(self, block: Block) -> None:
-        works = block.steps.works
-        if works is None:
-            return
-        self._sums.add([("part", key.junction, key.part) for key in block.booking.parts], works)
-        for j, key in enumerate(block.booking.parts):
-            self._parts[key] = larger(self._parts.get(key, 0.0), largest(works[:, j]))
+            own = self._ordinary = Ordinary(library, booking, self._sums, self._judge)
+        worst = own.take(steps, H0)
+        if worst is None:
+            return False
+        for name, row in zip(booking.components, worst, strict=True):
+            if row >= 0:
+                account = self._judge.accounts[name]
+                account.worst_step, account.worst_t0 = int(numbers[row]), float(start[row])
+        self._count(start, size)
+        return True
 
-    def _add_network(self, network: dict[str, Floats]) -> None:
-        """Sum the network's columns and put the running sums beside them."""
-        self._unexplained = larger(self._unexplained, largest(network["unexplained"]))
-        names = [name for name in (*CUMULATIVE, "dH", "numerical") if name in network]
-        sums = self._sums.extend([(name,) for name in names], np.stack([network[name] for name in names], axis=1))
-        network.update((f"cum_{name}", sums[:, j]) for j, name in enumerate(names) if name in CUMULATIVE)
+    def _count(self, t0: Floats, h: Floats) -> None:
+        if self._steps == 0:
+            self._t_start = float(t0[0])
+        self._steps += len(t0)
+        self._t_end = float(t0[-1] + h[-1])
 
     def event(
         self,
@@ -161,7 +147,7 @@ class Ledger:
         """
         self._events.add(t, kind, component, message)
         if component is not None and energy_jump is not None:
-            self._sums["jumps", component].add(energy_jump)
+            self._sums.by["jumps", component].add(energy_jump)
             self._judge.jump(component, energy_jump)
         if self._sink is not None:
             self._sink.write_event(EventRow(t, kind, component, energy_jump, message, lost))
@@ -183,11 +169,14 @@ class Ledger:
             self._t_start,
             self._t_end,
             [self._component(name, found) for name in self._judge.accounts],
-            [PortSummary(*key, *kept, self._sums.get("port", *key) or 0.0) for key, kept in self._ports.items()],
-            [self._junction(name, worst, found) for name, worst in self._junctions.items()],
             [
-                PartSummary(key.junction, key.part, self._sums.get("part", key.junction, key.part) or 0.0, worst)
-                for key, worst in self._parts.items()
+                PortSummary(*key, *kept, self._sums.by.get("port", *key) or 0.0)
+                for key, kept in self._sums.ports.items()
+            ],
+            [self._junction(name, worst, found) for name, worst in self._sums.junctions.items()],
+            [
+                PartSummary(key.junction, key.part, self._sums.by.get("part", key.junction, key.part) or 0.0, worst)
+                for key, worst in self._sums.parts.items()
             ],
             self._network(found) if self._steps else None,
             dict(self._events.kinds),
@@ -196,7 +185,7 @@ class Ledger:
         )
 
     def _component(self, name: str, found: list[Violation]) -> ComponentSummary:
-        get, account = self._sums.get, self._judge.accounts[name]
+        get, account = self._sums.by.get, self._judge.accounts[name]
         return ComponentSummary(
             name,
             account.H_start,
@@ -216,22 +205,22 @@ class Ledger:
         )
 
     def _junction(self, name: str, worst: float, found: list[Violation]) -> JunctionSummary:
-        get = self._sums.get
+        get, sums = self._sums.by.get, self._sums
         quality = (
-            Quality.LOOSE if name in self._loose else Quality.ESTIMATED if name in self._estimated else Quality.EXACT
+            Quality.LOOSE if name in sums.loose else Quality.ESTIMATED if name in sums.estimated else Quality.EXACT
         )
         verdict = word(found, JUNCTION, name, quality)
         return JunctionSummary(name, get("junction", name) or 0.0, get("exchanged", name), worst, verdict)
 
     def _network(self, found: list[Violation]) -> NetworkSummary:
-        get = self._sums.get
+        get = self._sums.by.get
         return NetworkSummary(
             stored=get("dH") or 0.0,
             dissipated=get("dissipated") or 0.0,
             external=get("external"),
             junction_residual=get("junction_residual"),
             unexplained=get("unexplained") or 0.0,
-            worst_unexplained=self._unexplained,
+            worst_unexplained=self._sums.unexplained,
             verdict=word(found, (ViolationKind.UNEXPLAINED,), "network", self._judge.quality),
             numerical=get("numerical"),
         )

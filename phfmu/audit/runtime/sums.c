@@ -1,18 +1,9 @@
 /* Compensated sums of tables and largest values so far, row after row: the same bits as those of sums.py,
  * which makes them array by array. */
-#include <math.h>
-#include <stddef.h>
+#include "sums.h"
 
-#if defined(_WIN32)
-#define PH_API __declspec(dllexport)
-#else
-#define PH_API __attribute__((visibility("default")))
-#endif
-
-/* What the addition after = before + x has rounded off. */
 static double rounded_off(double before, double x, double after) {
-    const double part = after - before;
-    const double error = (before - (after - part)) + (x - part);
+    const double error = ph_rounded_off(before, x, after);
     return isfinite(error) ? error : 0.0;
 }
 
