@@ -50,10 +50,11 @@ def call(args: argparse.Namespace) -> int:
         print(f"members: {', '.join(d.members)}")
     words = {}
     if isinstance(s.system, Network):
-        from phfmu.network.couplings.told import exchanged, order_told
+        from phfmu.network.couplings.apart import Apart
 
-        print(f"order: {order_told(s.system)}")
-        words = exchanged(s.system)
+        apart = Apart(s.system)
+        print(f"order: {apart.order()}")
+        words = apart.exchanged()
         for wire in s.system.wires:
             print(f"signal {wire}")
     if d.junctions:
@@ -61,8 +62,8 @@ def call(args: argparse.Namespace) -> int:
 
         kinds = node_kinds(d)
     for name, ends in d.junctions:
-        apart = f"; newton: {words[name]}" if name in words else ""
-        print(f"junction {name}: {', '.join(ends)}; {kinds[name]}{apart}")
+        newton = f"; newton: {words[name]}" if name in words else ""
+        print(f"junction {name}: {', '.join(ends)}; {kinds[name]}{newton}")
     _print_declaration(d, args.target)
     return 0
 
@@ -77,12 +78,13 @@ def _print_run(s: Scene, name: str, description: str) -> None:
 def _print_apart(s: Scene, network: Network) -> None:
     """A network with units, which is no one model."""
     from phfmu.fmu.inspect import port_lines
-    from phfmu.network.couplings.told import exchanged, order_told
+    from phfmu.network.couplings.apart import Apart
 
     _print_run(s, s.name, s.description or network.description)
     print(f"members: {', '.join(network.members)}")
-    print(f"order: {order_told(network)}")
-    words = exchanged(network)
+    apart = Apart(network)
+    print(f"order: {apart.order()}")
+    words = apart.exchanged()
     for wire in network.wires:
         print(f"signal {wire}")
     for j in network.junctions:

@@ -20,7 +20,7 @@ SOME = 3
 
 def print_many(network: Network) -> None:
     """Members by kind, junctions by what they join, the number of variables."""
-    from phfmu.network.couplings.told import exchanged, order_told
+    from phfmu.network.couplings.apart import Apart
 
     kinds = _kinds(network)
     print(f"members: {len(network.members)} of {counted(len(kinds), 'kind')}")
@@ -31,8 +31,9 @@ def print_many(network: Network) -> None:
         print(f"  {len(names)} x {label}: {getattr(member, 'description', '')} ({_some(names)})".replace(":  (", ": ("))
         for line in _parameters([network.declared[n] for n in names if n in network.declared]):
             print(f"    {line}")
-    print(f"order: {order_told(network)}")
-    words = exchanged(network)
+    apart = Apart(network)
+    print(f"order: {apart.order()}")
+    words = apart.exchanged()
     groups: dict[tuple[str, str, str], list[str]] = {}
     for j in network.junctions:
         ends = Counter(f"{kind_of[e.member]}.{e.port}" for e in j.ends)

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 def apart(
     args: argparse.Namespace, s: Scene, network: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
 ) -> Job:
+    from phfmu.network.couplings.apart import Apart, held_wires
     from phfmu.network.couplings.named import named_coupling
-    from phfmu.network.couplings.told import held_wires, kicked
 
     sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
     coupling = named_coupling(name, network, sequence, args.unconverged)
@@ -40,7 +40,7 @@ def apart(
     threads, notes = threads_asked(args), list(why)
 
     some_fmu = "fmu" in map(stepping.engine_of, schemes)
-    with_impulses = kicked(network, args.project) if some_fmu and coupling.nodes else set()
+    with_impulses = Apart(network).kicked(args.project) if some_fmu and coupling.nodes else set()
     held = {
         n for n, d in network.declared.items()
         if not (coupling.nodes and schemes[n].node_values)

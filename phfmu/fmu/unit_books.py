@@ -64,10 +64,10 @@ class Books(Protocol):
 def books(ports: PortValues) -> Books:
     """The unit's own where it tells enough."""
     means, told = ports.y_mean, ports.interface.energy
-    return Estimated(ports) if means is None or not {*_STEP, "stored"} <= told.keys() else Told(ports, means)
+    return EstimatedBooks(ports) if means is None or not {*_STEP, "stored"} <= told.keys() else OwnBooks(ports, means)
 
 
-class Told:
+class OwnBooks:
     """The unit's own ledger, exact; kept here are the inputs of the last step, at nodes or held."""
 
     estimated = False
@@ -119,7 +119,7 @@ class Told:
         self._given = memory["given"]
 
 
-class Estimated:
+class EstimatedBooks:
     """By the change of displacements, whose rates the outputs are: u (q1 - q0) is what held inputs supply; else by the
     trapezoid of the outputs under its inputs.
 

@@ -42,7 +42,7 @@ class Tags(Protocol):
     def end(self, tag: str) -> None: ...
 
 
-class _Told:
+class _Target:
     """lxml's view of `Tags`: text is passed by, document types and deep nesting are refused."""
 
     def __init__(self, tags: Tags, name: str):
@@ -73,17 +73,17 @@ class _Told:
 
 def read(stream: IO[bytes], name: str, tags: Tags) -> None:
     """The document, in memory for one tag at a time; FMUError says what is wrong."""
-    told = _Told(tags, name)
-    parser = etree.XMLParser(target=told, **SAFE)
+    target = _Target(tags, name)
+    parser = etree.XMLParser(target=target, **SAFE)
     size = silent = 0
     try:
         while chunk := stream.read(CHUNK):
             if not size:
                 _check_encoding(chunk, name)
-            before = told.seen
+            before = target.seen
             parser.feed(chunk)
             size += len(chunk)
-            silent = 0 if told.seen > before else silent + len(chunk)
+            silent = 0 if target.seen > before else silent + len(chunk)
             limits.within(name, size, limits.DESCRIPTION, "bytes of XML")
             limits.within(name, silent, limits.TAG, "bytes in one tag, comment or text")
         parser.close()

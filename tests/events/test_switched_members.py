@@ -35,7 +35,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.engine.status import Status, StepFailure
-from phfmu.network.couplings.told import exchanged, order_told
+from phfmu.network.couplings.apart import Apart
 from tests.events.test_switches import LA, LD, STOP, bridge
 from tests.wide import wide
 
@@ -163,9 +163,11 @@ def test_a_step_with_a_change_of_mode_is_told_as_one_and_taken_back_bitwise(engi
     assert step < 60
 
 
-def test_what_members_with_switches_exchange_is_told():
-    assert "2 with --coupling newton: supply takes held inputs" in order_told(network())
-    assert "supply has ideal switches, whose modes change within its step" in exchanged(network())["node"]
+def test_what_members_with_switches_exchange_is_told() -> None:
+    apart = Apart(network())
+    assert "2 with --coupling newton: supply takes held inputs" in apart.order()
+    assert "supply has ideal switches, whose modes change within its step" in apart.exchanged()["node"]
+    assert apart.held == ["supply"]
 
 
 def test_a_bridge_between_currents_that_are_given_is_refused_as_a_member_by_name(capsys):

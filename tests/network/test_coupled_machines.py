@@ -38,8 +38,8 @@ from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.engine.status import Status
 from phfmu.fmu.reader import FMUInstance
+from phfmu.network.couplings.apart import Apart
 from phfmu.network.couplings.exchange import Exchange
-from phfmu.network.couplings.told import exchanged
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.node_values import InstanceNodes, node_values
@@ -205,7 +205,7 @@ def test_an_isolated_neutral_gets_no_impulses_composed_and_apart() -> None:
     net.junction("bus", ["a.terminal", "b.terminal"])
     nodes = bare_nodes(extract(net.compose()))
     assert {n.remedy for n in nodes} == {"none"} and "isolated neutral" in nodes[0].reason
-    assert exchanged(net)["bus"].endswith("no impulses (its inductance matrix is singular (isolated neutral))")
+    assert Apart(net).exchanged()["bus"].endswith("no impulses (its inductance matrix is singular (isolated neutral))")
     exchange = Exchange(couple(net, 2, PythonInstance).joined)
     assert exchange.bare == [] and len(exchange.offered) == 3
     grounded = Network("grounded")  # a line with a zero sequence beside one of them: the matrix is regular
@@ -223,7 +223,7 @@ def test_saturated_branches_exchange_values_only_and_say_why() -> None:
     net.add("b", saturable("b", 0.5, -0.6))
     net.junction("bus", ["a.p", "b.p"])
     assert {n.remedy for n in bare_nodes(extract(net.compose()))} == {"projection"}
-    words = exchanged(net)["bus"]
+    words = Apart(net).exchanged()["bus"]
     assert "no impulses" in words and "not quadratic" in words
     drive = Event(0.0, "a.drive.v", 5.0)
     sums = []

@@ -46,7 +46,7 @@ from phfmu.components.electrical.synchronous_machine import machine_at_bus
 from phfmu.components.mechanical.torque_source import torque_source
 from phfmu.components.scenes.smib import circuit, smib
 from phfmu.components.scenes.speed_control import speed_control
-from phfmu.network.couplings.told import order_told
+from phfmu.network.couplings.apart import Apart
 from phfmu.network.junctions.junction import ConnectionError
 from phfmu.network.members.member import Member
 from phfmu.network.scene import Event
@@ -434,7 +434,7 @@ def test_units_from_the_command_line_find_each_others_signals(compiler: None, tm
     net.connect("rotor.a", "actuator.shaft", name="shaft")
     net.signal("rotor.w", "controller.measured")
     net.signal("controller.command", "actuator.torque")
-    assert "at most 4" in order_told(net)
+    assert "at most 4" in Apart(net).order()
     rotor = build_model(net.separate()["rotor"], Collocated(2))
     with ExitStack() as stack:
         members: list[Member] = [EngineMember("rotor", rotor, PythonInstance(rotor))]

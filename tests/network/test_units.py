@@ -434,15 +434,15 @@ def test_predictions_that_run_away_end_the_run_with_advice(
 def test_members_that_hold_a_value_are_told_with_the_reason(tmp_path: Path) -> None:
     """A unit of this package without inputs at nodes, and ideal switches."""
     from phfmu.components.scenes.rectifier import rectifier
-    from phfmu.network.couplings.told import exchanged
+    from phfmu.network.couplings.apart import Apart
 
     (plain,) = export(build_model(replace(mass(1.0), name="plain")), tmp_path, ("3.0",), step=0.01)
     net = Network("held")
     net.add("plain", plain)
     net.add("cart", mass(2.0))
     net.junction("b", ["plain.flange", "cart.flange"])
-    told = exchanged(net)["b"]
+    told = Apart(net).exchanged()["b"]
     assert told.startswith("one held value")
     assert told.endswith("; plain was exported without inputs at nodes (--node-inputs, --order 4)")
-    told = exchanged(rectifier().system)["dc"]
+    told = Apart(rectifier().system).exchanged()["dc"]
     assert "; bridge has ideal switches, whose modes change within its step" in told

@@ -1,0 +1,131 @@
+"""What members of a network exchange when they are stepped apart, and which order follows; in words."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import cached_property
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.network.couplings.bare_columns import Bare, bare
+from phfmu.network.couplings.newton import Newton
+from phfmu.network.junctions.interface import Interface, interface
+from phfmu.network.junctions.network import Network
+from phfmu.network.junctions.wires import Wire
+from phfmu.network.members.node_values import DeclaredOffer
+from phfmu.terms.port_impulses import Impulse
+
+if TYPE_CHECKING:
+    from phfmu.fmu.unit_file import UnitFile
+
+
+class Apart:
+    """A network whose members are stepped apart."""
+
+    def __init__(self, network: Network):
+        self.network = network
+        #: members that take one held value a step
+        self.held = [n for n, u in network.units.items() if not u.k]
+        self.held += [n for n, d in network.declared.items() if d.switches]
+
+    @cached_property
+    def wires(self) -> list[Wire]:
+        """Signals that are held over a step."""
+        declared = self.network.declared.items()
+        return held_wires(self.network, [n for n, d in declared if d.state_events or n in self.held])
+
+    def order(self) -> str:
+        """What `--order` is composed and apart."""
+        held, units = self.held, self.network.units
+        which = f"{', '.join(held)} take{'s' if len(held) == 1 else ''} held inputs"
+        if units:
+            most = min(Newton.order if held or self.wires else inf, *(2 * (u.k or 1) for u in units.values()))
+            return f"at most {most:g} with --coupling newton{f'; {which}' if held else ', that of its units'}"
+        if held:
+            return f"--order composed; {Newton.order} with --coupling newton: {which}"
+        if self.wires:
+            return f"--order composed; {Newton.order} with --coupling newton: signals are held over a step"
+        return "--order, composed and with --coupling newton (k = order / 2 values per step)"
+
+    def exchanged(self) -> dict[str, str]:
+        """Junction -> what its members exchange with --coupling newton, and which order follows where nothing is missing."""
+        face, found = self._bare
+        out = {}
+        for j in self.network.junctions:
+            own = face.sums[j.name]
+            one = list(dict.fromkeys(e.member for e in j.ends if e.member in self.held))
+            values, order = ("one held value", "2") if one else ("k values", "2k")
+            pair = " and a pair of impulses" if own.start in found.columns else ""
+            why = "" if pair else found.why.get(j.name)
+            text = f"{values}, no impulses ({why})" if why else f"{values}{pair}, order {order}"
+            out[j.name] = "; ".join([text, *map(self._why_held, one)])
+        return out
+
+    def kicked(self, projected: bool = False) -> set[str]:
+        """Members that exchange impulses; if the start is to be `projected`, all that take some."""
+        if projected:
+            declared = self.network.declared.items()
+            return {n for n, d in declared if n not in self.held and DeclaredOffer(n, d).kicked}
+        face, found = self._bare
+        return {e.member for j in self.network.junctions if face.sums[j.name].start in found.columns for e in j.ends}
+
+    def _why_held(self, member: str) -> str:
+        """Why a member takes one value a step."""
+        unit = self.network.units.get(member)
+        if unit is not None and unit.interface.energy:
+            return f"{member} was exported without inputs at nodes (--node-inputs, --order 4)"
+        if unit is not None:
+            return f"{member} is a unit of another tool, which takes held inputs"
+        return f"{member} has ideal switches, whose modes change within its step: it takes the mean of its inputs"
+
+    @cached_property
+    def _bare(self) -> tuple[Interface, Bare]:
+        """The columns that carry impulses where members offer what their declarations, or manifests, say."""
+        network = self.network
+        offers = {
+            n: FileOffer(n, network.units[n]) if n in network.units else DeclaredOffer(n, network.declared[n])
+            for n in network.members
+        }
+        face = interface(network, list(offers.values()))
+        places, at = [], 0
+        for o in offers.values():
+            places.append(slice(at, at + o.nu))
+            at += o.nu
+        taking = [None if n in self.held or not o.ports else o for n, o in offers.items()]
+        return face, bare(network, face, places, taking)
+
+
+def held_wires(network: Network, held: Collection[str]) -> list[Wire]:
+    """Signals that are held over a step: from and to `held` members, and units without their values at nodes."""
+    there = network.units
+    given = {n: d.interface.sent if d.k else {} for n, d in there.items()}
+    taken = {n: d.interface.taken if d.k else {} for n, d in there.items()}
+    return [
+        w
+        for w in network.wires
+        if {w.source, w.target} & set(held)
+        or (w.source in there and w.output not in given[w.source])
+        or (w.target in there and w.input not in taken[w.target])
+    ]
+
+
+class FileOffer:
+    """The offer of a unit by its manifest. Its matrix is not known before it runs: all of its impulses may be coupled."""
+
+    def __init__(self, name: str, file: UnitFile):
+        from phfmu.fmu.node_exchange import impulse_ports
+
+        self.name, self.nu = name, 0
+        self.ports = {p.port: p for p in impulse_ports(file.port_maps)}
+        self.places = {}
+        for p in file.port_maps:
+            self.places[p.name] = slice(self.nu, self.nu + len(p.inputs))
+            self.nu += len(p.inputs)
+        self.kicked = [j for p in self.ports.values() if p.kind is not Impulse.NONE for j in p.inputs]
+
+    def jump(self) -> NDArray[np.float64]:
+        n = len(self.kicked)
+        return np.eye(n) + np.ones((n, n))
