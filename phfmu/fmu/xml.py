@@ -28,9 +28,16 @@ def number(value: float) -> str:
     return repr(float(value))
 
 
-def text_of(element: Element) -> bytes:
-    """The document, indented, UTF-8."""
+def text_of(element: Element, *verbatim: str) -> bytes:
+    """The document, indented, UTF-8; elements with the tags `verbatim` are as they are inside."""
+    as_they_are = [e for e in element.iter(*verbatim) if e.getparent().tag not in verbatim] if verbatim else []
+    places = [etree.Element("place") for _ in as_they_are]
+    for place, e in zip(places, as_they_are, strict=True):
+        e.getparent().replace(e, place)
     etree.indent(element)
+    for place, e in zip(places, as_they_are, strict=True):
+        e.tail = place.tail
+        place.getparent().replace(place, e)
     return etree.tostring(element, xml_declaration=True, encoding="UTF-8") + b"\n"
 
 

@@ -57,7 +57,7 @@ def export_ssp(scene: Scene, directory: str | Path, options: Options, version: s
         units = replace(net, members={})
         for name in net.members:
             units.add(name, _unit(net, name, Path(folder), options, outward[name]))
-        kept = scene.kept if isinstance(scene.kept, Kept) else Kept()
+        kept = (scene.kept if isinstance(scene.kept, Kept) else Kept()).of_version(version)
         lines = [*kept.lost, *write_package(path, Contents(units, scene.stop, options.step, version, kept))]
     events = [f"event at t = {e.t:g} s, {e.name} = {e.value:g}: SSP has no events" for e in scene.events]
     return path, [*lines, *events]

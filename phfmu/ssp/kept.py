@@ -1,6 +1,8 @@
-"""What a description says that no run needs, kept to be written again: words, geometry, enumerations, annotations of other tools.
+"""What a description says that no run needs, kept to be written again: words, geometry, enumerations, meta data, annotations of
+other tools.
 
-Of the outermost system and its own components; what lies deeper is taken apart when it is read, and told.
+Of the outermost system and its own components; what lies deeper is taken apart when it is read, and told.  Signatures of what is
+written anew would be wrong; those of units and of meta data stay.
 """
 
 from __future__ import annotations
@@ -8,11 +10,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from urllib.parse import unquote
 
+from phfmu.fmu.variables import FMUError
 from phfmu.fmu.xml import Element
 from phfmu.ssp.flat import identifier
 from phfmu.ssp.names import PORTS, tag
+from phfmu.ssp.parameters import Source
+from phfmu.ssp.structure import SSPError
 from phfmu.words import counted
 
 #: attributes of elements, and those of the root besides
@@ -25,6 +31,11 @@ ELEMENT = ("ElementGeometry", "Annotations")
 CONNECTOR = ("ConnectorGeometry", "Annotations")
 CONNECTION = ("ConnectionGeometry", "Annotations")
 
+#: where meta data stand among children
+META = "MetaData"
+#: elements that are written as they were read, to the last space
+VERBATIM = (tag("ssc", META), tag("ssc", "Signature"))
+
 Ends = tuple[str, str, str, str]
 
 
@@ -35,6 +46,8 @@ class Part:
     words: Mapping[str, str] = field(default_factory=dict)
     children: Mapping[str, Element] = field(default_factory=dict)
     enumeration: str = ""
+    #: MetaData and Signature of SSP 2.0
+    meta: tuple[Element, ...] = ()
 
     def onto(self, element: Element, *names: str) -> None:
         """Set the attributes that are not there, and add the children `names`, in this order."""
@@ -42,7 +55,9 @@ class Part:
             if name not in element.attrib:
                 element.set(name, text)
         for name in names:
-            if name in self.children:
+            if name == META:
+                element.extend([deepcopy(m) for m in self.meta])
+            elif name in self.children:
                 element.append(deepcopy(self.children[name]))
 
 
@@ -58,8 +73,21 @@ class Kept:
     components: Mapping[str, Part] = field(default_factory=dict)
     connectors: Mapping[tuple[str, str], Part] = field(default_factory=dict)
     connections: Mapping[Ends, Part] = field(default_factory=dict)
+    #: files of the package that meta data name
+    files: Mapping[str, bytes] = field(default_factory=dict)
     #: lines about what is not
     lost: tuple[str, ...] = ()
+
+    def of_version(self, version: str) -> Kept:
+        """Without meta data, and with a line about them, where SSP has none."""
+        parts = [self.root, self.system, *self.components.values()]
+        n = sum(len(p.meta) for p in parts)
+        if version != "1.0" or not n:
+            return self
+        components = {name: replace(p, meta=()) for name, p in self.components.items()}
+        line = f"{counted(n, 'element')} of meta data left out: SSP 1.0 has none, --ssp 2.0 keeps them"
+        ours = replace(self.root, meta=()), replace(self.system, meta=())
+        return Kept(*ours, components, self.connectors, self.connections, {}, (*self.lost, line))
 
     def component(self, member: str) -> Part:
         return self.components.get(member, NOTHING)
@@ -80,8 +108,8 @@ class Kept:
         return self.connectors.get((member, name), NOTHING)
 
 
-def kept(root: Element) -> Kept:
-    """Of a description that has been checked."""
+def kept(root: Element, source: Source) -> Kept:
+    """Of a description that has been read."""
     system = root.find(tag("ssd", "System"))
     components, connectors = {}, {}
     for e in _within(system, "Elements"):
@@ -96,7 +124,29 @@ def kept(root: Element) -> Kept:
             )
     connections = {_ends(c): _part(c, WORDS, CONNECTION) for c in _within(system, "Connections")}
     ours = _part(root, ABOUT, ROOT), _part(system, WORDS, SYSTEM)
-    return Kept(*ours, components, connectors, connections, tuple(_lost(system)))
+    meta = [m for p in (*ours, *components.values()) for m in p.meta]
+    files, missing = _files(meta, source)
+    return Kept(*ours, components, connectors, connections, files, (*_lost(system), *_unkept(root, meta), *missing))
+
+
+def _files(meta: Sequence[Element], source: Source) -> tuple[dict[str, bytes], list[str]]:
+    """Files of the package that meta data name, and lines about those that are not there."""
+    files, lines = {}, []
+    for m in (e for kept in meta for e in kept.iter(*VERBATIM)):
+        uri = m.get("source", "")
+        if not uri or m.get("sourceBase", "SSD") != "SSD":
+            continue
+        try:
+            files[unquote(uri)] = source.package.read(uri)
+        except (SSPError, FMUError) as error:
+            lines.append(f"meta data without their file: {error}")
+    return files, lines
+
+
+def _unkept(root: Element, meta: Sequence[Element]) -> list[str]:
+    """Meta data and signatures of parts that are taken apart or written anew."""
+    n = sum(1 for _ in root.iter(*VERBATIM)) - sum(1 for m in meta for _ in m.iter(*VERBATIM))
+    return [f"{counted(n, 'element')} of meta data or signatures inside what is written anew left out"] if n else []
 
 
 def _lost(system: Element) -> list[str]:
@@ -117,7 +167,9 @@ def _part(element: Element, words: Sequence[str], names: Sequence[str], enumerat
         child = element.find(tag("ssd", name))
         if child is not None and (name != "Annotations" or (child := _of_others(child)) is not None):
             children[name] = deepcopy(child)
-    return Part({w: element.get(w) for w in words if element.get(w)}, children, enumeration)
+    stays = VERBATIM if element.tag == tag("ssd", "Component") else VERBATIM[:1]
+    meta = tuple(deepcopy(e) for e in element if e.tag in stays)
+    return Part({w: element.get(w) for w in words if element.get(w)}, children, enumeration, meta)
 
 
 def _of_others(annotations: Element) -> Element | None:

@@ -67,7 +67,8 @@ def document(element: Element, inline: str | None, kind: str, type_: str, source
         if holder is None or not len(holder):
             raise SSPError(f"{source.where}: {element.tag.rpartition('}')[2]} has neither a source nor content")
         root = holder[0]
-    require_valid(root, kind, where)
+    if (line := require_valid(root, kind, where)) and line not in source.notes:
+        source.notes.append(line)
     return root, where
 
 

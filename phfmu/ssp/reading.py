@@ -8,6 +8,7 @@ from math import isfinite, prod
 from pathlib import Path
 
 from phfmu.fmu import limits
+from phfmu.fmu.variables import FMUError
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
 from phfmu.ssp.kept import kept
@@ -30,7 +31,7 @@ from phfmu.ssp.structure import (
     entries,
 )
 from phfmu.ssp.units import read_units
-from phfmu.words import counted, meant
+from phfmu.words import meant
 
 #: elements of a connection that are not read
 _MAPPINGS = ("BooleanMappingTransformation", "IntegerMappingTransformation", "EnumerationMappingTransformation")
@@ -47,10 +48,17 @@ def read_structure(path: str | Path) -> Structure:
 
 def _read(package: Package, where: str, notes: list[str], depth: int) -> Structure:
     root = parse(package.read(package.structure), where)
-    require_valid(root, "ssd", where)
-    if told := sum(1 for _ in root.iter(tag("ssc", "MetaData"))):
-        notes.append(f"{where}: {counted(told, 'MetaData element')} left out")
-    return _Reader(Source(package, where, notes), depth).structure(root)
+    unchecked = require_valid(root, "ssd", where)
+    if unchecked and unchecked not in notes:
+        notes.append(unchecked)
+    try:
+        return _Reader(Source(package, where, notes), depth).structure(root)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        if not unchecked or isinstance(error, SSPError | FMUError):
+            raise
+        raise SSPError(
+            f"{where}: not a description of SSP {root.get('version')}; its schemas tell where: pip install phfmu[ssp]"
+        ) from error
 
 
 class _Reader:
@@ -75,7 +83,7 @@ class _Reader:
             self._number(times["stopTime"], "stopTime") if "stopTime" in times else None,
             None if step is None else self._number(step, "step"),
             tuple(self.source.notes),
-            kept(root),
+            kept(root, self.source),
         )
 
     def system(self, element: Element) -> System:
@@ -86,6 +94,8 @@ class _Reader:
                 new: Component | System | Reference = self.system(child)
             elif child.tag == tag("ssd", "Component"):
                 new = self.component(child)
+            elif child.tag != tag("ssd", "SignalDictionaryReference"):
+                raise SSPError(f"{self.where}: the system '{name}' has an element '{plain(str(child.tag), 200)}'")
             else:
                 called = plain(child.get("name", ""))
                 new = Reference(called, plain(child.get("dictionary", "")), *self.connectors(child, called))

@@ -23,7 +23,7 @@ from phfmu.network.junctions.junction import Junction
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.wires import Wire
 from phfmu.ssp.bonds import joins_plainly
-from phfmu.ssp.kept import CONNECTION, CONNECTOR, Kept
+from phfmu.ssp.kept import CONNECTION, CONNECTOR, META, VERBATIM, Kept
 from phfmu.ssp.names import NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
 from phfmu.ssp.sidecar import sidecar_text
 from phfmu.ssp.units import write_units
@@ -52,7 +52,7 @@ class Contents:
 def write_package(path: Path, contents: Contents) -> list[str]:
     """The archive; lines about junctions and signals that other tools will not see."""
     units = contents.network.units
-    files = {STRUCTURE: structure(contents)}
+    files = {**contents.kept.files, STRUCTURE: structure(contents)}
     for name, unit in units.items():
         files[f"resources/{name}.fmu"] = unit.path.read_bytes()
         if unit.port_maps != unit.interface.ports:
@@ -80,7 +80,7 @@ def structure(contents: Contents) -> bytes:
     system = etree.SubElement(root, tag("ssd", "System"), name=network.name)
     if network.description:
         system.set("description", plain(network.description))
-    kept.system.onto(system, "ElementGeometry")
+    kept.system.onto(system, "ElementGeometry", META)
     elements = etree.SubElement(system, tag("ssd", "Elements"))
     for name, unit in units.items():
         _component(elements, name, unit, contents)
@@ -105,8 +105,8 @@ def structure(contents: Contents) -> bytes:
         (etree.SubElement(root, tag("ssd", "Units")) if listed is None else listed).extend(more)
     experiment = {"startTime": number(0.0), "stopTime": number(contents.stop)}
     etree.SubElement(root, tag("ssd", "DefaultExperiment"), experiment)
-    kept.root.onto(root, "Annotations")
-    return text_of(root)
+    kept.root.onto(root, META, "Annotations")
+    return text_of(root, *VERBATIM)
 
 
 def parameter_set(values: Mapping[str, float], unit: UnitFile, version: str) -> bytes:
@@ -198,7 +198,7 @@ def _component(parent: Element, name: str, unit: UnitFile, contents: Contents) -
     if _values(unit):
         bindings = etree.SubElement(component, tag("ssd", "ParameterBindings"))
         etree.SubElement(bindings, tag("ssd", "ParameterBinding"), source=f"resources/{name}.ssv")
-    kept.component(name).onto(component, "Annotations")
+    kept.component(name).onto(component, META, "Annotations")
 
 
 def _told(unit: UnitFile, v: Scalar) -> bool:

@@ -92,7 +92,7 @@ def whole(net: Network, k: int, h: float, engine: Callable[[Any], Any] = NativeI
 
 
 def apart(net: Network, k: int, h: float, engine: Callable[[Any], Any] = NativeInstance) -> Any:
-    own = [EngineMember(n, m, engine(m)) for n, m in models(net, k).items()]
+    own: list[Any] = [EngineMember(n, m, engine(m)) for n, m in models(net, k).items()]
     return run(Coupled(net, own, newton), Options(stop=STOP, step=h))
 
 

@@ -100,3 +100,55 @@ def test_what_is_not_kept_is_told(units: dict[str, bytes], tmp_path: Path, capsy
     said = "".join(capsys.readouterr())
     assert "geometry inside nested systems left out (2 elements)" in said
     assert "'front axle' is called front_axle" in said
+
+
+#: as a tool may write them: spaces and elements of its own, signed
+META = """<ssc:MetaData kind="general" type="application/xml"><ssc:Content> two  spaces,
+\tand <dc:title xmlns:dc="http://purl.org/dc/elements/1.1/"> a  title</dc:title></ssc:Content><ssc:Signature role="authenticity"
+ type="text/plain"><ssc:Content>  0x17 </ssc:Content></ssc:Signature></ssc:MetaData>"""
+TOLD = '<ssc:MetaData kind="quality" type="text/plain" source="extra/how%20made.txt"/>'
+SIGNED = '<ssc:Signature role="suitability" type="text/plain"><ssc:Content>17</ssc:Content></ssc:Signature>'
+#: of the unit, of the system, and of the whole
+SECOND = (
+    PAIR.replace('version="1.0"', 'version="2.0"')
+    .replace(f"{ALL}</ssd:Component>", f"{META}{TOLD}{SIGNED}{ALL}</ssd:Component>")
+    .replace('y2="9"/>', f'y2="9"/>{META}', 1)
+    .replace('stopTime="0.2"/>', f'stopTime="0.2"/>{META}{SIGNED}')
+)
+
+
+def test_meta_data_of_ssp_2_stay_to_the_last_byte(
+    units: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also the files that they name; signatures of units and of meta data stay, those of what is written anew do not."""
+    files = units | {"SystemStructure.ssd": SECOND, "extra/how made.txt": b"by \r\n hand"}
+    first = pack(tmp_path / "pair.ssp", files)
+    assert main(["export", str(first), "--ssp", "2.0", "-o", str(tmp_path / "out")]) == 0
+    assert "1 element of meta data or signatures inside what is written anew left out" in "".join(capsys.readouterr())
+    with zipfile.ZipFile(tmp_path / "out" / "pair.ssp") as archive:
+        text = archive.read("SystemStructure.ssd")
+        assert archive.read("extra/how made.txt") == files["extra/how made.txt"]
+    one_line = META.replace('"authenticity"\n type', '"authenticity" type')  # a line between attributes is no content
+    assert text.count(one_line.encode()) == 3 and text.count(TOLD.encode()) == 1 and text.count(SIGNED.encode()) == 1
+    require_valid(etree.fromstring(text), "ssd", "written")
+    assert main(["export", str(first), "--ssp", "1.0", "-o", str(tmp_path / "old")]) == 0
+    assert "5 elements of meta data left out: SSP 1.0 has none, --ssp 2.0 keeps them" in "".join(capsys.readouterr())
+
+
+def test_ssp_2_is_read_without_its_schemas(
+    units: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With one line that it was not checked; what cannot be read says so."""
+    monkeypatch.setattr("phfmu.ssp.schema._schema", lambda major, kind: None)
+    files = units | {"SystemStructure.ssd": SECOND, "extra/how made.txt": b""}
+    assert main(["run", str(pack(tmp_path / "pair.ssp", files)), "--audit", "none"]) == 0
+    line = "not checked against the schemas of SSP 2.0, which come with: pip install phfmu[ssp]"
+    assert capsys.readouterr().out.count(line) == 1
+    for torn in (SECOND.replace("<ssc:BaseUnit", "<ssc:Base"), SECOND.replace("ssd:Component", "ssd:Part")):
+        assert torn != SECOND
+        assert main(["run", str(pack(tmp_path / "torn.ssp", files | {"SystemStructure.ssd": torn}))]) == 2
+        assert (
+            "phfmu: " in (said := capsys.readouterr().err)
+            and "internal error" not in said
+            and "SystemStructure.ssd" in said
+        )

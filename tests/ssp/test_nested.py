@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -163,10 +162,6 @@ def array(name: str, kind: str, *sizes: int | None) -> str:
     return f'<ssd:Connector name="{name}" kind="{kind}"><ssc:Float64/>{told}</ssd:Connector>'
 
 
-#: of SSP 2.0
-schemas = pytest.mark.skipif(find_spec("pyssp_standard") is None, reason="pip install phfmu[ssp]")
-
-
 def arrays(folder: Path, *connections: str, size: int | None = 2) -> Path:
     """Two units of FMI 3.0 with an output and an input that are arrays, in SSP 2.0."""
     ends = array("wide", "output", size) + array("x", "input", 2)
@@ -183,7 +178,6 @@ def wires(path: Path) -> list[str]:
     return [f"{w.source}.{w.output} -> {w.target}.{w.input}" for w in net.wires]
 
 
-@schemas
 @pytest.mark.usefixtures("compiler")
 def test_arrays_are_connected_entry_by_entry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = arrays(tmp_path, connection("one:wide", "other:x"))
@@ -193,7 +187,6 @@ def test_arrays_are_connected_entry_by_entry(tmp_path: Path, capsys: pytest.Capt
     assert wires(arrays(tmp_path, chosen)) == ["one.wide[2] -> other.x[1]"]
 
 
-@schemas
 @pytest.mark.usefixtures("compiler")
 def test_arrays_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     one = connection("one:wide", "other:x")
@@ -203,19 +196,6 @@ def test_arrays_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         load(arrays(tmp_path, one, size=None))
     with pytest.raises(SSPError, match=r"'one' has no connector 'wide\[7\]'"):
         load(arrays(tmp_path, connection("one:wide", "other:x", more=' startIndices="7" endIndices="1"')))
-
-
-@schemas
-@pytest.mark.usefixtures("compiler")
-def test_meta_data_that_are_left_out_are_told(tmp_path: Path) -> None:
-    path = arrays(tmp_path, connection("one:wide", "other:x"))
-    text = zipfile.ZipFile(path).read("SystemStructure.ssd").decode()
-    told = '<ssc:MetaData kind="general" type="text/plain" source="about.txt"/>'
-    pack(path, {
-        "resources/two.fmu": zipfile.ZipFile(path).read("resources/two.fmu"),
-        "SystemStructure.ssd": text.replace("</ssd:SystemStructureDescription>", f"{told}</ssd:SystemStructureDescription>"),
-    })  # fmt: skip
-    assert any("1 MetaData element left out" in note for note in load(path).notes)
 
 
 BUS = ("speed", "inout", "m/s"), ("push", "inout", "N")

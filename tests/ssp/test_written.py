@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import fmpy
@@ -24,8 +23,6 @@ SCHEMA = Path(str(fmpy.__file__)).parent / "ssp" / "schema"
 
 @pytest.fixture(params=list(FMI))
 def version(request: pytest.FixtureRequest) -> str:
-    if request.param == "2.0" and find_spec("pyssp_standard") is None:
-        pytest.skip("the schemas of SSP 2.0 are not installed (pip install phfmu[ssp])")
     return request.param
 
 
