@@ -30,6 +30,17 @@ def usual(names: Sequence[str]) -> list[str]:
     return chosen or list(names)
 
 
+def first(groups: Sequence[list[Signal]], names: Sequence[str]) -> list[list[Signal]]:
+    """Groups that are drawn: where units are not known, those of ports and algebraic variables only where there are no others."""
+    bases = {_base(n) for n in names}
+
+    def known(s: Signal) -> bool:
+        return bool(s.topic) or s.unit not in (None, "") or not _rank(_base(s.name), bases)
+
+    kept = [group for group in groups if known(group[0])]
+    return kept or list(groups)
+
+
 def few(signals: Sequence[Signal], names: Sequence[str]) -> list[Signal]:
     """Those of one axis that are drawn, in their order; `names`: all of the recording."""
     if signals[0].topic:

@@ -21,6 +21,7 @@ h1 {{ font-size: 1.4rem; }} h2 {{ font-size: 1.1rem; margin: 2rem 0 .5rem; borde
 p.note {{ color: #555; font-size: .85rem; }} table {{ border-collapse: collapse; font-size: .88rem; }}
 td, th {{ padding: .15rem .8rem .15rem 0; text-align: left; }} td.n, th.n {{ text-align: right; }}
 th {{ border-bottom: 1px solid #999; font-weight: 600; }} .bad {{ color: #b00020; font-weight: 600; }}
+.facts th {{ border: 0; padding-right: 1.2rem; color: #555; }}
 .wide {{ overflow-x: auto; }}
 .wide svg {{ max-width: 100%; min-width: 600px; height: auto; }}
 """

@@ -13,6 +13,7 @@ from phfmu.pick import pick
 from phfmu.report.audit_signals import AuditSignals, marks
 from phfmu.report.diagram import one_line
 from phfmu.report.flows import Book, books, links, ports
+from phfmu.report.gathered import gathered_links, gathered_ports, others
 from phfmu.report.history import History, read_history
 from phfmu.report.html import chart, part, write_page
 from phfmu.report.picture import ALWAYS, picture, with_marks
@@ -24,6 +25,8 @@ from phfmu.words import counted
 
 #: rows of the table of events
 EVENTS = 60
+#: junctions whose residuals are told, the largest first
+JUNCTIONS = 12
 
 
 @dataclass(frozen=True)
@@ -121,9 +124,11 @@ def _energy(inside: History, summary: LedgerSummary) -> Iterator[str]:
     """Diagram, Sankey and books of the steps of a window."""
     t, h = inside.steps["t0"], inside.steps["h"]
     span = f"{t[0]:.6g} s to {t[-1] + h[-1]:.6g} s"
-    accounts, flows = books(inside), links(inside)
+    accounts, passed = books(inside), ports(inside)
+    gone = others([b.component for b in accounts], passed)
+    flows = gathered_links(links(inside), passed, gone)
     below = {b.component: f"dissipated {engineering(b.dissipated, 'J')}" for b in accounts if b.dissipated}
-    diagram = one_line([b.component for b in accounts], ports(inside), below)
+    diagram = one_line([b.component for b in accounts if b.component not in gone], gathered_ports(passed, gone), below)
     if diagram:
         yield _heading(f"Energy through the ports, {span}")
         yield f'<div class="wide">{diagram}</div>'
@@ -131,7 +136,12 @@ def _energy(inside: History, summary: LedgerSummary) -> Iterator[str]:
     if flows:
         yield _heading(f"Where the energy went, {span}")
         yield part(sankey(flows))
-        yield from _books(accounts, summary)
+        yield from _books([b for b in accounts if b.component not in gone], summary)
+        if gone:
+            yield (
+                f'<p class="note">Of {len(accounts)} members those that most energy passed through; the {len(gone)} others are '
+                "drawn as one. All are in the table of: phfmu audit FILE</p>"
+            )
 
 
 def _books(accounts: Sequence[Book], summary: LedgerSummary) -> Iterator[str]:
@@ -148,7 +158,8 @@ def _books(accounts: Sequence[Book], summary: LedgerSummary) -> Iterator[str]:
         for b in accounts
     ]
     yield f"<table><tr><th>component</th>{head}<th>verdict</th></tr>{''.join(rows)}</table>"
-    worst = {j.junction: j.worst_residual for j in summary.junctions}
+    sizes = {j.junction: j.worst_residual for j in summary.junctions}
+    worst = {name: sizes[name] for name in sorted(sizes, key=lambda n: -sizes[n])[:JUNCTIONS]}
     if worst:
         said = ", ".join(f"{name} {engineering(size, 'J')}" for name, size in worst.items())
         yield f'<p class="note">Largest energy that a junction created or lost in a step: {escape(said)}.</p>'

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phfmu.report.choice import few, told
+from phfmu.report.choice import few, first, told
 from phfmu.report.pace import BAND, band, swings
 from phfmu.report.pace import window as periods
 from phfmu.report.prefix import scaled
@@ -14,7 +14,7 @@ from phfmu.report.recording import Floats, Mark, Recording, Signal
 from phfmu.report.thin import COLUMNS, PER_COLUMN, thin
 
 #: axes of a picture of signals that nobody chose
-MOST_PANELS = 24
+MOST_PANELS = 16
 #: height of a signal that can be seen as a band, of its axis
 SEEN = 0.05
 #: variables that the title of an axis names
@@ -74,16 +74,16 @@ def picture(recording: Recording, names: Sequence[str] = (), window: tuple[float
     Signals of one unit share an axis, slow and fast ones apart; where units are not known, the entries of a variable do.
     Errors: ValueError for a window without a row.
     """
-    found = [clipped(s, window) for s in recording.read(list(names) or recording.usual())]
+    asked = list(names) or recording.usual()
+    found = [clipped(s, window) for s in recording.read(asked)]
     if found and not any(len(s.time) for s in found):
         raise ValueError(f"{recording.title} has no row from {window[0]:g} s to {window[1]:g} s")
     groups, notes = grouped(found), list[str]()
     if not names:
-        groups = [few(group, recording.names) for group in groups][:MOST_PANELS]
-        drawn = {s.name for group in groups for s in group}
-        drawn |= {s.name for s in found if s.limit}
-        left = [s.name for s in found if s.name not in drawn]
-        left += [n for n in recording.names if n not in {s.name for s in found}]
+        groups = [few(group, recording.names) for group in first(groups, recording.names)][:MOST_PANELS]
+        drawn = {id(s) for group in groups for s in group}
+        left = [n for n, s in zip(asked, found, strict=True) if not s.limit and id(s) not in drawn]
+        left += [n for n in recording.names if n not in set(asked)]
         if left:
             notes.append(told(left, len(recording.names), bool(found[0].topic)))
     shown = [s for group in groups for s in group]
@@ -170,10 +170,10 @@ def _highest(s: Signal) -> tuple[Floats, Floats]:
     """Magnitudes, of many rows the largest of each part; a zero has no place on a log axis."""
     size = np.abs(s.values)
     size = np.where(size > 0.0, size, np.nan)
-    if len(size) <= 2 * BAND:
-        return s.time, size
-    time, _, high = band(s.time, size)
-    return time, high
+    if len(size) > 2 * BAND:
+        time, _, size = band(s.time, size)
+        return time, size
+    return s.time, size
 
 
 def _pace(values: Floats, size: float) -> float:

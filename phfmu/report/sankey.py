@@ -30,8 +30,8 @@ _ENDS = {
     (STORE, "from"): "from store", (STORE, "to"): "into store", (RESIDUAL, "from"): "residual (created)",
     (RESIDUAL, "to"): "residual (lost)", (CREATED, "from"): "created at junctions", (CREATED, "to"): "lost at junctions",
 }  # fmt: skip
-#: pixels a node of the fullest column needs
-NODE, LEAST = 34, 340
+#: pixels that a node needs, and bounds of the whole height
+NODE, LEAST, MOST = 34, 340, 900
 
 
 def sankey(links: Sequence[Link]) -> Any:
@@ -54,7 +54,7 @@ def sankey(links: Sequence[Link]) -> Any:
         )
     )  # fmt: skip
     figure.update_layout(
-        height=max(LEAST, NODE * len(nodes)), margin={"l": 10, "r": 10, "t": 10, "b": 20}, font={"size": 12}
+        height=min(max(LEAST, NODE * len(nodes)), MOST), margin={"l": 10, "r": 10, "t": 10, "b": 20}, font={"size": 12}
     )
     return figure
 
@@ -63,7 +63,8 @@ def label(node: Node, links: Sequence[Link]) -> str:
     """Name and energy that passes."""
     through = max(sum(x.energy for x in links if x.source == node), sum(x.energy for x in links if x.target == node))
     word = _ENDS.get((node.kind, node.side), node.name)
-    return f"{html.escape(word)}  {engineering(through, 'J')}"
+    between = "<br>" if node.kind in (MEMBER, JUNCTION, PORT) else "  "  # side by side these meet in the last column
+    return f"{html.escape(word)}{between}{engineering(through, 'J')}"
 
 
 def _tinted(link: Link) -> str:

@@ -25,7 +25,7 @@ from phfmu.report.rows import Rows
 from phfmu.report.thin import thin
 from phfmu.results.schema import UNIT_KEY
 
-NAMES = ["gen.I[1]", "gen.I[2]", "gen.I_step[1]", "gen.Te", "line.I[1]", "gen.energy.stored", "constraint.velocity.x"]
+NAMES = ["gen.I[1]", "gen.I[2]", "gen.V_step[1]", "gen.Te", "line.I[1]", "gen.energy.stored", "constraint.velocity.x"]
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +74,9 @@ def test_entries_of_a_variable_share_an_axis_where_units_are_not_known(tmp_path:
     drawn = picture(ResultTable(table(tmp_path / "x.csv")))
     assert [[c.label for c in p.curves] for p in drawn.panels] == [["gen.I[1]", "gen.I[2]"], ["gen.Te"], ["line.I[1]"]]
     assert any("3 signals of 7 left out" in note for note in drawn.notes)
+    names = [*NAMES, "gen.I_step[1]"]  # now gen.I is that of a port
+    drawn = picture(ResultTable(table(tmp_path / "x.csv", names=names)))
+    assert [[c.label for c in p.curves] for p in drawn.panels] == [["gen.Te"], ["line.I[1]"]]
 
 
 def test_signals_of_a_unit_share_an_axis(tmp_path: Path) -> None:
