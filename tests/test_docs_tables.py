@@ -49,7 +49,7 @@ def test_a_name_that_is_none_is_refused_with_the_names() -> None:
     assert "no 'nothing'" in refused.stderr and "scaling_net" in refused.stderr
 
 
-@pytest.mark.parametrize("name", ["one_step", "couplings", slow("mass_spring_orders"), slow("event_losses")])
+@pytest.mark.parametrize("name", ["one_step", slow("couplings"), slow("mass_spring_orders"), slow("event_losses")])
 def test_a_command_prints_what_the_page_holds(name: str) -> None:
     printed, page = rows(tables(name).stdout), below(name)
     assert [len(r) for r in printed] == [len(r) for r in page] and printed[:2] == page[:2]

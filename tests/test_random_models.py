@@ -182,7 +182,7 @@ def gap(rows) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "scheme"), CLOSED)
-@settings(max_examples=6, deadline=None, phases=PHASES)
+@settings(max_examples=4, deadline=None, phases=PHASES)
 @given(p=numbers, x=starts, seed=seeds)
 def test_every_scheme_closes_the_balance(name, scheme, p, x, seed):
     rows = drive(engine(name, scheme, False), p, x, seed)
@@ -192,7 +192,7 @@ def test_every_scheme_closes_the_balance(name, scheme, p, x, seed):
 
 
 @pytest.mark.parametrize(("name", "scheme"), COMPILED)
-@settings(max_examples=15, deadline=None, phases=PHASES)
+@settings(max_examples=8, deadline=None, phases=PHASES)
 @given(p=numbers, x=starts, seed=seeds)
 def test_engines_agree_and_the_native_ledger_closes(name, scheme, p, x, seed):
     python, native = (drive(engine(name, scheme, how), p, x, seed) for how in (False, True))

@@ -251,7 +251,7 @@ def test_bench_with_a_reference_of_the_user(compiler: None, tmp_path: Path, caps
     names = ["time", *(n for v in declaration("oscillator").states for n in v.names())]
     file.write_text(",".join(names) + "\n1.0," + ",".join(["1.0"] * (len(names) - 1)) + "\n")
     words = ["bench", "oscillator", "--stop", "1", "--times", "1", "--peers", "none", "--repeat", "1", "--steps", "0.1"]
-    words += ["--schemes", "collocated:2"]
+    words += ["--schemes", "collocated:2", "--engines", "python"]
     assert main([*words, "--reference", str(file), "-o", str(tmp_path)]) == FINE
     assert f"reference: {file}" in capsys.readouterr().out
     assert main([*words, "--times", "0.5,1", "--reference", str(file), "-o", str(tmp_path)]) == USAGE

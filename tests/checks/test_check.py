@@ -43,6 +43,7 @@ from phfmu.cli import main
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.synchronous_machine import synchronous_machine
+from phfmu.components.library import SWITCHED
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass, spring
 
@@ -566,7 +567,8 @@ def library() -> list[tuple[str, Any]]:
             for kwargs in ARGUMENTS.get(name, ({},)):
                 given = {p.name: 1.0 for p in needed if p.name not in kwargs} | kwargs
                 label = ", ".join(f"{k}={v}" for k, v in given.items())
-                long = pytest.mark.slow if name in ("chain", "fekete", "ladder", "net", "smib_breaker") else ()
+                # what is switched is checked with its warnings in components/test_converters.py
+                long = pytest.mark.slow if name in ("chain", "fekete", "ladder", "net", *SWITCHED) else ()
                 found.append(pytest.param(function, given, id=f"{name}({label})", marks=long))
     return found
 

@@ -113,7 +113,6 @@ SHOWN = (
         "transformer",
         "dc_motor",
         "four_particle",
-        "heavy_top",
         "mass",
         "pi_controller",
     ),

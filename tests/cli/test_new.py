@@ -24,6 +24,7 @@ def by_itself(folder: Path) -> subprocess.CompletedProcess[str]:
     """pytest by itself in the folder, as a user runs it."""
     words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "."]
     alone = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    alone["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # what else is installed here is none of its business
     return subprocess.run(words, cwd=folder, capture_output=True, text=True, env=alone)
 
 

@@ -41,7 +41,7 @@ def ball(e: float):
 
 @pytest.mark.parametrize(
     ("engine", "n"),
-    [(NativeInstance, 10_000), pytest.param(NativeInstance, 100_000, marks=pytest.mark.slow), (PythonInstance, 100)],
+    [(NativeInstance, 3_000), pytest.param(NativeInstance, 100_000, marks=pytest.mark.slow), (PythonInstance, 40)],
 )
 def test_many_events_are_neither_lost_nor_doubled(engine, n):
     """An elastic ball, one bounce a step or two, at all places of a step; constant gravity, so that all times are exact."""

@@ -73,7 +73,7 @@ def exact(x, p) -> Fraction:
 
 
 @pytest.mark.parametrize("method", GRADIENTS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @example(x=np.full(N, 0.9), d=np.full(N, 5e-7), p=np.ones(len(EXPONENTS)))  # just below the guard of other energies
 @given(x=points, d=increments, p=coefficients)
 def test_directionality_of_polynomials_loses_no_digits(method, x, d, p):
@@ -86,7 +86,7 @@ def test_directionality_of_polynomials_loses_no_digits(method, x, d, p):
 
 
 @pytest.mark.parametrize("method", GRADIENTS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(x=points, d=increments, p=coefficients)
 def test_directionality_of_other_energies_holds_to_the_rounding_of_the_energy(method, x, d, p):
     x1 = x + d
@@ -98,7 +98,7 @@ def test_directionality_of_other_energies_holds_to_the_rounding_of_the_energy(me
 
 @pytest.mark.parametrize("name", ENERGIES)
 @pytest.mark.parametrize("method", GRADIENTS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(x=points, d=increments, p=coefficients)
 def test_consistency_is_approached_at_first_order_at_least(method, name, x, d, p):
     """W(x, x) = grad H(x) to rounding, and |W(x, x') - grad H(x)| <= C |x' - x|."""
@@ -114,7 +114,7 @@ def test_consistency_is_approached_at_first_order_at_least(method, name, x, d, p
 
 @pytest.mark.parametrize("name", ENERGIES)
 @pytest.mark.parametrize("method", SYMMETRIC)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(x=points, d=increments, p=coefficients)
 def test_symmetric_ones_do_not_know_which_point_is_first(method, name, x, d, p):
     x1 = x + d
@@ -132,7 +132,7 @@ def test_coordinate_increments_know_which_point_is_first():
 
 
 @pytest.mark.parametrize("name", ENERGIES)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(x=points, d=points, p=coefficients)
 def test_the_gonzalez_gradient_is_definition_5(name, x, d, p):
     """The quotient as published, where it is well conditioned, and its action across the increment."""
@@ -175,7 +175,7 @@ def rotation(v) -> np.ndarray:
 
 
 @pytest.mark.parametrize("spring", SPRINGS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(x=arrays(float, 6, elements=unit), d=arrays(float, 6, elements=unit), scale=st.integers(-16, 0),
        turn=points, shift=points)  # fmt: skip
 def test_strain_form_is_equivariant_and_keeps_momenta(spring, x, d, scale, turn, shift):
@@ -213,7 +213,7 @@ def test_the_strain_form_is_the_secant_times_the_gradient_of_the_invariant():
     assert w == pytest.approx(expected, rel=1e-13)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(x=points, d=increments)
 def test_quadratic_terms_have_the_gradient_at_the_midpoint_whatever_the_method(x, d):
     H = 1.5 * X[0] ** 2 + X[0] * X[1] - 0.5 * X[2] ** 2 + 2 * X[1] * X[2] + X[2]
@@ -253,7 +253,7 @@ _map = ca.Function("f", [X, P], [MAP, ca.jacobian(MAP, X)])
 
 
 @pytest.mark.parametrize("method", GRADIENTS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(x=points, d=increments, p=coefficients)
 def test_jacobians_have_definition_6(method, x, d, p):
     x1, size = x + d, 1.0 + np.sum(abs(p))
@@ -301,7 +301,7 @@ def rows(name: str, k: int):
 
 @pytest.mark.parametrize("k", [1, 2, 3])
 @pytest.mark.parametrize("name", CONSTRAINTS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(x=points, d=arrays(float, (N, 3), elements=unit), scale=st.integers(-16, 0), p=coefficients)
 def test_rows_of_constraints_are_exact_along_the_path(name, k, x, d, scale, p):
     """sum b_i G_i D_i = g(q') - g(q), exchange of the ends, finite slopes."""

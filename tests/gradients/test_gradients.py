@@ -113,7 +113,7 @@ def energy(rule: str, name: str, k: int, x, p):
 
 
 @pytest.mark.parametrize(("rule", "name", "k"), CASES_AND_ORDERS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(data=st.data())
 def test_directionality_holds_to_the_rounding_of_the_term(rule, name, k, data):
     x, d, p = data.draw(states), data.draw(increments(k)), data.draw(coefficients)
@@ -161,7 +161,7 @@ def test_exchange_of_the_end_points_gives_the_same_gradients(rule, name, k, data
 
 @pytest.mark.parametrize("name", STRAIN)
 @pytest.mark.parametrize("k", ORDERS)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(data=st.data())
 def test_strain_form_keeps_linear_and_angular_momentum(name, k, data):
     """Forces at each node sum to zero exactly and have no torque, if C depends on the distance only."""

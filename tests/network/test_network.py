@@ -226,7 +226,6 @@ QUICK = [
     ("oscillator", "native"),
     ("drive", "native"),
     ("two_machine", "native"),
-    ("oscillator", MIXED),
     ("smib", MIXED),
 ]
 

@@ -15,6 +15,7 @@ from phfmu import Monolithic, NativeInstance, Options, build_model, grid, open_r
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.sweeps.crew import Scheduler
+from tests.wide import wide
 
 FOUR = partial(build, "four_particle")
 RUNS = grid({"k13": np.linspace(40, 60, 23)})
@@ -55,7 +56,7 @@ def test_the_command_on_a_cluster(compiler: None, address: str, tmp_path: Path, 
     assert "5 runs" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", wide([1, 2], 2))
 def test_whole_results_are_those_of_the_runs(compiler: None, tmp_path: Path, jobs: int) -> None:
     runs = grid({"k13": [40.0, 60.0]})
     found = sweep(FOUR(), runs, ["last(v[1])"], options=SHORT, keep=tmp_path / "all", jobs=jobs)
