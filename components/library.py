@@ -43,6 +43,11 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "damper": ("component", _M + "translational", "linear damper between two flanges"),
     "end_stop": ("component", _M + "contacts", "hard stop between two flanges"),
     "bumper": ("component", _M + "contacts", "body with a bumper before a wall: restitution, rest, release"),
+    "impact_pair": (
+        "component",
+        _M + "contacts",
+        "two bodies that throw each other back: restitution, one body, release",
+    ),
     "rotational_inertia": ("component", _M + "rotational", "rotor with viscous friction"),
     "flexible_shaft": ("component", _M + "rotational", "torsional spring with damping"),
     "clutch": ("component", _M + "clutch", "ideal clutch between two shaft ends"),

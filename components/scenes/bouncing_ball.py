@@ -30,7 +30,10 @@ def bouncing_ball(m: float = 1.0, *, e: float = 0.8, height: float = 1.0, g: flo
         observables=(observable("v", p.z, unit="m/s", description="velocity"),),
         state_events=(
             StateEvent(
-                Guard("floor", q, -1, unit="m"), when={"flight": 1.0}, jump=Jump({p: 1.0}, es, law="unilateral"), rest={"flight": 0.0}
+                Guard("floor", q, -1, unit="m"),
+                when={"flight": 1.0},
+                jump=Jump({p: 1.0}, es, law="unilateral"),
+                rest={"flight": 0.0},
             ),
         ),
         description="ball on a hard floor",

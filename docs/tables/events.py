@@ -125,6 +125,13 @@ def _bumper() -> tuple[float, float]:
     return lost(result), 0.75 * 2.0 * before(result, "body.v") ** 2 / 2
 
 
+def _pair() -> tuple[float, float]:
+    from phfmu import Scene
+
+    pair = builder("impact_pair")(2.0, 1.0, e=0.4, gap=0.3, v_a=3.0)
+    return lost(ran(Scene("pair", pair, 0.2, 0.01), 3, 0.01)), (1 - 0.4**2) * 2.0 * 1.0 / (2 * 3.0) * 3.0**2
+
+
 def _stop() -> tuple[float, float]:
     result = ran(build("hard_stop"), 3, 0.01, stop=0.3)
     return lost(result), 2.0 * 1.0 / (2 * 3.0) * before(result, "wagon.v") ** 2
@@ -164,6 +171,7 @@ LOSSES: dict[str, tuple[str, Callable[[], tuple[float, float]]]] = {
     "capacitors of 2 and 5 uF joined at 100 and 20 V": ("C1 C2/(2 (C1 + C2)) dv^2", _capacitors),
     "clutch, 2 and 0.7 kg.m2": ("J1 J2/(2 (J1 + J2)) dw^2", _clutch),
     "wagon of 2 kg runs onto one of 1 kg": ("m1 m2/(2 (m1 + m2)) v^2", _stop),
+    "bodies of 2 and 1 kg meet at 3 m/s, e = 0.4": ("(1 - e^2) m1 m2/(2 (m1 + m2)) v^2", _pair),
     "bumper, first impact, e = 0.5": ("(1 - e^2) m v^2/2", _bumper),
     "three poles chop 0.8 A of 10 mH": ("3 L i^2/2", _chop),
     "three poles of 10 mH forced open": ("sum of L i^2/2", _forced),

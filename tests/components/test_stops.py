@@ -26,7 +26,7 @@ from phfmu import (
 from phfmu.components.control.relay import relay
 from phfmu.components.electrical.switches import chopper
 from phfmu.components.library import build
-from phfmu.components.mechanical.contacts import bumper, end_stop
+from phfmu.components.mechanical.contacts import bumper, end_stop, impact_pair
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.engine.switched import stepped
 from tests.wide import wide
@@ -59,7 +59,9 @@ def lost(result) -> float:
     return -sum(c.jumps for c in result.ledger.summary().components if c.jumps is not None)
 
 
-@pytest.mark.parametrize("name", ["bumper", "end_stop", "clutch", "relay", "buffer", "hard_stop", "two_point_control"])
+@pytest.mark.parametrize(
+    "name", ["bumper", "impact_pair", "end_stop", "clutch", "relay", "buffer", "hard_stop", "two_point_control"]
+)
 def test_the_declarations_are_sound(name):
     found = build(name)
     assert check(found.declaration() if hasattr(found, "declaration") else found, strict=True) == []
@@ -115,6 +117,32 @@ def test_a_bumper_under_a_held_force_rests_until_it_changes():
     for i in range(12, 22):
         instance.do_step(0.1 * i, 0.1)
     assert instance.x == pytest.approx([0.5, 1.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_two_bodies_hit_each_other_go_on_as_one_and_part(engine):
+    """2 kg pushed with 6 N against 1 kg: impacts of the relative motion, all its energy lost; N = 2 N until the force turns."""
+    m_a, m_b, e, gap, force = 2.0, 1.0, 0.4, 0.3, 6.0
+    instance = engine(build_model(impact_pair(m_a, m_b, e=e, gap=gap, v_a=1.0, v_b=1.0), Collocated(1)))
+    reduced = m_a * m_b / (m_a + m_b)
+    pull, first = force / m_a, (2 * gap / (force / m_a)) ** 0.5  # their relative motion is that of a ball on a floor
+    rest = first * (1 + e) / (1 - e)
+    instance.set_input([force, 0.0])
+    happened = []
+    for i in range(12):
+        instance.do_step(0.15 * i, 0.15)
+        happened += instance.happened
+    assert rest < 12 * 0.15
+    assert happened[0].t == pytest.approx(first, rel=1e-14)
+    assert happened[0].lost.sum() == pytest.approx((1 - e**2) / 2 * reduced * (pull * first) ** 2, rel=1e-13)
+    assert happened[-1].t == pytest.approx(rest, abs=1e-6) and happened[-1].rests == (0,)
+    assert sum(h.lost.sum() for h in happened) == pytest.approx(reduced * pull * gap, rel=1e-12)
+    assert all(h.energy.sum() == -h.lost.sum() for h in happened)
+    v = 1.0 + force * 1.8 / (m_a + m_b)
+    assert instance.x == pytest.approx([0.0, v, v], abs=1e-12)
+    instance.set_input([-3.0, 1.5])  # their sum slows both down, N = -2 N: they part at once
+    instance.do_step(1.8, 0.2)
+    assert instance.x == pytest.approx([0.5 * 3.0 * 0.04, v - 0.3, v + 0.3], abs=1e-12)
 
 
 @pytest.mark.parametrize("engine", COMPILED)

@@ -93,6 +93,28 @@ def test_touches(engine, k, depth, place, seen):
     assert instance.signal("H").sum() == pytest.approx(0.5, abs=1e-15)
 
 
+def above(k: int, place: float) -> float:
+    """How far the least value of the collocation polynomial is above that of -cos t, which turns at `place` of a step."""
+    h, x = 2 * pi / 48, np.array([-np.cos(place * 2 * pi / 48), -np.sin(place * 2 * pi / 48)])
+    c = (np.polynomial.legendre.leggauss(k)[0] + 1) / 2
+    basis = [np.poly1d(np.delete(c, i), r=True) / np.prod(c[i] - np.delete(c, i)) for i in range(k)]
+    A = np.array([[np.polyint(b)(t) for b in basis] for t in c])
+    rates = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    K = np.linalg.solve(np.eye(2 * k) - h * np.kron(A, rates), np.tile(rates @ x, k)).reshape(k, 2)
+    t = np.linspace(0.0, 1.0, 2001)
+    return float((x[0] + h * sum(np.polyint(b)(t) * r for b, r in zip(basis, K[:, 0], strict=True))).min() + 1)
+
+
+@pytest.mark.parametrize(("k", "place", "most"), [(1, 0.5, 2.2e-3), (2, 0.2, 1.1e-6), (3, 0.5, 1.6e-7)])
+def test_a_touch_is_seen_where_it_is_deeper_than_the_error_of_the_polynomial(k, place, most):
+    """Which is that of order k + 1 inside a step, here where it is largest; deeper ones are seen at all places."""
+    error = above(k, place)
+    assert 0.9 * most <= error <= most
+    for depth, seen in ((1.3 * error, 2), (0.7 * error, 0)):
+        parts = PythonInstance(turning(depth, k, 10 + place)).land(0.0, 2 * pi / 48, 12)
+        assert sum(part.happened is not None for part in parts) == seen
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("k", [2, 3])
 def test_a_touch_to_rounding_ends(engine, k):

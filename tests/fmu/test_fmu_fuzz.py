@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from phfmu import build_model, export
+from phfmu import Scene, build_model, export
 from phfmu.components.library import build
 from phfmu.fmu import sources
 from phfmu.fmu.archive import open_archive
@@ -23,7 +23,12 @@ KINDS = (
     "serialize deserialize logging others"
 ).split()
 CALLS = 250_000
-MODELS = {"dc_motor": (Collocated(2), 1e-4, True), "four_particle": (None, 0.01, False)}
+MODELS = {
+    "dc_motor": (Collocated(2), 1e-4, True),
+    "four_particle": (None, 0.01, False),
+    "bouncing_ball": (Collocated(2), 0.02, False),
+    "breaker_opening": (Collocated(2), 1e-4, False),
+}
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +50,8 @@ def sanitizers(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.mark.parametrize("name", MODELS)
 def test_calls_without_rules(sanitizers: str, tmp_path: Path, name: str, version: str) -> None:
     scheme, step, nodes = MODELS[name]
-    declaration = build(name)
-    model = build_model(declaration, scheme)
+    found = build(name)
+    model = build_model(found.declaration() if isinstance(found, Scene) else found, scheme)
     (path,) = export(model, tmp_path, (version,), step=step, node_inputs=nodes)
     about = open_archive(path).interface
     with zipfile.ZipFile(path) as archive:

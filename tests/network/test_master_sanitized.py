@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-#: everything in C is compiled with them: members, tangents, ports, and the master
+from tests.sanitized import output
+
+#: members, tangents, ports, and the master
 CODE = """
-import importlib.util
 from dataclasses import replace
 import numpy as np
-find = importlib.util.find_spec
-importlib.util.find_spec = lambda name, *more: None if name == "ziglang" else find(name, *more)
-from phfmu.engine import compile as c
-c.FLAGS = (*(f for f in c.FLAGS if f != "-O2"), "-O1", "-g", *%r)
-c.LINK = ("-shared", *%r)
 from phfmu import Collocated, Coupled, EngineMember, NativeInstance, Options, StepFailure, build_model, run
 from phfmu.components.scenes.%s import %s as make
 scene = make()
@@ -39,30 +30,8 @@ for k in (1, 2):
 """
 
 
-@pytest.fixture(scope="module")
-def preloaded() -> dict[str, str]:
-    """Environment with the run-time of gcc's sanitizers; else the test is skipped with the reason."""
-    gcc = shutil.which("gcc")
-    if gcc is None or not sys.platform.startswith("linux"):
-        pytest.skip("needs gcc on Linux")
-    found = []
-    for name in ("libasan.so", "libubsan.so"):
-        path = subprocess.run([gcc, f"-print-file-name={name}"], capture_output=True, text=True).stdout.strip()
-        if not Path(path).is_file():
-            pytest.skip(f"gcc has no {name}")
-        found.append(path)
-    environment = os.environ | {"LD_PRELOAD": " ".join(found), "ASAN_OPTIONS": "detect_leaks=0"}
-    if subprocess.run([sys.executable, "-c", "import numpy, casadi"], env=environment, capture_output=True).returncode:
-        pytest.skip("this Python does not run under the address sanitizer")
-    return environment
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["oscillator", "smib", "speed_control"])
-def test_nothing_is_out_of_bounds(preloaded: dict[str, str], tmp_path: Path, scene: str) -> None:
+def test_nothing_is_out_of_bounds(tmp_path: Path, scene: str) -> None:
     """Held values and node values, impulses (smib), signals (speed_control), an event, and steps that are left to Python."""
-    code = CODE % (SANITIZE, SANITIZE, scene, scene)
-    environment = preloaded | {"PHFMU_CACHE_DIR": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=1500)
-    assert done.returncode == 0, done.stderr[-4000:]
-    assert done.stdout.split() == ["steps", "8"] * 2
+    assert output(CODE % (scene, scene), tmp_path) == ["steps", "8"] * 2
