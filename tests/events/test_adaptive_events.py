@@ -12,9 +12,7 @@ from phfmu import Collocated, Monolithic, NativeInstance, Options, PythonInstanc
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.network.run.result import Result
-from tests.events.test_landing import STOP, exact, wall
-
-ENGINES = [PythonInstance, NativeInstance]
+from tests.events.scenes import ENGINES, WALL_STOP, exact, wall
 
 
 @cache
@@ -23,7 +21,7 @@ def model():
 
 
 def hit(engine, rtol: float) -> Result:
-    return run(Monolithic(model(), engine(model())), Options(stop=STOP, step=0.05, rtol=rtol))
+    return run(Monolithic(model(), engine(model())), Options(stop=WALL_STOP, step=0.05, rtol=rtol))
 
 
 @pytest.mark.parametrize("engine", [NativeInstance, pytest.param(PythonInstance, marks=pytest.mark.slow)])

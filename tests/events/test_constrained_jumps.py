@@ -16,9 +16,7 @@ from phfmu import (
     Guard,
     Jump,
     Monolithic,
-    NativeInstance,
     Options,
-    PythonInstance,
     StateEvent,
     algebraic,
     build_model,
@@ -33,9 +31,9 @@ from phfmu import (
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.events.happened import Happened
+from tests.events.scenes import ENGINES
 from tests.wide import wide
 
-ENGINES = [PythonInstance, NativeInstance]
 LINKS, E, WALL = 3, 0.6, 2.2
 
 

@@ -16,7 +16,6 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     Options,
-    PythonInstance,
     StateEvent,
     build_model,
     check,
@@ -28,8 +27,8 @@ from phfmu import (
 from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.limits import LIMITS
 from phfmu.events.impulse import impulses, pushing
+from tests.events.scenes import ENGINES
 
-ENGINES = [PythonInstance, NativeInstance]
 M, A, G, HEIGHT = 2.0, 0.5, 9.81, 0.7
 
 

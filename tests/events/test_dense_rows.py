@@ -12,19 +12,15 @@ from scipy.optimize import brentq
 
 from phfmu import (
     PHDAE,
-    TRANSLATIONAL,
     Collocated,
     Guard,
     Jump,
     Monolithic,
     NativeInstance,
     Options,
-    Port,
     PythonInstance,
     StateEvent,
-    Switch,
     SwitchedInstance,
-    algebraic,
     build_model,
     energy,
     parameter,
@@ -35,9 +31,9 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.network.run.result import Result
+from tests.events.scenes import ENGINES, lifted
 from tests.wide import wide
 
-ENGINES = [PythonInstance, NativeInstance]
 G, E, V0 = 9.81, 0.8, 2.0
 
 
@@ -117,22 +113,13 @@ def test_the_rows_at_step_ends_are_those_of_a_run_without(engine):
 LIFT, F0 = 0.3, 15.0
 
 
-def lifted() -> PHDAE:
-    """A mass of 1 kg on a floor that F0 (1 + t - LIFT) lifts at t = LIFT, where it is its weight."""
-    q, p, force = state("q", unit="m"), state("p", unit="kg.m/s"), algebraic("N", unit="N", nominal=F0)
-    rests = parameter("rests", 1.0)
-    weight = Port("weight", TRANSLATIONAL, "effort", {p: 1.0}, source=F0 * (ca.SX(time) - LIFT))
-    return PHDAE(
-        "lifted", states=(q, p), algebraics=(force,), parameters=(rests,), ports=(weight,),
-        energies=(energy(p**2 / 2), energy(0 * q.sx)), structure=(skew(q, p, 1.0),),
-        switches=(Switch("floor", force, {p: 1.0}, rests, gap=q, unit="m"),),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 def test_rows_of_switched_models_are_those_of_their_mode(engine):
-    """q = F0 (t - LIFT)^3 / 6 from LIFT on, of degree 3: exact with k = 3; the force and the mode are those before it, too."""
-    model = build_model(lifted(), Collocated(3))
+    """F0 (t - LIFT) pulls the mass, which rests until LIFT; from there on q = F0 (t - LIFT)^3 / 6.
+
+    Of degree 3: exact with k = 3; the force of the floor and the mode are those before it, too.
+    """
+    model = build_model(lifted(F0 * (ca.SX(time) - LIFT)), Collocated(3))
     result = run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=0.7, step=0.07, dense=3))
     inside, t = inside_of(result), result.time
     assert inside.sum() == 3 * result.steps

@@ -14,7 +14,6 @@ from phfmu import (
     Collocated,
     Guard,
     Jump,
-    NativeInstance,
     Port,
     PythonInstance,
     StateEvent,
@@ -27,8 +26,8 @@ from phfmu import (
 )
 from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.status import Status
+from tests.events.scenes import ENGINES
 
-ENGINES = [PythonInstance, NativeInstance]
 M, K, D, R, FORCE, H = 1.3, 7.0, 0.4, 0.15, 0.3, 0.25
 
 

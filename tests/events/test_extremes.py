@@ -24,8 +24,8 @@ from phfmu import (
     state,
 )
 from phfmu.components.mechanical.multibody import Multibody
+from tests.events.scenes import ENGINES
 
-ENGINES = [PythonInstance, NativeInstance]
 G = 9.81
 
 

@@ -8,7 +8,6 @@ from math import cos, pi, sin, sqrt
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
 from phfmu import (
     PHDAE,
@@ -35,43 +34,8 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.engine.event_failure import EventRefused
+from tests.events.scenes import ENGINES, MASS, REBOUND, WALL_STOP, exact, wall
 from tests.wide import wide
-
-ENGINES = [PythonInstance, NativeInstance]
-M, K, D, E = 1.3, 7.0, 0.4, 0.8
-OMEGA = sqrt(K / M)
-STOP = 6.0
-
-
-def wall(e: float = E) -> PHDAE:
-    """An oscillator that hits a wall at q = 0; its spring is free at q = -D."""
-    q, p = state("q", unit="m", start=0.7), state("p", unit="kg.m/s", start=0.3)
-    return PHDAE(
-        "wall",
-        states=(q, p),
-        energies=(energy(p**2 / (2 * M)), energy(K / 2 * (q + D) ** 2)),
-        structure=(skew(q, p, 1.0),),
-        state_events=(StateEvent(Guard("wall", q, -1, unit="m"), jump=Jump({p: 1.0}, e)),),
-    )
-
-
-def exact() -> tuple[list[float], float, float]:
-    """Times of the impacts, q and p at the stop."""
-    t, x, v, times = 0.0, 0.7 + D, 0.3 / M, []
-
-    def gap(s: float) -> float:
-        return x * cos(OMEGA * s) + v / OMEGA * sin(OMEGA * s) - D
-
-    while True:
-        grid = np.linspace(1e-9, 2 * pi / OMEGA, 2001)
-        falls = [i for i in range(2000) if gap(grid[i]) > 0 >= gap(grid[i + 1])]
-        s = brentq(gap, grid[falls[0]], grid[falls[0] + 1], xtol=1e-15, rtol=9e-16) if falls else np.inf
-        if t + s > STOP:
-            s = STOP - t
-            return times, gap(s), M * (v * cos(OMEGA * s) - x * OMEGA * sin(OMEGA * s))
-        x, v = D, -E * (v * cos(OMEGA * s) - x * OMEGA * sin(OMEGA * s))
-        t += s
-        times.append(t)
 
 
 @pytest.fixture(scope="module")
@@ -88,10 +52,10 @@ def test_order_2k_through_nine_impacts(models, engine, k, n, time_error):
     for steps in (n // 2, n):
         instance = engine(models[k])
         start = instance.signal("H").sum()
-        parts = list(instance.land(0.0, STOP / steps, steps, record=("stored",)))
+        parts = list(instance.land(0.0, WALL_STOP / steps, steps, record=("stored",)))
         happened = [part.happened for part in parts if part.happened]
         assert len(happened) == 9
-        errors.append(np.hypot(instance.x[0] - q, (instance.x[1] - p) / M))
+        errors.append(np.hypot(instance.x[0] - q, (instance.x[1] - p) / MASS))
         lost = sum(h.lost.sum() for h in happened)
         assert abs(instance.signal("H").sum() - start + lost) <= 1e-14 * start
         assert max(np.abs(part.rows["stored"]).max() for part in parts if part.rows) <= 1e-14 * start
@@ -121,7 +85,7 @@ def test_landing_takes_few_solves(models, engine):
     for k in (1, 2, 3):
         instance = engine(models[k])
         before = instance.counts["solves"]
-        events = sum(part.happened is not None for part in instance.land(0.0, STOP / 160, 160))
+        events = sum(part.happened is not None for part in instance.land(0.0, WALL_STOP / 160, 160))
         assert (instance.counts["solves"] - before - 160 - events) / events <= 6
 
 
@@ -152,7 +116,7 @@ def test_a_ball_comes_to_rest(engine, k):
     jumps = np.flatnonzero(np.diff(result.time) == 0)
     v = np.array([result.column("v")[jumps], result.column("v")[jumps + 1]])
     assert result.time[jumps[0]] == pytest.approx(first, abs=1e-14)
-    assert v[1, :-1] == pytest.approx(-E * v[0, :-1], rel=1e-14)
+    assert v[1, :-1] == pytest.approx(-REBOUND * v[0, :-1], rel=1e-14)
     (ball,) = summary.components
     assert ball.jumps == pytest.approx(-9.81, rel=1e-14)
     assert summary.events["state"] == len(jumps)

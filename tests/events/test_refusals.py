@@ -39,9 +39,9 @@ from phfmu import (
 )
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.engine.event_failure import EventRefused
+from tests.events.scenes import ENGINES
 from tests.wide import wide
 
-ENGINES = [PythonInstance, NativeInstance]
 Q, P, P2 = state("q", unit="m"), state("p", unit="kg.m/s", start=1.0), state("p2", unit="kg.m/s", start=-1.0)
 F, V0, MASS = 3.0, 0.01, 2.0
 

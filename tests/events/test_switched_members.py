@@ -21,7 +21,6 @@ from phfmu import (
     Network,
     Options,
     Port,
-    PythonInstance,
     Switch,
     SwitchedInstance,
     algebraic,
@@ -36,10 +35,8 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.apart import Apart
-from tests.events.test_switches import LA, LD, STOP, bridge
+from tests.events.scenes import BRIDGE_STOP, ENGINES, LA, LD, bridge
 from tests.wide import wide
-
-ENGINES = [PythonInstance, NativeInstance]
 
 
 @pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (2, 3)], (NativeInstance, 3)))
@@ -48,7 +45,9 @@ def test_adaptive_steps_commutate_within_their_tolerance(engine, k):
     times, ia, idc = bridge_by_hand()
     model, errors = build_model(bridge(), Collocated(k)), []
     for rtol in (1e-4, 1e-6):
-        result = run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=STOP, step=5e-4, rtol=rtol))
+        result = run(
+            Monolithic(model, SwitchedInstance(model, engine)), Options(stop=BRIDGE_STOP, step=5e-4, rtol=rtol)
+        )
         summary = result.ledger.summary()
         assert summary.closed and summary.events == {"state": 11}
         found = result.time[np.flatnonzero(np.diff(result.time) == 0)]

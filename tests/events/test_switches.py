@@ -15,7 +15,6 @@ from scipy.optimize import brentq
 from phfmu import (
     ELECTRICAL,
     PHDAE,
-    TRANSLATIONAL,
     Collocated,
     Event,
     Monolithic,
@@ -24,7 +23,6 @@ from phfmu import (
     Options,
     Port,
     PythonInstance,
-    Switch,
     SwitchedInstance,
     algebraic,
     build_model,
@@ -33,38 +31,16 @@ from phfmu import (
     energy,
     parameter,
     run,
-    skew,
     state,
     time,
 )
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import diode, ideal_switch, thyristor
 from phfmu.engine.event_failure import EventRefused
+from tests.events.scenes import BRIDGE_STOP, ENGINES, LA, LD, bridge, lifted
 from tests.wide import slow, wide
 
-ENGINES = [PythonInstance, NativeInstance]
-LA, RA, LD, RD, E, W, PHI, I0 = 2e-3, 0.05, 20e-3, 5.0, 100.0, 2 * pi * 50, 0.4, 8.0
-STOP = 0.05
-
-
-def bridge() -> PHDAE:
-    """A rectifier bridge between an AC and a DC inductor; on: one pair of its diodes blocks, off: it conducts."""
-    a, d = state("fa", unit="Wb", nominal=0.05), state("fd", unit="Wb", nominal=0.3, start=LD * I0)
-    mu, s = algebraic("mu", 2, unit="V", nominal=100.0), parameter("s", 0.0, 2)
-    pairs = tuple(
-        Switch(f"pair{j + 1}", mu.part(j, 1), {a: sign, d: 1.0}, s.part(j, 1), nominal=10.0, unit="A")
-        for j, sign in enumerate((-1.0, 1.0))
-    )
-    return PHDAE(
-        "bridge",
-        states=(a, d),
-        algebraics=(mu,),
-        parameters=(s,),
-        energies=(energy(a**2 / (2 * LA)), energy(d**2 / (2 * LD))),
-        dissipation=(damping(a, RA), damping(d, RD)),
-        ports=(Port("source", ELECTRICAL, "effort", {a: 1.0}, source=E * ca.cos(W * time + PHI), nominal=E),),
-        switches=pairs,
-    )
+W = 2 * pi * 50
 
 
 def stepped(model, engine, n: int):
@@ -72,7 +48,7 @@ def stepped(model, engine, n: int):
     instance = SwitchedInstance(model, engine)
     before, total, happened, modes = instance.signal("H").sum(), 0.0, [], []
     sides = dict(zip(("pair1", "pair2"), instance.mode, strict=True))
-    for part in instance.land(0.0, STOP / n, n, record=("dissipated", "supplied")):
+    for part in instance.land(0.0, BRIDGE_STOP / n, n, record=("dissipated", "supplied")):
         if part.rows:
             total += part.rows["dissipated"].sum() - part.rows["supplied"].sum()
         if part.happened is not None:
@@ -102,7 +78,7 @@ CASES = [
 @pytest.mark.parametrize(("engine", "k", "n", "time_error"), CASES)
 def test_a_bridge_commutates_with_order_2k(bridges, engine, k, n, time_error):
     """11 events; overlap, not all off, between the pairs."""
-    times, ia, idc = bridge_by_hand(STOP)
+    times, ia, idc = bridge_by_hand(BRIDGE_STOP)
     assert len(times) == 11
     errors = []
     for steps in (n // 2, n):
@@ -126,7 +102,7 @@ def test_compiled_code_changes_modes_without_returning(bridges, monkeypatch):
     instance, calls = SwitchedInstance(bridges[3], NativeInstance), []
     land = instance._native._made.lib.ph_modes_land
     monkeypatch.setattr(instance._native._made.lib, "ph_modes_land", lambda *a: calls.append(1) or land(*a))
-    parts = list(instance.land(0.0, STOP / 50, 50))
+    parts = list(instance.land(0.0, BRIDGE_STOP / 50, 50))
     assert len(calls) == 1 and sum(bool(part.happened and part.happened.switched) for part in parts) == 11
 
 
@@ -134,7 +110,7 @@ def test_modes_share_their_kernels(bridges):
     """A mode is other tables for the same library."""
     model = bridges[2]
     instance = SwitchedInstance(model, NativeInstance)
-    list(instance.land(0.0, STOP / 50, 50))
+    list(instance.land(0.0, BRIDGE_STOP / 50, 50))
     known = [model.modes[mode] for mode in model.modes.known]
     assert len(known) == 3  # all diodes off never comes up
     assert len({(m.step.nx, m.step.na, m.step.nw) for m in known}) == 1
@@ -335,23 +311,6 @@ def flight(t: float) -> float:
     return -F0 / OMEGA * ((sin(OMEGA * t) - sin(OMEGA * LIFT)) / OMEGA - cos(OMEGA * LIFT) * s) - G * s**2 / 2
 
 
-def lifted() -> PHDAE:
-    """A mass of 1 kg on a floor, lifted by F0 sin(OMEGA t)."""
-    q, p = state("q", unit="m"), state("p", unit="kg.m/s")
-    force, rests = algebraic("N", unit="N", nominal=10.0), parameter("rests", 1.0)
-    lift = Port("lift", TRANSLATIONAL, "effort", {p: 1.0}, source=F0 * ca.sin(OMEGA * time))
-    return PHDAE(
-        "lifted",
-        states=(q, p),
-        algebraics=(force,),
-        parameters=(rests,),
-        energies=(energy(p**2 / 2), energy(G * q.sx)),
-        structure=(skew(q, p, 1.0),),
-        ports=(lift,),
-        switches=(Switch("floor", force, {p: 1.0}, rests, gap=q, unit="m"),),
-    )
-
-
 @pytest.mark.parametrize(
     ("engine", "k", "n"),
     wide(((e, k, 40) for e in ENGINES for k in (1, 2, 3)), (PythonInstance, 2, 40), (NativeInstance, 3, 40)),
@@ -359,7 +318,7 @@ def lifted() -> PHDAE:
 def test_a_mass_lifts_off_its_floor_and_lands(engine, k, n):
     """Lift-off where the force falls to zero, landing with its whole speed lost; times of order 2k."""
     lands = brentq(flight, LIFT + 0.05, LIFT + 0.6, xtol=1e-16, rtol=9e-16)
-    model, errors = build_model(lifted(), Collocated(k)), []
+    model, errors = build_model(lifted(F0 * ca.sin(OMEGA * time), G), Collocated(k)), []
     for steps in (n // 2, n):
         instance = SwitchedInstance(model, engine)
         parts = list(instance.land(0.0, (lands + 0.02) / steps, steps, record=("supplied",)))
