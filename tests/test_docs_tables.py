@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from phfmu.components.library import LIBRARY
 from tests.wide import slow
 
 ROOT = Path(__file__).parent.parent
@@ -41,6 +42,16 @@ def test_every_command_of_a_page_exists_and_every_table_is_on_a_page() -> None:
     listed = {line.split()[0] for line in tables().stdout.splitlines()}
     named = {name for page in PAGES for name in COMMAND.findall(page.read_text("utf-8"))}
     assert named == listed
+
+
+def test_every_scene_has_its_picture_in_the_gallery() -> None:
+    page = (ROOT / "docs" / "gallery.md").read_text("utf-8")
+    scenes = {name for name, (kind, *_) in LIBRARY.items() if kind == "scene"}
+    drawn = re.findall(r"^\$ phfmu run (\w+) .*--plot (\w+)\.png$", page, re.MULTILINE)
+    assert {name for name, _ in drawn} == scenes == {picture for _, picture in drawn} and len(drawn) == len(scenes)
+    images = {path.stem: path.stat().st_size for path in (ROOT / "docs" / "img" / "gallery").iterdir()}
+    assert set(images) == scenes == set(re.findall(r"\(img/gallery/(\w+)\.png\)", page))
+    assert sum(images.values()) < 1_500_000
 
 
 def test_a_name_that_is_none_is_refused_with_the_names() -> None:
