@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
+from phfmu.processors import processors
+
 PACKAGES = ("phfmu", "numpy", "scipy", "casadi", "scikit-sundae", "mujoco", "exudyn")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -25,8 +27,7 @@ def processor() -> str:
     if cpuinfo.exists():
         found = [t.partition(":")[2].strip() for t in cpuinfo.read_text().splitlines() if t.startswith("model name")]
         name = found[0] if found else name
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{name}, {cores} cores, {platform.system()} {platform.machine()}"
+    return f"{name}, {processors()} cores, {platform.system()} {platform.machine()}"
 
 
 def load() -> str:

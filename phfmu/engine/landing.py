@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.event_jump import AGAIN, PILE, SLIDES, Jumps
+from phfmu.engine.grid_step import grid_step
 from phfmu.engine.guards import Guards
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.locate import EPS, Location
@@ -110,20 +111,15 @@ class Landing:
                 events = 1
                 yield settled
         fired = self.location.already(t) if changed else []
-        while True:
-            passes = 0
-            while fired:
-                events, passes = events + 1, passes + 1
-                if passes > self.plan.n + 1:
-                    self.jumps.refuse(t, AGAIN, fired)
-                yield self.happen(t, h, fired, events)
-                fired = self.location.already(t)
-            if end - t <= (LIMITS["REST_OF_STEP"] * EPS * max(abs(t), abs(end)) if events else 0.0):
-                return
-            taken, fired = self.location.advance(t, end - t)
-            if taken:
-                yield t, taken, read()
-                t = end if taken == end - t else t + taken
+        for start, taken, happened in grid_step(self, t, end, h, fired, events):
+            yield (start, taken, read()) if taken else happened
+
+    @property
+    def guards(self) -> int:
+        return self.plan.n
+
+    def refuse_again(self, t: float, fired: list[int]) -> NoReturn:
+        self.jumps.refuse(t, AGAIN, fired)
 
     def begin(self) -> None:
         """A grid step begins."""

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from phfmu.engine import cache
+from phfmu.processors import processors
 
 INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]([^">\n]+)[">]', re.MULTILINE)
 
@@ -73,15 +74,11 @@ def build(files: Mapping[str, bytes], tools: Toolchain, end: str) -> Path:
         work = _Work(root, Path(folder), tools, files)
         for name, content in files.items():
             (work.folder / name).write_bytes(content)
-        with ThreadPoolExecutor(_processors()) as pool:
+        with ThreadPoolExecutor(processors()) as pool:
             objects = list(pool.map(work.object, sorted(n for n in files if n.endswith(".c"))))
         result = "library" + end
         work.run(*tools.link, *objects, "-o", result, "-lm")
         return cache.put(root, tools.library_key(files), work.folder / result)
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

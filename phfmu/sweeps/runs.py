@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, nullcontext
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phfmu import __version__
+from phfmu.processors import processors
 from phfmu.sweeps.design import Design
 from phfmu.sweeps.outcome import Outcome
 from phfmu.sweeps.parts import Parts, digest
@@ -78,7 +78,7 @@ def _crew(recipe: Recipe, task: Task, jobs: int | None, scheduler: Scheduler | N
     from phfmu.sweeps.crew import Threads, cluster
 
     if scheduler is None:
-        return nullcontext(Threads(lambda: recipe.runs(task), jobs or os.cpu_count() or 1))
+        return nullcontext(Threads(lambda: recipe.runs(task), jobs or processors()))
     if jobs is not None:
         raise ValueError(f"--jobs {jobs} counts threads here; a scheduler has its own workers, leave one of them out")
     if not callable(recipe.target):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Thread
@@ -14,11 +13,6 @@ from numpy.typing import NDArray
 TRIAL = 50e-6  # s: members that take less for a trial, all together, are stepped by one thread
 HAND_OVER = 25e-6  # s: what a trial must save, about what it takes to wake a thread
 START = 1e-3  # s: what a run must save to start threads
-
-
-def cores() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def worth(cost: NDArray[np.float64], trials: int, most: int) -> int:

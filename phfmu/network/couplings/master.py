@@ -20,7 +20,7 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings import newton
 from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
 from phfmu.network.couplings.coupling import Coupling, Solution
-from phfmu.network.couplings.crew import cores, crew, worth
+from phfmu.network.couplings.crew import crew, worth
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.master_library import HEADER, library
@@ -29,6 +29,7 @@ from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknow
 from phfmu.network.couplings.unconverged import plain
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.plan.ordering import StructurallySingular
+from phfmu.processors import processors
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[Any]
@@ -65,7 +66,7 @@ class Master:
 
         The members are at the end of these.  The first steps of a run tell how long a trial takes.
         """
-        if self._threads is None and not self._measured and n > MEASURED and cores() > 1:
+        if self._threads is None and not self._measured and n > MEASURED and processors() > 1:
             one, last = self._advance(last, sums, grid, MEASURED)
             if len(one.H) < MEASURED:
                 return one, last
@@ -106,7 +107,7 @@ class Master:
         """Threads for n steps."""
         if self._threads is not None:
             return min(self._threads, len(self._cost))
-        return worth(self._cost / self._measured, TRIALS * n, cores()) if self._measured else 1
+        return worth(self._cost / self._measured, TRIALS * n, processors()) if self._measured else 1
 
     def _begin(self, last: Solution, h: float) -> int:
         """Where the first step starts from; 1: the continuation of the step before, which is made there."""

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.event_jump import AGAIN
+from phfmu.engine.grid_step import grid_step
 from phfmu.engine.guards import Guards
 from phfmu.engine.landing import Landing
-from phfmu.engine.limits import LIMITS
-from phfmu.engine.locate import EPS, Location
+from phfmu.engine.locate import Location
 from phfmu.engine.steps import StepEvent
 from phfmu.events.event_plan import EventPlan, Settings
 from phfmu.network.members.engine_member import EngineMember
@@ -48,7 +47,7 @@ class Together:
         self._plan = _Stacked(members, [p for p in plans if p is not None])
         k = max(m.model.step.k for m in members)
         self.model = SimpleNamespace(step=SimpleNamespace(k=k, na=0))
-        self._location: Any = Location(self, self._plan, self._plan)  # type: ignore[arg-type]
+        self.location: Any = Location(self, self._plan, self._plan)  # type: ignore[arg-type]
 
     # -- an instance ----------------------------------------------------------------------------------------------------
 
@@ -95,27 +94,21 @@ class Together:
         self, t: float, end: float, changed: bool
     ) -> Iterator[tuple[float, float, tuple[tuple[EngineMember, StepEvent], ...]]]:
         """(start, length, nothing) of each step taken in [t, end], (time, 0, what happened at members) of each event."""
-        h, events = end - t, 0
         for landing in self._landings:
             landing.begin()
-        fired = self._location.already(t) if changed else []
-        while True:
-            passes = 0
-            while fired:
-                events, passes = events + 1, passes + 1
-                if passes > self._plan.n + 1:
-                    member, own = next(self._plan.of(fired))
-                    self._landings[member].jumps.refuse(t, AGAIN, own)
-                yield t, 0.0, self._happen(t, h, fired, events)
-                fired = self._location.already(t)
-            if end - t <= (LIMITS["REST_OF_STEP"] * EPS * max(abs(t), abs(end)) if events else 0.0):
-                return
-            taken, fired = self._location.advance(t, end - t)
-            if taken:
-                yield t, taken, ()
-                t = end if taken == end - t else t + taken
+        fired = self.location.already(t) if changed else []
+        for start, taken, happened in grid_step(self, t, end, end - t, fired):
+            yield start, taken, happened or ()
 
-    def _happen(self, t: float, h: float, fired: list[int], events: int) -> tuple[tuple[EngineMember, StepEvent], ...]:
+    @property
+    def guards(self) -> int:
+        return self._plan.n
+
+    def refuse_again(self, t: float, fired: list[int]) -> NoReturn:
+        member, own = next(self._plan.of(fired))
+        self._landings[member].refuse_again(t, own)
+
+    def happen(self, t: float, h: float, fired: list[int], events: int) -> tuple[tuple[EngineMember, StepEvent], ...]:
         before, found = self.get_state(), []
         try:
             for i, own in self._plan.of(fired):
