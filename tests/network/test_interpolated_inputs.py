@@ -17,12 +17,9 @@ import phfmu as ph
 from phfmu import (
     PHDAE,
     Collocated,
-    Coupled,
-    EngineMember,
     Event,
     Monolithic,
     NativeInstance,
-    Network,
     Options,
     PythonInstance,
     build_model,
@@ -236,14 +233,8 @@ def test_what_does_not_go_together(tmp_path: Path, monkeypatch: Any, capsys: Any
     assert said in capsys.readouterr().err
 
 
-def test_members_apart_and_two_sources_are_refused() -> None:
-    net = Network("one")
-    net.add("body", mass(2.0))
-    model = build_model(mass(2.0))
-    apart = Coupled(net, [EngineMember("body", model, PythonInstance(model))])
-    o, data = Options(stop=1.0, step=0.1), {"time": [0.0, 1.0], "body.flange.force": [0.0, 1.0]}
-    with pytest.raises(ValueError, match="--interpolate linear needs one composed model"):
-        run(apart, o, inputs=data, interpolate="linear")
+def test_two_sources_are_refused() -> None:
+    model, o = build_model(mass(2.0)), Options(stop=1.0, step=0.1)
     whole = Monolithic(model, PythonInstance(model))
     twice = Options(stop=1.0, step=0.1, events=[Event(0.5, "flange.force", 1.0)])
     data = {"time": [0.0, 1.0], "flange.force": [0.0, 1.0]}

@@ -15,6 +15,7 @@ from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.end_sums import EndSums
+from phfmu.network.couplings.followed import Followed
 from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from phfmu.network.couplings.master import Master
     from phfmu.network.couplings.stepper import Landing
     from phfmu.network.couplings.together import Together
+    from phfmu.network.members.interpolant import Interpolant
 
 Array = NDArray[Any]
 
@@ -118,6 +120,23 @@ class Coupled:
     def inputs(self) -> dict[str, float]:
         """Free inputs of the members, which neither junctions nor signals feed, as they are now."""
         return {n: value for n, value in self.joined.free_inputs().items() if not self._signals.feeds(n)}
+
+    @property
+    def free_inputs(self) -> dict[str, tuple[int, float]]:
+        """Those of ports, which may follow data: places among the inputs of all members, and signs."""
+        places = self.joined.input_places()
+        return {n: places[n] for n in self.inputs() if n in places}
+
+    @property
+    def followed(self) -> Interpolant | None:
+        """Free inputs that follow data: at the nodes of steps where members take them there, else in their middle."""
+        return self.joined.followed and self.joined.followed.data
+
+    @followed.setter
+    def followed(self, data: Interpolant | None) -> None:
+        free = self.free_inputs
+        found = data and Followed(data, *zip(*(free[n] for n in data.names), strict=True))
+        self.joined.followed = found or None
 
     def settable(self) -> list[str]:
         return self.joined.settable()

@@ -20,6 +20,7 @@ ORDER = 1
 
 def stepped(joined: Joined, instant: Instant, last: Solution, step: Step, groups: Iterable[Sequence[int]]) -> Solution:
     """One step, group by group (places among the members); at its end each has the inputs that it took."""
+    joined.follow(step.t, step.h)
     xi, used, U = last.xi, last.xi.copy(), joined.free.copy()
     for group in groups:
         xi = instant.solve(joined, xi, step.t)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
 from phfmu.engine.steps import StepEvent
+from phfmu.network.couplings.followed import Followed
 from phfmu.network.couplings.matrices import assembled
 from phfmu.network.junctions.compose import require_members
 from phfmu.network.junctions.interface import interface
@@ -46,6 +47,8 @@ class Joined:
         #: U_free
         self.free = np.concatenate([m.start_inputs() for m in members])
         self.free[self.face.fed] = 0.0
+        #: those of U_free that follow data
+        self.followed: Followed | None = None
         #: signals that are exchanged at the nodes of steps: as they are now, less the offsets of their wires, which are in free
         self.held = np.zeros(len(self.free))
         #: of each wire the signal as it is now
@@ -87,8 +90,19 @@ class Joined:
         for m, place in zip(self.members, self.places, strict=True):
             m.begin(u[place])
 
+    def follow(self, t: float, h: float) -> None:
+        """What follows data as it is held over a step."""
+        if self.followed is not None:
+            self.free[self.followed.places] = self.followed.middle(t, h)
+
+    def free_at_nodes(self, place: slice, c: Array, t: float, h: float) -> Array:
+        """U_free of the member at `place` at the fractions c of a step (k x nu, or nu where all are the same)."""
+        free = self.free[place]
+        return free if self.followed is None else self.followed.at_nodes(free, place, c, (t, h, 0), 1)[0]
+
     def trial(self, xi: Array, t: float, h: float) -> Array:
         """Step every member from t by h under xi; their outputs Y (nu)."""
+        self.follow(t, h)
         self.apply(xi)
         for m in self.members:
             m.do_step(t, h)
@@ -155,6 +169,14 @@ class Joined:
             told |= {f"{m.name}.{n}": value for n, value, fed in rows if not fed}
             told |= {f"{m.name}.{n}": value for n, value in m.signals().items()}
         return told
+
+    def input_places(self) -> dict[str, tuple[int, float]]:
+        """Input of a port, `member.name` -> its place among all inputs, and its sign."""
+        return {
+            f"{m.name}.{n}": (place.start + i, float(m.input_sign[i]))
+            for m, place in zip(self.members, self.places, strict=True)
+            for i, n in enumerate(m.input_names)
+        }
 
     def settable(self) -> list[str]:
         return [f"{m.name}.{n}" for m in self.members for n in m.settable()]

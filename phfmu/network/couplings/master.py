@@ -79,8 +79,10 @@ class Master:
         e, s = self.found, self._struct
         next_ = self._begin(last, h)
         members = [np.empty((n, width)) for width in e.widths]
-        for struct, rows in zip(self._array, members, strict=True):
+        given = [self._given(i, grid, n) for i in range(len(members))]
+        for struct, rows, followed in zip(self._array, members, given, strict=True):
             struct.record = rows.ctypes.data
+            struct.given = None if followed is None else followed.ctypes.data
         xi = np.empty((n, e.columns))
         trials, accepted = np.zeros(n, np.int32), np.zeros(n, np.int32)
         works = np.empty((n, e.size)) if self._works else None
@@ -102,6 +104,13 @@ class Master:
             rows["works"] = works[:done, e.unpacked]
         solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
         return Steps(**rows, iterations=trials[:done], accepted_by=ACCEPTED[accepted[:done]]), solution
+
+    def _given(self, i: int, grid: tuple[float, float, int], n: int) -> Array | None:
+        """Free inputs of a member at the nodes of n steps (n x k x nu) where some follow data."""
+        followed, place = self.joined.followed, self.joined.places[i]
+        if followed is None or not len(followed.own(place)):
+            return None
+        return followed.at_nodes(self.joined.free[place], place, nodes(self.found.parts[i].k).c, grid, n)
 
     def _crew_of(self, n: int) -> int:
         """Threads for n steps."""
@@ -183,6 +192,7 @@ class Master:
             "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
             "at_end": nodes(part.k).value(1.0), "now": np.zeros(nu),
             "free": self.joined.free[self.joined.places[i]].ctypes.data,
+            "given": None,
             "outputs": start + 8 * layout["y_step"].start if part.held else handle.node_outputs,
             "signals": start, "energies": start + 8 * layout["H"].start, "end": start + 8 * layout["y_end"].start,
             "values": kicks.values.ctypes.data if kicks else None, "du": unit, "ds": np.eye(part.kicks)[part.kicked],
@@ -218,7 +228,7 @@ class Master:
             "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
             "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
-            "found": self._last, "missed": self._missed, "known": 0,
+            "found": self._last, "missed": self._missed, "known": 0, "row": 0,
             "lu": lu, "crew": None,
             "status": np.zeros(len(e.parts), np.int32), "cost": self._cost, "xi": None, "work": None, "trials": None,
             "accepted": None,

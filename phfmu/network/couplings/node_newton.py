@@ -195,7 +195,8 @@ class NodeNewton:
         rows, size, through = e.C @ z.xi, abs(e.C) @ np.abs(z.xi), 0.0
         ends, end_size, S1 = np.zeros(len(e.bare)), np.zeros(len(e.bare)), e.clusters.blank()
         for s in e.shares:
-            U = (s.to @ z.xi[s.own]).reshape(s.values.rule.k, -1) + e.joined.free[s.place]
+            free = e.joined.free_at_nodes(s.place, s.values.rule.c, step.t, h)
+            U = (s.to @ z.xi[s.own]).reshape(s.values.rule.k, -1) + free
             Y = s.values.step(U, (s.Q @ m[s.bare], s.Q @ m1[s.bare]) if s.kicked else None, step.t, h)
             rows[s.own] += s.back @ Y.ravel()
             size[s.own] += np.abs(s.back) @ np.abs(Y.ravel())

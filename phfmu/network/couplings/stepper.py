@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,23 @@ from phfmu.engine.steps import StepEvent, Steps
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.engine.rest_changes import RestChange
+    from phfmu.network.members.interpolant import Interpolant
 
 Array = NDArray[np.float64]
 
 
 #: starts and sizes of steps, the steps, or an event and the row after it
 Landing = tuple[Array, Array, Steps | None, tuple[StepEvent, Array] | None]
+
+
+@runtime_checkable
+class Follows(Protocol):
+    """A stepper whose `free_inputs` may follow data."""
+
+    followed: Interpolant | None
+
+    @property
+    def free_inputs(self) -> Mapping[str, Any]: ...
 
 
 class Stepper(Protocol):

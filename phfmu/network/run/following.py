@@ -9,10 +9,9 @@ from os import PathLike, fspath
 from typing import Any
 
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.couplings.stepper import Stepper
+from phfmu.network.couplings.stepper import Follows, Stepper
 from phfmu.network.members.interpolant import Interpolant
 from phfmu.network.run.input_rows import InputRows, input_rows, require_interpolation
-from phfmu.network.run.march import monolithic
 from phfmu.network.run.options import Options
 from phfmu.network.scene import Event
 
@@ -32,23 +31,27 @@ def following(stepper: Stepper, options: Options, inputs: Any, interpolate: str)
     rows, found = _rows(inputs, stepper), None
     _require_one_source(rows, options)
     if interpolate != "held":
-        whole = monolithic(stepper, f"--interpolate {interpolate}")
-        _require_fit(whole, options)
-        starts = {n: v for n, v in whole.inputs().items() if n in whole.free_inputs}
+        if not isinstance(stepper, Follows):
+            raise ValueError(
+                f"--interpolate {interpolate} needs one composed model, or members that are stepped apart; here it is "
+                f"{stepper.what}; leave it out: rows are held, each until the next one"
+            )
+        _require_fit(stepper, options)
+        starts = {n: v for n, v in stepper.inputs().items() if n in stepper.free_inputs}
         found = rows.interpolant(interpolate, starts, options.t0)
     events = _events(rows, found, options.t0)
     notes = rows.notes(options.t0, options.stop) + rows.between(found, interpolate, options.step)
     options = replace(options, events=[*options.events, *(e for e in events if e.t <= options.stop)])
-    if found is None:
+    if found is None or not isinstance(stepper, Follows):
         yield options, notes
         return
-    if whole.lands:
+    if isinstance(stepper, Monolithic) and stepper.lands:
         notes.append(f"{rows.source}: with state events inputs have their mean over each step: order 2")
-    whole.followed = found
+    stepper.followed = found
     try:
         yield options, notes
     finally:
-        whole.followed = None
+        stepper.followed = None
 
 
 def _rows(inputs: Any, stepper: Stepper) -> InputRows:
@@ -81,7 +84,7 @@ def _require_one_source(rows: InputRows, options: Options) -> None:
             )
 
 
-def _require_fit(whole: Monolithic, options: Options) -> None:
+def _require_fit(whole: Stepper, options: Options) -> None:
     if options.dense is not None:
         raise ValueError("--dense does not go with interpolated inputs yet; leave one of them out")
     if whole.lands and options.adaptive:

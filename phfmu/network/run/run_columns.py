@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.couplings.stepper import Stepper
+from phfmu.network.couplings.stepper import Follows, Stepper
 from phfmu.network.members.inputs import held_rows, places
 from phfmu.network.run.stretches import CLOSE, Stretch
 from phfmu.pick import pick
@@ -41,7 +40,7 @@ class RunColumns:
             (at[~own] - len(stepper.names), np.flatnonzero(~own)),
         )
         self._all = not patterns
-        data = stepper.followed if isinstance(stepper, Monolithic) else None
+        data = stepper.followed if isinstance(stepper, Follows) else None
         own_data = [] if data is None else [(n, i) for i, n in enumerate(data.names) if n in self.names]
         self._data, self._from_data = data if own_data else None, (
             [self.names.index(n) for n, _ in own_data], [i for _, i in own_data]

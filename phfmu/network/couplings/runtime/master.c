@@ -53,6 +53,7 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
     for (; done < n && status == PH_OK; done++) {
         int by = PH_NOT_YET;
         double *swap;
+        m->row = done;
         if (done || next)
             ph_continue_ahead(m);
         status = solve(m, t0 + (double)(first + done) * h, h, &m->trials[done], &by);

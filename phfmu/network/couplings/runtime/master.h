@@ -78,27 +78,28 @@ typedef struct ph_share {
     const double *weights;      /* k */
     const double *at_end;       /* k: of the polynomial through values at nodes its value at the end */
     const double *free;         /* nu: inputs besides those of junctions, offsets of signals */
-    const double *outputs;      /* k*nq, of the instance */
-    const double *signals;      /* nsignal, of the instance */
-    const double *energies;     /* ncomp, of the instance: stored now */
-    const double *end;          /* nu, of the instance: outputs now */
-    double *values;             /* 4*impulses, of the instance: impulses that belong to its state */
-    const double *du;           /* directions*(k*nu), unit */
-    const double *ds;           /* nbare*nkick, unit */
-    const double *ds_end;       /* directions*nkick, zero */
-    double *kept;               /* state at the start of the step, then the impulses: work, as all below */
-    double *copied;             /* state for the chain */
-    double *kept_values;        /* 4*impulses */
-    double *u;                  /* k*nu */
-    double *now;                /* nu: inputs at the end of the step, where signals feed some */
-    double *s;                  /* 2*nkick */
-    double *y;                  /* k*nu + nu */
-    double *dx;                 /* directions*width */
-    double *dy;                 /* directions*(k*nu) */
-    double *dend;               /* directions*nu */
-    double *across;             /* nrow*directions */
-    double *jump;               /* nkick*nkick */
-    double *record;             /* a row a step: signals, ledger rows; stride nsignal + 5 ncomp + nq */
+    const double *given;    /* a row a step, k*nu each: the same at its nodes; NULL: free is what they are */
+    const double *outputs;  /* k*nq, of the instance */
+    const double *signals;  /* nsignal, of the instance */
+    const double *energies; /* ncomp, of the instance: stored now */
+    const double *end;      /* nu, of the instance: outputs now */
+    double *values;         /* 4*impulses, of the instance: impulses that belong to its state */
+    const double *du;       /* directions*(k*nu), unit */
+    const double *ds;       /* nbare*nkick, unit */
+    const double *ds_end;   /* directions*nkick, zero */
+    double *kept;           /* state at the start of the step, then the impulses: work, as all below */
+    double *copied;         /* state for the chain */
+    double *kept_values;    /* 4*impulses */
+    double *u;              /* k*nu */
+    double *now;            /* nu: inputs at the end of the step, where signals feed some */
+    double *s;              /* 2*nkick */
+    double *y;              /* k*nu + nu */
+    double *dx;             /* directions*width */
+    double *dy;             /* directions*(k*nu) */
+    double *dend;           /* directions*nu */
+    double *across;         /* nrow*directions */
+    double *jump;           /* nkick*nkick */
+    double *record;         /* a row a step: signals, ledger rows; stride nsignal + 5 ncomp + nq */
 } ph_share;
 
 typedef struct ph_master {
@@ -115,6 +116,7 @@ typedef struct ph_master {
     int capacity;
     int nwire;
     int known;              /* rows of missed that are known */
+    int row;                /* of the step that is taken */
     int points;             /* of the rule for the root of impulses */
     const double *cosines;  /* points: cos^2 t_l */
     const double *weights;  /* nxi */

@@ -81,8 +81,12 @@ int ph_share_step(const ph_master *m, const ph_share *s, double t, double h) {
     ph_clear(s->s, 2 * s->nkick);
     for (int e = 0; e < s->nright; e++)
         *place(s, s->right_direction[e]) += s->right[e] * m->z[s->col[s->right_col[e]]];
-    for (int i = 0; i < kn; i++)
-        s->u[i] += s->free[i % s->nu];
+    if (s->given)
+        for (int i = 0; i < kn; i++)
+            s->u[i] += s->given[(ptrdiff_t)m->row * kn + i];
+    else
+        for (int i = 0; i < kn; i++)
+            s->u[i] += s->free[i % s->nu];
     status = step(s, t, h);
     return status ? status : look(s);
 }

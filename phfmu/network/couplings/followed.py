@@ -1,0 +1,38 @@
+"""Free inputs of members stepped apart that follow data: what they are at the nodes of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.network.members.interpolant import Interpolant
+
+Array = NDArray[np.float64]
+
+
+class Followed:
+    """`data`: functions of time, whose values belong, with `signs`, to the `places` among the inputs of all members."""
+
+    def __init__(self, data: Interpolant, places: Sequence[int], signs: Sequence[float]):
+        self.data, self.places, self._signs = data, np.array(places, int), np.array(signs)
+
+    def middle(self, t: float, h: float) -> Array:
+        """Values in the middle of a step, for inputs that are held over it: of order 2."""
+        return self.data(t + 0.5 * h) * self._signs
+
+    def own(self, place: slice) -> NDArray[np.intp]:
+        """Which of the data belong to the inputs at `place`."""
+        return np.flatnonzero((self.places >= place.start) & (self.places < place.stop))
+
+    def at_nodes(self, free: Array, place: slice, c: Array, grid: tuple[float, float, int], n: int) -> Array:
+        """Inputs at `place` at the fractions c of n steps k = first.. from t0 + k h (n x k x nu), grid: t0, h, first.
+
+        What does not follow data is as in `free` (nu).
+        """
+        own, (t0, h, first) = self.own(place), grid
+        out = np.tile(free, (n, len(c), 1))
+        given = self.data.at_nodes(c, t0, h, n, first) * self._signs
+        out[:, :, self.places[own] - place.start] = given[:, :, own]
+        return out
