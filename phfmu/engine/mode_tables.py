@@ -1,13 +1,13 @@
-"""Tables of changes of modes, as ctypes structures; see runtime/modes/modes.h."""
+"""Tables of changes of modes, as ctypes structures or as C text; see runtime/modes/modes.h."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from phfmu.engine.derived import group_values
-from phfmu.engine.tables import Filled, ctypes_structures
+from phfmu.engine.tables import Filled, array_of_structs, ctypes_structures, struct_text
 from phfmu.events.switch_tables import ModeRows, SwitchTables
 from phfmu.plan.plan import Kernel
 
@@ -28,3 +28,22 @@ class ModeTables(Filled):
     def rows(self, rows: ModeRows) -> int:
         """Address of what is known of a mode."""
         return ctypes.addressof(self.fill("ph_mode_rows", rows, {}))
+
+
+def switches_text(tables: SwitchTables, index: Callable[[Kernel], int], symbol: str) -> str:
+    """C source that defines `const ph_switches <symbol>`."""
+    groups = array_of_structs("ph_group", "switch_groups", mode_groups(tables, index))
+    arrays, members = struct_text(
+        "ph_switches", "switches", tables, {"rates": "switch_groups", "energy": "switch_groups + 1"}
+    )
+    return (
+        f'#include <math.h>\n\n#include "modes.h"\n\n{groups}{arrays}'
+        f"extern const ph_switches {symbol};\nconst ph_switches {symbol} = {members};\n"
+    )
+
+
+def rows_text(rows: Sequence[ModeRows], symbol: str) -> str:
+    """C source that defines `const ph_mode_rows <symbol>[]`."""
+    text = array_of_structs("ph_mode_rows", "mode_rows", [(r, {}) for r in rows])
+    head = "static const ph_mode_rows mode_rows[] ="
+    return text.replace(head, f"extern const ph_mode_rows {symbol}[];\nconst ph_mode_rows {symbol}[] =")

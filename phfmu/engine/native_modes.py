@@ -31,7 +31,7 @@ from phfmu.events.switch_tables import mode_rows, switch_tables
 SHARED = ("plan.h", "names.h", "phfmu.h", "step_limits.h", "system.h", "group.inc", "schur/schur.h", "events/events.h",
           "events/event_limits.h")  # fmt: skip
 ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
-MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
+MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
 
 
 class _Source(ctypes.Structure):
@@ -204,10 +204,10 @@ class NativeModes:
         return _Mode(self._rows(0, on), ctypes.addressof(calls), handle.instance, landing.address, state.ctypes.data,
                      instance.layout["H"].stop)  # fmt: skip
 
-    def _most(self, _: int, a: int, j: int) -> float:
+    def _most(self, _: int, on: int, a: int, j: int) -> float:
         values = np.frombuffer((ctypes.c_double * self._model.step.na).from_address(a))
         try:
-            return most_held(self._model.modes.modes, tuple(int(v) for v in self._sides[1 : 1 + self._n]), values, j)
+            return most_held(self._model.modes.modes, self._mode(on), values, j)
         except Exception as failure:
             self._failure = failure
             return 0.0

@@ -199,7 +199,7 @@ def _array_text(ctype: str, name: str, values: NDArray[Any]) -> str:
     return f"static const {ctype} {name}[] = {{\n" + "\n".join([*lines, line]) + "\n};\n"
 
 
-def _struct_text(struct: str, name: str, source: Any, derived: dict[str, Any]) -> tuple[str, str]:
+def struct_text(struct: str, name: str, source: Any, derived: dict[str, Any]) -> tuple[str, str]:
     """Text of the arrays of one structure, and its initialiser."""
     arrays, members = "", []
     for field, value in _members(struct, source, derived):
@@ -211,11 +211,11 @@ def _struct_text(struct: str, name: str, source: Any, derived: dict[str, Any]) -
     return arrays, "{\n" + "\n".join(members) + "\n}"
 
 
-def _array_of_structs(struct: str, name: str, items: Sequence[tuple[Any, dict[str, Any]]]) -> str:
+def array_of_structs(struct: str, name: str, items: Sequence[tuple[Any, dict[str, Any]]]) -> str:
     """Text of an array of structures and of the arrays they point to; nothing for none."""
     text, rows = "", []
     for i, (source, values) in enumerate(items):
-        arrays, members = _struct_text(struct, f"{name}_{i}", source, values)
+        arrays, members = struct_text(struct, f"{name}_{i}", source, values)
         text += arrays
         rows.append(members)
     return text + (f"static const {struct} {name}[] = {{\n" + ",\n".join(rows) + "\n};\n" if rows else "")
@@ -223,28 +223,28 @@ def _array_of_structs(struct: str, name: str, items: Sequence[tuple[Any, dict[st
 
 def schur_text(schur: SchurStepper, name: str) -> str:
     """C source that defines `static const ph_schur <name>`."""
-    text = _array_of_structs("ph_lane_group", f"{name}_groups", lane_groups(schur))
+    text = array_of_structs("ph_lane_group", f"{name}_groups", lane_groups(schur))
     derived = schur_sizes(schur) | {"groups": f"{name}_groups"}
     for part in ("hard", "soft"):
         derived[part] = "0"
         if getattr(schur, part) is None:
             continue
-        arrays, members = _struct_text("ph_elimination", f"{name}_{part}", getattr(schur, part), {})
+        arrays, members = struct_text("ph_elimination", f"{name}_{part}", getattr(schur, part), {})
         text += arrays + f"static const ph_elimination {name}_{part} = {members};\n"
         derived[part] = f"&{name}_{part}"
-    arrays, members = _struct_text("ph_schur", name, schur, derived)
+    arrays, members = struct_text("ph_schur", name, schur, derived)
     return text + arrays + f"static const ph_schur {name} = {members};\n"
 
 
 def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
     derived = plan_values(plan, index)
-    text = _array_of_structs("ph_group", f"{name}_groups", derived["groups"])
+    text = array_of_structs("ph_group", f"{name}_groups", derived["groups"])
     derived["groups"] = f"{name}_groups" if plan.groups else "0"
     derived["schur"] = "0"
     if plan.schur is not None:
         text += schur_text(plan.schur, f"{name}_schur")
         derived["schur"] = f"&{name}_schur"
-    arrays, members = _struct_text("ph_plan", name, plan, derived)
+    arrays, members = struct_text("ph_plan", name, plan, derived)
     return text + arrays + f"static const ph_plan {name} = {members};\n"
 
 
@@ -254,7 +254,7 @@ def c_text(
     """C source that defines `const ph_model <symbol>`; the same model gives the same bytes."""
     derived = {"stamp": "PH_STAMP", "token": f"{token:#x}ULL", "step": "&step", "instant": "&instant"}
     derived["tangents"] = tangents
-    arrays, members = _struct_text("ph_model", "model", model, derived)
+    arrays, members = struct_text("ph_model", "model", model, derived)
     return (
         '#include "plan.h"\n\n'
         + _plan_text(model.step, "step", index)
@@ -266,10 +266,10 @@ def c_text(
 
 def events_text(plan: EventPlan, index: Callable[[Kernel], int], symbol: str = "ph_the_events") -> str:
     """C source that defines `const ph_events <symbol>`."""
-    groups = _array_of_structs("ph_group", "events_groups", _event_groups(plan, index))
-    derived = event_values(plan) | {"groups": "events_groups"}
+    groups = array_of_structs("ph_group", "events_groups", _event_groups(plan, index))
+    derived = event_values(plan) | {"groups": "events_groups" if groups else "0"}
     derived["jump"] = "0" if plan.jump is None else f"events_groups + {len(plan.groups)}"
-    arrays, members = _struct_text("ph_events", "events", plan, derived)
+    arrays, members = struct_text("ph_events", "events", plan, derived)
     return (
         '#include <math.h>\n\n#include "events.h"\n\n'
         + groups

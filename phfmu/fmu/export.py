@@ -13,6 +13,7 @@ from phfmu.fmu import manifest, package, sources
 from phfmu.fmu.description import Unit, build_description
 from phfmu.fmu.schedule import UnitEvent, in_order
 from phfmu.fmu.terminals import terminals as terminals_of
+from phfmu.fmu.unit_modes import unit_modes
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.words import meant
@@ -92,12 +93,12 @@ def _require_writable(model: Model, step: float, tunable: Collection[str], excha
             f"{model.name}: scheme {model.scheme.name} loses energy of its own, for which an FMU has no variable; "
             "export an energy-exact scheme, and restart with Radau steps in `phfmu run --restart`"
         )
-    if model.modes is not None:
-        names = ", ".join(s.name for s in model.modes.modes.switches[:4])
+    if model.modes is not None and (bound := model.modes.modes.system.between_inputs):
         raise FMUError(
-            f"{model.name}: has ideal switches ({names}), each mode of which is another plan; units have one. Export it with "
-            "switches that modulate the interconnection (breaker, ideal_diode), or run it with --engine native or python"
+            f"{model.name}: has ideal switches ({', '.join(bound[:4])}) between inputs, which others set, so that none of its "
+            "modes could be left; export it together with what is on one side of them"
         )
+    unit_modes(model)
     if model.events is not None and exchanged:
         raise FMUError(
             f"{model.name}: has state events ({', '.join(model.events.names[:4])}), which do not go with inputs at the nodes of "

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import fmpy
 
-from phfmu.discretise.model import CONSISTENCY
+from phfmu.discretise.model import CONSISTENCY, Model
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.impulses import PortKernels
 from phfmu.engine.library import runtime_sources
@@ -18,8 +18,8 @@ from phfmu.engine.model import kernels
 from phfmu.engine.port_text import port_text
 from phfmu.engine.tables import c_text, events_text
 from phfmu.engine.tangent_text import tangent_text
-from phfmu.events.event_plan import EventPlan
 from phfmu.fmu.description import Unit
+from phfmu.fmu.unit_modes import ROWS, SWITCHES, UnitModes, events_symbol, model_symbol, symbols, unit_modes
 from phfmu.fmu.variables import value_name
 from phfmu.fmu.version import VERSIONS, Version
 from phfmu.fmu.words import c_comment, c_string
@@ -33,8 +33,8 @@ HEADERS = Path(str(fmpy.__file__)).parent / "c-code"
 
 _PREFIXES = tuple(v.prefix for v in VERSIONS.values())
 
-#: files of units with inputs at the nodes of a step, of those whose ports take impulses, and of those with state events
-NODES, IMPULSES, LANDING = ("fmu_nodes.c",), ("impulses.c", "impulses.h"), ("fmu_landing.c",)
+#: files of units with inputs at the nodes of a step, of those whose ports take impulses, with state events, and with switches
+NODES, IMPULSES, LANDING, MODES = ("fmu_nodes.c",), ("impulses.c", "impulses.h"), ("fmu_landing.c",), ("fmu_modes.c",)
 Sources = dict[str, str | Path]
 
 
@@ -43,12 +43,14 @@ def generated(unit: Unit) -> dict[str, str]:
     interface.
     """
     model = unit.model
-    table = kernel_table(kernels(model), model.step.schur)
+    modes = unit_modes(model)
+    table = kernel_table([*kernels(model), *(modes.kernels if modes else ())], model.step.schur)
     more = {} if model.events is None else {"guards.c": events_text(model.events, table.index)}
+    more |= modes.texts(table, "ph_tangents" if model.step.nu else "0") if modes else {}
     if model.step.nu == 0:
         return {"kernels.c": table.text, "model.c": c_text(model, table.index, table.token), **more}
     text = c_text(model, table.index, table.token, tangents="ph_tangents")
-    plans = (model.step, model.instant) if unit.kernels else (model.step,)
+    plans = (model.step, model.instant) if unit.kernels else (model.step, *(modes.plans if modes else ()))
     made = {"kernels.c": table.text, "tangents.c": tangent_text(table, *plans), "model.c": text, **more}
     return made | ({"ports.c": port_text(unit.kernels)} if unit.kernels else {})
 
@@ -67,9 +69,11 @@ def token(unit: Unit, equations: dict[str, str]) -> str:
 def fixed(unit: Unit) -> Sources:
     """The hand-written part of it: name -> path."""
     events = unit.model.events is not None
+    modes = unit.model.modes is not None
     absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES) + (() if events else LANDING)
+    absent += () if modes else MODES
     layers = {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
-    return {name: path for name, path in {**runtime_sources(events), **layers}.items() if name not in absent}
+    return {name: path for name, path in {**runtime_sources(events, modes), **layers}.items() if name not in absent}
 
 
 def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:
@@ -95,6 +99,7 @@ def names_text(sources: Sources, identifier: str) -> str:
             found.update(re.findall(r"^extern const [^;=]*?(\w+)(?:\[\])?;", text, flags=re.M))
     tables = {"model.c": "ph_the_model", "ports.c": "ph_the_ports", "guards.c": "ph_the_events"}
     found.update(symbol for file, symbol in tables.items() if file in sources)
+    found.update(symbols(sources))
     lines = "".join(f"#define {name} {identifier}_{name}\n" for name in sorted(found))
     return f"/* Generated. Names of {identifier}, for programs that several units are linked into. */\n{lines}"
 
@@ -145,7 +150,8 @@ def interface_text(unit: Unit, token: str) -> str:
         checks += _impulses_text(unit.kernels)
     if model.events is not None:
         include, nodes = include + '#include "events.h"\n', nodes + "    .landing = &landing,\n"
-        checks += _landing_text(model.events)
+        include += '#include "fmu_modes.h"\n#include "modes.h"\n' if model.modes else ""
+        checks += _landing_text(model)
     checks += f"static const fmu_event events[] = {{\n{_list(events)}}};\n" if events else ""
     checks += f"static const fmu_range ranges[] = {{\n{_list(ranges)}}};\n" if ranges else ""
     return f"""\
@@ -179,14 +185,38 @@ const fmu_interface fmu_the_interface = {{
 """
 
 
-def _landing_text(events: EventPlan) -> str:
-    """The functions of fmu_landing.c, and the names of the guards."""
-    names, _ = _strings("guards", events.names)
-    functions = ("create", "release", "step", "refused")
-    members = "".join(f"    .{n} = fmu_landing_{n},\n" for n in functions)
+def _landing_text(model: Model) -> str:
+    """The functions of fmu_landing.c or fmu_modes.c, and the names of the guards."""
+    assert model.events is not None
+    names, guards = _strings("guards", model.events.names)
+    modes = unit_modes(model)
+    layer, switches = ("modes", "&switches") if modes else ("landing", "0")
+    members = "".join(f"    .{n} = fmu_{layer}_{n},\n" for n in ("create", "release", "step", "refused"))
     return (
-        f"extern const ph_events ph_the_events;\n{names}"
-        f"static const fmu_landing landing = {{\n    .events = &ph_the_events,\n    .names = guards,\n{members}}};\n"
+        f"extern const ph_events ph_the_events;\n{names}{_modes_text(modes) if modes else ''}"
+        f"static const fmu_landing landing = {{\n    .events = &ph_the_events,\n    .names = {guards},\n"
+        f"{members}    .switches = {switches},\n}};\n"
+    )
+
+
+def _modes_text(modes: UnitModes) -> str:
+    """The modes with their tables, and the functions of fmu_modes.c."""
+    text, rows = "", []
+    for i, model in enumerate(modes.models):
+        named = [
+            _strings(f"{what}{i}", names) for what, names in (("rows", model.row_names), ("ends", model.instant_names))
+        ]
+        text += f"extern const ph_model {model_symbol(i)};\nextern const ph_events {events_symbol(i)};\n"
+        text += "".join(t for t, _ in named)
+        rows.append(f"{{&{model_symbol(i)}, &{events_symbol(i)}, {', '.join(name for _, name in named)}}}")
+    functions = ("state_size", "save", "load", "reset", "asked", "ask")
+    return (
+        f"extern const ph_switches {SWITCHES};\nextern const ph_mode_rows {ROWS}[];\n{text}"
+        f"static const fmu_mode modes[] = {{\n{_list(rows)}}};\n{_strings('switch_names', modes.names)[0]}"
+        f"static const fmu_switches switches = {{\n    .switches = &{SWITCHES},\n    .n = {len(modes.models)},\n"
+        f"    .rows = {ROWS},\n    .modes = modes,\n    .names = switch_names,\n"
+        + "".join(f"    .{n} = fmu_modes_{n},\n" for n in functions)
+        + "};\n"
     )
 
 

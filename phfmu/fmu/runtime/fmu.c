@@ -1,5 +1,5 @@
 /* Life of an instance: modes and steps. */
-#include "fmu.h"
+#include "fmu_modes.h"
 
 #include <float.h>
 #include <limits.h>
@@ -117,6 +117,8 @@ int fmu_reset(fmu *f, const char *function) {
     s = fmu_impulse_values(f, &n);
     for (int i = 0; i < n; i++)
         s[i] = 0.0;
+    if (f->about->landing && f->about->landing->switches)
+        f->about->landing->switches->reset(f);
     return ph_reset(f->in) ? fmu_refuse(f, "%s: the start values of the model were refused", function)
                            : FMU_OK;
 }

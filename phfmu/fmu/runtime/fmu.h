@@ -90,6 +90,7 @@ typedef struct fmu_landing {
     void (*release)(fmu *f);
     int (*step)(fmu *f, double t, double h, int n, int *stopped);
     int (*refused)(const fmu *f, const char *function);
+    const struct fmu_switches *switches; /* NULL without ideal switches */
 } fmu_landing;
 
 /* At `time` a parameter takes `value`. */
@@ -183,9 +184,11 @@ struct fmu {
     int step_known, end_known;  /* whether they belong to the present time */
     unsigned *scalars;          /* 2*nvariable, room for the scalars of arrays; NULL without arrays */
     fmu_nodes nodes;
-    double *kept; /* what of the parts of a step is summed; NULL without events */
-    void *before; /* a saved state; NULL without events */
-    void *landed; /* memory of fmu_landing.c, owned; NULL without state events */
+    double *kept;                /* what of the parts of a step is summed; NULL without events */
+    void *before;                /* a saved state; NULL without events */
+    void *landed;                /* memory of fmu_landing.c, owned; NULL without state events */
+    const struct fmu_mode *mode; /* the present one, see fmu_modes.h; NULL without ideal switches */
+    void *modes;                 /* memory of fmu_modes.c, owned; NULL without ideal switches */
 };
 
 #if defined(__GNUC__)
@@ -220,7 +223,8 @@ double fmu_time(const fmu *f);
 /* fmu_values.c. ref: n value references, values: n. A refused call changes nothing. */
 int fmu_get(fmu *f, const char *function, const unsigned *ref, size_t n, double *values);
 int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const double *values);
-int fmu_set_parameters(fmu *f, const double *p); /* p (np); books what they make of H; answers a ph_status */
+void fmu_parameters(fmu *f);               /* into f->p, with the modes that were asked for */
+int fmu_set_parameters(fmu *f, double *p); /* p (np); books what they make of H; answers a ph_status */
 int fmu_check_ranges(const fmu *f, const char *function);
 /* Impulses of the coming steps and of the last one: 4 fmu_impulses.n values, or none. */
 double *fmu_impulse_values(const fmu *f, int *n);
@@ -247,6 +251,10 @@ int fmu_landing_create(fmu *f);
 void fmu_landing_release(fmu *f);
 int fmu_landing_step(fmu *f, double t, double h, int n, int *stopped);
 int fmu_landing_refused(const fmu *f, const char *function);
+struct ph_landed;
+struct ph_landed *fmu_landing_out(const fmu *f); /* what an event is written to */
+void fmu_landing_book(fmu *f,
+                      const struct ph_landed *out); /* the event in it, what it made of stored energy */
 
 /* fmu_derivative.c. adjoint 0: result (nu) = S seed (nk); 1: result (nk) = S^T seed (nu), where S holds the
  * derivatives of the port outputs `unknown` (nu) with respect to the port inputs `known` (nk): all of these

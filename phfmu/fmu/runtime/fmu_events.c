@@ -31,10 +31,9 @@ static double next_event(const fmu *f) {
 }
 
 int fmu_events_until(fmu *f, double t) {
-    const int np = f->about->model->step->np;
     if (!(next_event(f) <= t))
         return PH_OK;
-    memcpy(f->p, ph_parameters(f->in), sizeof(double) * (size_t)np);
+    fmu_parameters(f);
     for (; next_event(f) <= t; f->phase.passed++) {
         const fmu_event *event = &f->about->events[f->phase.passed];
         f->p[f->about->variables[event->variable].first] = event->value;

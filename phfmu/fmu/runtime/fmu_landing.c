@@ -45,8 +45,12 @@ void fmu_landing_release(fmu *f) {
     free(f->landed);
 }
 
-/* The event in `out`: what it made of the stored energy. */
-static void book(fmu *f, const ph_landed *out) {
+ph_landed *fmu_landing_out(const fmu *f) {
+    landed *l = f->landed;
+    return &l->out;
+}
+
+void fmu_landing_book(fmu *f, const ph_landed *out) {
     for (int c = 0; c < f->about->model->step->ncomp; c++) {
         f->books.jumped[c] += out->event_energy[c];
         f->phase.happened[2] += out->event_lost[c];
@@ -63,7 +67,7 @@ int fmu_landing_step(fmu *f, double t, double h, int n, int *stopped) {
         status = ph_land_on(l->landing, &l->out);
         if (status || !l->out.events)
             continue;
-        book(f, &l->out);
+        fmu_landing_book(f, &l->out);
         if (stopped && !l->out.done && l->t > t) {
             *stopped = 1;
             break;

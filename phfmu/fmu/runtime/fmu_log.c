@@ -3,7 +3,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "fmu.h"
+#include "fmu_modes.h"
 
 static const struct {
     int category;
@@ -82,7 +82,9 @@ int fmu_given(const fmu *f, const char *function, int given) {
 /* A failure of the solver; the instance is at its last accepted step. */
 int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *r) {
     const ph_plan *plan = r->instant ? f->about->model->instant : f->about->model->step;
-    const char *const *names = r->instant ? f->about->end_equations : f->about->equations;
+    const char *const *steps = f->mode ? f->mode->equations : f->about->equations;
+    const char *const *instants = f->mode ? f->mode->end_equations : f->about->end_equations;
+    const char *const *names = r->instant ? instants : steps;
     int place = r->row >= 0 ? r->row : r->column;
     return fmu_say(
         f, answer, answer == FMU_OK ? FMU_LOG_HALVED : FMU_LOG_ERRORS,

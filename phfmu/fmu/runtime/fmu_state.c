@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fmu.h"
+#include "fmu_modes.h"
 
 typedef struct saved {
     char token[FMU_TOKEN + 2];
@@ -39,8 +39,23 @@ static size_t impulses_size(const fmu *f) {
     return f->about->impulses ? 4 * sizeof(double) * (size_t)f->about->impulses->n : 0;
 }
 
+static const fmu_switches *switches(const fmu *f) {
+    return f->about->landing ? f->about->landing->switches : NULL;
+}
+
+static size_t model_size(const fmu *f) {
+    return switches(f) ? switches(f)->state_size(f) : ph_state_size(f->in);
+}
+
+static void save_model(const fmu *f, void *out) {
+    if (switches(f))
+        switches(f)->save(f, out);
+    else
+        ph_save(f->in, out);
+}
+
 size_t fmu_state_size(const fmu *f) {
-    return sizeof(saved) + books_size(f) + impulses_size(f) + ph_state_size(f->in);
+    return sizeof(saved) + books_size(f) + impulses_size(f) + model_size(f);
 }
 
 int fmu_save(fmu *f, const char *function, void **state) {
@@ -64,7 +79,7 @@ int fmu_save(fmu *f, const char *function, void **state) {
     s = fmu_impulse_values(f, &n);
     if (n > 0)
         memcpy(place, s, impulses_size(f));
-    ph_save(f->in, place + impulses_size(f));
+    save_model(f, place + impulses_size(f));
     return FMU_OK;
 }
 
@@ -87,7 +102,9 @@ int fmu_restore(fmu *f, const char *function, const void *state) {
     if (check(f, function, from))
         return FMU_ERROR;
     place = (const char *)(from + 1) + books_size(f);
-    status = ph_load(f->in, place + impulses_size(f));
+    place += impulses_size(f);
+    status = switches(f) ? switches(f)->load(f, place) : ph_load(f->in, place);
+    place -= impulses_size(f);
     if (status)
         return fmu_refuse(f, "%s: %s", function, ph_status_text(status));
     memcpy(f->books.start, from + 1, books_size(f));

@@ -2,7 +2,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "fmu.h"
+#include "fmu_modes.h"
 
 static const fmu_variable *find(const fmu *f, const char *function, unsigned ref) {
     if (ref < (unsigned)f->about->nvariable)
@@ -194,10 +194,18 @@ static int set_inputs(fmu *f) {
     return fmu_held(f, f->u) ? ph_set_input(f->in, f->u) : ph_set_node_inputs(f->in, f->u);
 }
 
-int fmu_set_parameters(fmu *f, const double *p) {
+void fmu_parameters(fmu *f) {
+    copy(f->p, ph_parameters(f->in), f->about->model->step->np);
+    if (f->modes)
+        f->about->landing->switches->asked(f, f->p);
+}
+
+int fmu_set_parameters(fmu *f, double *p) {
     const double *energy = ph_signals(f->in) + f->offset[PH_H];
     const int nc = f->about->model->step->ncomp;
     int status;
+    if (f->modes)
+        f->about->landing->switches->ask(f, p);
     if (!f->about->jumps || f->phase.mode != FMU_STEP)
         return ph_set_parameters(f->in, p);
     status = ph_refresh(f->in);
@@ -229,7 +237,7 @@ int fmu_set(fmu *f, const char *function, const unsigned *ref, size_t n, const d
             return FMU_ERROR;
     copy(f->x, ph_signals(f->in), plan->nx);
     copy(f->u, ph_input(f->in), plan->nu * plan->k);
-    copy(f->p, ph_parameters(f->in), plan->np);
+    fmu_parameters(f);
     if (impulses)
         copy(f->nodes.s, impulses->values(f->nodes.impulses), 2 * impulses->n);
     for (size_t i = 0; i < n; i++) {

@@ -142,7 +142,7 @@ static int dependent(ph_modes *m, const ph_mode *old) {
         double most;
         if (!m->on[j] || m->want[j] || !sw->unilateral[j])
             continue;
-        most = m->source->most(m->source->world, m->a, j);
+        most = m->source->most(m->source->world, m->on, m->a, j);
         if (most > 0.0)
             return refuse_one(m, j, PH_REFUSED_SHARED, most, 0.0);
     }

@@ -80,13 +80,13 @@ typedef struct ph_mode {
 } ph_mode;
 
 /* Where modes come from; `world` is the caller's. rows: NULL if there is no such mode; mode: the same with
- * its instance, of which none may be left. most: how much switch j could hold, of those that open from a mode
- * with the algebraic variables a (na), where dependent ones share several directions; < 0: not known. */
+ * its instance, of which none may be left. most: how much switch j could
+ * hold, of those that open from the mode `on` with the algebraic variables a (na). */
 typedef struct ph_mode_source {
     void *world;
     const ph_mode_rows *(*rows)(void *world, const signed char *on);
     const ph_mode *(*mode)(void *world, const signed char *on);
-    double (*most)(void *world, const double *a, int j);
+    double (*most)(void *world, const signed char *on, const double *a, int j);
 } ph_mode_source;
 
 typedef struct ph_modes ph_modes;
@@ -116,6 +116,9 @@ PH_API int ph_modes_land(ph_modes *m, const ph_record *record, ph_landed *out, s
  */
 PH_API void ph_modes_begin(ph_modes *m, double t, double h, int n);
 PH_API int ph_modes_on(ph_modes *m, ph_landed *out, signed char *changed);
+/* How much switch j could hold, of those that open from a mode with the algebraic variables a (na): for
+ * `most` of a source. Infinite where directions share multipliers, so that this is not told. */
+PH_API double ph_mode_held(const ph_switches *switches, const ph_mode_rows *mode, const double *a, int j);
 /* The present mode; NULL after its source had none. */
 PH_API const ph_mode *ph_modes_present(ph_modes *m);
 PH_API const ph_mode_refusal *ph_modes_refusal(const ph_modes *m);
