@@ -15,7 +15,7 @@ from phfmu.fmu import exit_guard
 from phfmu.fmu.archive import Extracted
 from phfmu.fmu.interface import Scalar
 from phfmu.fmu.refusal import UnitCallError, said
-from phfmu.fmu.values import Block, Derivative, References
+from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS
 from phfmu.fmu.words import plain
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: messages that are kept, those that are quoted, and the characters of one
 KEPT, QUOTED, LONGEST = 20, 3, 500
+#: the last status that is no refusal
+WARNING = 1
 _ANSWERS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
 
@@ -64,6 +66,7 @@ class Slave:
         self.words: deque[str] = deque(maxlen=KEPT)
         #: after a fatal error nothing may be called any more, not even to free it
         self.dead = False
+        self._functions: dict[str, Any] = {}
         ours = bool(about.energy)  # quiet unless something is wrong; other units may say anything
         common: dict[str, Any] = {
             "guid": about.token, "modelIdentifier": about.identifier, "unzipDirectory": str(archive.folder),
@@ -97,18 +100,39 @@ class Slave:
 
     def call(self, function: Any, *arguments: Any) -> Any:
         """The call; UnitCallError with the last messages of the unit if it fails."""
-        if self.dead:
-            raise UnitCallError(self.name, _name(function), "fatal", ["it met a fatal error before"])
+        self._require_alive(function)
         self.words.clear()
         exit_guard.current = (self.name, function, arguments)
         try:
             return function(*arguments)
         except FMICallException as error:
-            answer = _ANSWERS.get(error.status, f"status {error.status}")
-            self.dead = answer == "fatal"
-            raise UnitCallError(self.name, error.function, answer, self.last_words()) from None
+            raise self._refused(error.function, error.status) from None
         finally:
             exit_guard.current = None
+
+    def call_plain(self, function: str, arguments: tuple[Any, ...]) -> None:
+        """`call` of a function of the library by its name, without the wrapper of the bindings: made many times a step."""
+        known = self._functions.get(function)
+        if known is None:
+            known = self._functions[function] = getattr(self.fmu.dll, function)  # the bindings have declared its types
+        self._require_alive(known)
+        self.words.clear()
+        exit_guard.current = (self.name, known, arguments)
+        try:
+            status = known(self.fmu.component, *arguments)
+        finally:
+            exit_guard.current = None
+        if status > WARNING:
+            raise self._refused(function, status)
+
+    def _require_alive(self, function: Any) -> None:
+        if self.dead:
+            raise UnitCallError(self.name, _name(function), "fatal", ["it met a fatal error before"])
+
+    def _refused(self, function: str, status: int) -> UnitCallError:
+        answer = _ANSWERS.get(status, f"status {status}")
+        self.dead = answer == "fatal"
+        return UnitCallError(self.name, function, answer, self.last_words())
 
     def references(self, scalars: Sequence[Scalar]) -> References:
         """Buffers for a group of scalars."""
@@ -117,26 +141,23 @@ class Slave:
     def set(self, r: References) -> None:
         """Values of the buffer into the unit."""
         if r.direct is not None:
-            self._call_block(r.direct.setter, r.direct)
+            self.call_plain(r.direct.setter, r.direct.arguments)
             return
         for b in r.blocks:
             if not b.filled:
-                self._call_block(b.getter, b)  # entries of arrays that stay as they are
+                self.call_plain(b.getter, b.arguments)  # entries of arrays that stay as they are
             r.spread(b)
-            self._call_block(b.setter, b)
+            self.call_plain(b.setter, b.arguments)
 
     def get(self, r: References) -> Array:
         """Values of the unit, in the buffer."""
         if r.direct is not None:
-            self._call_block(r.direct.getter, r.direct)
+            self.call_plain(r.direct.getter, r.direct.arguments)
             return r.values
         for b in r.blocks:
-            self._call_block(b.getter, b)
+            self.call_plain(b.getter, b.arguments)
             r.gather(b)
         return r.values
-
-    def _call_block(self, function: str, b: Block) -> None:
-        self.call(getattr(self.fmu, function), self.fmu.component, *b.arguments)
 
     def enter(self, start: float, stop: float | None) -> None:
         """Into Initialization Mode."""
@@ -173,9 +194,7 @@ class Slave:
 
     def derivative(self, d: Derivative) -> Array:
         """Its values at the present time, in its buffer."""
-        self.call(
-            getattr(self.fmu, f"{self._version.prefix}GetDirectionalDerivative"), self.fmu.component, *d.arguments
-        )
+        self.call_plain(f"{self._version.prefix}GetDirectionalDerivative", d.arguments)
         return d.buffer[d.picks]
 
     def free(self) -> None:

@@ -50,6 +50,11 @@ class Progress:
             self.stalls += scaled > (STALLING if self.held else SHRINKING) * before
         self.history.append(scaled)
 
+    @property
+    def decides(self) -> bool:
+        """Whether it depends on the energy in play if the last trial is accepted, or needs a matrix."""
+        return self.stalled or self.stalls >= STALLS or self.history[-1] <= ROUNDING
+
     def accepted(self, floor: Callable[[], bool], left: float, in_play: float) -> str:
         """By which test, "" if by none.  floor: whether all rows are rounding;  left, in_play: energies [J]."""
         if self.stalled and self.matrices and floor():

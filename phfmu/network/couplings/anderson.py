@@ -117,7 +117,7 @@ def _never() -> bool:
 def _begun(joined: Joined, step: Step) -> Memory:
     """M, after the first trial of a run."""
     face = joined.face
-    M = assembled(face.C, ())
+    M = assembled(joined.C, ())
     plain = hidden_part(M, face.nominal).nnz == 0
     if not plain:
         parts = zip(joined.members, step.states, strict=True)

@@ -36,7 +36,7 @@ class Clusters:
         """S += part, of the bare columns of one member."""
         if len(columns):
             own = self._place[columns]
-            S[self._label[columns[0]]][np.ix_(own, own)] += part
+            S[self._label[columns[0]]][own[:, None], own] += part
 
     def form(self, S: list[Array], x: Array) -> float:
         """x S x."""

@@ -16,6 +16,7 @@ and has no power: its weights in all energies are zero.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeGuard
 
 import numpy as np
@@ -54,9 +55,13 @@ class Share:
     fed: list[int]
     fed_rows: list[int]
 
-    @property
+    @cached_property
     def kicked(self) -> bool:
         return bool(self.Q.any())
+
+    @cached_property
+    def abs_back(self) -> Array:
+        return np.abs(self.back)
 
 
 def has_events(member: Member) -> TypeGuard[EngineMember]:
@@ -99,6 +104,8 @@ class Exchange:
         #: (-1)^k_J per bare column
         self.signs = (-1.0) ** self.k[self.bare]
         self.shares = [self._share(v, *p) for v, p in zip(parts, enumerate(joined.places), strict=True)]
+        #: the basis of a step at the nodes of the next, which is `_ratio` times as long
+        self._ratio, self._ahead = np.nan, list[Array]()
         self.clusters = Clusters([s.bare for s in self.shares if s.kicked], len(self.bare))
 
     def _hold_at_bare_nodes(self, parts: list[NodeValues]) -> None:
@@ -129,16 +136,31 @@ class Exchange:
 
     def at_end(self, values: Array) -> Array:
         """Of each column of the interface the polynomial at the end of the step."""
-        ends = np.concatenate([np.zeros(0), *(nodes(int(k)).value(1.0) for k in self.counts)])
-        return np.bincount(self.columns, ends * values, len(self.counts))[: len(self.k)].astype(float)
+        return np.bincount(self.columns, self._at_ends * values, len(self.counts))[: len(self.k)].astype(float)
+
+    @cached_property
+    def _at_ends(self) -> Array:
+        """The basis of each value at the end of a step."""
+        return np.concatenate([np.zeros(0), *(nodes(int(k)).value(1.0) for k in self.counts)])
 
     def ahead(self, values: Array, ratio: float) -> Array:
         """The polynomials of a step at the nodes of the next, `ratio` times as long."""
+        if ratio != self._ratio:
+            rules = {own.shape[1]: nodes(own.shape[1]) for own in self._by_k}
+            self._ahead = [
+                np.array([rules[own.shape[1]].value(1.0 + ratio * t) for t in rules[own.shape[1]].c]).T
+                for own in self._by_k
+            ]
+            self._ratio = ratio
         out = values.copy()
-        for k in np.unique(self.counts):
-            rule, own = nodes(int(k)), self._first[self.counts == k][:, None] + np.arange(k)
-            out[own] = values[own] @ np.array([rule.value(1.0 + ratio * t) for t in rule.c]).T
+        for own, basis in zip(self._by_k, self._ahead, strict=True):
+            out[own] = values[own] @ basis
         return out
+
+    @cached_property
+    def _by_k(self) -> list[Ints]:
+        """Places of the values of columns that have equally many (columns x k)."""
+        return [self._first[self.counts == k][:, None] + np.arange(k) for k in np.unique(self.counts)]
 
     def _at_nodes(self, C: csr_array) -> csr_array:
         """C between unknowns at one node; columns that it joins have as many values."""

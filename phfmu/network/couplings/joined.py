@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from phfmu.audit.booking import Booking
 from phfmu.engine.steps import StepEvent
 from phfmu.network.couplings.followed import Followed
-from phfmu.network.couplings.matrices import assembled
+from phfmu.network.couplings.matrices import assembled, small
 from phfmu.network.junctions.compose import require_members
 from phfmu.network.junctions.interface import interface
 from phfmu.network.junctions.network import Network
@@ -55,6 +55,9 @@ class Joined:
         self.sampled = np.zeros(len(network.wires))
         self.taken, self.sent = self._signal_places()
         self._reach = [self.face.reach(p) for p in self.places]
+        #: C and |C| of the interface, arrays where they are small
+        self.C = small(self.face.C)
+        self._abs_C = abs(self.C)
 
     # -- a step -----------------------------------------------------------------------------------------------------
 
@@ -115,17 +118,17 @@ class Joined:
 
     def rows(self, xi: Array, y: Array) -> Array:
         """r = P^T Y + C xi (n)."""
-        return self.face.summed(y) + self.face.C @ xi
+        return self.face.summed(y) + self.C @ xi
 
     def matrix(self, sensitivities: list[Array]) -> Any:
         """dr/dxi = P^T G P + C (n x n, sparse where it is large) of G = dY/dU, a block (its nu x its nu) per member."""
         parts = zip(self._reach, sensitivities, strict=True)
-        return assembled(self.face.C, ((own, own, P.T @ g @ P) for (own, P), g in parts))
+        return assembled(self.C, ((own, own, P.T @ g @ P) for (own, P), g in parts))
 
     def row_sizes(self, xi: Array, y: Array) -> Array:
         """The terms that each row is a sum of (n); a row without terms is measured by nominal values."""
         face = self.face
-        return face.summed(np.abs(y)) + abs(face.C) @ np.abs(xi) + 1e-12 * face.row_nominal
+        return face.summed(np.abs(y)) + self._abs_C @ np.abs(xi) + 1e-12 * face.row_nominal
 
     def instant_matrix(self, xi: Array) -> Any:
         """dr/dxi at the present time, where the inputs are those of xi (n x n, sparse where it is large)."""

@@ -16,13 +16,18 @@ Part = tuple[Array, Array, Array]
 DENSE = 64  # most junction unknowns whose matrices are arrays
 
 
+def small(C: Any) -> Any:
+    """A sparse matrix as it is multiplied with fastest: an array of no more than 64 unknowns."""
+    return C.toarray() if C.shape[0] <= DENSE else C
+
+
 def assembled(C: Any, parts: Iterable[Part]) -> Any:
-    """C and parts of its size, added: an array, or a csc_array of more than 64 unknowns."""
+    """C, as `small` makes it, and parts of its size, added: an array, or a csc_array of more than 64 unknowns."""
     n = C.shape[0]
     if n <= DENSE:
-        matrix = C.toarray()
+        matrix = C.copy()
         for rows, columns, entries in parts:
-            matrix[np.ix_(rows, columns)] += entries
+            matrix[rows[:, None], columns] += entries
         return matrix
     return csc_array(C + summed(n, parts))
 

@@ -68,7 +68,8 @@ class Newton:
                 raise failed(Status.NOT_FINITE, joined, step, trial, progress.history)
             progress.note(float(np.max(trial.scaled(joined), initial=0.0)))
             best = min(best, (progress.history[-1], xi), key=itemgetter(0))
-            if accepted_by := progress.accepted(partial(_at_floor, trial, matrix), *energies(joined, trial, step.h)):
+            told = energies(joined, trial, step.h) if progress.decides else (np.inf, 0.0)
+            if accepted_by := progress.accepted(partial(_at_floor, trial, matrix), *told):
                 return Solution(xi, trial.y, i + 1, accepted_by)
             G = [m.sensitivity(step.t, step.h, s) for m, s in zip(joined.members, step.states, strict=True)]
             matrix, progress.matrices = joined.matrix(G), progress.matrices + 1

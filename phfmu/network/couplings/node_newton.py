@@ -26,11 +26,14 @@ from phfmu.network.couplings.acceptance import END, FLOOR, ITERATIONS, KNOWN, Pr
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.matrices import assembled, update
+from phfmu.network.couplings.matrices import assembled, small, update
 from phfmu.network.couplings.newton import Newton, Worst, failure
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[Any]
+
+_ANGLES = (2 * np.arange(POINTS)[:, None, None] + 1) * np.pi / (4 * POINTS)
+_COS2, _SIN2 = np.cos(_ANGLES) ** 2, np.sin(_ANGLES) ** 2
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Before:
 
 @dataclass(frozen=True)
 class Trial:
-    """Rows at nodes, at ends and of the impulses; their sizes; S, T of the clusters; energies [J]."""
+    """Rows at nodes, at ends and of the impulses; their sizes; S, T of the clusters; energies left and through ports [J]."""
 
     rows: Array
     ends: Array
@@ -80,7 +83,7 @@ class Trial:
     S: list[Array]
     T: list[Array]
     left: float
-    in_play: float
+    through: float
 
     @property
     def scaled(self) -> Array:
@@ -95,6 +98,11 @@ class NodeNewton:
     def __init__(self, exchange: Exchange):
         self.exchange = exchange
         self.order = 2 * int(exchange.counts.min(initial=exchange.counts.max(initial=1)))
+        self._C, self._abs_C = small(exchange.C), small(abs(exchange.C))
+        every = exchange.C.copy()
+        every.resize((len(exchange.columns) + 2 * len(exchange.bare),) * 2)
+        #: among rows of impulses too
+        self._between = small(every)
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
@@ -121,20 +129,22 @@ class NodeNewton:
             if i > 0:
                 joined.restore(step.states)
             trial = self.trial(z, before, step)
-            if not np.isfinite([*trial.rows, *trial.ends, *trial.law]).all():
+            left = np.concatenate([trial.rows, trial.ends, trial.law])
+            if not np.isfinite(left).all():
                 raise self._failure(Status.NOT_FINITE, step, z, trial, progress.history)
             progress.note(float(np.max(trial.scaled, initial=0.0)))
             best = min(best, (progress.history[-1], z), key=itemgetter(0))
-            if accepted_by := progress.accepted(partial(_at_floor, z, trial, matrix), trial.left, trial.in_play):
+            in_play = _in_play(joined, trial) if progress.decides else 0.0
+            if accepted_by := progress.accepted(partial(_at_floor, z, trial, matrix), trial.left, in_play):
                 z, trial = self._settled(z, trial, step)
                 return self._solution(z, step.h, i + 1, accepted_by, self.works(z, before, trial, step.h))
-            if progress.takes_matrix(trial.left, trial.in_play):
+            if progress.takes_matrix(trial.left, in_play):
                 matrix, progress.matrices = self._matrix(trial, step), progress.matrices + 1
             try:
-                z = z.moved(update(matrix, np.concatenate([trial.rows, trial.ends, trial.law])))
+                z = z.moved(update(matrix, left))
             except np.linalg.LinAlgError:
                 raise self._failure(Status.SINGULAR, step, z, trial, progress.history) from None
-            if not np.isfinite(np.append(z.xi, z.m)).all():
+            if not np.isfinite(z.flat).all():
                 raise self._failure(Status.NOT_FINITE, step, z, trial, progress.history)
         joined.restore(step.states)
         given_up = self._failure(Status.NO_CONVERGENCE, step, z, trial, progress.history)
@@ -192,14 +202,14 @@ class NodeNewton:
     def trial(self, z: Unknowns, before: Before, step: Step) -> Trial:
         """One step of all members, and what their rows leave."""
         e, h, (m, m1) = self.exchange, step.h, z.m
-        rows, size, through = e.C @ z.xi, abs(e.C) @ np.abs(z.xi), 0.0
+        rows, size, through = self._C @ z.xi, self._abs_C @ np.abs(z.xi), 0.0
         ends, end_size, S1 = np.zeros(len(e.bare)), np.zeros(len(e.bare)), e.clusters.blank()
         for s in e.shares:
             free = e.joined.free_at_nodes(s.place, s.values.rule.c, step.t, h)
             U = (s.to @ z.xi[s.own]).reshape(s.values.rule.k, -1) + free
             Y = s.values.step(U, (s.Q @ m[s.bare], s.Q @ m1[s.bare]) if s.kicked else None, step.t, h)
             rows[s.own] += s.back @ Y.ravel()
-            size[s.own] += np.abs(s.back) @ np.abs(Y.ravel())
+            size[s.own] += s.abs_back @ np.abs(Y.ravel())
             through += abs(h) * float(s.values.rule.b @ (np.abs(U) * np.abs(Y)).sum(axis=1))
             if s.kicked:
                 y = s.values.member.end_output()
@@ -210,16 +220,14 @@ class NodeNewton:
         pair = abs(e.clusters.form(before.S, m) - e.clusters.form(S1, m1)) / 2
         left = abs(h) * e.weights @ np.abs(z.xi * rows) + np.abs(m * before.sums).sum() + np.abs(m1 * ends).sum() + pair
         nominal = np.concatenate([e.row_nominal, e.joined.face.row_nominal[e.bare]])
-        in_play = max(float(np.abs(e.joined.energies()).sum()), through)
         sizes = np.concatenate([size, end_size]) + 1e-12 * nominal
-        return Trial(rows, ends, m1 - e.signs * e.clusters.times(T, m), sizes, S1, T, float(left), in_play)
+        return Trial(rows, ends, m1 - e.signs * e.clusters.times(T, m), sizes, S1, T, float(left), through)
 
     def _matrix(self, trial: Trial, step: Step) -> Any:
         """Derivatives of all rows with respect to (xi, m, m'), of the last trial."""
         e = self.exchange
         n, nb = len(e.columns), len(e.bare)
-        C, parts = e.C.copy(), []
-        C.resize((n + 2 * nb,) * 2)
+        parts = []
         for s, state in zip(e.shares, step.states, strict=True):
             if not s.fed:
                 continue
@@ -237,7 +245,7 @@ class NodeNewton:
         for own, T in zip(e.clusters.of, trial.T, strict=True):
             parts.append((n + nb + own, n + own, -e.signs[own, None] * T))
             parts.append((n + nb + own, n + nb + own, np.eye(len(own))))
-        return assembled(C, parts)
+        return assembled(self._between, parts)
 
     def _failure(self, status: Status, step: Step, z: Unknowns, trial: Trial, history: list[float]) -> Unconverged:
         e = self.exchange
@@ -257,6 +265,11 @@ def forecast(missed: Sequence[Array]) -> Array:
     return np.sum([(-1) ** j * comb(n, j + 1) * m for j, m in enumerate(missed)], axis=0)
 
 
+def _in_play(joined: Joined, trial: Trial) -> float:
+    """Energy in play [J] of the trial that the members have just made."""
+    return max(float(np.abs(joined.energies()).sum()), trial.through)
+
+
 def _at_floor(z: Unknowns, trial: Trial, matrix: Any) -> bool:
     """Whether rows are what a relative change of the unknowns by eps makes of them."""
     left = np.abs(np.concatenate([trial.rows, trial.ends]))
@@ -266,11 +279,9 @@ def _at_floor(z: Unknowns, trial: Trial, matrix: Any) -> bool:
 
 def _root(S0: Array, S1: Array) -> Array:
     """T of r_T."""
-    T = np.zeros_like(S0)
-    for i in range(POINTS if len(S0) else 0):
-        angle = (2 * i + 1) * np.pi / (4 * POINTS)
-        T += np.linalg.solve(np.cos(angle) ** 2 * S1 + np.sin(angle) ** 2 * S0, S0) / POINTS
-    return T
+    if not len(S0):
+        return np.zeros_like(S0)
+    return (np.linalg.solve(_COS2 * S1 + _SIN2 * S0, S0[None]) / POINTS).sum(axis=0)
 
 
 def newton(joined: Joined) -> Coupling:
