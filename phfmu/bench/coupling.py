@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from gc import collect
 from statistics import median
 from time import thread_time
 from typing import TYPE_CHECKING, Any
 
+from phfmu.bench.apart import composed, coupled, instances, joined, planned
+
 if TYPE_CHECKING:
-    from phfmu.discretise.model import Model
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.junctions.network import Network
-    from phfmu.network.members.engine_member import EngineMember
 
 ROUNDS = 15  # turns that the median is of
 WARM = 20  # steps before, in which iterations find their start
@@ -36,42 +36,6 @@ class Row:
     python: float
     ratio: float
     trials: float
-
-
-def planned(network: Network, k: int) -> dict[str, Model]:
-    """Members under `Collocated(k)`; those that are alike share plans."""
-    from phfmu.discretise.model import build_model
-    from phfmu.schemes.collocated import Collocated
-
-    return {name: build_model(replace(d, name=name), Collocated(k)) for name, d in network.declared.items()}
-
-
-def coupled(network: Network, k: int, compiled: bool = True, threads: int = 1) -> Stepper:
-    """Members under `Collocated(k)` in native engines."""
-    return joined(network, instances(planned(network, k)), compiled, threads)
-
-
-def instances(models: Mapping[str, Model]) -> list[EngineMember]:
-    from phfmu.engine.native import NativeInstance
-    from phfmu.network.members.engine_member import EngineMember
-
-    return [EngineMember(name, model, NativeInstance(model)) for name, model in models.items()]
-
-
-def joined(network: Network, members: list[EngineMember], compiled: bool = True, threads: int = 1) -> Stepper:
-    from phfmu.network.couplings.coupled import Coupled
-
-    return Coupled(network, [*members], compiled=compiled, threads=threads)
-
-
-def composed(network: Network, k: int) -> Stepper:
-    from phfmu.discretise.model import build_model
-    from phfmu.engine.native import NativeInstance
-    from phfmu.network.couplings.monolithic import Monolithic
-    from phfmu.schemes.collocated import Collocated
-
-    model = build_model(network.compose(), Collocated(k))
-    return Monolithic(model, NativeInstance(model))
 
 
 class _Clock:
@@ -180,6 +144,7 @@ NETWORKS = {"ring": ring, "star": star}
 
 def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> str:
     """Tables in Markdown."""
+    from phfmu.bench import crews
     from phfmu.bench.machine import load, processor
     from phfmu.target import scene
 
@@ -201,7 +166,7 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
             g = growth(NETWORKS[make], n)
             times = f"{g.plan:.2f} | {g.code:.2f} | {g.join:.2f} | {g.step:.2f}"
             lines.append(f"| {make} | {g.members} | {g.plans} | {times} |")
-    return "\n".join([*lines, "", f"{processor()}; load {load()}"])
+    return "\n".join([*lines, "", crews.table(progress), "", f"{processor()}; load {load()}"])
 
 
 PAGE = """# Members apart
@@ -213,6 +178,9 @@ the ratios of neighbours; `trials`: of each member per step.
 Below, masses and springs, order 2: the cost of a member does not grow with their number. Members that are alike share a plan
 and its code: CPU seconds for the plans, for all instances with their libraries (compiled before), and for what joins them, with
 the start and the first step.
+
+Last, chains of links at a 1-junction, order 2, wall time: what threads gain where a trial of the members takes long. They step
+members, ask them for derivatives and for values at the end; the results are the same bits.
 
     phfmu bench coupling -o docs/results/coupling.md
 

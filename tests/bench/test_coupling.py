@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phfmu.bench import coupling
+from phfmu.bench import coupling, crews
 from phfmu.network.couplings.coupled import Coupled
 
 
@@ -13,6 +13,7 @@ from phfmu.network.couplings.coupled import Coupled
 def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coupling, "ROUNDS", 1)
     monkeypatch.setattr(coupling, "SIZES", {"ring": (3,), "star": (3,)})
+    monkeypatch.setattr(crews, "table", lambda progress: "threads")
     lines = coupling.table(["oscillator"]).splitlines()
     rows = [
         [c.strip() for c in line.strip("|").split("|")] for line in lines if line.startswith("| ") and "---" not in line
@@ -23,6 +24,22 @@ def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [r[:3] for r in rows[5:]] == [["ring", "6", "2"], ["star", "7", "2"]], "members of two kinds"
     assert all(float(t) >= 0 for r in rows[5:] for t in r[3:6]) and all(float(r[6]) > 0 for r in rows[5:])
     assert lines[-1].rpartition("load ")[2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cores", [1, 2, 3])
+def test_threads(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
+    """As many as cores, with the bits of one; no table for one core."""
+    monkeypatch.setattr(crews, "SIZES", ((3, 4),))
+    monkeypatch.setattr(crews, "TURNS", 1)
+    monkeypatch.setattr("phfmu.processors.processors", lambda: cores)
+    lines = crews.table().splitlines()
+    if cores == 1:
+        assert len(lines) == 1 and "one core" in lines[0]
+        return
+    head, row = ([c.strip() for c in lines[i].strip("|").split("|")] for i in (0, 2))
+    assert head[4] == f"{cores} threads us" and row[:2] == ["3", "4"] and row[6] == "yes" and len(lines) == 3
+    assert all(float(row[i]) > 0 for i in (2, 3, 4, 5, 7))
 
 
 @pytest.mark.parametrize("make", [coupling.ring, coupling.star])
