@@ -7,7 +7,7 @@ supplied; rows of the ledger are sums.  What jumps add to the stored energy is t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,10 @@ class MergedStep:
             s.a = self.means["a"]
         if self.parts > 1 or self.happened:  # a derivative of the last part would not be one of the step
             s.y_node, s.path = np.tile(s.y_step, (plan.k, 1)), []
+
+    def skipped(self) -> MergedStep:
+        """After a step too short to be one: means stay, nothing is booked."""
+        return replace(self, rows={name: 0.0 * row for name, row in self.rows.items()}, happened=())
 
 
 def merged(pieces: Iterable[Landed], t: float) -> MergedStep:

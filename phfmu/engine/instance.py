@@ -218,6 +218,10 @@ class Instance(Signals):
         """
 
     @abstractmethod
+    def skip(self, t: float) -> None:
+        """To the time t in a step too short to be one: state, multipliers and means stay, nothing is booked."""
+
+    @abstractmethod
     def step_exactly(self, t: float, h: float, parts: int = 1) -> None:
         """`do_step`, however short the step is."""
 

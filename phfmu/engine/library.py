@@ -100,6 +100,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_step": (integer, [pointer, real, real]),
         "ph_step_parts": (integer, [pointer, real, real, integer]),
         "ph_step_exactly": (integer, [pointer, real, real, integer]),
+        "ph_skip": (integer, [pointer, real]),
         "ph_run": (integer, [pointer, real, real, integer, ctypes.POINTER(Record), ctypes.POINTER(integer)]),
         "ph_layout": (None, [pointer, ctypes.POINTER(integer)]),
         "ph_signals": (pointer, [pointer]),

@@ -110,6 +110,9 @@ class NativeInstance(NativeReadings):
         if status:
             self._check(status)
 
+    def skip(self, t: float) -> None:
+        self._check(self._lib.ph_skip(self._in, t))
+
     def step_exactly(self, t: float, h: float, parts: int = 1) -> None:
         self._check(self._lib.ph_step_exactly(self._in, t, h, parts))
 

@@ -12,7 +12,7 @@ from phfmu.discretise.model import Model
 from phfmu.engine.event_step import MERGED, merged
 from phfmu.engine.inputs import carried
 from phfmu.engine.landing import landed
-from phfmu.engine.limits import LIMITS
+from phfmu.engine.limits import is_sliver
 from phfmu.engine.python_readings import PythonReadings
 from phfmu.engine.record import Grid, step_by_step
 from phfmu.engine.state import State
@@ -122,8 +122,8 @@ class PythonInstance(PythonReadings):
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
         if not (np.isfinite(t + h) and parts >= 1):
             raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
-        if h != 0 and self._is_sliver(t, h):
-            self._skip(t + h)
+        if h != 0 and is_sliver(t, h, self._s.h_last):
+            self.skip(t + h)
             return
         if self.model.events is not None and h != 0:
             self._land_step(t, h, parts)
@@ -176,12 +176,7 @@ class PythonInstance(PythonReadings):
         s.counts["steps"] += 1
         s.end = None
 
-    def _is_sliver(self, t: float, h: float) -> bool:
-        clock = LIMITS["SLIVER_CLOCK"] * np.finfo(float).eps * abs(t)
-        return abs(h) <= max(clock, LIMITS["SLIVER_STEP"] * abs(self._s.h_last))
-
-    def _skip(self, t: float) -> None:
-        """To the time t in a step too short to be one."""
+    def skip(self, t: float) -> None:
         s = self._s
         s.x[-1], s.t, s.end, s.last = t, t, None, self._nothing()
         s.counts["steps"] += 1

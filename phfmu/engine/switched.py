@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.event_jump import MOST, NO_MODE, SHARED
 from phfmu.engine.event_step import MERGED, MergedStep, merged
 from phfmu.engine.instance import Signals
 from phfmu.engine.landing import Change, landed
+from phfmu.engine.limits import is_sliver
+from phfmu.engine.mode_change import decide
 from phfmu.engine.record import Grid, recordable
 from phfmu.engine.status import Status, StepFailure
-from phfmu.events.comply import Wanted, select
-from phfmu.events.dependent import could_hold
 from phfmu.events.happened import Happened, Landed
 from phfmu.events.modes import Mode
 from phfmu.events.switch_system import At
@@ -28,9 +26,6 @@ if TYPE_CHECKING:
     from phfmu.engine.native_modes import NativeModes
 
 Array = NDArray[Any]
-
-#: a multiplier that a landed opening leaves, as a part of its typical magnitude: rounding
-LANDED = 1e-6
 
 
 def stepped(model: Model, make: Callable[[Model], Any]) -> Any:
@@ -53,7 +48,7 @@ class SwitchedInstance(Signals):
         self._instances: dict[Mode, Any] = {self._mode: make(self._models[self._mode])}
         self._fresh = {self._mode: self.present.get_state()}
         self._asked = self._mode
-        self._started, self._step = False, 0.0
+        self._started, self._step, self._last, self._held = False, 0.0, 0.0, True
         self._merged: MergedStep | None = None
         #: state events of the last `do_step`
         self.happened: tuple[Happened, ...] = ()
@@ -121,46 +116,24 @@ class SwitchedInstance(Signals):
     def change(self, p: Array, h: float) -> Change:
         """Takes the parameters p and the mode that follows from those in it and from the laws of the switches.
 
-        EventRefused if no mode obeys the laws, or if a switch that
-        opens would cut more than it may.
+        EventRefused if no mode obeys the laws, or if a switch that opens would cut more than it may.
         """
-        old, modes = self.present, self._models.modes
-        system, switches = modes.system, modes.switches
-        proposal: Mode = tuple(int(p[i]) for i in system.places)
-        a, u, t = old.signal("a_end"), old.held_input, old.time
-        fixed = frozenset(j for j, m in enumerate(proposal) if m != self._mode[j])
-        shared = could_hold(modes, self._mode, proposal, a)
-        if shared is not None:
-            raise EventRefused(self.model.name, t, SHARED, [switches[shared.switch].name], shared.most, 0.0)
-        # what the steps left of the constraints of the old mode would decide in the new one
-        left = system.enter(At(old.x, a, u, system.in_mode(p, self._mode), t)) if fixed else None
-        here = At(old.x if left is None else left.x, a, u, p, t)
-        mode = select(modes, here, h or self._step, Wanted(self._mode, proposal, fixed))
-        if mode is None:
-            names = [switches[j].name for j in sorted(fixed)] or [s.name for s in switches]
-            raise EventRefused(self.model.name, t, NO_MODE, names, 0.0, 0.0)
-        p = system.in_mode(p, mode)
-        entry = system.enter(At(here.x, a, u, p, t))
-        changed = [j for j, m in enumerate(mode) if m != self._mode[j]]
-        for j in changed:
-            cut, most = (
-                abs(float(a[system.multipliers[j]])),
-                switches[j].most + LANDED * switches[j].multiplier.nominal[0],
-            )
-            if not mode[j] and cut > most and entry.impulse.any() and entry.lost > 0.0:
-                raise EventRefused(self.model.name, t, MOST, [switches[j].name], cut, switches[j].most)
-        new = self._entered(mode)
-        new.set_parameters(p)
-        if (entry.x != old.x).any():
-            new.set_x(t, entry.x)
+        old, switches = self.present, self._models.modes.switches
+        at = At(old.x, old.signal("a_end"), old.held_input, p, old.time)
+        found = decide(self.model.name, self._models.modes, self._mode, at, h or self._step)
+        changed = [j for j, m in enumerate(found.mode) if m != self._mode[j]]
+        new = self._entered(found.mode)
+        new.set_parameters(found.p)
+        if (found.x != old.x).any():
+            new.set_x(at.t, found.x)
         new.initialise()
-        self._mode = self._asked = mode
+        self._mode = self._asked = found.mode
         self._started = True
-        energy = entry.energy + (0.0 if left is None else left.energy) if changed else np.zeros(len(entry.energy))
+        energy = found.energy if changed else np.zeros(len(found.energy))
         lost = np.zeros(len(energy))
         if changed:
             lost[member(list(self.model.members), switches[changed[0]].owner)] = -energy.sum()
-        return Change(energy, lost, tuple(f"{switches[j].name} {'on' if mode[j] else 'off'}" for j in changed))
+        return Change(energy, lost, tuple(f"{switches[j].name} {'on' if found.mode[j] else 'off'}" for j in changed))
 
     def land(
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
@@ -172,9 +145,16 @@ class SwitchedInstance(Signals):
         return landed(self, grid, names, changed, self)
 
     def do_step(self, t: float, h: float, parts: int = 1) -> None:
-        """One communication step in `parts` equal internal steps, h >= 0; modes change in it, and it is told as one."""
-        if not h >= 0:
+        """One communication step in `parts` equal internal steps, h >= 0; modes change in it, and it is told as one.
+
+        A sliver is skipped; inputs that are not held are refused.
+        """
+        if not h >= 0 or (h > 0 and not self._held):
             raise StepFailure(Status.ARGUMENT, self.model.name, t, h)
+        if h > 0 and is_sliver(t, h, self._last):
+            self.present.skip(t + h)
+            self._merged, self.happened = self._merged and self._merged.skipped(), ()
+            return
         before, self._merged, self.happened = self.get_state(), None, ()
         if h == 0:
             self.present.step_exactly(t, h)
@@ -184,13 +164,14 @@ class SwitchedInstance(Signals):
         except StepFailure:
             self.restore(before)
             raise
-        self.happened = found.happened
+        self.happened, self._last = found.happened, h / parts
         self._merged = found if found.parts > 1 or found.happened else None
 
     def step_exactly(self, t: float, h: float) -> None:
         """A step in the present mode; no guard is looked at."""
         self._merged, self.happened = None, ()
         self.present.step_exactly(t, h)
+        self._last = h or self._last
 
     # -- an instance ---------------------------------------------------------------------------------------------------
 
@@ -235,6 +216,16 @@ class SwitchedInstance(Signals):
 
     def set_input(self, u: ArrayLike) -> None:
         self.present.set_input(u)
+        self._held = True
+
+    def set_node_inputs(self, u: ArrayLike) -> None:
+        """Values at the nodes of the next step (k x nu), for `step_exactly`; `do_step` takes held ones only."""
+        self.present.set_node_inputs(u)
+        self._held = bool((np.asarray(u) == np.asarray(u)[:1]).all())
+
+    def node_output(self) -> Array:
+        """Outputs at the nodes of the last step (k x nu)."""
+        return self.present.node_output() if self._merged is None else np.tile(self.output(), (self.model.step.k, 1))
 
     def set_x(self, t: float, x: ArrayLike) -> None:
         """Place the state; the next landing finds the mode that it has."""
@@ -248,13 +239,14 @@ class SwitchedInstance(Signals):
     def continue_from(self, other: SwitchedInstance) -> None:
         """Go on from another of the same declaration under another scheme, in its mode."""
         self._asked, self._started, self._step, self._merged = other._asked, other._started, other._step, None
+        self._last, self._held = other._last, other._held
         self._mode = other._mode
         self.present.continue_from(other.present)
 
     def reset(self) -> None:
         """Back to the start values and modes."""
         self._mode = self._asked = self._models.modes.start
-        self._started, self._merged = False, None
+        self._started, self._merged, self._last, self._held = False, None, 0.0, True
         self.present.reset()
 
     def ledger(self) -> dict[str, Array]:
@@ -285,14 +277,15 @@ class SwitchedInstance(Signals):
 
     def get_state(self) -> Any:
         """A complete copy, modes included."""
-        return (self._mode, self._asked, self._started, self._merged), self.present.get_state()
+        own = self._mode, self._asked, self._started, self._merged, self._last, self._held
+        return own, self.present.get_state()
 
     def set_state(self, state: Any) -> None:
         """Restores what `get_state` gave; stepping on gives the same bits, over changes of modes too."""
-        (self._mode, self._asked, self._started, self._merged), inner = state
+        (self._mode, self._asked, self._started, self._merged, self._last, self._held), inner = state
         self.present.set_state(inner)
 
     def restore(self, state: Any) -> None:
         """`set_state`; the counts of what the solver did go on."""
-        (self._mode, self._asked, self._started, self._merged), inner = state
+        (self._mode, self._asked, self._started, self._merged, self._last, self._held), inner = state
         self.present.restore(inner)

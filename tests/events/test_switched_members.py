@@ -174,3 +174,29 @@ def test_a_bridge_between_currents_that_are_given_is_refused_as_a_member_by_name
     assert main(["run", "rectifier", "--coupling", "newton", "--engine", "python"]) != 0
     err = capsys.readouterr().err
     assert "bridge" in err and "leave out --coupling, so that the network is composed" in err
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_sliver_moves_time_and_nothing_else_after_a_change_of_mode(engine):
+    """Nor does it look for modes; inputs at the nodes of a step are not held, which a step with guards takes only."""
+    instance = SwitchedInstance(build_model(branch(), Collocated(2)), engine)
+    h, step = 1e-3, 0
+    while not any(e.switched for e in instance.happened) or step < 2:
+        instance.set_input([-0.4 * E * np.sin(70.0 * step * h)])
+        instance.do_step(step * h, h)
+        step += 1
+    t, x, out, mode, end = step * h, instance.x, instance.output(), instance.mode, instance.signal("energy")
+    for sliver in (1e-19, 1e-15, 5e-13):
+        instance.do_step(t, sliver)
+        assert instance.time == t + sliver and instance.mode == mode and not instance.happened
+        assert instance.x.tobytes() == x.tobytes() and instance.output().tobytes() == out.tobytes()
+        assert instance.signal("energy").tobytes() == end.tobytes()
+        assert not any(row.any() for row in instance.ledger().values())
+    instance.set_node_inputs([[1.0], [2.0]])
+    with pytest.raises(StepFailure) as refused:
+        instance.do_step(t, h)
+    assert refused.value.status is Status.ARGUMENT
+    instance.step_exactly(t, h)
+    assert h / 2 * instance.node_output()[:, 0] @ [1.0, 2.0] == pytest.approx(instance.ledger()["pairs"][0], rel=1e-13)
+    instance.set_node_inputs([[1.5], [1.5]])
+    instance.do_step(t + h, h)

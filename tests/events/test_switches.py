@@ -36,7 +36,11 @@ from phfmu import (
 )
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import diode, ideal_switch, thyristor
+from phfmu.engine import mode_change
 from phfmu.engine.event_failure import EventRefused
+from phfmu.engine.limits import defined
+from phfmu.engine.tables import RUNTIME
+from phfmu.events import comply, dependent, null_space, switch_system
 from tests.events.scenes import BRIDGE_STOP, ENGINES, LA, LD, bridge, lifted
 from tests.wide import slow, wide
 
@@ -104,6 +108,20 @@ def test_compiled_code_changes_modes_without_returning(bridges, monkeypatch):
     monkeypatch.setattr(instance._native._made.lib, "ph_modes_land", lambda *a: calls.append(1) or land(*a))
     parts = list(instance.land(0.0, BRIDGE_STOP / 50, 50))
     assert len(calls) == 1 and sum(bool(part.happened and part.happened.switched) for part in parts) == 11
+
+
+def test_both_engines_decide_with_the_same_numbers():
+    found = defined(RUNTIME / "modes" / "mode_limits.h")
+    assert found == {
+        "RANK": null_space.RANK,
+        "PASSES": switch_system.PASSES,
+        "SHORT": comply.SHORT,
+        "MU": comply.MU,
+        "C": comply.C,
+        "MOST_TRIED": comply.MOST_TRIED,
+        "ZERO": dependent.ZERO,
+        "CUT_LANDED": mode_change.LANDED,
+    }
 
 
 def test_modes_share_their_kernels(bridges):

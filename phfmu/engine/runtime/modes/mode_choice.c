@@ -4,13 +4,6 @@
 
 #include "work.h"
 
-/* Length of the short step, as a part of the step of the run; rounding of mu and of c, as parts of their
- * typical magnitudes; modes that are tried. */
-#define SHORT 1e-6
-#define ROUNDING_MU 1e-9
-#define ROUNDING_C 1e-11
-#define MOST_TRIED 4096
-
 /* Whether switch j may close by itself. */
 static int may_close(const ph_modes *m, int j) {
     const ph_switches *sw = m->sw;
@@ -101,7 +94,7 @@ static int complies(ph_modes *m, const double *x, double step) {
             continue;
         if (m->tried[j]) {
             const int at = sw->multiplier[j];
-            if (m->a[at] + m->found[nx + at] < -ROUNDING_MU * sw->scale[at])
+            if (m->a[at] + m->found[nx + at] < -PH_MU * sw->scale[at])
                 return 0;
             continue;
         }
@@ -111,7 +104,7 @@ static int complies(ph_modes *m, const double *x, double step) {
             c += r.cx[i * sw->n + j] * m->found[i];
         for (int i = 0; i < sw->na; i++)
             c += r.ca[i * sw->n + j] * m->found[nx + i];
-        if (c < -ROUNDING_C * sw->nominal[j] && (!sw->gaps[j] || r.gap[j] <= ROUNDING_C * sw->nominal[j]))
+        if (c < -PH_C * sw->nominal[j] && (!sw->gaps[j] || r.gap[j] <= PH_C * sw->nominal[j]))
             return 0;
     }
     return 1;
@@ -154,9 +147,9 @@ int ph_mode_select(ph_modes *m, const double *x, double h) {
         do {
             if (!flipped(m, many))
                 continue;
-            if (++tried > MOST_TRIED)
+            if (++tried > PH_MOST_TRIED)
                 return 0;
-            if (complies(m, x, SHORT * h))
+            if (complies(m, x, PH_SHORT * h))
                 return 1;
         } while (next(m->flip, many, n));
     }

@@ -5,9 +5,6 @@
 
 #include "work.h"
 
-/* Times that the equation of an impulse is solved; the second and third correct rounding. */
-#define PASSES 3
-
 static void kernel(const ph_group *group, const double *x, const double *y, const double *p,
                    double *results) {
     static const double hp[3] = {1.0, 1.0, 1.0};
@@ -126,7 +123,7 @@ int ph_mode_enter(ph_modes *m, const double *x, const double *p, double *to, dou
         return 0;
     stiffness(m, &r, n);
     gradients(m, x, p, m->before);
-    for (int pass = 0; pass < PASSES; pass++) {
+    for (int pass = 0; pass < PH_PASSES; pass++) {
         r = ph_mode_rates(m, to, p, m->t);
         for (int d = 0; d < n; d++) {
             double c = 0.0;

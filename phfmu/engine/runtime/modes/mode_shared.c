@@ -4,9 +4,6 @@
 
 #include "work.h"
 
-/* Of a typical multiplier: what counts as zero. */
-#define ZERO 1e-6
-
 /* Entry of direction d at switch i, in typical multipliers, its largest being 1. */
 static double along(const ph_switches *sw, const ph_mode_rows *mode, int d, int i) {
     const double *row = mode->free_row + d * sw->na;
@@ -21,11 +18,11 @@ double ph_mode_held(const ph_switches *sw, const ph_mode_rows *mode, const doubl
     const double size = sw->scale[sw->multiplier[j]];
     double bound = INFINITY, own = 0.0;
     int direction = -1;
-    if (fabs(a[sw->multiplier[j]]) > ZERO * size)
+    if (fabs(a[sw->multiplier[j]]) > PH_ZERO * size)
         return 0.0;
     for (int d = 0; d < mode->nfree; d++) {
         const double entry = along(sw, mode, d, j);
-        if (fabs(entry) <= ZERO)
+        if (fabs(entry) <= PH_ZERO)
             continue;
         if (direction >= 0)
             return INFINITY; /* several: not told here */
@@ -39,7 +36,7 @@ double ph_mode_held(const ph_switches *sw, const ph_mode_rows *mode, const doubl
         if (!mode->on[i] || !sw->unilateral[i])
             continue;
         for (int d = 0; d < mode->nfree; d++)
-            if (d != direction && fabs(entry) > ZERO && fabs(along(sw, mode, d, i)) > ZERO)
+            if (d != direction && fabs(entry) > PH_ZERO && fabs(along(sw, mode, d, i)) > PH_ZERO)
                 return INFINITY;
         if (entry < 0.0) {
             const int at = sw->multiplier[i];
@@ -47,5 +44,5 @@ double ph_mode_held(const ph_switches *sw, const ph_mode_rows *mode, const doubl
         }
     }
     /* without a bound it is a current that circulates and does nothing */
-    return isinf(bound) || fabs(own) * bound <= ZERO ? 0.0 : fabs(own) * bound * size;
+    return isinf(bound) || fabs(own) * bound <= PH_ZERO ? 0.0 : fabs(own) * bound * size;
 }

@@ -2,14 +2,9 @@
 #ifndef PH_MODES_WORK_H
 #define PH_MODES_WORK_H
 
+#include "mode_limits.h"
 #include "modes.h"
 #include "system.h"
-
-/* Singular values below this part of the largest are none. */
-#define PH_RANK 1e-10
-
-/* A multiplier that a landed opening leaves, as a part of its typical magnitude: rounding. */
-#define PH_CUT_LANDED 1e-6
 
 struct ph_modes {
     const ph_switches *sw;
