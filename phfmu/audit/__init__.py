@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .analysis import summarise, verdict
     from .archive import Recovered, metadata, read, recover
-    from .block import Block, make_block
+    from .booked_steps import BookedSteps, book_steps
     from .booking import Booking, PartKey, PortKey
     from .events import EventRow
     from .judge import DEFAULT_RTOL, Judge
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _HOME = {
     "analysis": ("summarise", "verdict"),
     "archive": ("Recovered", "metadata", "read", "recover"),
-    "block": ("Block", "make_block"),
+    "booked_steps": ("BookedSteps", "book_steps"),
     "booking": ("Booking", "PartKey", "PortKey"),
     "judge": ("DEFAULT_RTOL", "Judge"),
     "ledger": ("Ledger",),
@@ -38,7 +38,7 @@ _HOME = {
 __all__ = [
     "DEFAULT_RTOL",
     "AuditWriter",
-    "Block",
+    "BookedSteps",
     "Booking",
     "ComponentSummary",
     "EventRow",
@@ -55,7 +55,7 @@ __all__ = [
     "Sink",
     "Violation",
     "audit_table",
-    "make_block",
+    "book_steps",
     "metadata",
     "read",
     "recover",

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from phfmu.engine.steps import Steps
 
-from .block import make_block
+from .booked_steps import book_steps
 from .booking import Booking, PartKey, PortKey
 from .contradictions import Contradictions
 from .judge import DEFAULT_RTOL
 from .kinds import Quality, RowKind
 from .ledger import Ledger
-from .reading import Batches, Interned, Rows
+from .reading import Batches, Interned, LogRows
 from .summary import LedgerSummary
 from .sums import Floats
 from .violation import Violation
@@ -57,7 +57,7 @@ def summarise(
     return judged_by(_summed((window.of(batch) for batch in batches), rtol, batches.interned), judged)
 
 
-def _summed(batches: Iterable[Mapping[RowKind, Rows]], rtol: float, interned: Interned) -> LedgerSummary:
+def _summed(batches: Iterable[Mapping[RowKind, LogRows]], rtol: float, interned: Interned) -> LedgerSummary:
     reader = _Reader(interned, rtol)
     for batch in batches:
         reader.take(batch)
@@ -69,7 +69,7 @@ def _summed(batches: Iterable[Mapping[RowKind, Rows]], rtol: float, interned: In
 class _Grouped:
     """Rows of one kind in the order of their steps: `first`[k] is where step k begins, `count`[k] how many it has."""
 
-    rows: Rows
+    rows: LogRows
     first: Ints
     count: Ints
 
@@ -80,15 +80,15 @@ class _Reader:
     def __init__(self, interned: Interned, rtol: float) -> None:
         self.ledger = Ledger(rtol=rtol)
         self._interned = interned
-        self._waiting: dict[RowKind, Rows] = {}
+        self._waiting: dict[RowKind, LogRows] = {}
         self._bookings: dict[tuple[bytes, ...], Booking] = {}
         self._contradictions = Contradictions(self.ledger, interned)
         self._next: int | None = None
 
-    def take(self, batch: Mapping[RowKind, Rows]) -> None:
+    def take(self, batch: Mapping[RowKind, LogRows]) -> None:
         """Take the rows of a batch, and book all steps that are complete now."""
         for kind, rows in batch.items():
-            self._waiting[kind] = Rows.joined([self._waiting[kind], rows]) if kind in self._waiting else rows
+            self._waiting[kind] = LogRows.joined([self._waiting[kind], rows]) if kind in self._waiting else rows
         network = self._waiting.pop(RowKind.NETWORK, None)
         if network is None:
             waiting = sum(rows.n for rows in self._waiting.values())
@@ -126,7 +126,7 @@ class _Reader:
             )
         self._next = int(steps[-1]) + 1
 
-    def _own(self, kind: RowKind, rows: Rows, steps: Ints) -> _Grouped:
+    def _own(self, kind: RowKind, rows: LogRows, steps: Ints) -> _Grouped:
         """The rows of the steps there are."""
         place = np.minimum(np.searchsorted(steps, rows.step), len(steps) - 1)
         known = steps[place] == rows.step
@@ -151,7 +151,7 @@ class _Reader:
             self._book_events(self._waiting.pop(RowKind.EVENT, None), float(middle[a]))
             self._book_run(grouped, a, b)
 
-    def _book_events(self, events: Rows | None, until: float | None) -> None:
+    def _book_events(self, events: LogRows | None, until: float | None) -> None:
         """Book the events up to a time; the others wait."""
         if events is None:
             return
@@ -178,7 +178,7 @@ class _Reader:
         ports, q = tables.get(RowKind.PORT, (None, 0))
         parts, divided = tables.get(RowKind.PART, (None, 0))
 
-        def required(source: Rows | None, name: str, m: int, default: float = math.nan) -> Floats:
+        def required(source: LogRows | None, name: str, m: int, default: float = math.nan) -> Floats:
             if source is None:
                 return np.zeros((n, m))
             values, there = source.numbers[name]
@@ -196,10 +196,10 @@ class _Reader:
         pairs, damped, moved = required(ports, "supplied", q), optional("numerical"), optional("moved")
         works = required(parts, "residual", divided) if booking.parts else None
         steps = Steps(H1, stored, lost, gained, pairs, damped, moved, works=works)
-        block = make_block(booking, network.step, network.values("t0"), network.values("h"), steps, H0)
+        block = book_steps(booking, network.step, network.values("t0"), network.values("h"), steps, H0)
         self._contradictions.hold(self.ledger.take(block), tables)
 
-    def _booking(self, tables: Mapping[RowKind, tuple[Rows, int]]) -> Booking:
+    def _booking(self, tables: Mapping[RowKind, tuple[LogRows, int]]) -> Booking:
         """Names of the columns, from the first step."""
         parts = {kind: rows.take(slice(0, m)) for kind, (rows, m) in tables.items() if kind in _STEPPED}
         key = tuple(x.tobytes() for p in parts.values() for x in (*p.names.values(), *_index(p)))
@@ -207,7 +207,7 @@ class _Reader:
             self._bookings[key] = self._new_booking(parts)
         return self._bookings[key]
 
-    def _new_booking(self, parts: Mapping[RowKind, Rows]) -> Booking:
+    def _new_booking(self, parts: Mapping[RowKind, LogRows]) -> Booking:
         name = self._interned.name
         keys, components, silent = [], (), set()
         if RowKind.PORT in parts:
@@ -251,7 +251,7 @@ class _Reader:
         return booking
 
 
-def _index(rows: Rows) -> Iterator[NDArray[Any]]:
+def _index(rows: LogRows) -> Iterator[NDArray[Any]]:
     """Numbers of the pairs of vector ports, 0 for the others, and which have one."""
     if "index" in rows.numbers:
         value, there = rows.numbers["index"]
@@ -259,7 +259,7 @@ def _index(rows: Rows) -> Iterator[NDArray[Any]]:
         yield there
 
 
-def _grouped(rows: Rows, steps: Ints) -> _Grouped:
+def _grouped(rows: LogRows, steps: Ints) -> _Grouped:
     place = np.searchsorted(steps, rows.step)
     count = np.bincount(place, minlength=len(steps))
     order = np.argsort(place, kind="stable")

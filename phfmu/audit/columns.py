@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block
+from .booked_steps import BookedSteps
 from .events import EventRow
 from .kinds import ColumnType, Quality, RowKind
 
@@ -108,7 +108,7 @@ def event_section(events: Sequence[EventRow], encode: Encode) -> Section:
     return Section(len(events), {name: entry for name, entry in columns.items() if entry[1].any()})
 
 
-def block_sections(block: Block, encode: Encode) -> list[Section]:
+def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:
     """Component, port, junction and network rows of a judged block, without a loop over its steps."""
     booking, s = block.booking, block.steps
     names = {"component": list(booking.components), "quality": [booking.quality(name) for name in booking.components]}
@@ -147,7 +147,7 @@ def block_sections(block: Block, encode: Encode) -> list[Section]:
 
 
 def _repeat(
-    block: Block,
+    block: BookedSteps,
     kind: RowKind,
     names: dict[str, list[Any]],
     values: Mapping[str, NDArray[Any] | None],

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .block import Block
+from .booked_steps import BookedSteps
 from .judge import EPS, ULPS
 from .kinds import RowKind
 from .ledger import Ledger
-from .reading import Interned, Rows
+from .reading import Interned, LogRows
 from .sums import Floats
 from .violation import Violation, ViolationKind
 
@@ -21,7 +21,7 @@ class Contradictions:
         self._ledger, self._name = ledger, interned.name
         self._played = 0.0  # sum of all energies in play so far
 
-    def hold(self, block: Block, tables: Mapping[RowKind, tuple[Rows, int]]) -> None:
+    def hold(self, block: BookedSteps, tables: Mapping[RowKind, tuple[LogRows, int]]) -> None:
         """Compare what the rows say with what follows from the others."""
         size = np.nan_to_num(block.in_play, posinf=0.0).sum(axis=1)
         size += np.nan_to_num(np.abs(block.steps.pairs), posinf=0.0).sum(axis=1)
@@ -45,7 +45,7 @@ class Contradictions:
             )
             self._same(block, "network", network, column, values, scale)
 
-    def _scale(self, block: Block, where: str, rows: Rows, i: int) -> None:
+    def _scale(self, block: BookedSteps, where: str, rows: LogRows, i: int) -> None:
         """What a residual is measured against holds the recorded `moved`: the recorded ratio must be made with it."""
         assert block.relative is not None
         relative = block.relative[:, i]
@@ -55,7 +55,7 @@ class Contradictions:
             step = int(block.step[bare[0]])
             self.tell(step, f"{where}: the row of step {step} says moved without residual_rel", steps=len(bare))
 
-    def _junctions(self, block: Block, table: tuple[Rows, int] | None, size: Floats) -> None:
+    def _junctions(self, block: BookedSteps, table: tuple[LogRows, int] | None, size: Floats) -> None:
         step = int(block.step[0])
         named = [] if table is None else [self._name(code) for code in table[0].names["junction"][: table[1]]]
         if sorted(map(str, named)) != sorted(block.booking.junctions):
@@ -68,7 +68,7 @@ class Contradictions:
             self._same(block, f"junction {name}", part, "residual", block.junction_residual[:, j], size)
             self._same(block, f"junction {name}", part, "exchanged", block.junction_exchanged[:, j], size)
 
-    def _same(self, block: Block, where: str, rows: Rows, column: str, derived: Floats, size: Floats) -> None:
+    def _same(self, block: BookedSteps, where: str, rows: LogRows, column: str, derived: Floats, size: Floats) -> None:
         """A violation where a row's column differs from what follows from other rows by more than rounding."""
         said, there = rows.numbers[column]
         with np.errstate(invalid="ignore", over="ignore"):

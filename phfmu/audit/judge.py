@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .block import Block
+from .booked_steps import BookedSteps
 from .booking import PROJECTION, Booking
 from .kinds import Quality
 from .sums import CompensatedSum, Floats, add, all_finite, largest_so_far, plain, ratio, rows
@@ -59,7 +59,7 @@ class Judge:
         self.passed: dict[str, float] = {}  # most that passed through each junction in a step
         self._found: dict[tuple[ViolationKind, str], Violation] = {}
 
-    def steps(self, block: Block, stored: Floats) -> Floats:
+    def steps(self, block: BookedSteps, stored: Floats) -> Floats:
         """Judge a block; `stored` [n,c] are the sums of dH up to each step.
 
         Returns DEFAULT_RTOL |residual| / allowed [n,c] with what DEFAULT_RTOL allows: it does not depend on `rtol`.
@@ -113,7 +113,7 @@ class Judge:
                 self.accounts[name].quality = booking.quality(name)
         return [self.accounts[name] for name in booking.components]
 
-    def _changes(self, accounts: list[Account], block: Block, allowed: Floats, H: Floats) -> None:
+    def _changes(self, accounts: list[Account], block: BookedSteps, allowed: Floats, H: Floats) -> None:
         """H from step to step and within each, against what is booked; `H` [n,c]: max(|H0|, |H1|)."""
         names, H1 = block.booking.components, block.steps.H
         before = np.empty_like(block.H0)
@@ -129,7 +129,7 @@ class Judge:
         for i, account in enumerate(accounts):
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
 
-    def _joined(self, block: Block, allowed: Floats, played: Floats) -> None:
+    def _joined(self, block: BookedSteps, allowed: Floats, played: Floats) -> None:
         """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for.
 
         All junctions are solved for at once, so each has roundings of the energies in play in the whole network, however little
@@ -149,7 +149,7 @@ class Judge:
         permitted = (rows(allowed) + ULPS * EPS * rows(np.abs(block.steps.pairs)))[:, None]
         self._mark(ViolationKind.UNEXPLAINED, ("network",), block.network["unexplained"][:, None], permitted, block)
 
-    def _lost(self, block: Block) -> Floats:
+    def _lost(self, block: BookedSteps) -> Floats:
         """What the junctions have lost by projections [n,junctions], which is booked; what these would have created is not."""
         lost, works, names = np.zeros_like(block.junction_residual), block.steps.works, list(block.booking.junctions)
         for i, key in enumerate(block.booking.parts if works is not None else ()):
@@ -157,7 +157,7 @@ class Judge:
                 lost[:, names.index(key.junction)] += np.minimum(works[:, i], 0.0)
         return lost
 
-    def _divided(self, block: Block, permitted: Floats) -> None:
+    def _divided(self, block: BookedSteps, permitted: Floats) -> None:
         """The parts of a junction's energy add up to it, whether it is small or not."""
         works, divided = block.steps.works, block.booking.divided
         if works is None or not divided:
@@ -167,7 +167,7 @@ class Judge:
         sums = plain(works, list(divided.values()))
         self._mark(ViolationKind.PARTS, tuple(divided), block.junction_residual[:, at] - sums, permitted[:, at], block)
 
-    def _keep_worst(self, account: Account, block: Block, found: Floats, i: int) -> None:
+    def _keep_worst(self, account: Account, block: BookedSteps, found: Floats, i: int) -> None:
         k = int(np.argmax(found))
         if found[k] > account.worst_ratio:
             account.worst_ratio, account.worst_residual = float(found[k]), float(block.residual[k, i])
@@ -179,7 +179,7 @@ class Judge:
         names: Sequence[str],
         size: Floats,
         allowed: Floats,
-        block: Block,
+        block: BookedSteps,
         judged: NDArray[np.bool_] | None = None,
     ) -> None:
         """Note where |size| exceeds `allowed` [n,m]; what is not a finite number does, judged or not."""

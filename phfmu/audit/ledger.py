@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from phfmu.engine.steps import Steps
 from phfmu.words import counted
 
-from .block import Block, make_block
+from .booked_steps import BookedSteps, book_steps
 from .booking import Booking
 from .events import EventCount, EventRow
 from .judge import DEFAULT_RTOL, Judge
@@ -76,23 +76,23 @@ class Ledger:
         steps: Steps,
         H0: ArrayLike | None = None,
     ) -> None:
-        """Book n accepted steps; shapes and errors as for `make_block`, which copies the arrays."""
+        """Book n accepted steps; shapes and errors as for `book_steps`, which copies the arrays."""
         self._change_over(steps)
         if self._sink is None and self._ordinarily(booking, step, t0, h, steps, H0):
             return
-        block = make_block(booking, step, t0, h, steps, H0)
+        block = book_steps(booking, step, t0, h, steps, H0)
         if len(block.step) == 0:
             return
         block = self._taken(block)
         if self._sink is not None:
-            self._sink.write_block(block)
+            self._sink.write_steps(block)
 
-    def take(self, block: Block) -> Block:
+    def take(self, block: BookedSteps) -> BookedSteps:
         """Sum and judge a block of at least one step; the block with what only the run knows filled in."""
         self._change_over(block.steps)
         return self._taken(block)
 
-    def _taken(self, block: Block) -> Block:
+    def _taken(self, block: BookedSteps) -> BookedSteps:
         stored = self._sums.add(block)
         relative = self._judge.steps(block, stored)
         self._count(block.t0, block.h)

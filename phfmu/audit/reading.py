@@ -55,7 +55,7 @@ class Interned:
 
 
 @dataclass
-class Rows:
+class LogRows:
     """Rows of one kind: numbers (values [n], where there is one [n]) and names (codes [n]) by column."""
 
     step: NDArray[np.int64]
@@ -66,13 +66,13 @@ class Rows:
     def n(self) -> int:
         return len(self.step)
 
-    def take(self, at: Any) -> "Rows":
+    def take(self, at: Any) -> "LogRows":
         """The rows `at` an index, mask or slice."""
         numbers = {key: (values[at], there[at]) for key, (values, there) in self.numbers.items()}
-        return Rows(self.step[at], numbers, {key: codes[at] for key, codes in self.names.items()})
+        return LogRows(self.step[at], numbers, {key: codes[at] for key, codes in self.names.items()})
 
     @staticmethod
-    def joined(parts: Sequence["Rows"]) -> "Rows":
+    def joined(parts: Sequence["LogRows"]) -> "LogRows":
         """One after the other."""
         if len(parts) == 1:
             return parts[0]
@@ -85,7 +85,7 @@ class Rows:
             for key in first.numbers
         }
         names = {key: np.concatenate([p.names[key] for p in parts]) for key in first.names}
-        return Rows(np.concatenate([p.step for p in parts]), numbers, names)
+        return LogRows(np.concatenate([p.step for p in parts]), numbers, names)
 
     def values(self, column: str) -> Floats:
         return self.numbers[column][0]
@@ -107,13 +107,13 @@ _TEXTS = tuple(name for name, kind in COLUMNS.items() if kind in (ColumnType.NAM
 
 
 class Batches:
-    """Iterates over the batches of a source, each as {kind: Rows}; `interned` are the names of all."""
+    """Iterates over the batches of a source, each as {kind: LogRows}; `interned` are the names of all."""
 
     def __init__(self, source: "pa.Table | str | os.PathLike[str]") -> None:
         self.interned = Interned()
         self._source = source
 
-    def __iter__(self) -> Iterator[dict[RowKind, Rows]]:
+    def __iter__(self) -> Iterator[dict[RowKind, LogRows]]:
         import pyarrow as pa
 
         shown = "the audit table" if isinstance(self._source, pa.Table) else str(self._source)
@@ -142,10 +142,10 @@ class Batches:
         else:
             yield from _parquet(path)
 
-    def _by_kind(self, batch: "pa.RecordBatch") -> dict[RowKind, Rows]:
+    def _by_kind(self, batch: "pa.RecordBatch") -> dict[RowKind, LogRows]:
         columns = dict(zip(batch.schema.names, batch.columns, strict=True))
         codes = self.interned.codes(columns["row"]) if "row" in columns else np.zeros(0, np.int64)
-        found: dict[RowKind, Rows] = {}
+        found: dict[RowKind, LogRows] = {}
         read: dict[str, Any] = {}
         for kind, needed in _NEEDED.items():
             at = np.flatnonzero(codes == self.interned._code(kind))
@@ -155,7 +155,7 @@ class Batches:
                 if name not in read:
                     read[name] = self._column(columns.get(name), name, batch.num_rows)
             numbers = {n: (read[n][0][at], read[n][1][at]) for n in ("t0", "h", *needed) if n not in _TEXTS}
-            found[kind] = Rows(
+            found[kind] = LogRows(
                 read["step"][0][at].astype(np.int64), numbers, {n: read[n][at] for n in needed if n in _TEXTS}
             )
         return found

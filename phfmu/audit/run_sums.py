@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .block import Block
+from .booked_steps import BookedSteps
 from .booking import Booking, PartKey
 from .kinds import Quality
 from .sums import Floats, Sums, larger, largest
@@ -35,7 +35,7 @@ class RunSums:
         self.loose.update(booking.junctions if booking.loose else ())
         self._met = booking
 
-    def add(self, block: Block) -> Floats:
+    def add(self, block: BookedSteps) -> Floats:
         """Sum the columns; the sums of the changes of H up to each step [n,c]."""
         self.meet(block.booking)
         stored = self._add_components(block)
@@ -44,14 +44,14 @@ class RunSums:
         self._add_network(block.network)
         return stored
 
-    def _add_components(self, block: Block) -> Floats:
+    def _add_components(self, block: BookedSteps) -> Floats:
         names, s = block.booking.components, block.steps
         for key, table in {"dissipated": s.dissipated, "supplied": s.supplied, "numerical": s.numerical}.items():
             if table is not None:
                 self.by.add([(key, name) for name in names], table)
         return self.by.extend([("stored", name) for name in names], s.stored)
 
-    def _add_ports(self, block: Block) -> None:
+    def _add_ports(self, block: BookedSteps) -> None:
         booking, pairs = block.booking, block.steps.pairs
         for width in {len(js) for js in booking.scalars.values()}:
             some = {key: js for key, js in booking.scalars.items() if len(js) == width}
@@ -65,7 +65,7 @@ class RunSums:
         for j, name in enumerate(names):
             self.junctions[name] = larger(self.junctions.get(name, 0.0), largest(block.junction_residual[:, j]))
 
-    def _add_parts(self, block: Block) -> None:
+    def _add_parts(self, block: BookedSteps) -> None:
         works = block.steps.works
         if works is None:
             return

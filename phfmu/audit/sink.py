@@ -2,14 +2,14 @@
 
 from typing import Protocol
 
-from .block import Block
+from .booked_steps import BookedSteps
 from .events import EventRow
 
 
 class Sink(Protocol):
     """Where rows go while the run is under way; `AuditWriter` is one."""
 
-    def write_block(self, block: Block) -> None: ...
+    def write_steps(self, block: BookedSteps) -> None: ...
 
     def write_event(self, event: EventRow) -> None: ...
 

@@ -22,7 +22,7 @@ from .lock import try_lock
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from .block import Block
+    from .booked_steps import BookedSteps
     from .events import EventRow
 
 FLUSH_ROWS = 1024
@@ -76,7 +76,7 @@ class AuditWriter:
     ) -> None:
         self.close()
 
-    def write_block(self, block: "Block") -> None:
+    def write_steps(self, block: "BookedSteps") -> None:
         """Take n steps, column by column."""
         self._check_open()
         sections = block_sections(block, self._encode)

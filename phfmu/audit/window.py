@@ -10,7 +10,7 @@ import numpy as np
 
 from .events import EventRow
 from .kinds import RowKind
-from .reading import Batches, Rows
+from .reading import Batches, LogRows
 from .summary import LedgerSummary
 
 #: of a step: ends that differ by less are one
@@ -28,7 +28,7 @@ class Window:
         if not self.start < self.end:
             raise ValueError(f"window {self.start:g}:{self.end:g} s: the start must be before the end")
 
-    def of(self, batch: Mapping[RowKind, Rows]) -> dict[RowKind, Rows]:
+    def of(self, batch: Mapping[RowKind, LogRows]) -> dict[RowKind, LogRows]:
         """The rows within, without the columns that depend on what came before."""
         found = {}
         for kind, rows in batch.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from phfmu.declare.dense import coefficient, square, stacked
+from phfmu.declare.coefficients import coefficient, square, stacked
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.value import Value
 from phfmu.declare.variable import _sx, time

@@ -15,7 +15,7 @@ from phfmu.cli.options import audit_file
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
     from phfmu.network.scene import Event
-    from phfmu.report.rows import Rows
+    from phfmu.report.live_recording import LiveRecording
     from phfmu.results.writer import TableWriter
 
 
@@ -35,7 +35,7 @@ class Outputs:
         self.sink: AuditWriter | None = None
         self._units_row, self._title = args.units_row, ""
         self._picture: Path | None = None
-        self._drawn: Rows | None = None
+        self._drawn: LiveRecording | None = None
         #: wall time spent on the result table
         self.seconds = 0.0
         #: what the picture does not show
@@ -71,11 +71,11 @@ class Outputs:
     def columns(self, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str]) -> None:
         """Open table and picture of its rows; `marked`: rows within steps are among them."""
         if self._picture:
+            from phfmu.report.live_recording import LiveRecording
             from phfmu.report.recording import Mark
-            from phfmu.report.rows import Rows
 
             marks = [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events]
-            self._drawn = Rows(self._title, names, marks, dict(zip(names, units, strict=True)))
+            self._drawn = LiveRecording(self._title, names, marks, dict(zip(names, units, strict=True)))
         if self._table_path:
             from phfmu.results.writer import TableWriter
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.dense import stacked
+from phfmu.declare.coefficients import stacked
 from phfmu.declare.energy import ClosedPair
 from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE

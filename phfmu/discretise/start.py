@@ -85,7 +85,7 @@ def project_start(
     start = model.x0 if x is None else np.asarray(x, float)
     names = [n for v in model.declaration.states for n in v.names()]
     kept = _kept(model, names, list(keep))
-    rows = _Rows(model, model.p0 if p is None else np.asarray(p, float), model.t0 if t is None else t)
+    rows = _Constraints(model, model.p0 if p is None else np.asarray(p, float), model.t0 if t is None else t)
     level = np.array([c.level for c in model.checks])
     positions = rows.pattern[level == Level.POSITION].any(axis=0)
     nominal = np.array([v.nominal[j] for v in model.declaration.states for j in range(v.n)])
@@ -105,7 +105,7 @@ def project_start(
     )  # fmt: skip
 
 
-def _placed(rows: _Rows, x: Array, part: _Level, kept: NDArray[np.bool_], names: list[str]) -> Array:
+def _placed(rows: _Constraints, x: Array, part: _Level, kept: NDArray[np.bool_], names: list[str]) -> Array:
     """x on the constraints of a level; DeclarationError if they cannot be met."""
     now = _projected(rows, x, part)
     _require(rows, now, part, [names[i] for i in np.flatnonzero(kept)], names)
@@ -126,7 +126,7 @@ def _kept(model: Model, names: list[str], keep: list[str]) -> NDArray[np.bool_]:
     return kept
 
 
-class _Rows:
+class _Constraints:
     """The hidden constraints of a model as functions of the state."""
 
     def __init__(self, model: Model, p: Array, t: float):
@@ -187,7 +187,7 @@ class _Level:
     scale: Array
     energetic: bool
 
-    def parts(self, f: _Rows) -> list[tuple[Array, Array]]:
+    def parts(self, f: _Constraints) -> list[tuple[Array, Array]]:
         """(rows, states) that have to do with each other."""
         rows, states = np.flatnonzero(self.rows), np.flatnonzero(self.free)
         touched = csr_matrix(f.pattern[np.ix_(rows, states)])
@@ -197,7 +197,7 @@ class _Level:
         return [(rows[of_row == i], states[of_state == i]) for i in np.unique(of_row)]
 
 
-def _projected(f: _Rows, x: Array, level: _Level) -> Array:
+def _projected(f: _Constraints, x: Array, level: _Level) -> Array:
     """x with the violated parts of a level projected."""
     if not level.rows.any() or not level.free.any():
         return x
@@ -210,7 +210,13 @@ def _projected(f: _Rows, x: Array, level: _Level) -> Array:
 
 
 def _newton(
-    f: _Rows, gradient: Callable[[Array], Array], x: Array, rows: Array, states: Array, metric: Array, scale: Array
+    f: _Constraints,
+    gradient: Callable[[Array], Array],
+    x: Array,
+    rows: Array,
+    states: Array,
+    metric: Array,
+    scale: Array,
 ) -> Array:
     """Least changes of `states` in `metric` until the chosen constraints hold, or no longer improve."""
     for _ in range(ITERATIONS):
@@ -241,7 +247,7 @@ def _least(metric: Array, jac: Array, c: Array, scale: Array) -> Array:
     return d
 
 
-def _require(f: _Rows, x: Array, level: _Level, kept: list[str], names: list[str]) -> None:
+def _require(f: _Constraints, x: Array, level: _Level, kept: list[str], names: list[str]) -> None:
     """DeclarationError with the equations of a level that do not hold at x, and why where that is clear."""
     values, rows = f.values(x), level.rows
     bad = [i for i in np.flatnonzero(rows) if not abs(values[i]) <= CONSISTENCY * f.size[i]]
@@ -257,7 +263,7 @@ def _require(f: _Rows, x: Array, level: _Level, kept: list[str], names: list[str
     raise DeclarationError(f.model, f"no consistent start near the given one; left over: {left}", remedy, "start")
 
 
-def _contradiction(f: _Rows, jac: Array, values: Array, rows: Array, free: Array) -> str:
+def _contradiction(f: _Constraints, jac: Array, values: Array, rows: Array, free: Array) -> str:
     """Rows whose gradients depend on each other while their values do not, "" if there are none."""
     chosen = np.flatnonzero(rows)
     matrix = jac[np.ix_(chosen, free)]

@@ -73,7 +73,7 @@ class Location:
             for i in leaving:
                 returned = self.plan.direction[i] * trial.end[i] < 0 and not self._is_zero(trial, i, trial.end[i], 1.0)
                 inside[i] = inside.get(i, True) and returned
-            if shorter == LIMITS["LEAVING_CHORD"] and all(inside[i] for i in leaving):
+            if shorter == LIMITS["LEAVING_ARC"] and all(inside[i] for i in leaving):
                 h = self._tried(before, t, whole)
                 trial = self._trial(t, h, start, x)
                 break

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from phfmu.declare.dense import coefficient
+from phfmu.declare.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import Jump, StateEvent
 from phfmu.declare.variable import _sx

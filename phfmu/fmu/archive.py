@@ -18,9 +18,9 @@ from weakref import WeakValueDictionary
 import fmpy
 
 from phfmu.fmu import limits
-from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PATH as MANIFEST
 from phfmu.fmu.model_description import read_interface
+from phfmu.fmu.unit_interface import UnitInterface
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS
 from phfmu.fmu.words import plain
@@ -38,7 +38,7 @@ class Extracted:
     path: Path
     folder: Path
     library: str
-    interface: Interface
+    interface: UnitInterface
 
 
 class Archive:
@@ -52,7 +52,7 @@ class Archive:
                 raise FMUError(f"{path}: the archive has no modelDescription.xml, so it is no FMU")
             with archive.open("modelDescription.xml") as description:
                 manifest = document(archive, MANIFEST, path) if MANIFEST in self._names else None
-                self.interface: Interface = read_interface(description, manifest, path.name)
+                self.interface: UnitInterface = read_interface(description, manifest, path.name)
         parts = [PurePosixPath(n).parts for n in self._names]
         self.platforms = tuple(sorted({plain(p[1], 50) for p in parts if p[0] == "binaries" and len(p) > 2}))
 

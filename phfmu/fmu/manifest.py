@@ -240,7 +240,7 @@ def _read_signals(root: Element, causality: str) -> dict[str, tuple[str, ...]]:
 
 
 def read_manifest(root: Element) -> dict[str, Any]:
-    """Ports, names of the energies, places and weights of the nodes, as `Interface` has them."""
+    """Ports, names of the energies, places and weights of the nodes, as `UnitInterface` has them."""
     energy, step = root.find("Energy"), root.find("Step")
     places = [() if step is None else tuple(float(v) for v in step.get(k, "").split()) for k in ("nodes", "weights")]
     return {

@@ -10,8 +10,8 @@ from typing import IO, Any
 
 from phfmu.declare.units import BASE, Unit
 from phfmu.fmu import limits
-from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import read_manifest
+from phfmu.fmu.unit_interface import Scalar, UnitInterface
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import FMI3, VERSIONS, Version, written_by
 from phfmu.fmu.words import plain
@@ -233,7 +233,7 @@ class ModelDescription:
             raise self._damaged(name, plain(str(error), 200)) from None
 
 
-def read_interface(stream: IO[bytes], manifest: bytes | None, name: str) -> Interface:
+def read_interface(stream: IO[bytes], manifest: bytes | None, name: str) -> UnitInterface:
     """The interface of a unit from its documents; `name` is for messages."""
     about = ModelDescription(name)
     read(stream, f"{name}/modelDescription.xml", about)
@@ -241,7 +241,7 @@ def read_interface(stream: IO[bytes], manifest: bytes | None, name: str) -> Inte
         raise FMUError(f"{name}: the unit has no Co-Simulation interface; export it for Co-Simulation")
     version, told = about.version, about.cosimulation
     own = {} if manifest is None else read_manifest(parse(manifest, f"{name}/manifest"))
-    return Interface(
+    return UnitInterface(
         version=version.number,
         name=plain(about.root.get("modelName", name), 200),
         identifier=told.get("modelIdentifier", ""),

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.node_sensitivity import NodeSensitivity
 from phfmu.engine.status import Status, StepFailure
-from phfmu.fmu.interface import Scalar
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_values import PortValues
 from phfmu.fmu.slave import AnySlave
+from phfmu.fmu.unit_interface import Scalar
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS

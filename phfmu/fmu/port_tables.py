@@ -18,9 +18,9 @@ from typing import Any
 
 from phfmu.declare.port import DOMAINS, Domain, Given
 from phfmu.declare.units import Unit, UnitError, is_power, parse_unit
-from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_units import domain_of, factor_to, unit_of
+from phfmu.fmu.unit_interface import UnitInterface
 from phfmu.fmu.variables import FMUError
 from phfmu.words import meant
 
@@ -35,7 +35,7 @@ def sidecar(path: Path) -> Path:
     return path.with_name(path.stem + ENDING)
 
 
-def read_sidecar(path: Path, interface: Interface) -> tuple[PortMap, ...]:
+def read_sidecar(path: Path, interface: UnitInterface) -> tuple[PortMap, ...]:
     """The ports of the file; FMUError says what is wrong with it."""
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -44,7 +44,7 @@ def read_sidecar(path: Path, interface: Interface) -> tuple[PortMap, ...]:
     return port_maps(tables, interface, str(path))
 
 
-def port_maps(tables: Mapping[str, Any], interface: Interface, where: str) -> tuple[PortMap, ...]:
+def port_maps(tables: Mapping[str, Any], interface: UnitInterface, where: str) -> tuple[PortMap, ...]:
     """Ports by their tables, or as they are; FMUError names the port, what does not fit and the remedy."""
     return tuple(
         t if isinstance(t, PortMap) else _Table(name, t, interface, f"{where}: port '{name}'").port()
@@ -55,7 +55,7 @@ def port_maps(tables: Mapping[str, Any], interface: Interface, where: str) -> tu
 class _Table:
     """One port as its user tells it."""
 
-    def __init__(self, name: str, table: Any, interface: Interface, where: str):
+    def __init__(self, name: str, table: Any, interface: UnitInterface, where: str):
         self.name, self.table, self.interface, self.where = name, table, interface, where
         if not isinstance(table, Mapping):
             raise FMUError(f"{where}: expected a table with {', '.join(KEYS)}, got {table!r}")
@@ -166,7 +166,7 @@ class _Table:
         return float(sign)
 
 
-def entries_of(name: str, interface: Interface) -> list[str]:
+def entries_of(name: str, interface: UnitInterface) -> list[str]:
     """The variable, or the entries of an array; FMUError if there is no such variable."""
     known = interface.variables
     entries = [name] if name in known else [v for v in known if v.startswith(f"{name}[")]

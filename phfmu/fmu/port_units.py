@@ -6,14 +6,14 @@ from collections.abc import Mapping
 
 from phfmu.declare.port import DOMAINS, Domain
 from phfmu.declare.units import Unit, UnitError, parse_unit
-from phfmu.fmu.interface import Interface
+from phfmu.fmu.unit_interface import UnitInterface
 from phfmu.fmu.variables import FMUError
 
 #: factors that differ by less are one
 SAME = 1e-12
 
 
-def unit_of(interface: Interface, name: str) -> Unit | None:
+def unit_of(interface: UnitInterface, name: str) -> Unit | None:
     """The unit of a variable by the definitions of the description, else by its text; None where that says nothing."""
     text = interface.variables[name].unit
     if text in interface.units:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PortMap
+from phfmu.fmu.unit_interface import UnitInterface
 from phfmu.fmu.values import References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS
@@ -26,7 +26,7 @@ class PortValues:
     domain, as all arguments and results of methods do.  FMUError names what the unit has not, and what is no pair.
     """
 
-    def __init__(self, interface: Interface, ports: Sequence[PortMap], name: str):
+    def __init__(self, interface: UnitInterface, ports: Sequence[PortMap], name: str):
         self.name, self.interface, self.ports = name, interface, tuple(ports)
         self.inputs = [n for p in ports for n in p.inputs]
         self.outputs = [n for p in ports for n in p.outputs]

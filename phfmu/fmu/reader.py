@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.archive import open_archive
-from phfmu.fmu.interface import Interface, Scalar
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.node_exchange import NodeExchange
 from phfmu.fmu.port_values import PortValues
@@ -20,6 +19,7 @@ from phfmu.fmu.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.remote_slave import slave_of
 from phfmu.fmu.saved_states import SavedState, SavedStates, free
 from phfmu.fmu.unit_books import books
+from phfmu.fmu.unit_interface import Scalar, UnitInterface
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS
@@ -53,7 +53,7 @@ class FMUInstance:
         isolate: float | None = None,
     ):
         archive = open_archive(path)
-        self.interface: Interface = archive.interface
+        self.interface: UnitInterface = archive.interface
         self.name = name or self.interface.name
         self.ports: tuple[PortMap, ...] = self.interface.ports if ports is None else tuple(ports)
         self._values = PortValues(self.interface, self.ports, self.name)

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 import phfmu
 from phfmu.fmu.archive import Extracted
-from phfmu.fmu.interface import Scalar
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.slave import KEPT, LONGEST, QUOTED, AnySlave, Slave
+from phfmu.fmu.unit_interface import Scalar
 from phfmu.fmu.unit_process import GIVEN, REFUSED, read, write
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError

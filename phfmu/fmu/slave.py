@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from phfmu.fmu import exit_guard
 from phfmu.fmu.archive import Extracted
-from phfmu.fmu.interface import Scalar
 from phfmu.fmu.refusal import UnitCallError, said
+from phfmu.fmu.unit_interface import Scalar
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS
@@ -143,7 +143,7 @@ class Slave:
         if r.direct is not None:
             self.call_plain(r.direct.setter, r.direct.arguments)
             return
-        for b in r.blocks:
+        for b in r.by_type:
             if not b.filled:
                 self.call_plain(b.getter, b.arguments)  # entries of arrays that stay as they are
             r.spread(b)
@@ -154,7 +154,7 @@ class Slave:
         if r.direct is not None:
             self.call_plain(r.direct.getter, r.direct.arguments)
             return r.values
-        for b in r.blocks:
+        for b in r.by_type:
             self.call_plain(b.getter, b.arguments)
             r.gather(b)
         return r.values

@@ -9,10 +9,10 @@ from __future__ import annotations
 import re
 
 from phfmu.declare.port import DOMAINS, Domain
-from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_tables import entries_of, port_maps
 from phfmu.fmu.port_units import domain_of, unit_of
+from phfmu.fmu.unit_interface import UnitInterface
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
@@ -20,7 +20,7 @@ from phfmu.fmu.xml import Element, parse
 _SIGNS = {"inflow": 1, "outflow": -1}
 
 
-def terminal_ports(document: bytes, interface: Interface, where: str) -> tuple[tuple[PortMap, ...], list[str]]:
+def terminal_ports(document: bytes, interface: UnitInterface, where: str) -> tuple[tuple[PortMap, ...], list[str]]:
     """The ports, and a line for each terminal that is none."""
     found, left_out = list[PortMap](), list[str]()
     for name, terminal in _terminals(parse(document, f"{where}: terminals").find("Terminals"), ""):
@@ -40,7 +40,7 @@ def _terminals(parent: Element | None, prefix: str) -> list[tuple[str, Element]]
     return out
 
 
-def _ports(name: str, terminal: Element, interface: Interface) -> tuple[PortMap, ...]:
+def _ports(name: str, terminal: Element, interface: UnitInterface) -> tuple[PortMap, ...]:
     members = [
         (plain(m.get("variableKind", ""), 30), plain(m.get("variableName", "")))
         for m in terminal.findall("TerminalMemberVariable")
@@ -62,7 +62,7 @@ def _ports(name: str, terminal: Element, interface: Interface) -> tuple[PortMap,
     return port_maps({re.sub(r"\W", "_", name): {**told, "sign": signs.pop(), "domain": domain}}, interface, what)
 
 
-def _fits(domain: Domain, shared: str, summed: str, interface: Interface) -> bool:
+def _fits(domain: Domain, shared: str, summed: str, interface: UnitInterface) -> bool:
     effort, flow = (shared, summed) if domain.common == "effort" else (summed, shared)
     units = (unit_of(interface, entries_of(n, interface)[0]) for n in (effort, flow))
     return domain_of(*units) is domain

@@ -12,10 +12,10 @@ from typing import Any
 from phfmu.declare.port import Port
 from phfmu.files import located
 from phfmu.fmu.archive import open_archive
-from phfmu.fmu.interface import Interface
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_tables import port_maps, read_sidecar, sidecar
 from phfmu.fmu.terminal_ports import terminal_ports
+from phfmu.fmu.unit_interface import UnitInterface
 from phfmu.fmu.variables import FMUError
 from phfmu.gradients.quadrature import gauss_nodes
 from phfmu.words import meant
@@ -30,7 +30,7 @@ class UnitFile:
     """
 
     path: Path
-    interface: Interface
+    interface: UnitInterface
     port_maps: tuple[PortMap, ...]
     starts: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.fmu.interface import Scalar
+from phfmu.fmu.unit_interface import Scalar
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import Version
 
 Array = NDArray[np.float64]
 
 
-class Block:
+class TypedValues:
     """Variables of one type: `places` of their scalars in a group, `picks` of those in the buffer."""
 
     def __init__(self, type_: str, version: Version, scalars: Sequence[Scalar], places: list[int]):
@@ -49,29 +49,29 @@ class References:
         kinds: dict[str, list[int]] = {}
         for i, s in enumerate(scalars):
             kinds.setdefault(s.type, []).append(i)
-        self.blocks = [Block(k, version, [scalars[i] for i in own], own) for k, own in kinds.items()]
-        b = self.blocks[0] if len(self.blocks) == 1 else None
+        self.by_type = [TypedValues(k, version, [scalars[i] for i in own], own) for k, own in kinds.items()]
+        b = self.by_type[0] if len(self.by_type) == 1 else None
         #: numbers of type double without gaps are set and read in place
         self.direct = b if b is not None and b.whole and b.buffer.dtype == np.float64 else None
         self.values: Array = np.zeros(self.n) if self.direct is None else self.direct.buffer
 
-    def spread(self, block: Block) -> None:
-        """Values of the group into a block; FMUError for a number that its type cannot hold."""
-        values = self.values[block.places]
+    def spread(self, own: TypedValues) -> None:
+        """Values of the group into those of one type; FMUError for a number that its type cannot hold."""
+        values = self.values[own.places]
         with np.errstate(invalid="ignore", over="ignore"):
-            block.buffer[block.picks] = values
-            kept = block.buffer[block.picks].astype(float)
-        lost = ~np.isfinite(values) if block.buffer.dtype == np.float32 else kept != values
-        if block.boolean:
+            own.buffer[own.picks] = values
+            kept = own.buffer[own.picks].astype(float)
+        lost = ~np.isfinite(values) if own.buffer.dtype == np.float32 else kept != values
+        if own.boolean:
             lost |= (values != 0) & (values != 1)
         if lost.any():
-            i = int(block.places[np.argmax(lost)])
+            i = int(own.places[np.argmax(lost)])
             s = self.scalars[i]
             raise FMUError(f"'{s.name}' is of the type {s.type}, which cannot hold {self.values[i]:.9g}")
 
-    def gather(self, block: Block) -> None:
-        """Values of a block into the group."""
-        self.values[block.places] = block.buffer[block.picks]
+    def gather(self, own: TypedValues) -> None:
+        """Values of one type into the group."""
+        self.values[own.places] = own.buffer[own.picks]
 
 
 class Derivative:
@@ -79,7 +79,7 @@ class Derivative:
 
     def __init__(self, unknowns: References, known: Scalar, version: Version):
         self.unknowns, self.known = unknowns, known
-        found, given = unknowns.blocks[0], Block(known.type, version, [known], [0])
+        found, given = unknowns.by_type[0], TypedValues(known.type, version, [known], [0])
         given.buffer[known.entry] = 1.0
         result = type(found.address)()
         self.buffer: Array = np.ctypeslib.as_array(result)

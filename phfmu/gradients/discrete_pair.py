@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from phfmu.declare.dense import matrices, square, stacked
+from phfmu.declare.coefficients import matrices, square, stacked
 from phfmu.declare.energy import ClosedPair
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE

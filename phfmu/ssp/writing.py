@@ -12,11 +12,11 @@ from math import copysign, isclose
 from pathlib import Path
 
 from phfmu.fmu.description import generation_date, generation_tool
-from phfmu.fmu.interface import Scalar
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.package import write
 from phfmu.fmu.port_tables import ENDING
 from phfmu.fmu.unit_file import UnitFile
+from phfmu.fmu.unit_interface import Scalar
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
 from phfmu.network.junctions.junction import Junction

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from phfmu.declare.block import Block
-from phfmu.declare.dense import coefficient
+from phfmu.declare.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.dense import square, stacked
+from phfmu.declare.coefficients import square, stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.regular import undetermined

@@ -30,7 +30,7 @@ from phfmu.audit import (
     PortKey,
     analysis,
     audit_table,
-    make_block,
+    book_steps,
     read,
     recover,
     summarise,
@@ -109,7 +109,7 @@ def test_books_close_by_the_sign_rule():
         H=np.array([[1.5, 1.0]]), stored=np.array([[0.5, -1.0]]), dissipated=np.array([[0.25, 0.0]]),
         supplied=np.array([[0.75, -0.875]]), pairs=pairs,
     )  # fmt: skip
-    block = make_block(booking, [0], [0.0], 1.0, steps)
+    block = book_steps(booking, [0], [0.0], 1.0, steps)
     assert block.residual.tolist() == [[0.0, -0.125]]
     assert block.H0.tolist() == [[1.0, 2.0]]
     network = {name: column[0] for name, column in block.network.items()}
@@ -152,7 +152,7 @@ def test_member_without_energies_lies_outside_the_balance():
         ),
     )
     own, none = np.array([[-1.0]]), np.zeros((1, 1))
-    block = make_block(
+    block = book_steps(
         booking, [0], [0.0], 0.1, Steps(np.array([[4.0]]), own, none, own, np.array([[-1.0, 0.75, 9.0]]))
     )
     assert block.network["junction_residual"][0] == -0.25
@@ -166,9 +166,9 @@ def test_what_a_damping_scheme_loses_is_in_the_balance():
     lost = Steps(
         *(np.array([[x]]) for x in (5.0, -3.0, 1.0, -1.5)), pairs=np.array([[-1.5]]), numerical=np.array([[0.5]])
     )
-    block = make_block(Booking(("a",), (PortKey("a", "p"),)), [0], [0.0], 0.1, lost)
+    block = book_steps(Booking(("a",), (PortKey("a", "p"),)), [0], [0.0], 0.1, lost)
     assert block.residual[0, 0] == block.network["unexplained"][0] == 0.0
-    assert make_block(block.booking, [0], [0.0], 0.1, replace(lost, numerical=None)).residual[0, 0] == -0.5
+    assert book_steps(block.booking, [0], [0.0], 0.1, replace(lost, numerical=None)).residual[0, 0] == -0.5
 
 
 @given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=200), st.integers(1, 50))

@@ -11,7 +11,7 @@ import pytest
 
 import phfmu as ph
 from phfmu import PHDAE, Collocated, NativeInstance, Network, Options, PythonInstance, block, build_model, energy, run
-from phfmu.audit import AuditWriter, Block, EventRow, LedgerSummary, read, summarise
+from phfmu.audit import AuditWriter, BookedSteps, EventRow, LedgerSummary, read, summarise
 from phfmu.audit.booking import Booking, PortKey
 from phfmu.audit.kinds import Quality
 from phfmu.components.mechanical.translational import mass, spring
@@ -190,9 +190,9 @@ class Blocks:
     """A sink that keeps what it is given."""
 
     def __init__(self) -> None:
-        self.blocks: list[Block] = []
+        self.blocks: list[BookedSteps] = []
 
-    def write_block(self, block: Block) -> None:
+    def write_steps(self, block: BookedSteps) -> None:
         self.blocks.append(block)
 
     def write_event(self, event: EventRow) -> None: ...

@@ -99,7 +99,7 @@ def test_wrong_numbers_of_values_are_refused(lines: tuple[Path, Path, Path]) -> 
     with FMUInstance(lines[0]) as unit:
         slave = unit._slave
         group = slave.references([unit.variable(f"a.v[{i}]") for i in (1, 2, 3)])
-        (block,) = group.blocks
+        (block,) = group.by_type
         assert (block.n, block.total) == (1, 3), "one reference, three values"
         right = block.arguments
         block.arguments = (*right[:-1], 2)

@@ -11,16 +11,16 @@ import pytest
 from phfmu.cli import main
 from phfmu.report.choice import MOST
 from phfmu.report.labels import LETTER, labels
+from phfmu.report.live_recording import LiveRecording
 from phfmu.report.pace import BEFORE, PERIODS, swings
 from phfmu.report.picture import Picture, picture
 from phfmu.report.recording import Mark
-from phfmu.report.rows import Rows
 
 TIME = np.arange(0.0, 5.0, 1e-3)
 
 
 def drawn(columns: dict[str, np.ndarray], units: dict[str, str], marks: Sequence[Mark] = ()) -> Picture:
-    rows = Rows("a scene", list(columns), marks, units)
+    rows = LiveRecording("a scene", list(columns), marks, units)
     rows.add(TIME, np.column_stack(list(columns.values())))
     return picture(rows)
 
@@ -48,7 +48,7 @@ def test_no_curve_twice() -> None:
 
 
 def test_signals_named_are_all_drawn() -> None:
-    rows = Rows("a scene", [f"x[{i}]" for i in range(9)])
+    rows = LiveRecording("a scene", [f"x[{i}]" for i in range(9)])
     rows.add(TIME, np.tile(TIME[:, None], 9))
     assert len(shown(picture(rows, rows.names))[0]) == 9
 

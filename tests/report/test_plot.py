@@ -16,12 +16,12 @@ from phfmu.cli import main
 from phfmu.engine.steps import Steps
 from phfmu.pick import pick
 from phfmu.report.history import read_history
+from phfmu.report.live_recording import LiveRecording
 from phfmu.report.opening import opened
 from phfmu.report.picture import COLOURS, panel, picture, with_marks
 from phfmu.report.prefix import engineering, scaled
 from phfmu.report.recording import Mark, Signal
 from phfmu.report.result_table import ResultTable
-from phfmu.report.rows import Rows
 from phfmu.report.thin import thin
 from phfmu.results.schema import UNIT_KEY
 
@@ -232,7 +232,7 @@ def test_a_picture_while_running_is_that_of_its_table(folder: Path) -> None:
     names = from_file.names
     values = np.stack([s.values for s in from_file.read(names)], axis=1)
     time = from_file.read(names)[0].time
-    rows = Rows("m", names)
+    rows = LiveRecording("m", names)
     for part in np.array_split(np.arange(len(time)), 3):
         rows.add(time[part], values[part])
     for a, b in zip(picture(rows).panels, picture(from_file).panels, strict=True):

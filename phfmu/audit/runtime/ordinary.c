@@ -1,5 +1,5 @@
-/* Rows of a ledger summed and judged in one pass, as block.py, run_sums.py and judge.py do by arrays, with
- * the same bits.
+/* Rows of a ledger summed and judged in one pass, as booked_steps.py, run_sums.py and judge.py do by arrays,
+ * with the same bits.
  *
  * Only for ordinary rows: all numbers finite, all energies within what is allowed.  The first row that is not
  * ends the pass, and the caller takes the whole block by arrays, which know what to say of it. */

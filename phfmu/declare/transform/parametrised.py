@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.block import skew
-from phfmu.declare.dense import matrices
+from phfmu.declare.coefficients import matrices
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.problem import Problem

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.block import Block
-from phfmu.declare.dense import coefficient
+from phfmu.declare.coefficients import coefficient
 from phfmu.declare.energy import Energy, energy
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.observable import Observable

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 
 from phfmu.declare.block import Block
-from phfmu.declare.dense import coefficient
+from phfmu.declare.coefficients import coefficient
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port

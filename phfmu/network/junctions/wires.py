@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from phfmu.declare.dense import coefficient
+from phfmu.declare.coefficients import coefficient
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.signal import read_by, signal_inputs

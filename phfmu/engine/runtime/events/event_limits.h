@@ -23,7 +23,7 @@
 
 /* After so many of these halvings it does not leave if it was inside at the end of every step: then only the
  * polynomial was beyond, the chord of an arc. */
-#define PH_LEAVING_CHORD 2
+#define PH_LEAVING_ARC 2
 
 /* What is left of a step after an event is no step in so many units of rounding of the time. */
 #define PH_REST_OF_STEP 4

@@ -156,20 +156,20 @@ static int kept_inside(ph_landing *l, signed char *inside) {
 int ph_try_step(ph_landing *l, int *leaves) {
     const double whole = l->h;
     signed char *inside = l->refused; /* which is used after this */
-    int chord = 0;
+    int arc = 0;
     memset(inside, 1, (size_t)l->events->n);
     for (int shorter = 0;; shorter++) {
         int status = tried(l, &l->h);
         status = status ? status : look(l);
         if (status)
             return status;
-        *leaves = chord ? 0 : leaving(l);
+        *leaves = arc ? 0 : leaving(l);
         if (!*leaves)
             return PH_OK;
         ph_load(l->in, l->before);
-        chord = kept_inside(l, inside) && shorter == PH_LEAVING_CHORD;
+        arc = kept_inside(l, inside) && shorter == PH_LEAVING_ARC;
         if (shorter == PH_LEAVING_HALVINGS)
             return PH_OK;
-        l->h = chord ? whole : l->h / 2;
+        l->h = arc ? whole : l->h / 2;
     }
 }

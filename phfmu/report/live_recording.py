@@ -8,7 +8,7 @@ from phfmu.report.choice import usual
 from phfmu.report.recording import Floats, Mark, Signal
 
 
-class Rows:
+class LiveRecording:
     """Keeps the signals that are drawn unasked; `units` by name, where they are known."""
 
     def __init__(

@@ -12,12 +12,12 @@ from .sums import Floats, Ints, across, across_each, plain
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class BookedSteps:
     """n steps with what follows from them: [n] per step, [n,c] per component, [n,junctions] per junction; energies in joule.
 
     `in_play` is what a residual is measured against: the energies that moved within the component (`moved`, or else
     max(|H0|, |H1|)), |supplied|, |dissipated|, |numerical| and |energy| of each port pair. `network` holds the columns of
-    the network's row, each [n]. Made by `make_block`.
+    the network's row, each [n]. Made by `book_steps`.
     """
 
     booking: Booking
@@ -34,9 +34,9 @@ class Block:
     relative: Floats | None = None  # filled in by who judges it
 
 
-def make_block(
+def book_steps(
     booking: Booking, step: ArrayLike, t0: ArrayLike, h: ArrayLike, steps: Steps, H0: ArrayLike | None = None
-) -> Block:
+) -> BookedSteps:
     """Copy n steps into a block and derive residuals, junctions and the network balance.
 
     Shapes: step (number), t0 [n], h [n] or scalar; H0 [n,c], at the starts of the steps; default H - stored.
@@ -55,7 +55,7 @@ def make_block(
             in_play += plain(size, booking.owned)
         created, exchanged = across_each(s.pairs, members), 0.5 * across_each(size, members)
         residual = balance(s.stored, s.dissipated, s.supplied, gone)
-        return Block(
+        return BookedSteps(
             booking, numbers, _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,)), starts, s, residual,
             in_play, created, exchanged, _network(booking, s, created),
         )  # fmt: skip

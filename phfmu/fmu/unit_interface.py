@@ -32,7 +32,7 @@ class Scalar:
 
 
 @dataclass(frozen=True)
-class Interface:
+class UnitInterface:
     """A unit for Co-Simulation.  `ports` and `energy` are those of the manifest, empty in foreign units.
 
     `left_out`: what cannot be read or set here, in words.  `nodes`, `weights`: places on [0, 1] and weights of the nodes at
