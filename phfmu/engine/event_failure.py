@@ -42,7 +42,14 @@ REASONS = (
         "and what holds is not determined",
         "leave one of them out, or give them a stiffness (a resistance), which says what each takes",
     ),
+    (
+        "the jump of {names}, {value:.6g} J, moves what a junction ties to other members (a rigid link, a node of inductors), "
+        "and no impulse reaches those that are stepped apart",
+        "compose the network (--coupling monolithic), or make one member of what jumps together",
+    ),
 )
+#: place of the last, which only members have
+ACROSS = len(REASONS) - 1
 
 
 class EventRefused(StepFailure):

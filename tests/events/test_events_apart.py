@@ -19,6 +19,7 @@ from phfmu import (
     FMUMember,
     Monolithic,
     NativeInstance,
+    Network,
     Options,
     PythonInstance,
     build_model,
@@ -28,6 +29,8 @@ from phfmu import (
 from phfmu.audit import AuditWriter
 from phfmu.cli import main
 from phfmu.components.electrical.switches import diode
+from phfmu.components.mechanical.contacts import bumper
+from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.breaker_opening import breaker_opening
 from phfmu.engine.event_failure import EventRefused
 from phfmu.fmu.variables import FMUError
@@ -189,3 +192,19 @@ def test_ideal_switches_between_inputs_are_refused_by_name(tmp_path: Path) -> No
         EngineMember("d", model, None)
     with pytest.raises(FMUError, match="has ideal switches .* between inputs"):
         export(model, tmp_path, ("3.0",), step=1e-3)
+
+
+def test_a_jump_that_a_rigid_link_shares_is_refused_by_name_where_members_are_apart():
+    """Composed both bodies are thrown back and lose (1 - e^2)/2 3 kg v^2; apart the other one would not hear of it."""
+    net = Network("linked")
+    net.add("hit", bumper(2.0, e=0.5, gap=0.3, v=-1.0))
+    net.add("other", mass(1.0, d=1e-9, v=-1.0))
+    net.junction("link", ["hit.flange", "other.flange"], kind="1")
+    composed = build_model(net.compose(), Collocated(2))
+    result = run(Monolithic(composed, PythonInstance(composed)), Options(stop=0.4, step=0.1))
+    assert -sum(c.jumps or 0.0 for c in result.ledger.summary().components) == pytest.approx(0.75 * 1.5, rel=1e-8)
+    members = [EngineMember(n, m, PythonInstance(m)) for n, m in ((n, build_model(d)) for n, d in net.members.items())]
+    apart = Coupled(net, members)
+    with pytest.raises(EventRefused, match="hit at t = 0.2.* s: the jump of 'hits', .* junction ties to other members"):
+        run(apart, Options(stop=0.7, step=0.2))
+    assert [m.instance.time for m in members] == [0.2, 0.2], "all are back where the step began"

@@ -20,6 +20,7 @@ from phfmu.network.couplings.growth import Growth
 from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.jumps_apart import JumpsApart
 from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, newton
 from phfmu.network.couplings.start_values import at_instant, limit
 from phfmu.network.couplings.totals import Totals
@@ -71,6 +72,7 @@ class Coupled:
         self._signals = HeldSignals(self.joined, self._exchange.wires if self._exchange else ())
         self._together = self._landing(self._exchange) if self._exchange else None
         self._sums = EndSums(self.joined)
+        self._jumps = JumpsApart(self.joined, self._sums)
         #: junction unknowns of the instant before the first step
         self._at_start: Array | None = None
         own = [*self.joined.names, *face.names, *self._sums.names]
@@ -266,7 +268,9 @@ class Coupled:
             self.last = self._solved(Step(t, h, states))
             self.joined.finish()
             self._signals.stepped(h, self._xi_end())
-            return self._known(t, h)
+            known = self._known(t, h)
+            self._jumps.require_own()
+            return known
         except BaseException:
             self.joined.restore(states)
             self._signals.restore(samples)

@@ -73,6 +73,13 @@ class EndSums:
         """Whether there are sums that no junction unknown changes at an instant, once `values` was asked for."""
         return self._maps is not None and bool(len(self.names)) and float(abs(self._maps[2]).max()) > UNIT
 
+    @property
+    def held_outputs(self) -> NDArray[np.bool_]:
+        """Which outputs (nu) are in rows that no junction unknown changes at an instant, once `values` was asked for."""
+        assert self._maps is not None
+        P, _, Q = self._maps
+        return np.asarray(abs(P @ Q).sum(axis=1)).ravel() > UNIT
+
     def of_rows(self, xi: Array, y: Array) -> Array:
         """The sums (steps x names) with junction unknowns xi and outputs y at ends, a row a step."""
         assert self._maps is not None
