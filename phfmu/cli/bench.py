@@ -13,7 +13,9 @@ def add_parser(verbs: Any) -> None:
     from phfmu.cli.settings import add_settings
 
     parser = verbs.add_parser("bench", help="error against run time, beside peers")
-    parser.add_argument("target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling")
+    parser.add_argument(
+        "target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling | sweep"
+    )
     parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
     parser.add_argument(
         "--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT], suzuki, kahan-li (default: what fits the target)"
@@ -43,7 +45,7 @@ def add_parser(verbs: Any) -> None:
         "-o",
         "--output",
         metavar="DIR",
-        help="folder of the files (default: bench); orders, leave-out, coupling: a file",
+        help="folder of the files (default: bench); orders, leave-out, coupling, sweep: a file",
     )
     parser.set_defaults(call=call)
 
@@ -58,6 +60,8 @@ def call(args: argparse.Namespace) -> int:
         return _leave_out(args)
     if args.target == "coupling":
         return _coupling(args)
+    if args.target == "sweep":
+        return _sweep(args)
     args.output = args.output or "bench"
     if args.target == "scaling":
         return _scaling(args)
@@ -101,6 +105,21 @@ def _coupling(args: argparse.Namespace) -> int:
 
     with Line() as progress:
         text = page(progress) if args.output else table(_names(args.families), progress)
+    if args.output:
+        Path(args.output).write_text(text, encoding="utf-8")
+        text = f"page: {args.output}"
+    print(text)
+    return FINE
+
+
+def _sweep(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.bench.sweeps import page, table
+    from phfmu.cli.codes import FINE
+
+    with Line() as progress:
+        text = page(progress) if args.output else table(progress=progress)
     if args.output:
         Path(args.output).write_text(text, encoding="utf-8")
         text = f"page: {args.output}"

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from scipy.sparse import csc_matrix, random_array
 from scipy.sparse.linalg import splu
 
+from phfmu import Collocated, PythonInstance, TwoLevel, build_model
+from phfmu.components.mechanical.chain import chain
 from phfmu.engine.compile import compile
 from phfmu.engine.status import Status
 from phfmu.engine.tables import RUNTIME
@@ -46,6 +48,13 @@ PH_API int lu_walked(ph_lu *lu) { return lu->stack[0] != -7; } /* whether the pa
 PH_API void lu_solve(ph_lu *lu, const double *b, double *x) { ph_lu_solve(lu, b, x); }
 PH_API const int *lu_pivot(ph_lu *lu) { return lu->pivot; }
 PH_API int lu_entries(ph_lu *lu) { return lu->start[lu->n]; }
+PH_API int lu_products(ph_lu *lu) { /* of a factorisation */
+    int n = 0;
+    for (int j = 0; j < lu->n; j++)
+        for (int q = lu->start[j]; q < lu->lower[j]; q++)
+            n += lu->start[lu->index[q] + 1] - lu->lower[lu->index[q]];
+    return n;
+}
 PH_API int lu_failed(ph_lu *lu) { return lu->failed; }
 """
 FACTORED, PIVOTED = 3, 4  # counters of phfmu.h
@@ -208,6 +217,30 @@ def test_singular(lib: ctypes.CDLL, a: list[list[float]]) -> None:
     good.data = np.array([1.0, 2.0, 3.0, 4.0])
     assert lu.factor(good) is Status.OK
     assert np.allclose(good @ lu.solve(np.ones(2)), 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", [Collocated(1), TwoLevel(1)])
+def test_what_derivatives_of_a_chain_take_grows_with_its_length(
+    lib: ctypes.CDLL, scheme: Collocated | TwoLevel
+) -> None:
+    """Entries of the factors and products of a factorisation: as many for each further link; those of the derivatives stay."""
+    sizes = []
+    for links in (10, 20, 40):
+        model = build_model(chain(links, port=True), scheme)
+        one, plan = PythonInstance(model), model.step
+        one.do_step(0.0, 1e-3)
+        one.sensitivity()
+        a = csc_matrix(
+            (one._solves._newton.evaluator.matrix(1e-3), plan.matrix.row, plan.colptr), shape=(plan.nw, plan.nw)
+        )
+        a.data *= (1.0 / np.abs(a).max(axis=1).toarray().ravel())[a.indices]
+        lu = LU(lib, a, order=plan.order)
+        lu.tables[3][:] = plan.pivot_row
+        assert lu.factor(a) is Status.OK
+        sizes.append([len(plan.derivative.row), lib.lu_entries(lu.p), lib.lu_products(lu.p)])
+    short, middle, long = np.array(sizes)
+    assert (long - middle <= 2.2 * (middle - short)).all() and (middle[1:] > short[1:]).all()
 
 
 def test_capacity(lib: ctypes.CDLL) -> None:
