@@ -35,6 +35,10 @@ def load(target: str) -> Any:
         return load_ssp(target)
     from phfmu.components.library import LIBRARY, build
 
+    if target not in LIBRARY and (Path(target).exists() or Path(target).suffix):
+        raise TargetError(
+            f"{target} is no target; that is a name of the library, file.py:function, X.fmu, X.ssp or X.ssd"
+        )
     file = Path(f"{target}.py")
     if target not in LIBRARY and file.is_file():
         raise TargetError(

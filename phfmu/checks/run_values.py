@@ -1,4 +1,4 @@
-"""The check of the numbers of one run: settings, starts and what events make of the parameters.
+"""The check of the numbers of one run and of their units: settings, starts and what events make of the parameters.
 
 It is the part of `check` that is cheap and that a closed ledger may hide: limits of parameters, finite starts, J skew, R
 symmetric and semidefinite, E regular, all evaluated at once from one set of compiled expressions; H without jumps.
@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.checks.matrices import finite, masses, passivity, skew_symmetry, symmetry
+from phfmu.checks.names import units
 from phfmu.checks.pieces import continuous
 from phfmu.checks.ranges import ranges
 from phfmu.checks.sample import Sample, Setting
@@ -44,7 +45,7 @@ def check_values(
     Of the values that events give a parameter those beyond all before them are checked.  KeyError for unknown names.
     """
     model = model.with_starts(values) if values else model
-    found = starts(model)
+    found = [*starts(model), *units(model)]
     if found:
         return found
     entries = Entries(model)

@@ -112,12 +112,25 @@ def call(args: argparse.Namespace) -> int:
 
 
 def _require_places(args: argparse.Namespace, s: Scene) -> float:
-    """The step; ValueError for one that is not positive, or a file where the folder should be."""
+    """The step; ValueError for one that is not positive, or a place where no folder can be."""
     step = args.step if args.step is not None else s.step
     if not step > 0:
         raise ValueError(f"--step {step} s must be positive")
-    if Path(args.output).exists() and not Path(args.output).is_dir():
-        raise ValueError(f"-o {args.output} is a file; name a folder for the FMUs")
+    from phfmu.files import beside
+
+    folder = Path(args.output)
+    if folder.suffix in (".fmu", ".ssp"):
+        package = " --ssp" if folder.suffix == ".ssp" and not args.ssp else ""
+        raise ValueError(
+            f"-o {folder} is a folder, files in it are named by the model; say{package} -o {folder.parent}"
+        )
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"-o {folder} is a file; name a folder for the FMUs")
+    above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    try:
+        beside(above / "x").unlink()
+    except OSError as error:
+        raise ValueError(f"-o {folder}: cannot write in the folder '{above}': {error.strerror}") from error
     return step
 
 

@@ -31,7 +31,7 @@ def require_sound(args: argparse.Namespace, declaration: PHDAE, events: Sequence
     problems = check_values(declaration, events=events or ())
     if problems:
         lines = "\n".join(f"  {p}" for p in problems)
-        raise ValueError(f"{args.target}: refused for its values (--no-check goes on anyway):\n{lines}")
+        raise ValueError(f"{args.target}: refused for its values or units (--no-check goes on anyway):\n{lines}")
 
 
 def require_sound_scene(args: argparse.Namespace, s: Scene, events: Sequence[Event] | None = None) -> None:

@@ -150,6 +150,10 @@ def test_a_table_and_an_audit_are_not_compared(refused: Cli) -> None:
         ("run four_particle --order 4", "odd stages use --order 2 or 6"),
         ("run four_particle --order 4 --scheme collocated", "four_particle: order 4 use --order 2 or 6"),
         ("run four_particle --coupling newton", "four_particle is a single component"),
+        ("run empty.txt", "empty.txt is no target; file.py:function, X.fmu, X.ssp"),
+        ("run .", ". is no target; name of the library"),
+        ("export mass -o /proc/x", "-o /proc/x: cannot write in the folder '/proc'"),
+        ("export oscillator -o o.ssp", "-o o.ssp is a folder --ssp -o ."),
         ("audit none", "no audit file 'none' phfmu run TARGET --audit none.audit.parquet"),
         ("audit o.csv", "o.csv is the table of a run; --audit X.parquet"),
         ("plot mass -o x.png", "mass is no file of a run; run it first, phfmu run mass -o RUN.csv"),
@@ -164,7 +168,17 @@ def test_a_table_and_an_audit_are_not_compared(refused: Cli) -> None:
 def test_refused(refused: Cli, line: str, said: str) -> None:
     Path("bad.py").write_text("def f(:\n")
     Path("empty.py").touch()
+    Path("empty.txt").touch()
     refused(2, line, *said.split())
+
+
+def test_a_unit_that_is_none_is_refused_before_a_run(refused: Cli) -> None:
+    assert main(["new", "component", "tank"]) == 0
+    path = Path("tank.py")
+    path.write_text(path.read_text(encoding="utf-8").replace("N.s/m", "Wbb"), encoding="utf-8")
+    refused(2, "run tank.py --engine python --stop 0.01", "variable 'd': unknown unit symbol 'Wbb'", "--no-check")
+    refused(2, "export tank.py", "unknown unit symbol 'Wbb'")
+    assert main("run tank.py --engine python --stop 0.01 --no-check".split()) == 0
 
 
 def test_a_file_without_a_function_names_those_that_need_no_argument(refused: Cli) -> None:
