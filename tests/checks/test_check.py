@@ -1,22 +1,15 @@
-"""The check of declarations: every rule catches its own mutation, sound models pass."""
+"""The check of declarations: every rule catches its own mutation."""
 
-import importlib
-import inspect
-import pkgutil
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-import phfmu.components
 from phfmu import (
     ELECTRICAL,
     PHDAE,
-    TRANSLATIONAL,
     Block,
     ClosedPair,
     Collocated,
@@ -40,51 +33,10 @@ from phfmu import (
     time,
 )
 from phfmu.cli import main
-from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.synchronous_machine import synchronous_machine
-from phfmu.components.library import SWITCHED
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.components.mechanical.translational import mass, spring
-
-Q, V = state("q", unit="m", start=0.3), state("v", unit="m/s", start=-0.2)
-M, K, D = parameter("m", 2.0, unit="kg"), parameter("k", 5.0, unit="N/m"), parameter("d", 0.4, unit="N.s/m")
-FORCE = Port("flange", TRANSLATIONAL, "effort", {V: 1.0})
-
-
-def oscillator(**changes: Any) -> PHDAE:
-    """A mass on a spring with a damper and a port."""
-    base = PHDAE(
-        "oscillator",
-        states=(Q, V),
-        parameters=(M, K, D),
-        energies=(energy(0.5 * M * V.sx**2), energy(0.5 * K * Q.sx**2)),
-        E={V: M},
-        structure=(skew(Q, V, 1.0),),
-        dissipation=(damping(V, D),),
-        ports=(FORCE,),
-        observables=(observable("power", V.z * FORCE.u, unit="W"),),
-        z={V: V},
-    )
-    return replace(base, **changes)
-
-
-def resistive() -> tuple[Any, Any, PHDAE]:
-    """A resistor with given voltage: 0 = -v + u, 0 = i - G v."""
-    i, v, G = algebraic("i", unit="A"), algebraic("v", unit="V"), parameter("G", 0.1, unit="S")
-    model = PHDAE(
-        "resistor",
-        algebraics=(i, v),
-        parameters=(G,),
-        structure=(skew(v, i, 1.0),),
-        dissipation=(damping(v, G),),
-        ports=(Port("pin", ELECTRICAL, "effort", {i: 1.0}),),
-    )
-    return i, v, model
-
-
-def rules(model: PHDAE) -> list[str]:
-    return [p.rule for p in check(model)]
+from tests.checks.models import FORCE, D, K, M, Q, V, holonomic, oscillator, resistive, rules, source, two_lines
 
 
 def with_variable(old, **changes: Any) -> PHDAE:
@@ -101,15 +53,6 @@ NO_POWER = Domain("broken", "force", "N", "position", "m", "flow")
 SCALED = Domain("scaled", "force", "kN", "velocity", "m/s", "flow")
 
 
-def two_lines(current: float) -> PHDAE:
-    """Two lines that meet at a bare node: the currents must sum to zero."""
-    net = Network("node")
-    net.add("a", rl_line(1.0, 1e-2, i=(1.0, -0.5, -0.5)))
-    net.add("b", rl_line(1.0, 1e-2, i=(current, -0.5, 0.5 - current)))
-    net.junction("bus", ["a.b", "b.a"])
-    return net.compose()
-
-
 def two_sources() -> PHDAE:
     net = Network("loop")
     net.add("a", voltage_source(1.0))
@@ -123,30 +66,6 @@ def no_conductance() -> PHDAE:
     v, G = algebraic("v", unit="V"), parameter("G", 0.0, unit="S")
     port = Port("pin", ELECTRICAL, "flow", {v: 1.0}, start=1.0)
     return PHDAE("open", algebraics=(v,), parameters=(G,), dissipation=(damping(v, G),), ports=(port,))
-
-
-def holonomic(structure: tuple[Block, ...], E=None) -> PHDAE:
-    """A particle on a circle."""
-    q, v = state("r", 2, unit="m", start=[1.0, 0.0]), state("w", 2, unit="m/s", start=[0.0, 1.0])
-    lam = algebraic("lambda", unit="N/m")
-    build = {
-        "unit": lambda: skew(q, v, 1.0),
-        "double": lambda: skew(q, v, 2.0),
-        "none": lambda: block([q], ca.SX(2, 2)),
-    }
-    turning = ca.SX(2, 2)
-    turning[0, 1], turning[1, 0] = 1 + q[0], -1 - q[0]
-    build["varying"] = lambda: skew(q, v, ca.SX.eye(2) * (1 + q[1] ** 2))
-    build["turning"] = lambda: block([q], turning)
-    return PHDAE(
-        "circle",
-        states=(q, v),
-        algebraics=(lam,),
-        energies=(energy(0.5 * ca.sumsqr(v.sx)),),
-        E={q: 2.0} if E else {},
-        structure=tuple(build[s]() for s in structure),
-        constraints=(Holonomic(lam, ca.SX(0.5 * (ca.sumsqr(q.sx) - 1.0))),),
-    )
 
 
 def degenerate() -> PHDAE:
@@ -173,11 +92,6 @@ def machine(**changes: Any) -> PHDAE:
 def machine_with(**changes: Any) -> PHDAE:
     model = synchronous_machine(coordinates="current")
     return replace(model, **{k: f(model) for k, f in changes.items()})
-
-
-def source(expr) -> PHDAE:
-    i, _, model = resistive()
-    return replace(model, ports=(Port("pin", ELECTRICAL, "effort", {i: 1.0}, source=expr(i)),))
 
 
 def lonely() -> PHDAE:
@@ -541,117 +455,3 @@ def test_warnings_are_told_on_request_and_fail_only_where_they_count(monkeypatch
     for arguments, code in (["check", "mass"], 0), (["check", "mass", "--strict"], 1):
         assert main(arguments) == code
         assert capsys.readouterr().out.splitlines()[-1] == "mass: 1 warning"
-
-
-# -- sound models ---
-
-#: arguments of library functions whose required arguments are not just numbers, or that need at least one
-ARGUMENTS = {"rlc_load": ({"R": 2.0}, {"L": 0.1}, {"C": 1e-3}, {"R": 2.0, "L": 0.1, "C": 1e-3}),
-             "synchronous_machine": tuple({"coordinates": c} for c in ("dq-flux", "abc-flux", "current")),
-             "mass": ({}, {"k": 2.0, "d": 0.1}), "spring": ({}, {"d": 0.1})}  # fmt: skip
-
-
-def library() -> list[tuple[str, Any]]:
-    """Every public function of phfmu.components that returns a model or a scene, with arguments."""
-    found = []
-    for info in pkgutil.walk_packages(phfmu.components.__path__, "phfmu.components."):
-        if info.ispkg:
-            continue
-        module = importlib.import_module(info.name)
-        for name, function in inspect.getmembers(module, inspect.isfunction):
-            signature = inspect.signature(function)
-            own = function.__module__ == info.name and not name.startswith("_")
-            if not own or signature.return_annotation not in ("PHDAE", "Scene"):
-                continue
-            needed = [p for p in signature.parameters.values() if p.default is p.empty and p.kind < p.VAR_POSITIONAL]
-            for kwargs in ARGUMENTS.get(name, ({},)):
-                given = {p.name: 1.0 for p in needed if p.name not in kwargs} | kwargs
-                label = ", ".join(f"{k}={v}" for k, v in given.items())
-                # what is switched is checked with its warnings in components/test_converters.py
-                long = pytest.mark.slow if name in ("chain", "fekete", "ladder", "net", *SWITCHED) else ()
-                found.append(pytest.param(function, given, id=f"{name}({label})", marks=long))
-    return found
-
-
-@pytest.mark.parametrize(("function", "arguments"), library())
-def test_the_library_is_sound(function, arguments):
-    model = function(**arguments)
-    declaration = model if isinstance(model, PHDAE) else model.declaration()
-    assert list(map(str, check(declaration))) == []
-
-
-def test_sound_models_of_this_file():
-    for model in (oscillator(), resistive()[2], holonomic(("unit",)), two_lines(1.0), source(lambda i: time)):
-        assert list(map(str, check(model))) == []
-
-
-def test_a_composed_network_is_sound():
-    net = Network("pair")
-    net.add("one", mass(1.0, k=3.0, d=0.2, q=0.1))
-    net.add("two", spring(2.0, d=0.3))
-    net.connect("one.flange", "two.a")
-    assert list(map(str, check(net.compose()))) == []
-
-
-# -- random models ---
-
-
-@st.composite
-def random_models(draw):
-    """Random skew J, psd R (rank 1 to n), regular E, quadratic H, B; returns the model and its parts."""
-    n = draw(st.integers(1, 5))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    x = state("x", n, start=rng.uniform(-1, 1, n), nominal=10.0 ** rng.integers(-3, 4, n))
-    a, low = rng.standard_normal((n, n)), rng.standard_normal((n, draw(st.integers(1, n))))
-    e, h = rng.standard_normal((n, n)) + 4 * n**0.5 * np.eye(n), rng.standard_normal((n, n))
-    J = ca.SX(a - a.T) * (1 + x[0] ** 2)
-    hamiltonian = 0.5 * ca.bilin(ca.SX(h + h.T), x.sx, x.sx)
-    port = Port("pin", ELECTRICAL, "effort", {x: ca.SX(rng.standard_normal((n, 2)))}, size=2)
-    model = PHDAE(
-        "random", states=(x,), energies=(energy(hamiltonian),), E={x: e}, structure=(block([x], J),),
-        dissipation=(block([x], low @ low.T),), ports=(port,),
-        z={x: ca.solve(ca.SX(e.T), ca.SX(h + h.T) @ x.sx)},
-    )  # fmt: skip
-    return model, rng, low @ low.T
-
-
-@settings(max_examples=10, deadline=None)
-@given(random_models())
-def test_random_models_are_sound(drawn):
-    model, _, _ = drawn
-    assert list(map(str, check(model))) == []
-
-
-@settings(max_examples=10, deadline=None)
-@given(random_models(), st.floats(1e-4, 10.0), st.sampled_from(["skew", "symmetry", "passivity", "costate"]))
-def test_random_perturbations_are_caught(drawn, size, rule):
-    model, rng, R = drawn
-    x, n = model.states[0], model.states[0].n
-    i, j = int(rng.integers(n)), int(rng.integers(n))
-    bump = np.zeros((n, n))
-    bump[i, j] = size * max(1.0, np.abs(R).max())
-    if rule == "skew":
-        model = replace(model, structure=(block([x], model.structure[0].matrix + bump),))
-    elif rule == "symmetry":
-        if i == j:
-            return
-        model = replace(model, dissipation=(block([x], R + bump),))
-        assert rule in rules(model)  # the symmetric part may have become indefinite too
-        return
-    elif rule == "passivity":
-        lowest = np.linalg.eigh(R)[1][:, :1]
-        shift = (np.linalg.eigvalsh(R)[0] + bump[i, j]) * lowest @ lowest.T
-        model = replace(model, dissipation=(block([x], R - shift),))
-    else:
-        z = ca.SX(model.z[x])
-        z[i] += size * x[j] * max(1.0, 1e3)
-        model = replace(model, z={x: z})
-    assert rules(model) == [rule]
-
-
-def test_a_name_with_a_quote_is_told_once_for_each_rule():
-    """What a signal belongs to is asked of the declaration, not of the words about it."""
-    x = state("a", start=1.0)
-    twice = tuple(observable("x'a", x) for _ in range(2))
-    found = check(PHDAE("m", states=(x,), energies=(energy(x**2 / 2),), observables=twice))
-    assert [p.reason.rpartition("' ")[2] for p in found] == ["is not a structured name"] * 2 + ["is used 2 times"]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from functools import cache
 from itertools import product
 
 import casadi as ca
@@ -14,82 +12,34 @@ import pytest
 from phfmu import (
     PHDAE,
     Collocated,
-    NativeInstance,
-    Problem,
     PythonInstance,
     build_model,
-    check,
     energy,
-    parameter,
     skew,
     state,
     strain_energy,
 )
-from phfmu.checks.bounds import bounded, constants
-from phfmu.checks.pieces import continuous, kinks
-from phfmu.checks.sample import Sample
-from phfmu.components.library import LIBRARY, build
 from phfmu.declare.energy import Energy
-from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import ANALYTIC, degree, piecewise
-from phfmu.fmu.export import export
-from phfmu.fmu.reader import FMUInstance
 from phfmu.gradients import gradients
 from phfmu.gradients.coordinate import itoh_abe
 from phfmu.gradients.quadrature import nodes
+from tests.checks.kinked import (
+    OPERATIONS,
+    SCHEMES,
+    STOPS,
+    applied,
+    energies,
+    instance,
+    oscillator,
+    run,
+)
 from tests.wide import wide
 
 EPS = np.finfo(float).eps
 Q = ca.SX.sym("q")
-#: energies of the position beside q^2/2, and the same for numbers
-STOPS: dict[str, tuple[Callable[[ca.SX], ca.SX], Callable[[float], float]]] = {
-    "stop": (lambda q: 20 * ca.fmax(q - 1, 0), lambda q: 20 * max(q - 1, 0.0)),
-    "contact": (lambda q: 50 * ca.fmax(q - 1, 0) ** 2, lambda q: 50 * max(q - 1, 0.0) ** 2),
-    "Hertz": (lambda q: 100 * ca.fmax(q - 1, 0) ** 2.5, lambda q: 100 * max(q - 1, 0.0) ** 2.5),
-    "wedge": (lambda q: 3 * ca.fabs(q - 0.7), lambda q: 3 * abs(q - 0.7)),
-    "if_else": (lambda q: ca.if_else(q > 1, ca.sin(5 * q - 5), 0), lambda q: np.sin(5 * q - 5) if q > 1 else 0.0),
-    "two sides": (lambda q: 8 * ca.fmax(q - 1, ca.fmax(-0.5 - q, 0)), lambda q: 8 * max(q - 1, -0.5 - q, 0.0)),
-    "table": (lambda q: ca.pw_lin(q, [-3, -1, 0, 2, 3], [4, 1, 0, 3, 7]), lambda q: float(_table(q))),
-}
-SCHEMES = {f"order {2 * k}": Collocated(k) for k in (1, 2, 3)}
 SCHEMES |= {g: Collocated(1, g) for g in ("joint-gonzalez", "mean-value", "itoh-abe", "itoh-abe-symmetric")}
-
-
-def _table(q: float) -> float:
-    return np.interp(q, [-3, -1, 0, 2, 3], [4, 1, 0, 3, 7])
-
-
-def oscillator(*potentials: Callable[[ca.SX], ca.SX | Energy]) -> PHDAE:
-    """H = p^2/2 + q^2/2 + V(q),  q' = p,  p' = -q - V'."""
-    q, p = state("q", start=2.0), state("p")
-    more = [e if isinstance(e, Energy) else energy(e) for e in (of(q.sx) for of in potentials)]
-    return PHDAE(
-        "stop", states=(q, p), energies=(energy(p.sx**2 / 2 + q.sx**2 / 2), *more), structure=(skew(q, p, 1.0),)
-    )
-
-
-@cache
-def instance(name: str, scheme: str, native: bool = False):
-    return (NativeInstance if native else PythonInstance)(build_model(oscillator(STOPS[name][0]), SCHEMES[scheme]))
-
-
-def run(unit, x: tuple[float, float], h: float, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """States and stored energies of n steps."""
-    unit.reset()
-    unit.set_x(0.0, np.array(x))
-    unit.initialise()
-    states, stored = [unit.x], []
-    for i in range(n):
-        unit.do_step(i * h, h)
-        states.append(unit.x)
-        stored.append(unit.ledger()["stored"].sum())
-    return np.array(states), np.array(stored)
-
-
-def energies(name: str, states: np.ndarray) -> np.ndarray:
-    """H of every state, worked out without CasADi."""
-    return np.array([(q * q + p * p) / 2 + STOPS[name][1](q) for q, p in states])
 
 
 @pytest.mark.parametrize(
@@ -251,37 +201,6 @@ def test_a_kind_that_is_declared_wrongly_is_refused():
             build_model(oscillator(wrong))
 
 
-#: operations an energy has no use for: structure of vectors, calls, printing; atan2 has a cut where it jumps by 2 pi
-LEFT_OUT = "PARAMETER CALL FIND LOW MAP MTIMES SOLVE TRANSPOSE DETERMINANT INVERSE DOT BILIN RANK1 HORZCAT VERTCAT DIAGCAT " \
-    "HORZSPLIT VERTSPLIT DIAGSPLIT RESHAPE SUBREF SUBASSIGN GETNONZEROS GETNONZEROS_PARAM ADDNONZEROS ADDNONZEROS_PARAM " \
-    "SETNONZEROS SETNONZEROS_PARAM PROJECT ASSERTION MONITOR NORM2 NORM1 NORMINF NORMF MMIN MMAX HORZREPMAT HORZREPSUM " \
-    "PRINTME LIFT EINSTEIN BSPLINE CONVEXIFY SPARSITY_CAST LOGSUMEXP DUMP KRON KRON_CONTRACT ASSIGN INPUT OUTPUT CONST " \
-    "ERFINV ATAN2"  # fmt: skip
-#: arguments moved into the domain of an operation
-DOMAIN = {
-    "LOG": lambda a: a**2 + 0.5, "SQRT": lambda a: a**2 + 0.5, "INV": lambda a: a**2 + 0.5, "LOG1P": lambda a: a**2,
-    "ASIN": lambda a: ca.sin(a) * 0.9, "ACOS": lambda a: ca.sin(a) * 0.9, "ATANH": lambda a: ca.sin(a) * 0.9,
-    "ACOSH": lambda a: a**2 + 1.5, "TAN": lambda a: ca.sin(a), "EXP": lambda a: ca.sin(a), "EXPM1": lambda a: ca.sin(a),
-    "SINH": lambda a: ca.sin(a), "COSH": lambda a: ca.sin(a),
-}  # fmt: skip
-OPERATIONS = sorted(n[3:] for n in dir(ca) if n.startswith("OP_") and n[3:] not in LEFT_OUT.split())
-TWO = {"ADD", "SUB", "MUL", "DIV", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR", "FMOD", "COPYSIGN",
-       "IF_ELSE_ZERO", "FMIN", "FMAX", "HYPOT", "REMAINDER"}  # fmt: skip
-
-
-def applied(name: str, a: ca.SX, b: ca.SX) -> ca.SX:
-    op = getattr(ca, "OP_" + name)
-    if name == "CONSTPOW":
-        return ca.SX.binary(op, a**2 + 0.2, ca.SX(1.7))
-    if name in ("POW", "DIV"):
-        return ca.SX.binary(op, a**2 + 0.5, ca.sin(b) + 2)
-    if name in ("FMOD", "REMAINDER"):
-        return ca.SX.binary(op, a, ca.SX(0.7))
-    if name in TWO:
-        return ca.SX.binary(op, a, b)
-    return ca.SX.unary(op, DOMAIN.get(name, lambda v: v)(a))
-
-
 def random_energy(rng: np.random.Generator, x: ca.SX) -> ca.SX:
     """A sum of products of operations nested two deep."""
     total = ca.SX(0)
@@ -324,126 +243,3 @@ def test_directionality_of_random_energies_of_all_operations(rule, k):
             assert np.isfinite(found).all(), h
             assert abs(work - change.item()) <= 1e-13 * scale, (h, size)
             assert abs(change.item() - (end - start)) <= 1e-13 * scale, (h, size)
-
-
-# -- check --------------------------------------------------------------------------------------------------------
-
-
-def told(of: Callable[[ca.SX], ca.SX]) -> list[Problem]:
-    return check(oscillator(of), strict=True)
-
-
-@pytest.mark.parametrize(
-    ("of", "text"),
-    [
-        (STOPS["stop"][0], r"kink \(fmax\), its gradient jumps at q = 1: steps over it limit the order to 2"),
-        (STOPS["contact"][0], r"\(fmax\) that meet smoothly at q = 1: steps over it limit the order to 3"),
-        (lambda q: ca.if_else(q > 0.5, q - 0.5, 0), r"\(if_else\), its gradient jumps at q = 0.5"),
-        (lambda q: ca.fmax(q - 1e3, 0), r"pieces \(fmax\): steps from one to the next limit the order to 2 or 3"),
-    ],
-)
-def test_a_kink_is_a_warning_with_its_operation_and_what_it_means(of, text):
-    (found,) = told(of)
-    assert (found.rule, found.severity, found.entry) == ("kink", "warning", "energy term 2")
-    assert re.search(text, found.reason) and "balance is exact" in found.remedy
-    assert check(oscillator(of)) == []
-
-
-@pytest.mark.parametrize(
-    ("of", "jump"),
-    [
-        (lambda q: 2 * ca.floor(q), "2 J at q = "),
-        (lambda q: ca.sign(q - 0.3), "J at q = 0.3"),
-        (lambda q: ca.if_else(q > 1, 20 * q, 0), "20 J at q = 1"),
-    ],
-)
-def test_an_energy_that_jumps_is_a_problem(of, jump):
-    (found,) = check(oscillator(of))
-    assert found.rule == "energy" and jump in found.reason and "continuous" in found.remedy
-
-
-def test_smooth_energies_and_continuous_uses_of_jumps_pass():
-    assert told(lambda q: ca.sqrt(1 + q**2)) == []
-    assert [p.rule for p in told(lambda q: (ca.fmod(q + 10, 1) - 0.5) ** 2)] == [
-        "kink"
-    ]  # a sawtooth squared has no jump
-
-
-@pytest.mark.parametrize("gradient", ["per-term", "joint-gonzalez", "mean-value", "itoh-abe"])
-def test_a_constant_term_is_left_out_and_told(gradient):
-    """With and without it the steps are the same to the last bit."""
-    (found,) = told(lambda q: ca.SX(1e9))
-    assert found.severity == "warning" and "no state in it" in found.reason
-    plain, shifted = (
-        PythonInstance(build_model(oscillator(*e), Collocated(1, gradient))) for e in ((), (lambda q: ca.SX(1e9),))
-    )
-    (a, stored_a), (b, stored_b) = (run(u, (2.0, 0.0), 0.1, 5) for u in (plain, shifted))
-    assert (a == b).all() and (stored_a == stored_b).all()
-
-
-def test_a_quadratic_energy_without_a_lower_bound_is_told():
-    """H = q1^2 + q2^2 - c q1 q2 is indefinite for c > 2: eigenvalue 2 - c along q1 = q2; a quartic may hold it back."""
-    q, p = state("q", 2, start=[0.1, 0.2]), state("p", 2)
-    c = parameter("c", 3.0)
-    coupled = energy(ca.sumsqr(q.sx) - c * q[0] * q[1])
-
-    def model(*more: Energy) -> PHDAE:
-        energies = (energy(ca.sumsqr(p.sx) / 2), coupled, *more)
-        return PHDAE("pair", states=(q, p), parameters=(c,), energies=energies, structure=(skew(q, p, 1.0),))
-
-    (found,) = check(model(), strict=True)
-    assert (found.rule, found.severity) == ("bounded", "warning")
-    assert (
-        "q[1] = 0.707, q[2] = 0.707" in found.reason and "eigenvalue -1 J" in found.reason and "c = 3" in found.reason
-    )
-    assert check(model().with_starts({"c": 1.9}), strict=True) == []
-    assert check(model(energy(ca.sumsqr(q.sx) ** 2)), strict=True) == []
-
-
-def test_the_library_has_no_such_warning():
-    for name in LIBRARY:
-        model = build(name)
-        model = model if isinstance(model, PHDAE) else model.declaration()
-        entries = Entries(model)
-        normal_form(entries)
-        sample = Sample(entries)
-        assert [p for rule in (continuous, kinks, bounded, constants) for p in rule(entries, sample)] == []
-
-
-@cache
-def all_operations() -> PHDAE:
-    """An energy with every operation in it; jumps are multiplied by what vanishes where they are."""
-
-    def of(q: ca.SX) -> ca.SX:
-        total = ca.SX(0)
-        for i, name in enumerate(OPERATIONS):
-            shifted = q * (0.5 + 0.01 * i) - 0.1
-            total += 0.01 * ca.cos(i + 0.0) * applied(name, shifted, 0.3 * q + 0.7) * shifted**2
-        return total
-
-    return oscillator(of)
-
-
-@pytest.mark.slow
-def test_native_units_take_every_operation(compiler):
-    """What is stored is the difference of H in generated C too."""
-    model = all_operations()
-    unit = NativeInstance(build_model(model))
-    h = ca.Function("h", [model.x], [model.hamiltonian])
-    states, stored = run(unit, (0.9, 0.3), 0.02, 20)
-    values = np.array([float(h(x)) for x in states])
-    assert np.cumsum(stored) == pytest.approx(values[1:] - values[0], abs=1e-12 * np.max(np.abs(values)))
-    twin, _ = run(PythonInstance(build_model(model)), (0.9, 0.3), 0.02, 20)
-    assert np.max(np.abs(states - twin)) <= 1e-10
-
-
-def test_a_unit_keeps_its_energy_over_kinks(compiler, tmp_path):
-    """The stop as FMI 3.0 unit: its states keep H, and so does the energy it reports."""
-    model = instance("stop", "order 2", True).model
-    (path,) = export(model, tmp_path, ("3.0",), step=0.05, stop=2.0)
-    with FMUInstance(path) as unit:
-        for i in range(40):
-            unit.do_step(0.05 * i, 0.05)
-            q, p, stored = unit.get(["q", "p", "energy.stored"])
-            assert energies("stop", np.array([[q, p]]))[0] == pytest.approx(22.0, rel=1e-12)
-            assert stored == pytest.approx(22.0, rel=1e-12)

@@ -1,29 +1,15 @@
-"""Python engine = native engine on everything in the library; saved states, parts, refused arguments."""
+"""Python engine = native engine on everything in the library; saved states, parts, steps backwards."""
 
 from __future__ import annotations
-
-from functools import cache
 
 import numpy as np
 import pytest
 
-from phfmu import Collocated, NativeInstance, PythonInstance, Scene, StepFailure, TwoLevel, build_model
-from phfmu.components.electrical import fault_resistor, rlc_load, synchronous_machine
+from phfmu import NativeInstance, PythonInstance, Scene
 from phfmu.components.library import LIBRARY, SWITCHED, build
-from phfmu.components.mechanical.translational import mass, spring
+from tests.engine.library_models import ENGINES, ERRORS, FORMS, declaration, plan, start
 from tests.wide import wide
 
-ENGINES = (PythonInstance, NativeInstance)
-ERRORS = (ValueError, StepFailure)
-#: components with terms that the default arguments leave out
-FORMS = {
-    "mass_spring_damper": lambda: mass(2.0, k=5.0, d=0.3),
-    "spring_damper": lambda: spring(3.0, d=0.2),
-    "closed_fault": lambda: fault_resistor(20.0),
-    "rl_load": lambda: rlc_load(2.0, 0.01),
-    "machine_abc_flux": lambda: synchronous_machine(coordinates="abc-flux"),
-    "machine_current": lambda: synchronous_machine(coordinates="current"),
-}
 NAMES = [*(n for n in LIBRARY if n not in SWITCHED), *FORMS]
 #: those that the Python engine takes long for, and forms of others
 LONG = (
@@ -44,18 +30,6 @@ CHAOTIC = {"chain": 300, "net": 500}
 HIGHER = ["synchronous_machine", "dc_motor", "rlc_load", "two_machine", "spring_damper", "machine_abc_flux"]
 
 
-@cache
-def declaration(name):
-    made = FORMS[name]() if name in FORMS else build(name)
-    return made.declaration() if isinstance(made, Scene) else made
-
-
-@cache
-def plan(name, k):
-    d = declaration(name)
-    return build_model(d, (TwoLevel if d.constraints else Collocated)(k))
-
-
 def step_size(name):
     made = None if name in FORMS else build(name)
     if isinstance(made, Scene):
@@ -72,17 +46,6 @@ def tones(model, h, n, first=0):
     t = 2 * np.pi * (np.arange(first, first + n)[:, None] + 0.5)
     j = np.arange(len(nominal))
     return model.u0 + nominal * (0.3 * np.sin(t / 37.3 + j) + 0.2 * np.sin(t / 11.7 + 2 * j + 1))
-
-
-def start(instance):
-    """A state away from zero: moved by 10 to 30 % of its size, unless hidden constraints tie it."""
-    model = instance.model
-    instance.reset()
-    if not model.checks:
-        size = np.maximum(np.abs(model.x0), [v for s in model.declaration.states for v in s.nominal])
-        instance.set_x(model.t0, model.x0 + size * np.random.default_rng(5).uniform(0.1, 0.3, len(size)))
-        instance.initialise()
-    return instance
 
 
 def named(model):
@@ -313,78 +276,3 @@ def test_a_step_of_length_zero_is_the_identity(engine, name, k):
     before, after = (i.signals() for i in (instance, other))
     for block in ("energy", "supplied", "dissipated", "residual", "y_step"):
         assert before[block].tobytes() == after[block].tobytes(), block
-
-
-# -- refused arguments -----------------------------------------------------------------------------
-
-
-def refused(instance, what, *words):
-    """`what` raises an error with the model's name and the words, and changes nothing."""
-    before = {n: v.tobytes() for n, v in instance.signals().items()}
-    with pytest.raises(ERRORS) as error:
-        what()
-    for word in (instance.model.name, *words):
-        assert word in str(error.value)
-    assert before == {n: v.tobytes() for n, v in instance.signals().items()}
-
-
-BAD_VALUES = {
-    "input": lambda i, bad: i.set_input([1.0, bad]),
-    "node input": lambda i, bad: i.set_node_inputs([[1.0, 0.0], [bad, 0.0]]),
-    "parameter": lambda i, bad: i.set_parameters([bad, *i.parameters[1:]]),
-    "state": lambda i, bad: i.set_x(0.0, [bad, 0.0]),
-    "time": lambda i, bad: i.do_step(bad, 1e-4),
-}
-BAD_SHAPES = {
-    "short input": lambda i: i.set_input([1.0]),
-    "scalar input": lambda i: i.set_input(1.0),
-    "table of inputs": lambda i: i.set_input([[1.0, 2.0]]),
-    "one node": lambda i: i.set_node_inputs([[1.0, 2.0]]),
-    "flat nodes": lambda i: i.set_node_inputs(np.zeros(4)),
-    "wide nodes": lambda i: i.set_node_inputs(np.zeros((2, 3))),
-    "parameters": lambda i: i.set_parameters([1.0]),
-    "state": lambda i: i.set_x(0.0, [1.0]),
-    "run": lambda i: i.run(0.0, 1e-4, 3, inputs=np.zeros((2, 2))),
-}
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("what", BAD_VALUES)
-def test_values_that_are_not_finite_are_refused(engine, what):
-    instance = start(engine(plan("dc_motor", 2)))
-    instance.do_step(0.0, 1e-4)
-    for bad in (np.nan, np.inf, -np.inf):
-        refused(instance, lambda bad=bad: BAD_VALUES[what](instance, bad))
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_run_refuses_an_input_that_is_not_finite(engine):
-    instance = start(engine(plan("dc_motor", 2)))
-    with pytest.raises(ERRORS, match="not finite"):
-        instance.run(0.0, 1e-4, 3, ("x",), inputs=[[1.0, 0.0], [np.nan, 0.0], [1.0, 0.0]])
-    assert instance.time == pytest.approx(1e-4)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("what", BAD_SHAPES)
-def test_wrong_shapes_are_refused(engine, what):
-    instance = start(engine(plan("dc_motor", 2)))
-    refused(instance, lambda: BAD_SHAPES[what](instance))
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("h", [np.nan, np.inf, -np.inf])
-def test_steps_that_are_not_finite_are_refused(engine, h):
-    instance = start(engine(plan("dc_motor", 2)))
-    instance.do_step(0.0, 1e-4)
-    refused(instance, lambda: instance.do_step(1e-4, h), "step must be finite")
-    refused(instance, lambda: instance.run(1e-4, h, 3), "step must be finite")
-    instance.do_step(1e-4, 1e-4)
-    assert instance.counts["steps"] == 2
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("parts", [0, -1])
-def test_a_step_of_no_parts_is_refused(engine, parts):
-    instance = start(engine(plan("dc_motor", 2)))
-    refused(instance, lambda: instance.do_step(0.0, 1e-4, parts=parts))

@@ -1,16 +1,8 @@
-"""Signals between members stepped apart at the nodes of their steps: the run is that of the composed model, of order 2k.
-
-The scene: a machine at a grid over a line (a bare node between them); a governor measures its speed and sets the torque of a
-turbine, an exciter measures its electrical torque (not linear in the states) and sets the voltage of its field.
-"""
+"""Signals between members stepped apart at the nodes of their steps: the run is that of the composed model, of order 2k."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import replace
-from itertools import cycle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +15,6 @@ from phfmu import (
     Collocated,
     Coupled,
     EngineMember,
-    FMUInstance,
-    FMUMember,
-    Monolithic,
     NativeInstance,
     Network,
     Options,
@@ -34,124 +23,30 @@ from phfmu import (
     damping,
     driven,
     energy,
-    export,
     run,
     signal_input,
-    signal_output,
     state,
 )
-from phfmu.cli import main
-from phfmu.components.electrical.sources import voltage_source
-from phfmu.components.electrical.synchronous_machine import machine_at_bus
-from phfmu.components.mechanical.torque_source import torque_source
-from phfmu.components.scenes.smib import circuit, smib
 from phfmu.components.scenes.speed_control import speed_control
-from phfmu.network.couplings.apart import Apart
-from phfmu.network.junctions.junction import ConnectionError
 from phfmu.network.members.member import Member
 from phfmu.network.scene import Event
+from tests.network.governed import (
+    LOOP,
+    apart,
+    apart_by,
+    composed,
+    governed,
+    loop,
+    ran,
+    speed,
+)
 from tests.wide import slow, wide
-
-STOP = 0.02
-COMPARED = ("gen.theta", "gen.p", "governor.x", "governor.out", "exciter.x", "exciter.out", "gen.Te")
-
-
-def lag(name: str, gain: float, T: float, at: float, level: float, unit: str, command: str) -> PHDAE:
-    """T x' = gain (at - measured) - x;  out = level + x."""
-    measured = signal_input("measured", at, unit=unit)
-    reference = signal_input("reference", at, unit=unit)
-    x = state("x", unit=command, nominal=abs(level))
-    right = (gain * (reference - measured) - x) / T
-    return PHDAE(
-        name, (x,), parameters=(measured, reference), ports=(driven("lag", {x: right}),),
-        observables=(signal_output("out", level + x, unit=command),),
-    )  # fmt: skip
-
-
-def governed(folded: bool = False) -> Network:
-    """The loop; `folded`: the line is part of the machine, so that there is no bare node (index 1)."""
-    data, start, R, L, grid = circuit("kundur555_1q")
-    if folded:
-        net = Network("governed")
-        net.add("gen", machine_at_bus(data, R, L, start=start))
-        net.add("grid", grid)
-        net.connect("gen.terminal", "grid.terminal", name="bus2")
-    else:
-        whole = smib().system
-        assert isinstance(whole, Network)
-        net = Network("governed", members=dict(whole.members), junctions=list(whole.junctions))
-    w, base = data.omega / data.pole_pairs, data.Sn / data.omega * data.pole_pairs
-    torque = signal_input("level", start.Vf, unit="V")
-    net.add("turbine", torque_source(start.tau, nominal=base))
-    net.add("field", voltage_source(torque.sx, parameters=(torque,), v=start.Vf, i=1e3))
-    net.connect("gen.shaft", "turbine.shaft", name="shaft")
-    net.connect("gen.field", "field.terminal", name="winding")
-    # strong and fast, so that the loops are felt within a few steps
-    net.add("governor", lag("governor", 50.0 * base / w, 0.02, w, start.tau, "rad/s", "N.m"))
-    net.add("exciter", lag("exciter", 5.0 * start.Vf / base, 0.01, -start.tau, start.Vf, "N.m", "V"))
-    net.signal("gen.shaft.speed", "governor.measured")
-    net.signal("governor.out", "turbine.torque")
-    net.signal("gen.Te", "exciter.measured")
-    net.signal("exciter.out", "field.level")
-    return net
-
-
-def step_of_load(net: Network) -> tuple[Event, ...]:
-    """The set points move at once: the governor's by 1 %, the exciter's by 20 %."""
-    values = {
-        n: v.start[0] for n in ("governor", "exciter") for v in net.declared[n].parameters if v.name == "reference"
-    }
-    return (
-        Event(0.0, "governor.reference", 1.01 * values["governor"]),
-        Event(0.0, "exciter.reference", 1.2 * values["exciter"]),
-    )
-
-
-def apart(
-    net: Network, k: int, engine: Any = PythonInstance, parts: dict[str, int] | None = None, **options: Any
-) -> Coupled:
-    members: list[Member] = []
-    for name, part in net.separate().items():
-        model = build_model(part, Collocated(k))
-        members.append(EngineMember(name, model, engine(model), (parts or {}).get(name, 1)))
-    return Coupled(net, members, **options)
-
-
-def composed(net: Network, k: int, engine: Any = PythonInstance) -> Monolithic:
-    model = build_model(net.compose(), Collocated(k))
-    return Monolithic(model, engine(model))
-
-
-def ran(net: Network, system: Any, h: float, stop: float = STOP) -> Any:
-    return run(system, Options(stop=stop, step=h, events=step_of_load(net)))
-
-
-def apart_by(one: Any, other: Any, names: tuple[str, ...] = COMPARED) -> float:
-    """Largest relative difference of columns."""
-    return max(float(np.abs(one.column(n) - other.column(n)).max() / np.abs(other.column(n)).max()) for n in names)
-
-
-def loop() -> Network:
-    """Rotor, controller and actuator."""
-    net = speed_control().system
-    assert isinstance(net, Network)
-    return net
 
 
 def plain_members(net: Network, k: int) -> list[Member]:
     """Without ports for signals."""
     models = {n: build_model(replace(d, name=n), Collocated(k)) for n, d in net.declared.items()}
     return [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()]
-
-
-def speed(k: int, engine: Any = PythonInstance, h: float = 1e-2, stop: float = 0.2, **how: Any) -> tuple[Any, Coupled]:
-    """The controlled rotor, apart."""
-    scene = speed_control()
-    system = apart(loop(), k, engine, **how)
-    return run(system, Options(stop=stop, step=h, events=scene.events)), system
-
-
-LOOP = ("rotor.w", "controller.x", "controller.command", "controller.error")
 
 
 @pytest.mark.parametrize("k", [1, 2, 3])
@@ -337,110 +232,3 @@ def test_what_signals_make_of_sources_is_booked_as_from_outside(k: int) -> None:
         ends = [result.column(f"{n}.x")[-1] for n in ("one", "two")]
         errors.append([made["one"] - work, *(ends - expm(A * stop) @ [1.0, 5.0])])
     np.testing.assert_allclose(np.log2(np.abs(np.divide(*errors))), 2 * k, atol=0.15)
-
-
-# -- units -----------------------------------------------------------------------------------------------------
-
-ENGINES: dict[str, Any] = {"python": PythonInstance, "native": NativeInstance}
-FMI = {"fmi2": "2.0", "fmi3": "3.0"}
-
-
-@pytest.fixture
-def with_units(compiler: None, tmp_path: Path) -> Iterator[Any]:
-    """(network, kinds in turn, k, step) -> members stepped apart."""
-    with ExitStack() as stack:
-
-        def make(net: Network, kinds: str, k: int, h: float) -> Coupled:
-            members: list[Member] = []
-            for (name, part), kind in zip(net.separate().items(), cycle(kinds.split()), strict=False):
-                model = build_model(part, Collocated(k))
-                if kind in FMI:
-                    kicked = any(p.kind != "none" for p in PythonInstance(model).impulse_ports)
-                    later = [v.name for v in part.parameters]
-                    folder = tmp_path / f"{name}{k}"
-                    (path,) = export(
-                        model, folder, (FMI[kind],), step=h, node_inputs=True, impulses=kicked, tunable=later
-                    )
-                    members.append(FMUMember(name, stack.enter_context(FMUInstance(path, name=name))))
-                else:
-                    members.append(EngineMember(name, model, ENGINES[kind](model)))
-            return Coupled(net, members)
-
-        yield make
-
-
-@pytest.mark.parametrize(
-    ("kinds", "k"),
-    wide([(kinds, k) for kinds in ("fmi2", "fmi3", "fmi3 native fmi2") for k in (2, 3)], ("fmi3 native fmi2", 2)),
-)
-def test_units_exchange_signals_at_nodes(with_units: Any, kinds: str, k: int) -> None:
-    options = Options(stop=0.2, step=1e-2, events=speed_control().events)
-    whole = run(composed(loop(), k), options)
-    system = with_units(loop(), kinds, k, 1e-2)
-    parts = run(system, options)
-    assert system.coupling.order == 2 * k and parts.ledger.summary().closed
-    for name in LOOP:
-        size = np.abs(whole.column(name)).max()
-        np.testing.assert_allclose(parts.column(name), whole.column(name), rtol=0, atol=1e-12 * size)
-    with pytest.raises(KeyError, match="fed by a signal"):
-        system.set_value("actuator.torque", 1.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kinds", ["fmi2", "fmi3", "fmi3 native fmi2 python"])
-def test_a_governed_machine_of_units_is_the_composed_one(with_units: Any, kinds: str) -> None:
-    net, stop = governed(), 0.005
-    parts = ran(net, with_units(net, kinds, 2, 1e-3), 1e-3, stop)
-    assert apart_by(parts, ran(net, composed(net, 2, NativeInstance), 1e-3, stop)) < 1e-12
-    assert parts.ledger.summary().closed
-
-
-def test_a_plain_importer_sees_plain_inputs_and_outputs(compiler: None, tmp_path: Path) -> None:
-    """Held, by its own name, with the bits of the engine; values at nodes are more variables, which none has to set."""
-    model = build_model(loop().separate()["controller"], Collocated(2))
-    (path,) = export(model, tmp_path, ("3.0",), step=1e-2, node_inputs=True)
-    engine = NativeInstance(model)
-    with FMUInstance(path) as unit:
-        about = unit.interface.variables
-        given = {n for n, v in about.items() if v.causality == "input"}
-        assert given == {"reference", "measured", "measured_node[1]", "measured_node[2]"}
-        found = {n for n, v in about.items() if v.causality == "output"}
-        assert {"command", "error", "command_node[1]", "command_node[2]"} <= found and unit.ports == ()
-        assert about["measured"].unit == "rad/s" and about["command_node[1]"].unit == "N.m"
-        unit.set({"measured": 95.0})
-        engine.set_input([95.0, 0.0])
-        for i in range(3):
-            unit.do_step(i * 1e-2, 1e-2)
-            engine.do_step(i * 1e-2, 1e-2)
-            assert unit.get(["x"])[0] == engine.x[0]
-        assert unit.get(["command"])[0] == pytest.approx(0.8 * 5.0 + 8.0 * engine.x[0], rel=1e-15)
-
-
-def test_units_from_the_command_line_find_each_others_signals(compiler: None, tmp_path: Path) -> None:
-    """A controller and an actuator exported alone, with `--node-inputs`, in a network with a rotor: order 4."""
-    source = tmp_path / "parts.py"
-    source.write_text(
-        "from phfmu.components.scenes.speed_control import speed_control as s\n"
-        "def controller():\n    return s().system.declared['controller']\n"
-        "def actuator():\n    return s().system.declared['actuator']\n"
-    )
-    for name in ("controller", "actuator"):
-        words = ["export", f"{source}:{name}", "--order", "4", "--node-inputs", "--step", "1e-2", "--fmi", "3"]
-        assert main([*words, "-o", str(tmp_path / name)]) == 0
-    net = Network("mixed", members={"rotor": loop().declared["rotor"]})
-    for name in ("controller", "actuator"):
-        (path,) = (tmp_path / name).glob("*.fmu")
-        net.add(name, str(path))
-    net.connect("rotor.a", "actuator.shaft", name="shaft")
-    net.signal("rotor.w", "controller.measured")
-    net.signal("controller.command", "actuator.torque")
-    assert "at most 4" in Apart(net).order()
-    rotor = build_model(net.separate()["rotor"], Collocated(2))
-    with ExitStack() as stack:
-        members: list[Member] = [EngineMember("rotor", rotor, PythonInstance(rotor))]
-        for name, unit in net.units.items():
-            members.append(FMUMember(name, stack.enter_context(FMUInstance(unit.path, name=name))))
-        found = run(Coupled(net, members), Options(stop=0.2, step=1e-2, events=speed_control().events))
-    np.testing.assert_allclose(found.column("rotor.w"), speed(2)[0].column("rotor.w"), rtol=1e-13)
-    with pytest.raises(ConnectionError, match="has no signal input"):
-        net.signal("rotor.w", "controller.measured_node[1]")

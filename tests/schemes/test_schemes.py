@@ -1,4 +1,4 @@
-"""The one-step schemes of section 4 of Kinon, Morandin, Schulze (2026): its theorems, examples and orders."""
+"""The one-step schemes of section 4 of Kinon, Morandin, Schulze (2026): its examples and theorems, engines, units."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from itertools import product
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from phfmu import (
     PHDAE,
-    TRANSLATIONAL,
     ClosedPair,
     Collocated,
     DeclarationError,
@@ -23,8 +21,6 @@ from phfmu import (
     Port,
     PythonInstance,
     SemiExplicit,
-    Status,
-    StepFailure,
     algebraic,
     block,
     build_model,
@@ -37,29 +33,12 @@ from phfmu import (
     time,
 )
 from phfmu.cli import main
-from phfmu.components.electrical import synchronous_machine
-from phfmu.components.library import build
 from phfmu.schemes.named import named_scheme
-from tests.schemes.test_orders import BETA, END, START, G, L, R, drive, reference, rlc, rlc_exact, rlc_rate, slope
-from tests.wide import slow, wide
+from tests.schemes.pairs import BOTH, ENGINES, H, current, declaration, steps
+from tests.schemes.test_orders import BETA, START, G, L, R, drive, rlc
+from tests.wide import wide
 
-ENGINES = (PythonInstance, NativeInstance)
 POINTS = ("end", "start", "midpoint")
-
-
-def steps(model, h, n, engine=PythonInstance):
-    """x and a after every step (rows), and the worst step residual over H at the start and the energies exchanged."""
-    instance, x, a, worst = engine(model), [], [], 0.0
-    stored = np.sum(np.abs(instance.signal("H")))
-    for k in range(n):
-        instance.do_step(k * h, h)
-        row = instance.ledger()
-        size = stored + sum(np.sum(np.abs(row[name])) for name in ("dissipated", "supplied"))
-        left = np.sum(row["stored"] + row["dissipated"] - row["supplied"])
-        worst = max(worst, abs(left) / size)
-        x.append(instance.x)
-        a.append(instance.signal("a"))
-    return np.array(x), np.array(a), worst
 
 
 # -- Examples 1, 5 and 6 ------------------------------------------------------------------------------------------
@@ -91,7 +70,6 @@ def linear_descriptor(ebar=None, zbar=None) -> PHDAE:
     )
 
 
-H = 0.1
 #: x1 after each step, and the means (x1 + x1')/2
 X1 = ((2 - H) / (2 + H)) ** np.arange(6)
 MEANS = (X1[:-1] + X1[1:]) / 2
@@ -172,11 +150,6 @@ def consistent_current():
     return current(v)
 
 
-def current(v):
-    roots = np.roots([0.5, 0.0, G, -v])
-    return float(roots[np.argmin(np.abs(roots.imag))].real)
-
-
 @pytest.mark.parametrize("engine", ENGINES)
 def test_corollary_1_the_pair_of_theorem_4_gives_the_semi_explicit_scheme(engine):
     h, n = 0.04, 50
@@ -189,15 +162,6 @@ def test_corollary_1_the_pair_of_theorem_4_gives_the_semi_explicit_scheme(engine
     assert worst <= 1e-13
     own = steps(build_model(rlc("source", "algebraic"), GradientPair()), h, n, engine)
     assert np.array_equal(own[0], x1) and np.array_equal(own[1], x2)
-
-
-def declaration(name):
-    if name == "rlc":
-        return rlc("source", "algebraic")
-    if name == "machine":
-        return synchronous_machine(coordinates="abc-flux")
-    found = build(name)
-    return found if isinstance(found, PHDAE) else found.declaration()
 
 
 SIZES = {"rlc": 0.05, "drive": 1e-4, "four_particle": 0.01, "oscillator": 0.01, "machine": 1e-4, "smib": 1e-4}
@@ -229,166 +193,6 @@ def test_the_least_distance_is_zero_where_x2_is_free(name, point):
     y, b, worst = steps(build_model(d, DiracDissipative("minimal", at=point)), h, 20)
     assert y == pytest.approx(x, rel=1e-11, abs=1e-11) and b == pytest.approx(a, rel=1e-10, abs=1e-10)
     assert worst <= 1e-13
-
-
-# -- Proposition 1 and observed orders ----------------------------------------------------------------------------
-
-
-@cache
-def circuit_at(t):
-    run = solve_ivp(rlc_rate("algebraic"), (0.0, t), START, method="DOP853", rtol=3e-14, atol=1e-15, max_step=0.01)
-    q = run.y[0, -1]
-    return run.y[:, -1], current(q + BETA * q**3)
-
-
-@pytest.mark.parametrize(
-    ("make", "point"),
-    [(SemiExplicit, "end"), slow((SemiExplicit, "start")), slow((SemiExplicit, "midpoint"))]
-    + [slow((DiracDissipative, "end")), (DiracDissipative, "start"), slow((DiracDissipative, "midpoint"))]
-    + [slow((lambda p: GradientPair(closure=p), "end")), (lambda p: GradientPair(closure=p), "midpoint")],
-)
-def test_proposition_1_order_two_of_x1_and_of_x2_at_its_instant(make, point):
-    """x2 of the closures end and start belongs to the middle of the step; read at its end it has order 1."""
-    model, counts = build_model(rlc("source", "algebraic"), make(point)), (20, 40, 80)
-    x_errors, own, late = [], [], []
-    for n in counts:
-        x, a, worst = steps(model, END / n, n)
-        x_errors.append(np.max(np.abs(x[-1] - rlc_exact("algebraic"))))
-        instant = END if point == "midpoint" else END - END / n / 2
-        own.append(abs(a[-1, 0] - circuit_at(instant)[1]))
-        late.append(abs(a[-1, 0] - circuit_at(END)[1]))
-        assert worst <= 1e-13
-    assert slope(counts, x_errors) == pytest.approx(-2.0, abs=0.1)
-    assert slope(counts, own) == pytest.approx(-2.0, abs=0.1)
-    if point != "midpoint":
-        assert slope(counts, late) == pytest.approx(-1.0, abs=0.15)
-
-
-BOTH = [GradientPair(), DiracDissipative()]
-
-
-@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
-def test_order_on_the_drive(scheme):
-    """Against the matrix exponential."""
-    exact, model = reference("drive"), build_model(declaration("drive"), scheme)
-    names, sizes, errors = [n for v in model.declaration.states for n in v.names()], (5e-5, 2.5e-5, 1.25e-5), []
-    for h in sizes:
-        x, _, worst = steps(model, h, round(0.005 / h), NativeInstance)
-        speed = x[-1, names.index("load.w")] - exact["w2"][1]
-        errors.append(abs(speed) + abs(x[-1, names.index("motor.w")] - exact["w1"][1]))
-        assert worst <= 1e-13
-    assert slope(sizes, errors) == pytest.approx(2.0, abs=0.1)
-
-
-@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
-def test_order_on_the_oscillator(scheme):
-    """Against the closed form, at half a period."""
-    model = build_model(declaration("oscillator"), scheme)
-    names, sizes, errors = [n for v in model.declaration.states for n in v.names()], (0.01, 0.005, 0.0025), []
-    q = [names.index(f"mass{i}.q") for i in (1, 2)]
-    for h in sizes:
-        x, _, worst = steps(model, h, round(0.3 / h), NativeInstance)
-        slow, fast = np.cos(2 * np.pi * 0.3), np.cos(6 * np.pi * 0.3)
-        errors.append(np.max(np.abs(x[-1, q] - [(slow + fast) / 2, (slow - fast) / 2])))
-        assert worst <= 1e-13
-    assert slope(sizes, errors) == pytest.approx(2.0, abs=0.1)
-
-
-@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
-def test_order_on_four_particles(scheme):
-    """Positions; the velocities of the one-level form alternate around the constraint."""
-    exact, model = reference("four_particle"), build_model(declaration("four_particle"), scheme)
-    final, sizes, errors = np.array([exact[f"q[{j + 1}]"][-1] for j in range(12)]), (1 / 400, 1 / 800, 1 / 1600), []
-    for h in sizes:
-        x, _, worst = steps(model, h, round(1 / h), NativeInstance)
-        errors.append(np.linalg.norm(x[-1, :12] - final))
-        assert worst <= 1e-13
-    assert slope(sizes, errors) == pytest.approx(2.0, abs=0.1)
-
-
-@cache
-def machine_truth(t):
-    """Rotor angle and momentum from dq fluxes with order 6 at a small step."""
-    model = build_model(synchronous_machine(coordinates="dq-flux"), Collocated(3))
-    x = NativeInstance(model).run(0.0, t / 400, 400, ("x",))["x"][-1]
-    names = [n for v in model.declaration.states for n in v.names()]
-    return np.array([x[names.index("p")] / 1e6, x[names.index("theta")]])
-
-
-@pytest.mark.parametrize("scheme", BOTH, ids=lambda s: s.name)
-def test_order_on_the_machine_in_current_coordinates(scheme):
-    """E(x) is full and depends on the angle: the closed-form pair, and a discrete gradient with E at the midpoint."""
-    model = build_model(synchronous_machine(coordinates="current"), scheme)
-    names, sizes, errors = [n for v in model.declaration.states for n in v.names()], (4e-4, 2e-4, 1e-4), []
-    for h in sizes:
-        x, _, worst = steps(model, h, round(0.02 / h), NativeInstance)
-        last = np.array([x[-1, names.index("p")] / 1e6, x[-1, names.index("theta")]])
-        errors.append(np.max(np.abs(last - machine_truth(0.02))))
-        assert worst <= 1e-13
-    assert slope(sizes, errors) == pytest.approx(2.0, abs=0.15)
-
-
-# -- Example 8 ----------------------------------------------------------------------------------------------------
-
-
-def example_8(a=1.0, y=0.0, pair=False) -> PHDAE:
-    """H = exp(x1^2/2) - 1 + x2^2/2, E = (1, 1)^T grad H^T, z = (1, 1)/2, and an input that asks for x1 = a/2.
-
-    The input acts as (psi, -psi) with psi = x1 - a/2: its power is zero, and a step from (a, .) must end at x1' = 0.
-    """
-    x = state("x", 2, start=(a, y))
-    h = ca.exp(x[0] ** 2 / 2) - 1 + x[1] ** 2 / 2
-    half, psi = ca.SX([0.5, 0.5]), x[0] - a / 2
-
-    def ebar(x, d):  # (1, 1)^T DG H^T with one divided difference a coordinate
-        first = ca.if_else(d[0] == 0, x[0] * ca.exp(x[0] ** 2 / 2),
-                           (ca.exp((x[0] + d[0]) ** 2 / 2) - ca.exp(x[0] ** 2 / 2)) / ca.if_else(d[0] == 0, 1, d[0]))  # fmt: skip
-        return ca.repmat(first * d[0] + (x[1] + d[1] / 2) * d[1], 2)
-
-    return PHDAE(
-        "example_8",
-        states=(x,),
-        closed=(ClosedPair((x,), h, ca.mtimes(ca.SX([1.0, 1.0]), ca.gradient(h, x.sx).T), half,
-                           ebar if pair else None, (lambda x, d: half) if pair else None),),
-        ports=(Port("hold", TRANSLATIONAL, "effort", {x: ca.vertcat(psi, -psi)}, start=1.0),),
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("y", [0.0, 0.3])
-@pytest.mark.parametrize("closure", ["minimal", lambda x, new, f: ca.SX(0, 1)], ids=["minimal", "none"])
-def test_example_8_has_no_solution_and_says_so(closure, y, engine):
-    """The input moves x across grad H, where E^T f = DG H has no f; the state stays where it was."""
-    instance = engine(build_model(example_8(y=y), DiracDissipative(closure)))
-    with pytest.raises(StepFailure, match="example_8 at t = 0") as failure:
-        instance.do_step(0.0, 0.1)
-    assert failure.value.status in (Status.SINGULAR, Status.NO_CONVERGENCE)
-    assert "costate of x" in str(failure.value) or "least distance" in str(failure.value)
-    assert instance.x == pytest.approx([1.0, y], abs=0)
-
-
-def test_example_8_the_numbers_of_the_appendix():
-    """x = (a, 0), x' = (0, b), b = a exp(a^2/16): grad H at the midpoint is normal to x' - x although H changes."""
-    a = 1.0
-    b = a * np.exp(a**2 / 16)
-    x, new = np.array([a, 0.0]), np.array([0.0, b])
-    d, mid = new - x, (x + new) / 2
-    grad = np.array([mid[0] * np.exp(mid[0] ** 2 / 2), mid[1]])
-    dh = b**2 / 2 - (np.exp(a**2 / 2) - 1)
-    assert grad @ d == pytest.approx(0.0, abs=1e-15) and abs(dh) > 0.08
-    for w in (0.0, 1.0, -3.0):  # every discrete gradient is dh d/|d|^2 plus something normal to d, i.e. along grad
-        found = dh * d / (d @ d) + w * grad
-        assert np.linalg.matrix_rank(np.column_stack([grad, found])) == 2
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_example_8_steps_with_a_discrete_pair(engine):
-    """Ebar = (1, 1)^T DG H^T is a pair without that defect: H is kept, and the input's condition met."""
-    instance = engine(build_model(example_8(y=0.9, pair=True), GradientPair()))
-    before = instance.signal("H")[0]
-    instance.do_step(0.0, 0.1)
-    assert instance.x[0] == pytest.approx(0.0, abs=1e-12)
-    assert instance.signal("H")[0] == pytest.approx(before, rel=1e-12)
 
 
 # -- engines, substeps, units, refusals ---------------------------------------------------------------------------
