@@ -9,7 +9,9 @@ from statistics import median
 from time import thread_time
 from typing import TYPE_CHECKING, Any
 
+from phfmu.bench import own_time
 from phfmu.bench.apart import composed, coupled, instances, joined, planned
+from phfmu.bench.own_time import OwnTime
 
 if TYPE_CHECKING:
     from phfmu.network.couplings.stepper import Stepper
@@ -26,7 +28,10 @@ LONG = 0.01  # s, their step
 
 @dataclass(frozen=True)
 class Row:
-    """CPU time of a step in us, medians over turns: composed, members apart compiled and in Python; median of the ratios."""
+    """CPU time of a step in us, medians over turns: composed, members apart compiled and in Python; median of the ratios.
+
+    own, units: what joining native members, and the same as FMUs, costs per member and step
+    """
 
     name: str
     order: int
@@ -36,6 +41,8 @@ class Row:
     python: float
     ratio: float
     trials: float
+    own: OwnTime
+    units: OwnTime
 
 
 class _Clock:
@@ -62,15 +69,19 @@ class _Clock:
 
 def measure(name: str, network: Network, h: float, k: int) -> Row:
     """Turn by turn, so that what else the machine does falls on all alike."""
+    members = instances(planned(network, k))
     clocks = [
-        _Clock(composed(network, k), h, 200), _Clock(coupled(network, k), h, 200), _Clock(coupled(network, k, False), h, 3),
+        _Clock(composed(network, k), h, 200), _Clock(joined(network, members), h, 200), _Clock(coupled(network, k, False), h, 3),
     ]  # fmt: skip
     for _ in range(ROUNDS):
         for clock in clocks:
             clock.turn()
     one, two, three = (c.times for c in clocks)
     ratio = median(b / a for a, b in zip(one, two, strict=True))
-    return Row(name, 2 * k, len(network.members), median(one), median(two), median(three), ratio, clocks[1].trials)
+    trials, apart = clocks[1].trials, median(two)
+    own = own_time.native(members, h, apart, trials)
+    unit = own_time.units(network, k, h)
+    return Row(name, 2 * k, len(members), median(one), apart, median(three), ratio, trials, own, unit)
 
 
 def ring(n: int) -> Network:
@@ -149,7 +160,7 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
     from phfmu.target import scene
 
     head = ["scene", "order", "members", "composed us", "apart us", "in Python us", "apart / composed", "trials"]
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    lines, owns = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)], []
     for name in scenes or SCENES:
         for k in (1, 2, 3):
             progress(f"{name}, order {2 * k}")
@@ -158,6 +169,10 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
             cells = [r.name, r.order, r.members, f"{r.composed:.1f}", f"{r.compiled:.1f}", f"{r.python:.0f}",
                      f"{r.ratio:.2f}", f"{r.trials:.1f}"]  # fmt: skip
             lines.append("| " + " | ".join(map(str, cells)) + " |")
+            times = [r.own.calls, r.own.own, r.units.calls, r.units.own]
+            owns.append(f"| {r.name} | {r.order} | " + " | ".join(f"{x:.1f}" for x in times) + " |")
+    head = ["scene", "order", "native: its calls us", "own us", "FMU: its calls us", "own us"]
+    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head), *owns]
     head = ["network", "members", "plans", "plan s", "code s", "join s", "us per member and step"]
     lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for make, sizes in SIZES.items():
@@ -174,6 +189,11 @@ PAGE = """# Members apart
 CPU time of a step with all its columns and ledger rows: of the composed model in compiled code, of its members joined by
 `newton` in compiled code, and by the same loop in Python. Taken in turns on one machine, medians; `apart / composed`: median of
 the ratios of neighbours; `trials`: of each member per step.
+
+The second table divides a step apart by members: `calls` is spent in a member's own functions, `own` in what joins it, with
+loading, saving, rows and ledger. Native members apart go in compiled code: as many steps as there are trials and one
+sensitivity with respect to inputs each, timed alone (those with respect to impulses at bare nodes count as own). FMUs go in
+Python: the functions of their libraries, timed one by one, and all else.
 
 Below, masses and springs, order 2: the cost of a member does not grow with their number. Members that are alike share a plan
 and its code: CPU seconds for the plans, for all instances with their libraries (compiled before), and for what joins them, with

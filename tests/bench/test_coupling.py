@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from cProfile import Profile
+from pstats import Stats
+
 import numpy as np
 import pytest
 
@@ -21,8 +24,10 @@ def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [r[:3] for r in rows[1:4]] == [["oscillator", order, "3"] for order in ("2", "4", "6")]
     assert all(float(r[3]) > 0 and float(r[4]) > 0 and float(r[7]) == 2.0 for r in rows[1:4])
     assert all(float(r[5]) > float(r[4]) for r in rows[1:4]), "Python takes longer"
-    assert [r[:3] for r in rows[5:]] == [["ring", "6", "2"], ["star", "7", "2"]], "members of two kinds"
-    assert all(float(t) >= 0 for r in rows[5:] for t in r[3:6]) and all(float(r[6]) > 0 for r in rows[5:])
+    assert [r[:2] for r in rows[5:8]] == [["oscillator", order] for order in ("2", "4", "6")]
+    assert all(float(r[i]) > 0 for r in rows[5:8] for i in (2, 4, 5)), "time in calls, and what joins FMUs"
+    assert [r[:3] for r in rows[9:]] == [["ring", "6", "2"], ["star", "7", "2"]], "members of two kinds"
+    assert all(float(t) >= 0 for r in rows[9:] for t in r[3:6]) and all(float(r[6]) > 0 for r in rows[9:])
     assert lines[-1].rpartition("load ")[2]
 
 
@@ -40,6 +45,17 @@ def test_threads(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
     head, row = ([c.strip() for c in lines[i].strip("|").split("|")] for i in (0, 2))
     assert head[4] == f"{cores} threads us" and row[:2] == ["3", "4"] and row[6] == "yes" and len(lines) == 3
     assert all(float(row[i]) > 0 for i in (2, 3, 4, 5, 7))
+
+
+def test_the_loop_in_python_makes_few_calls() -> None:
+    """Calls of functions per member and step, with two trials: matrices of a few unknowns are not made anew, nor sparse."""
+    stepper, calls = coupling.coupled(coupling.ring(4), 2, compiled=False), Profile()
+    stepper.check_start()
+    stepper.prepare(0.0, 0.01)
+    stepper.advance(0.0, 0.01, 3)
+    steps = calls.runcall(stepper.advance, 0.0, 0.01, 10, 3)
+    assert steps.spent == 20
+    assert Stats(calls).total_calls <= 290 * 10 * 8  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.parametrize("make", [coupling.ring, coupling.star])
