@@ -28,6 +28,7 @@ MODELS = {
     "four_particle": (None, 0.01, False),
     "bouncing_ball": (Collocated(2), 0.02, False),
     "breaker_opening": (Collocated(2), 1e-4, False),
+    "rectifier": (Collocated(2), 5e-4, False),
 }
 
 
