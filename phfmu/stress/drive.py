@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.judge import DEFAULT_RTOL, EPS, FLOOR
 from phfmu.engine.steps import balance
 from phfmu.terms.hidden import Level
 from phfmu.words import counted
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+#: the ledger's part of a row
+BOOKED = ("stored", "dissipated", "supplied", "pairs")
 #: what a step may need beyond its first start
 BEYOND = {"restarts": "restart", "line_searches": "line search", "substeps": "substep"}
 
@@ -26,7 +29,8 @@ class Record:
     """n steps: x (n x nx), a, H (n x members), position and velocity constraints, worst balance, work a step.
 
     `balance`: largest |stored + dissipated - supplied| of a member and step over the energy in play (H of all members,
-    what was supplied and dissipated);  `iterations`, `sweeps`: of Newton's method and of the Schur stepper, a step;
+    what was supplied and dissipated), which counts as no less than rounding of the most so far allows, see `audit.judge`;
+    `iterations`, `sweeps`: of Newton's method and of the Schur stepper, a step;
     `solved`: what the solver needed beyond the first start.
     """
 
@@ -81,12 +85,13 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
     model = unit.model
     before = unit.counts
     start = unit.signals()
-    blocks = ("signals", "x", "a", "energy", "stored", "dissipated", "supplied", "pairs", "counts")
-    r = unit.run(t0, h, n, blocks, inputs=inputs)
-    checks = r["signals"][:, unit.layout["observables"]]
-    checks = np.abs(checks[:, checks.shape[1] - len(model.checks) :])
+    r = _by_steps(unit, t0, h, n) if model.modes is not None else _in_a_run(unit, t0, h, n, inputs)
+    checks = np.abs(r["observables"][:, r["observables"].shape[1] - len(model.checks) :])
     levels = np.array([c.level for c in model.checks])
     play = np.abs(r["energy"]).sum(axis=1) + np.abs(r["dissipated"]).sum(axis=1) + np.abs(r["pairs"]).sum(axis=1)
+    play = np.maximum(
+        play, FLOOR * EPS / DEFAULT_RTOL * np.maximum.accumulate(np.maximum(play, np.abs(start["H"]).sum()))
+    )
     gap = np.abs(balance(r["stored"], r["dissipated"], r["supplied"])).max(axis=1, initial=0.0)
     after = unit.counts
     extra = [counted(after[k] - before[k], word) for k, word in BEYOND.items() if after[k] != before[k]]
@@ -96,10 +101,28 @@ def record(unit: Any, h: float, n: int, t0: float = 0.0, inputs: Array | None = 
         float(checks[:, levels == Level.POSITION].max(initial=0.0)),
         float(checks[:, levels == Level.VELOCITY].max(initial=0.0)),
         float((gap / np.maximum(play, 1e-300)).max(initial=0.0)),
-        float(r["counts"][:, 0].sum()) / n,
+        float(r["iterations"].sum()) / n,
         sweeps / n,
         ", ".join(extra),
     )  # fmt: skip
+
+
+def _in_a_run(unit: Any, t0: float, h: float, n: int, inputs: Array | None) -> dict[str, Array]:
+    """Rows of n steps."""
+    r = unit.run(t0, h, n, ("signals", "x", "a", "energy", "counts", *BOOKED), inputs=inputs)
+    return r | {"observables": r["signals"][:, unit.layout["observables"]], "iterations": r["counts"][:, 0]}
+
+
+def _by_steps(unit: Any, t0: float, h: float, n: int) -> dict[str, Array]:
+    """The same, one step after the other: what changes its modes tells no rows of a run."""
+    rows, before = [], unit.counts["iterations"]
+    for k in range(n):
+        unit.do_step(t0 + k * h, h)
+        shown, booked = unit.signals(), unit.ledger()
+        rows.append({"x": unit.x, "a": shown["a"], "energy": shown["H"], "observables": shown["observables"]}
+                    | {name: booked[name] for name in BOOKED})  # fmt: skip
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return columns | {"iterations": np.array([unit.counts["iterations"] - before])}
 
 
 def effort(r: Record) -> str:

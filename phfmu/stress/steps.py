@@ -78,6 +78,8 @@ def nothing(unit: Any, h: float) -> Outcome:
 
 
 def reversed_run(unit: Any, h: float) -> Outcome:
+    if unit.model.events is not None:
+        return Outcome("state events happen forwards in time only", None)
     x0, t0 = unit.x, unit.time
     forth = record(unit, h, STEPS, t0)
     unit.run(t0 + STEPS * h, -h, STEPS)
@@ -104,19 +106,21 @@ def tiny(unit: Any, h: float) -> Outcome:
 
 
 def longer(unit: Any, h: float) -> Outcome:
-    from phfmu.engine.status import StepFailure, remedy
+    from phfmu.engine.status import Status, StepFailure, remedy
 
     try:
         r = record(unit, h, STEPS)
     except StepFailure as failure:
-        return Outcome(f"typed error after {unit.counts['steps']} steps: {failure}", bool(remedy(failure)))
+        return Outcome(f"typed error after {unit.counts['steps']} steps: {failure}",
+                       failure.status is Status.EVENT or bool(remedy(failure)))  # fmt: skip
     return Outcome(f"balance {r.balance:.1e}; {effort(r)}", r.finite and r.balance <= 1e-11)
 
 
 def parts(unit: Any, h: float) -> Outcome:
     n = 1000
     unit.do_step(0.0, h * n, parts=n)
-    whole, energy = unit.x, unit.ledger()["stored"].sum()
+    whole = unit.x
+    energy = unit.ledger()["stored"].sum() + sum(e.energy.sum() for e in unit.happened)
     unit.reset()
     r = record(unit, h, n)
     off = float((np.abs(whole - r.x[-1]) / size(unit, r.x)).max(initial=0.0)) if r.x.size else 0.0

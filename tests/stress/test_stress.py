@@ -110,7 +110,10 @@ def test_refused_asks_for_the_error_and_its_words():
         refused(bad, KeyError, "m1")
 
 
-@pytest.mark.parametrize("name", ["oscillator", "rigid_link"])
+TARGETS = ["oscillator", "rigid_link", "bouncing_ball", "rectifier", "buck"]
+
+
+@pytest.mark.parametrize("name", wide(TARGETS, "oscillator", "rigid_link"))
 def test_command_runs_one_target(name, tmp_path, capsys):
     assert main(["stress", name, "-o", str(tmp_path)]) == 0
     said = capsys.readouterr().out

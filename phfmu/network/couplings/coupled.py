@@ -22,7 +22,7 @@ from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.jumps_apart import JumpsApart
 from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, newton
-from phfmu.network.couplings.start_values import at_instant, limit
+from phfmu.network.couplings.start_values import start_values
 from phfmu.network.couplings.totals import Totals
 from phfmu.network.couplings.unconverged import added, plain
 from phfmu.network.couplings.works import Works, works
@@ -85,8 +85,6 @@ class Coupled:
             return None
         from phfmu.network.couplings.together import Together
 
-        for m in members:
-            m.together = True
         return Together(members, self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
 
     def _all_step(self, t: float, h: float) -> bool:
@@ -106,10 +104,9 @@ class Coupled:
     @cached_property
     def _master(self) -> Master | None:
         """The steps in compiled code, where there are such."""
-        plain = self._may_compile and not (self._signals.wires and self._signals.any_held)
-        if not plain or not all(isinstance(m, EngineMember) for m in self.joined.members):
+        if not self._may_compile or (self._signals.wires and self._signals.any_held):
             return None
-        if any(isinstance(m, EngineMember) and m.model.events is not None for m in self.joined.members):
+        if not all(isinstance(m, EngineMember) and m.model.events is None for m in self.joined.members):
             return None
         from phfmu.network.couplings.master import master
 
@@ -136,9 +133,7 @@ class Coupled:
 
     @followed.setter
     def followed(self, data: Interpolant | None) -> None:
-        free = self.free_inputs
-        found = data and Followed(data, *zip(*(free[n] for n in data.names), strict=True))
-        self.joined.followed = found or None
+        self.joined.followed = Followed(data, self.free_inputs) if data else None
 
     def settable(self) -> list[str]:
         return self.joined.settable()
@@ -197,7 +192,8 @@ class Coupled:
             self.joined.begin(self.last.xi)
             return
         found = self._tried(t0, h)
-        xi = self._instant(t0, h)
+        tried = partial(self._tried, t0)
+        xi = start_values(self.joined, self._sums, self._exchange, self.last.xi, tried, t0, h)
         self.last = Solution(found.xi, found.y)
         self._at_start = found.xi if xi is None else xi
         self.joined.begin(self._at_start)
@@ -209,16 +205,6 @@ class Coupled:
             return self._solved(Step(t0, h, states))
         finally:
             self.joined.restore(states)
-
-    def _instant(self, t0: float, h: float) -> Array | None:
-        """Junction unknowns at the start; None where they cannot be found."""
-        joined = self.joined
-        self._sums.values(self.last.xi)
-        if not self._sums.hide:
-            return at_instant(joined, self.last.xi, t0)
-        if joined.put_off:
-            return None
-        return limit(partial(self._tried, t0), self._exchange, joined.face.nominal, h)
 
     def _solved(self, step: Step) -> Solution:
         """Of an iteration that is given up, units that do not repeat a step are told."""
@@ -279,6 +265,8 @@ class Coupled:
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
+        from phfmu.network.couplings.together import among
+
         assert self._together is not None
         components = self.booking.components
         for k in range(first, first + n):
@@ -295,10 +283,7 @@ class Coupled:
                 self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
                 self.joined.apply(self.last.xi)
                 for member, event in happened:
-                    energy, lost = np.zeros((2, len(components)))
-                    own = [components.index(c) for c in member.booking.components]
-                    energy[own], lost[own] = event.energy, event.lost
-                    told = replace(event, energy=energy, lost=lost)
+                    told = among(components, member.booking.components, event)
                     yield np.zeros(0), np.zeros(0), None, (told, self.read())
             changed = False
 

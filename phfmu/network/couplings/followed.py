@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,12 @@ Array = NDArray[np.float64]
 
 
 class Followed:
-    """`data`: functions of time, whose values belong, with `signs`, to the `places` among the inputs of all members."""
+    """`data`: functions of time of inputs in `free`, by name the place among the inputs of all members, and the sign."""
 
-    def __init__(self, data: Interpolant, places: Sequence[int], signs: Sequence[float]):
-        self.data, self.places, self._signs = data, np.array(places, int), np.array(signs)
+    def __init__(self, data: Interpolant, free: Mapping[str, tuple[int, float]]):
+        self.data = data
+        self.places = np.array([free[name][0] for name in data.names], int)
+        self._signs = np.array([free[name][1] for name in data.names])
 
     def middle(self, t: float, h: float) -> Array:
         """Values in the middle of a step, for inputs that are held over it: of order 2."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from phfmu.engine.status import StepFailure
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.coupling import Solution
+from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
@@ -28,6 +29,24 @@ Array = NDArray[np.float64]
 MOST = 10  # steps, each half of the one before
 FOUND = 1e-12  # of the largest unknown of a kind: estimates that differ by less are one
 TRUSTED = 1e-6  # and that differ by more are none
+
+
+def start_values(
+    joined: Joined,
+    sums: EndSums,
+    exchange: Exchange | None,
+    xi: Array,
+    tried: Callable[[float], Solution],
+    t: float,
+    h: float,
+) -> Array | None:
+    """xi at the start; None where it cannot be found.  `tried`: takes a step of some length and takes it back."""
+    sums.values(xi)
+    if not sums.hide:
+        return at_instant(joined, xi, t)
+    if joined.put_off:
+        return None
+    return limit(tried, exchange, joined.face.nominal, h)
 
 
 def at_instant(joined: Joined, xi: Array, t: float) -> Array | None:

@@ -7,7 +7,8 @@ for each trial.  Rules and words are those of `engine/locate.py`, which sees one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -26,6 +27,14 @@ from phfmu.network.members.happenings import Happenings
 Array = NDArray[Any]
 
 
+def among(components: Sequence[str], own: Sequence[str], event: StepEvent) -> StepEvent:
+    """The energies of a member's event, whose components are its `own`, among those of all."""
+    energy, lost = np.zeros((2, len(components)))
+    at = [components.index(c) for c in own]
+    energy[at], lost[at] = event.energy, event.lost
+    return replace(event, energy=energy, lost=lost)
+
+
 class Together:
     """Steps of `members` with state events and of all they are joined with.
 
@@ -40,6 +49,8 @@ class Together:
         restore: Callable[[Any], None],
     ):
         self.members, self._solve = members, solve
+        for m in members:
+            m.together = True
         self._save, self.restore, self._saved, self._in_parts = save, restore, save(), 0
         self._landings = [Landing(m.instance) for m in members]
         self._words = [Happenings(m.model, m.name) for m in members]
