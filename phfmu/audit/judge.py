@@ -83,7 +83,7 @@ class Judge:
                 self._mark(ViolationKind.PORTS, names, booked, allowed, block, judged)
             self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
             missed = allowed if judged.all() else np.where(judged, allowed, np.abs(block.residual))
-            self._joined(block, missed, reach)
+            self._joined(block, missed, reach, H)
         found = ratio(block.residual, allowed)
         for i, account in enumerate(accounts):
             account.reach = float(reach[-1, i])
@@ -129,11 +129,12 @@ class Judge:
         for i, account in enumerate(accounts):
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
 
-    def _joined(self, block: BookedSteps, allowed: Floats, played: Floats) -> None:
+    def _joined(self, block: BookedSteps, allowed: Floats, played: Floats, H: Floats) -> None:
         """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for.
 
         All junctions are solved for at once, so each has roundings of the energies in play in the whole network, however little
-        passes through it: `played` [n,c].
+        passes through it: `played` [n,c].  Where all move at one speed, what is left is the force of a rounding times
+        the speed of another, rounding of rounding of `H` [n,c].
         """
         names = tuple(block.booking.junctions)
         if names:
@@ -141,7 +142,8 @@ class Judge:
             reach = largest_so_far([self.passed.get(name, 0.0) for name in names], _or(0.0, passed).copy())
             self.passed.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
-            permitted = self.rtol * passed + FLOOR * EPS * reach + ULPS * EPS * rows(played)[:, None]
+            rounding = ULPS * EPS * rows(played) + (ULPS * EPS) ** 2 * rows(H)
+            permitted = self.rtol * passed + FLOOR * EPS * reach + rounding[:, None]
             self._mark(
                 ViolationKind.JUNCTION, names, block.junction_residual - self._lost(block), permitted, block, judged
             )

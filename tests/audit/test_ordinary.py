@@ -125,6 +125,19 @@ def test_bookings_of_every_kind_are_taken(library: Any, monkeypatch: pytest.Monk
         assert taken == 3, found.violations
 
 
+@pytest.mark.parametrize(("left", "closes"), [(4e-39, True), (1e-24, False)])
+def test_what_moves_as_one_closes_to_rounding_of_rounding(
+    left: float, closes: bool, library: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two bodies at one speed, with nothing in play but what the force of a rounding does at their junction."""
+    booking = Booking(("a", "b"), (PortKey("a", "p", None, "rod"), PortKey("b", "p", None, "rod")))
+    pairs = np.tile([2.0 * left, -left], (5, 1))
+    zero = np.zeros((5, 2))
+    steps = Steps(np.tile([0.5, 1.5], (5, 1)), pairs, zero, pairs, pairs, None, zero)
+    found, taken = both(booking, steps, 5, monkeypatch)
+    assert (found.closed, taken) == (closes, closes)
+
+
 @pytest.mark.parametrize("column", ["H", "stored", "dissipated", "supplied", "numerical", "moved", "pairs", "works"])
 def test_what_is_not_ordinary_is_told_as_by_arrays(column: str, library: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the middle of a block, in each column; the blocks beside it are compiled code's."""
@@ -140,7 +153,7 @@ def test_what_is_not_ordinary_is_told_as_by_arrays(column: str, library: Any, mo
     ("declaration", "step"), [(smib().declaration(), 1e-4), (four_particle(), 1e-3)], ids=["smib", "four_particle"]
 )
 def test_the_sums_of_a_run_cost_less_than_a_twentieth(declaration: PHDAE, step: float, library: Any) -> None:
-    """CPU time of the least of several turns: 3.5 % of the engine's, for what differs from a run to the next."""
+    """CPU time of the least of several turns."""
     model = build_model(declaration, default_scheme(declaration, 2))
     stepper, n = Monolithic(model, NativeInstance(model)), 2048
     t, h = step * np.arange(n), np.full(n, step)
@@ -156,4 +169,4 @@ def test_the_sums_of_a_run_cost_less_than_a_twentieth(declaration: PHDAE, step: 
         spent["engine"].append(stepped - begun)
         spent["ledger"].append(thread_time() - stepped)
     assert book.ledger.summary().closed
-    assert min(spent["ledger"]) <= 0.035 * min(spent["engine"])
+    assert min(spent["ledger"]) <= 0.05 * min(spent["engine"])

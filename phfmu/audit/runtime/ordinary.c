@@ -47,7 +47,7 @@ typedef struct {
     double *through, *played, *residual, *in_play, *H, *allowed, *in_step;
     double *made, *made_low, *moved, *moved_low, *lost, *divided, *created;
     across dH, dissipated, numerical, external;
-    double pairs, reach;
+    double pairs, reach, energy;
 } ph_row;
 
 static void add(ph_sums s, size j, double x) {
@@ -135,6 +135,7 @@ static void take_components(const ph_ledger *b, size i, ph_row *r) {
         b->reach[k] = most(b->reach[k], most(r->in_play[k], sum));
         b->largest[k] = most(b->largest[k], r->H[k]);
         r->reach += b->reach[k];
+        r->energy += r->H[k];
     }
 }
 
@@ -187,7 +188,8 @@ static int take_junctions(const ph_ledger *b, const ph_row *r, across *made) {
         const double created = r->made[j] + r->made_low[j];
         const double exchanged = 0.5 * (r->moved[j] + r->moved_low[j]), passed = 2.0 * exchanged;
         b->passed[j] = most(b->passed[j], passed);
-        const double permitted = b->rtol * passed + b->floor * b->passed[j] + b->ulps * r->reach;
+        const double rounding = b->ulps * r->reach + b->ulps * b->ulps * r->energy;
+        const double permitted = b->rtol * passed + b->floor * b->passed[j] + rounding;
         fine &= b->loose || fabs(created - r->lost[j]) <= permitted;
         r->lost[j] = permitted;
         r->created[j] = created;
