@@ -21,11 +21,11 @@ from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.jumps_apart import JumpsApart
-from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, newton
+from phfmu.network.couplings.node_newton import NodeNewton, newton, xi_at_end
 from phfmu.network.couplings.start_values import start_values
 from phfmu.network.couplings.totals import Totals
-from phfmu.network.couplings.unconverged import added, plain
-from phfmu.network.couplings.works import Works, works
+from phfmu.network.couplings.unconverged import booked, plain
+from phfmu.network.couplings.works import Works
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
@@ -239,7 +239,7 @@ class Coupled:
         steps, self.last = self._master.advance(self.last, self._sums, (t0, h, first), n)
         if not len(steps.H):
             return None
-        self._signals.stepped(h, self._xi_end())
+        self._signals.stepped(h, xi_at_end(self._exchange, self.last))
         parts = None if steps.works is None else self._works.grouped(steps.works)
         return replace(steps, signals=self._totals.before(steps.signals), works=parts)
 
@@ -253,7 +253,7 @@ class Coupled:
         try:
             self.last = self._solved(Step(t, h, states))
             self.joined.finish()
-            self._signals.stepped(h, self._xi_end())
+            self._signals.stepped(h, xi_at_end(self._exchange, self.last))
             known = self._known(t, h)
             self._jumps.require_own()
             return known
@@ -287,21 +287,11 @@ class Coupled:
                     yield np.zeros(0), np.zeros(0), None, (told, self.read())
             changed = False
 
-    def _xi_end(self) -> Array:
-        """Junction unknowns at the end of the last step."""
-        last, exchange = self.last, self._exchange
-        return exchange.at_end(last.found.xi) if exchange and isinstance(last, NodeSolution) and last.found else last.xi
-
     def _known(self, t: float, h: float) -> dict[str, Any]:
         """What is known of the step just taken: the fields of `Steps`."""
         known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
         test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
-        book = self.joined.ledger()
-        if self._works.keys:
-            book["works"] = works(self.joined, self.last, h)
-        book = added(book, self.last.earlier)
-        if self._works.keys:
-            book["works"] = self._works.grouped(book["works"])
+        book = booked(self.joined, self._works, self.last, h)
         known["events"] = (*self.last.happened, *self.joined.happened())
         if self._growth is not None:
             self._growth.watch(t, h, known["H"], book["pairs"])

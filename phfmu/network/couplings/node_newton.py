@@ -64,6 +64,11 @@ class NodeSolution(Solution):
     missed: tuple[Array, ...] = ()
 
 
+def xi_at_end(exchange: Exchange | None, last: Solution) -> Array:
+    """Junction unknowns at the end of the step that `last` solved."""
+    return exchange.at_end(last.found.xi) if exchange and isinstance(last, NodeSolution) and last.found else last.xi
+
+
 @dataclass(frozen=True)
 class Before:
     """At the start of a step: S, of each cluster, and the sums of outputs of the bare columns."""

@@ -15,7 +15,7 @@ from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.acceptance import HALVED, KEPT
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.works import works
+from phfmu.network.couplings.works import Works, works
 
 HALVINGS = 10  # times that a step is halved
 
@@ -70,6 +70,15 @@ class Halving:
 def plain(coupling: Coupling) -> Coupling:
     """The coupling itself, without what is done where it gives up."""
     return coupling.inner if isinstance(coupling, Halving | Accepting) else coupling
+
+
+def booked(joined: Joined, parts: Works, last: Solution, h: float) -> dict[str, Any]:
+    """What members and junctions booked in a step of length h, with what `last` took of it before."""
+    book = joined.ledger()
+    if not parts.keys:
+        return added(book, last.earlier)
+    book = added(book | {"works": works(joined, last, h)}, last.earlier)
+    return book | {"works": parts.grouped(book["works"])}
 
 
 def added(book: dict[str, Any], other: dict[str, Any] | None) -> dict[str, Any]:
