@@ -8,6 +8,8 @@ compiled loop is taken by them, or refused with their words.
 from __future__ import annotations
 
 import ctypes
+from math import inf
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -38,6 +40,7 @@ Array = NDArray[Any]
 ACCEPTED = np.array(["", "energy", "rounding floor"])
 MEASURED = 4  # steps that tell how long a trial takes
 TRIALS = 2  # of a step, at least
+TRIED = 16  # steps by one thread and by many, of which the faster go on
 LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 
 
@@ -49,6 +52,8 @@ class Master:
         #: asked for, None: as many as pay;  used last
         self._threads, self.threads = threads, 1
         self._cost, self._measured = np.zeros(len(found.parts)), 0
+        #: parts that were begun;  seconds of a trial by so many threads
+        self._parts, self._pace = 0, dict[int, float]()
         self._pattern, self._memory = Pattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs: list[Array] = []
@@ -64,15 +69,31 @@ class Master:
     def advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
         """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as go as usual, and the last of their solutions.
 
-        The members are at the end of these.  The first steps of a run tell how long a trial takes.
+        The members are at the end of these.  The first steps of a run tell how long a trial takes, and what threads gain.
         """
-        if self._threads is None and not self._measured and n > MEASURED and processors() > 1:
-            one, last = self._advance(last, sums, grid, MEASURED)
-            if len(one.H) < MEASURED:
-                return one, last
-            two, last = self._advance(last, sums, (*grid[:2], grid[2] + MEASURED), n - MEASURED)
-            return Steps.joined([one, two]) if len(two.H) else one, last
-        return self._advance(last, sums, grid, n)
+        parts: list[Steps] = []
+        t0, h, first = grid
+        while n:
+            k, self.threads = self._part(n)
+            steps, last = self._advance(last, sums, (t0, h, first), k)
+            if len(steps.H):
+                parts.append(steps)
+            first, n = first + k, n - k if len(steps.H) == k else 0
+        return Steps.joined(parts) if parts else Steps.stacked([]), last
+
+    def _part(self, n: int) -> tuple[int, int]:
+        """How many of n steps come next, by how many threads.
+
+        Parts are the same whatever the threads: where one ends shows in the last bits.
+        """
+        self._parts += 1
+        k = min(n, (MEASURED, TRIED, TRIED, n)[min(self._parts, 4) - 1])
+        if self._threads is not None:
+            return k, min(self._threads, len(self._cost))
+        most = worth(self._cost / self._measured, TRIALS * n, processors()) if self._measured else 1
+        if self._parts < 3 or most == 1:
+            return k, 1
+        return k, most if self._parts == 3 or self._pace.get(most, inf) < self._pace.get(1, 0.0) else 1
 
     def _advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
         t0, h, first = grid
@@ -88,11 +109,14 @@ class Master:
         works = np.empty((n, e.size)) if self._works else None
         s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
         s.work = None if works is None else works.ctypes.data
-        self.threads = self._crew_of(n)
         with crew(self._lib, self.threads) as s.crew:
+            begun = perf_counter()
             done = self._lib.ph_master_run(ctypes.addressof(s), t0, h, n, first, next_)
+            spent = perf_counter() - begun
         s.crew = None
         self.taken += done
+        if done == TRIED and not s.cost:
+            self._pace.setdefault(self.threads, spent / int(trials.sum()))
         if s.cost:
             self._measured += int(trials.sum())
             s.cost = None if self._measured else s.cost
@@ -111,12 +135,6 @@ class Master:
         if followed is None or not len(followed.own(place)):
             return None
         return followed.at_nodes(self.joined.free[place], place, nodes(self.found.parts[i].k).c, grid, n)
-
-    def _crew_of(self, n: int) -> int:
-        """Threads for n steps."""
-        if self._threads is not None:
-            return min(self._threads, len(self._cost))
-        return worth(self._cost / self._measured, TRIALS * n, processors()) if self._measured else 1
 
     def _begin(self, last: Solution, h: float) -> int:
         """Where the first step starts from; 1: the continuation of the step before, which is made there."""
