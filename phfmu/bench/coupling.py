@@ -192,7 +192,8 @@ the ratios of neighbours; `trials`: of each member per step.
 
 The second table divides a step apart by members: `calls` is spent in a member's own functions, `own` in what joins it, with
 loading, saving, rows and ledger. Native members apart go in compiled code: as many steps as there are trials and one
-sensitivity with respect to inputs each, timed alone (those with respect to impulses at bare nodes count as own). FMUs go in
+sensitivity with respect to inputs each, timed alone (those with respect to impulses at
+[bare nodes](../understand/glossary.md#bare-node) count as own). FMUs go in
 Python: the functions of their libraries, timed one by one, and all else.
 
 Below, masses and springs, order 2: the cost of a member does not grow with their number. Members that are alike share a plan
