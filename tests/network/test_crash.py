@@ -295,7 +295,8 @@ def test_a_refused_start_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
 LIMITED = """
 import resource, sys
 from phfmu.cli import main
-resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))  # as a disk that is full from here on
+# as a disk that is full from here on, after some blocks of steps: one is at most 1.1 MB of the log
+resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
 raise SystemExit(main(sys.argv[1:]))
 """
 
