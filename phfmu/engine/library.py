@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,9 @@ from phfmu.engine.compile import Build, compile, host_flags
 from phfmu.engine.model import Model
 from phfmu.engine.record import RECORD
 from phfmu.engine.tables import RUNTIME
+
+#: of functions: result and arguments
+Signatures = dict[str, tuple[Any, list[Any]]]
 
 
 def record_widths(model: Model, signals: int) -> dict[str, int]:
@@ -76,12 +79,26 @@ def enums() -> dict[str, tuple[str, ...]]:
     }
 
 
+def typed(lib: ctypes.CDLL, signatures: Signatures) -> ctypes.CDLL:
+    """The library with the results and arguments of its functions."""
+    for name, (result, arguments) in signatures.items():
+        function = getattr(lib, name)
+        function.restype, function.argtypes = result, arguments
+    return lib
+
+
+def placed(lib: ctypes.CDLL, name: str, *about: Any, more: Sequence[Any] = ()) -> tuple[NDArray[np.float64], int]:
+    """What `name_init` makes of `about` and `more` in memory of `name_size` bytes: that memory, to be kept, and the address."""
+    memory = np.zeros(getattr(lib, f"{name}_size")(*about) // 8 + 1)
+    return memory, getattr(lib, f"{name}_init")(memory.ctypes.data, *about, *more)
+
+
 @cache
 def load(path: Path) -> ctypes.CDLL:
     """The library with the signatures of phfmu.h."""
     lib = ctypes.CDLL(str(path))
     pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
-    signatures: dict[str, tuple[Any, list[Any]]] = {
+    signatures: Signatures = {
         "ph_size": (ctypes.c_size_t, [pointer]),
         "ph_init": (integer, [pointer, pointer]),
         "ph_reset": (integer, [pointer]),
@@ -126,10 +143,7 @@ def load(path: Path) -> ctypes.CDLL:
         "ph_last_report": (ctypes.POINTER(Report), [pointer]),
         "ph_status_text": (ctypes.c_char_p, [integer]),
     }
-    for name, (result, arguments) in signatures.items():
-        function = getattr(lib, name)
-        function.restype, function.argtypes = result, arguments
-    return lib
+    return typed(lib, signatures)
 
 
 def runtime_sources(events: bool = False, modes: bool = False) -> dict[str, Path]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.compile import compile, host_flags
 from phfmu.engine.impulses import PortKernels
-from phfmu.engine.library import runtime_sources, view
+from phfmu.engine.library import placed, runtime_sources, view
 from phfmu.engine.port_text import port_text
 
 Floats = NDArray[np.float64]
@@ -30,8 +30,7 @@ class NativeImpulses:
         self.n, self._lib = kernels.n, lib
         self._ports = _library(kernels)
         ports = ctypes.addressof(ctypes.c_char.in_dll(self._ports, "ph_the_ports"))
-        self._memory = np.zeros(lib.ph_impulses_size(instance, ports) // 8 + 1)
-        self.address = lib.ph_impulses_init(self._memory.ctypes.data, instance, ports)
+        self._memory, self.address = placed(lib, "ph_impulses", instance, ports)
         address = lib.ph_impulse_values(self.address)
         #: at start and end of the coming steps, then of the last one (4 x n)
         self.values = view(address, 4 * self.n).reshape(4, self.n)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.library import Column, Record, record_widths, view
+from phfmu.engine.library import Column, Record, Signatures, placed, record_widths, typed, view
 from phfmu.engine.model import Model
 from phfmu.engine.record import Grid
 from phfmu.engine.status import Status
@@ -46,7 +45,7 @@ class EventRefusal(ctypes.Structure):
 def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
     """The library of a model with state events, with the signatures of events.h."""
     pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
-    signatures: dict[str, tuple[Any, list[Any]]] = {
+    signatures: Signatures = {
         "ph_landing_size": (ctypes.c_size_t, [pointer, pointer]),
         "ph_landing_init": (pointer, [pointer, pointer, pointer]),
         "ph_land_from": (None, [pointer, real, real, integer, integer, integer]),
@@ -58,10 +57,7 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_land_after": (integer, [pointer, pointer]),
         "ph_land_refusal": (ctypes.POINTER(EventRefusal), [pointer]),
     }
-    for name, (result, arguments) in signatures.items():
-        function = getattr(lib, name)
-        function.restype, function.argtypes = result, arguments
-    return lib
+    return typed(lib, signatures)
 
 
 class NativeLanding:
@@ -71,8 +67,7 @@ class NativeLanding:
         if events is None or model.events is None:
             raise ValueError(f"{model.name} has no state events: use run")
         self._model, self._plan, self._lib, self._width = model, model.events, _typed(lib), width
-        self._memory = np.zeros(lib.ph_landing_size(instance, events) // 8 + 1)
-        self._in = lib.ph_landing_init(self._memory.ctypes.data, instance, events)
+        self._memory, self._in = placed(lib, "ph_landing", instance, events)
 
     def over(self, grid: Grid, record: Iterable[str], changed: bool, check: Callable[[int], None]) -> Iterator[Landed]:
         """The steps of a grid; `check` raises what a status means."""

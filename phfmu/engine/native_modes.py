@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -16,11 +14,12 @@ from phfmu.discretise.model import Model
 from phfmu.engine.codegen import kernel_table
 from phfmu.engine.compile import compile, host_flags
 from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.library import Record, record_widths
+from phfmu.engine.library import Record, Signatures, placed, record_widths, typed
 from phfmu.engine.mode_tables import ModeTables
 from phfmu.engine.native_landing import STEPS, LandedRows, Room
 from phfmu.engine.record import Grid
 from phfmu.engine.status import Status
+from phfmu.engine.structures import Header
 from phfmu.engine.tables import RUNTIME
 from phfmu.events.dependent import most_held
 from phfmu.events.happened import Landed
@@ -28,8 +27,10 @@ from phfmu.events.modes import Mode
 from phfmu.events.switch_tables import mode_rows, switch_tables
 
 #: headers and sources of a library that changes modes, besides its own folder
-SHARED = ("plan.h", "names.h", "phfmu.h", "step_limits.h", "system.h", "group.inc", "schur/schur.h", "events/events.h",
+SHARED = ("plan.h", "names.h", "phfmu.h", "pool.h", "step_limits.h", "system.h", "group.inc", "schur/schur.h", "events/events.h",
           "events/event_limits.h")  # fmt: skip
+#: what a mode is called by
+CALLS = Header((RUNTIME / "modes" / "modes.h",), (), "ph_mode_calls")
 ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
 
@@ -89,7 +90,7 @@ def _compiled(model: Model) -> _Compiled:
 def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
     """With the signatures of modes.h."""
     pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
-    signatures: dict[str, tuple[Any, list[Any]]] = {
+    signatures: Signatures = {
         "ph_modes_size": (ctypes.c_size_t, [pointer]),
         "ph_modes_init": (pointer, [pointer, pointer, ctypes.POINTER(_Source), pointer]),
         "ph_modes_prepare": (None, [pointer, real]),
@@ -97,10 +98,7 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_modes_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows), pointer]),
         "ph_modes_refusal": (ctypes.POINTER(_Refusal), [pointer]),
     }
-    for name, (result, arguments) in signatures.items():
-        function = getattr(lib, name)
-        function.restype, function.argtypes = result, arguments
-    return lib
+    return typed(lib, signatures)
 
 
 class NativeModes:
@@ -114,9 +112,8 @@ class NativeModes:
         self._keep: list[Any] = []
         self._failure: BaseException | None = None
         self._source = _Source(None, ROWS(self._rows), ROWS(self._whole), MOST(self._most))
-        lib, pointer = self._made.lib, self._made.tables.pointer
-        self._memory = np.zeros(lib.ph_modes_size(pointer) // 8 + 1)
-        self._in = lib.ph_modes_init(self._memory.ctypes.data, pointer, self._source, self._sides.ctypes.data)
+        more = self._source, self._sides.ctypes.data
+        self._memory, self._in = placed(self._made.lib, "ph_modes", self._made.tables.pointer, more=more)
 
     def land(self, grid: Grid, record: tuple[str, ...], changed: bool) -> Iterator[Landed]:
         """Grid steps with their events; modes change between two rows."""
@@ -197,8 +194,8 @@ class NativeModes:
         landing.stop_before(np.ones(self._model.events.n, np.int8))
         state = np.frombuffer(fresh, np.uint8)
         handle = instance.handle
-        calls = (ctypes.c_void_p * len(self._functions))(
-            *(ctypes.cast(getattr(handle.lib, n), ctypes.c_void_p).value for n in self._functions)
+        calls = (ctypes.c_void_p * len(CALLS.functions))(
+            *(ctypes.cast(getattr(handle.lib, n), ctypes.c_void_p).value for n in CALLS.functions)
         )
         self._keep += [state, calls]
         return _Mode(self._rows(0, on), ctypes.addressof(calls), handle.instance, landing.address, state.ctypes.data,
@@ -211,11 +208,3 @@ class NativeModes:
         except Exception as failure:
             self._failure = failure
             return 0.0
-
-    @cached_property
-    def _functions(self) -> list[str]:
-        """What a mode is called by, in the order of ph_mode_calls."""
-        text = (RUNTIME / "modes" / "modes.h").read_text()
-        body = re.search(r"typedef struct ph_mode_calls \{(.*?)\} ph_mode_calls;", text, re.S)
-        assert body
-        return re.findall(r"\(\*(\w+)\)\(", body[1])

@@ -20,28 +20,22 @@ struct ph_impulses {
     void *backup; /* state of the instance */
 };
 
-static void *place(char *base, size_t *used, size_t bytes) {
-    const size_t at = *used;
-    *used += (bytes + 15) / 16 * 16;
-    return base ? base + at : NULL;
-}
-
 static size_t lay_out(ph_impulses *m, char *base) {
     const ph_ports *p = m->ports;
-    const size_t real = sizeof(double), pointer = sizeof(double *);
-    size_t used = 0;
-    place(base, &used, sizeof(*m));
-    m->value = place(base, &used, real * 4 * (size_t)p->n);
-    m->none = place(base, &used, real * (size_t)p->n);
-    m->shift = place(base, &used, real * (size_t)p->nstate);
-    m->mean = place(base, &used, real * (size_t)p->n);
-    m->work = place(base, &used, real * (size_t)p->n);
-    m->w = place(base, &used, real * (size_t)p->w);
-    m->iw = place(base, &used, sizeof(int) * (size_t)p->iw);
-    m->arg = place(base, &used, pointer * (size_t)p->arg);
-    m->res = place(base, &used, pointer * (size_t)p->res);
-    m->backup = place(base, &used, ph_state_size(m->in));
-    return used;
+    const size_t pointer = sizeof(double *);
+    ph_pool part = {base, 0};
+    ph_take(&part, sizeof(*m));
+    m->value = ph_take_doubles(&part, 4 * p->n);
+    m->none = ph_take_doubles(&part, p->n);
+    m->shift = ph_take_doubles(&part, p->nstate);
+    m->mean = ph_take_doubles(&part, p->n);
+    m->work = ph_take_doubles(&part, p->n);
+    m->w = ph_take_doubles(&part, p->w);
+    m->iw = ph_take_ints(&part, p->iw);
+    m->arg = ph_take(&part, pointer * (size_t)p->arg);
+    m->res = ph_take(&part, pointer * (size_t)p->res);
+    m->backup = ph_take(&part, ph_state_size(m->in));
+    return part.used;
 }
 
 size_t ph_impulses_size(const ph_instance *in, const ph_ports *ports) {

@@ -9,6 +9,21 @@
 #define PREFER 0.01 /* the planned pivot is taken from this fraction of the column maximum on */
 #define GROWTH 1e-3 /* an old pivot is kept down to this fraction */
 
+void ph_lu_take(ph_lu *lu, ph_pool *pool) {
+    lu->pivot = ph_take_ints(pool, lu->n);
+    lu->where = ph_take_ints(pool, lu->n);
+    lu->start = ph_take_ints(pool, lu->n + 1);
+    lu->lower = ph_take_ints(pool, lu->n);
+    lu->index = ph_take_ints(pool, lu->capacity);
+    lu->value = ph_take_doubles(pool, lu->capacity);
+    lu->inverse = ph_take_doubles(pool, lu->n);
+    lu->place = ph_take_ints(pool, lu->nnz);
+    lu->work = ph_take_doubles(pool, lu->n);
+    lu->mark = ph_take_ints(pool, lu->n);
+    lu->stack = ph_take_ints(pool, lu->n);
+    lu->child = ph_take_ints(pool, lu->n);
+}
+
 /* Rows reached from column j of A through the columns of L found so far, in elimination order in
  * stack[top..n). During factorisation L is indexed by rows, not by pivot steps. */
 static int reach(ph_lu *lu, int j) {

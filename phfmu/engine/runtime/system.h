@@ -3,6 +3,7 @@
 #define PH_SYSTEM_H
 
 #include "phfmu.h"
+#include "pool.h"
 
 /* Sparse LU of a matrix in CSC form with fixed column order. Step j eliminates column order[j] with
  * row pivot[j]. Column j of the factors is kept at start[j]..start[j+1]: first U (pivot steps, in
@@ -24,6 +25,8 @@ typedef struct ph_lu {
     int filled; /* the numbers are valid */
 } ph_lu;
 
+/* Its arrays, from sizes n, nnz and capacity. */
+void ph_lu_take(ph_lu *lu, ph_pool *pool);
 int ph_lu_factor(ph_lu *lu, const double *a, long long *count);
 int ph_lu_full(ph_lu *lu, const double *a);
 int ph_lu_refactor(ph_lu *lu, const double *a);

@@ -1,12 +1,9 @@
 /* Memory of an instance: one block from its making to its end. */
 #include "fmu.h"
+#include "pool.h"
 
 #include <stdlib.h>
 #include <string.h>
-
-static size_t padded(size_t bytes) {
-    return (bytes + 15) / 16 * 16;
-}
 
 static fmu *allocate(const fmu_interface *about, const char *name) {
     const ph_plan *p = about->model->step;
@@ -20,14 +17,14 @@ static fmu *allocate(const fmu_interface *about, const char *name) {
     double *place;
     if (model == 0)
         return NULL;
-    block = calloc(1, padded(sizeof(fmu)) + padded(model) + sizeof(double) * values +
+    block = calloc(1, ph_padded(sizeof(fmu)) + ph_padded(model) + sizeof(double) * values +
                           sizeof(unsigned) * scalars + length);
     if (!block)
         return NULL;
     f = (fmu *)(void *)block;
     f->about = about;
-    f->in = (ph_instance *)(void *)(block + padded(sizeof(fmu)));
-    place = (double *)(void *)(block + padded(sizeof(fmu)) + padded(model));
+    f->in = (ph_instance *)(void *)(block + ph_padded(sizeof(fmu)));
+    place = (double *)(void *)(block + ph_padded(sizeof(fmu)) + ph_padded(model));
     f->x = place;
     f->p = f->x + p->nx;
     f->u = f->p + p->np;

@@ -6,6 +6,7 @@
 
 #include "events.h"
 #include "fmu.h"
+#include "pool.h"
 
 /* What an event is written to, and the memory of the landing. */
 typedef struct landed {
@@ -15,22 +16,18 @@ typedef struct landed {
     int step;
 } landed;
 
-static size_t padded(size_t bytes) {
-    return (bytes + 15) / 16 * 16;
-}
-
 int fmu_landing_create(fmu *f) {
     const ph_events *events = f->about->landing->events;
     const size_t nc = (size_t)f->about->model->step->ncomp, signals = (size_t)f->offset[PH_NBLOCK];
-    const size_t size = padded(ph_landing_size(f->in, events));
+    const size_t size = ph_padded(ph_landing_size(f->in, events));
     char *block =
-        calloc(1, padded(sizeof(landed)) + size + sizeof(double) * (2 * nc + signals) + (size_t)events->n);
+        calloc(1, ph_padded(sizeof(landed)) + size + sizeof(double) * (2 * nc + signals) + (size_t)events->n);
     landed *l = (landed *)(void *)block;
     double *place;
     if (!block)
         return 0;
-    place = (double *)(void *)(block + padded(sizeof(landed)) + size);
-    l->landing = ph_landing_init(block + padded(sizeof(landed)), f->in, events);
+    place = (double *)(void *)(block + ph_padded(sizeof(landed)) + size);
+    l->landing = ph_landing_init(block + ph_padded(sizeof(landed)), f->in, events);
     l->out.event_t = &l->t;
     l->out.event_step = &l->step;
     l->out.event_energy = place;

@@ -6,6 +6,7 @@
 
 #include "fmu_modes.h"
 #include "modes.h"
+#include "pool.h"
 
 /* Memory of all modes, owned; a mode's instance has the place of its mode in the table. */
 typedef struct world {
@@ -48,16 +49,6 @@ static const fmu_switches *about(const fmu *f) {
     return f->about->landing->switches;
 }
 
-static size_t padded(size_t bytes) {
-    return (bytes + 15) / 16 * 16;
-}
-
-static void *take(char *base, size_t *used, size_t bytes) {
-    const size_t at = *used;
-    *used += padded(bytes);
-    return base ? base + at : NULL;
-}
-
 /* Place of a mode in the table, or -1. */
 static int find(const fmu_switches *s, const signed char *on) {
     for (int i = 0; i < s->n; i++)
@@ -87,20 +78,20 @@ static double most_of(void *of, const signed char *on, const double *a, int j) {
 static size_t lay_out(fmu *f, world *w, char *base) {
     const fmu_switches *s = about(f);
     const size_t n = (size_t)s->switches->n;
-    size_t used = 0;
-    take(base, &used, sizeof(*w));
-    w->modes = take(base, &used, ph_modes_size(s->switches));
-    w->whole = take(base, &used, sizeof(ph_mode) * (size_t)s->n);
-    w->sides = take(base, &used, 1 + 2 * n);
-    w->changed = take(base, &used, n);
-    w->stops = take(base, &used, (size_t)s->switches->nevent);
-    return used;
+    ph_pool part = {base, 0};
+    ph_take(&part, sizeof(*w));
+    w->modes = ph_take(&part, ph_modes_size(s->switches));
+    w->whole = ph_take(&part, sizeof(ph_mode) * (size_t)s->n);
+    w->sides = ph_take(&part, 1 + 2 * n);
+    w->changed = ph_take(&part, n);
+    w->stops = ph_take(&part, (size_t)s->switches->nevent);
+    return part.used;
 }
 
 /* A mode with memory of its own; the first one has the instance that the unit begins with. */
 static int make(fmu *f, world *w, int i) {
     const fmu_mode *mode = &about(f)->modes[i];
-    const size_t size = i ? padded(ph_size(mode->model)) : 0;
+    const size_t size = i ? ph_padded(ph_size(mode->model)) : 0;
     ph_mode *whole = &w->whole[i];
     int offset[PH_NBLOCK + 1];
     char *memory, *fresh;
@@ -112,7 +103,7 @@ static int make(fmu *f, world *w, int i) {
     if (!whole->in || (i && ph_init(whole->in, mode->model) != PH_OK))
         return 0;
     ph_initialise(whole->in); /* where it cannot be, entering it says so */
-    state = padded(ph_state_size(whole->in));
+    state = ph_padded(ph_state_size(whole->in));
     landing = ph_landing_size(whole->in, mode->events);
     fresh = calloc(1, state + landing);
     if (!fresh)
@@ -221,7 +212,7 @@ int fmu_modes_refused(const fmu *f, const char *function) {
 }
 
 static size_t sides_size(const fmu *f) {
-    return padded(1 + 2 * (size_t)about(f)->switches->n);
+    return ph_padded(1 + 2 * (size_t)about(f)->switches->n);
 }
 
 size_t fmu_modes_state_size(const fmu *f) {

@@ -4,17 +4,14 @@
 #include <string.h>
 
 #include "fmu.h"
-
-static size_t padded(size_t bytes) {
-    return (bytes + 15) / 16 * 16;
-}
+#include "pool.h"
 
 int fmu_node_memory(fmu *f) {
     const ph_plan *p = f->about->model->step;
     const fmu_impulses *impulses = f->about->impulses;
     const size_t n = impulses ? (size_t)impulses->n : 0, nu = (size_t)p->nu, k = (size_t)p->k;
     const size_t columns = k * nu + 2 * n, width = (size_t)(p->nx + 1 + p->na);
-    const size_t kept = impulses ? padded(impulses->size(f->in, impulses->ports)) : 0;
+    const size_t kept = impulses ? ph_padded(impulses->size(f->in, impulses->ports)) : 0;
     fmu_nodes *m = &f->nodes;
     char *block =
         calloc(1, kept + sizeof(double) * (2 * n + n * n + columns * (2 * k * nu + nu + n + width)) + 1);

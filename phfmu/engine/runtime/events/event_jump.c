@@ -6,54 +6,44 @@
 
 #include "event_landing.h"
 
-static void *place(char *base, size_t *used, size_t bytes) {
-    const size_t at = *used;
-    *used += (bytes + 15) / 16 * 16;
-    return base ? base + at : NULL;
-}
-
-static double *doubles(char *base, size_t *used, int n) {
-    return place(base, used, sizeof(double) * (size_t)n);
-}
-
 static size_t lay_out(ph_landing *l, char *base) {
     const ph_events *e = l->events;
     const ph_plan *p = l->in->model->step;
     const int n = e->ncolumn, c = e->ncomponent * n;
-    size_t used = 0;
-    place(base, &used, sizeof(*l));
-    l->last = doubles(base, &used, e->n);
-    l->start = doubles(base, &used, e->n);
-    l->now = doubles(base, &used, e->n);
-    l->values = doubles(base, &used, e->npoint * e->n);
-    l->fits = doubles(base, &used, e->npoint * e->n);
-    l->x = doubles(base, &used, p->nx + 1);
-    l->start_x = doubles(base, &used, p->nx + 1);
-    l->w = doubles(base, &used, p->nw);
-    l->y = doubles(base, &used, p->na + p->nu);
-    l->p = doubles(base, &used, p->np);
-    l->jump = doubles(base, &used, n * (e->ncomponent + e->nmoved + n) + e->njump);
-    l->c = doubles(base, &used, c);
-    l->before_c = doubles(base, &used, c);
-    l->s = doubles(base, &used, n * n);
-    l->factor = doubles(base, &used, n * n);
-    l->goal = doubles(base, &used, n);
-    l->m = doubles(base, &used, n);
-    l->found = doubles(base, &used, n);
-    l->e = doubles(base, &used, n);
-    l->which = place(base, &used, sizeof(int) * (size_t)n);
-    l->whose = place(base, &used, sizeof(int) * (size_t)e->njump);
-    l->acts = place(base, &used, (size_t)n);
-    l->fired = place(base, &used, (size_t)e->n);
-    l->rests = place(base, &used, (size_t)e->n);
-    l->looked = place(base, &used, (size_t)e->n);
-    l->from_zero = place(base, &used, (size_t)e->n);
-    l->refused = place(base, &used, (size_t)e->n);
-    l->before = place(base, &used, ph_state_size(l->in));
-    l->after = place(base, &used, ph_state_size(l->in));
-    l->kept = doubles(base, &used, ph_kept_size(l->in->model));
-    l->begun = place(base, &used, ph_state_size(l->in));
-    return used;
+    ph_pool part = {base, 0};
+    ph_take(&part, sizeof(*l));
+    l->last = ph_take_doubles(&part, e->n);
+    l->start = ph_take_doubles(&part, e->n);
+    l->now = ph_take_doubles(&part, e->n);
+    l->values = ph_take_doubles(&part, e->npoint * e->n);
+    l->fits = ph_take_doubles(&part, e->npoint * e->n);
+    l->x = ph_take_doubles(&part, p->nx + 1);
+    l->start_x = ph_take_doubles(&part, p->nx + 1);
+    l->w = ph_take_doubles(&part, p->nw);
+    l->y = ph_take_doubles(&part, p->na + p->nu);
+    l->p = ph_take_doubles(&part, p->np);
+    l->jump = ph_take_doubles(&part, n * (e->ncomponent + e->nmoved + n) + e->njump);
+    l->c = ph_take_doubles(&part, c);
+    l->before_c = ph_take_doubles(&part, c);
+    l->s = ph_take_doubles(&part, n * n);
+    l->factor = ph_take_doubles(&part, n * n);
+    l->goal = ph_take_doubles(&part, n);
+    l->m = ph_take_doubles(&part, n);
+    l->found = ph_take_doubles(&part, n);
+    l->e = ph_take_doubles(&part, n);
+    l->which = ph_take_ints(&part, n);
+    l->whose = ph_take_ints(&part, e->njump);
+    l->acts = ph_take(&part, (size_t)n);
+    l->fired = ph_take(&part, (size_t)e->n);
+    l->rests = ph_take(&part, (size_t)e->n);
+    l->looked = ph_take(&part, (size_t)e->n);
+    l->from_zero = ph_take(&part, (size_t)e->n);
+    l->refused = ph_take(&part, (size_t)e->n);
+    l->before = ph_take(&part, ph_state_size(l->in));
+    l->after = ph_take(&part, ph_state_size(l->in));
+    l->kept = ph_take_doubles(&part, ph_kept_size(l->in->model));
+    l->begun = ph_take(&part, ph_state_size(l->in));
+    return part.used;
 }
 
 size_t ph_landing_size(const ph_instance *in, const ph_events *events) {

@@ -4,53 +4,39 @@
 
 #include "work.h"
 
-static void *place(char *base, size_t *used, size_t bytes) {
-    const size_t at = *used;
-    *used += (bytes + 15) / 16 * 16;
-    return base ? base + at : NULL;
-}
-
-static double *doubles(char *base, size_t *used, int n) {
-    return place(base, used, sizeof(double) * (size_t)n);
-}
-
-static int *ints(char *base, size_t *used, int n) {
-    return place(base, used, sizeof(int) * (size_t)n);
-}
-
 static size_t lay_out(ph_modes *m, const ph_switches *sw, char *base) {
     const int n = sw->n, nx = sw->nx, na = sw->na, all = nx + na;
-    size_t used = 0;
-    place(base, &used, sizeof(*m));
-    m->want = place(base, &used, (size_t)n);
-    m->fixed = place(base, &used, (size_t)n);
-    m->tried = place(base, &used, (size_t)n);
-    m->which = place(base, &used, (size_t)n);
-    m->asked_of = ints(base, &used, n);
-    m->flip = ints(base, &used, n);
-    m->x = doubles(base, &used, nx);
-    m->a = doubles(base, &used, na);
-    m->u = doubles(base, &used, sw->nu);
-    m->p = doubles(base, &used, sw->np);
-    m->there = doubles(base, &used, nx);
-    m->then = doubles(base, &used, nx);
-    m->moved = doubles(base, &used, sw->ncomp);
-    m->left = doubles(base, &used, sw->ncomp);
-    m->xt = doubles(base, &used, nx + 1);
-    m->y = doubles(base, &used, na + sw->nu);
-    m->rates = doubles(base, &used, sw->nresult);
-    m->before = doubles(base, &used, sw->ncomp * nx);
-    m->after = doubles(base, &used, sw->ncomp * nx);
-    m->matrix = doubles(base, &used, all * all);
-    m->kept = doubles(base, &used, na * na);
-    m->right = doubles(base, &used, all);
-    m->basis = doubles(base, &used, na * na);
-    m->moves = doubles(base, &used, na * nx);
-    m->found = doubles(base, &used, all);
-    m->scaling = doubles(base, &used, all);
-    m->rows = ints(base, &used, all);
-    m->columns = ints(base, &used, all);
-    return used;
+    ph_pool part = {base, 0};
+    ph_take(&part, sizeof(*m));
+    m->want = ph_take(&part, (size_t)n);
+    m->fixed = ph_take(&part, (size_t)n);
+    m->tried = ph_take(&part, (size_t)n);
+    m->which = ph_take(&part, (size_t)n);
+    m->asked_of = ph_take_ints(&part, n);
+    m->flip = ph_take_ints(&part, n);
+    m->x = ph_take_doubles(&part, nx);
+    m->a = ph_take_doubles(&part, na);
+    m->u = ph_take_doubles(&part, sw->nu);
+    m->p = ph_take_doubles(&part, sw->np);
+    m->there = ph_take_doubles(&part, nx);
+    m->then = ph_take_doubles(&part, nx);
+    m->moved = ph_take_doubles(&part, sw->ncomp);
+    m->left = ph_take_doubles(&part, sw->ncomp);
+    m->xt = ph_take_doubles(&part, nx + 1);
+    m->y = ph_take_doubles(&part, na + sw->nu);
+    m->rates = ph_take_doubles(&part, sw->nresult);
+    m->before = ph_take_doubles(&part, sw->ncomp * nx);
+    m->after = ph_take_doubles(&part, sw->ncomp * nx);
+    m->matrix = ph_take_doubles(&part, all * all);
+    m->kept = ph_take_doubles(&part, na * na);
+    m->right = ph_take_doubles(&part, all);
+    m->basis = ph_take_doubles(&part, na * na);
+    m->moves = ph_take_doubles(&part, na * nx);
+    m->found = ph_take_doubles(&part, all);
+    m->scaling = ph_take_doubles(&part, all);
+    m->rows = ph_take_ints(&part, all);
+    m->columns = ph_take_ints(&part, all);
+    return part.used;
 }
 
 size_t ph_modes_size(const ph_switches *switches) {

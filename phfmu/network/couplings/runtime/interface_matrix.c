@@ -5,45 +5,24 @@
 #include "master.h"
 #include "system.h"
 
-static char *room(char **at, size_t size) {
-    char *here = *at;
-    *at += (size + 15) / 16 * 16;
-    return here;
-}
-
-static size_t lay_lu(ph_lu *lu, char *base) {
-    const size_t n = (size_t)lu->n, real = sizeof(double), whole = sizeof(int);
-    char *at = base;
-    room(&at, sizeof(*lu));
-    lu->value = (double *)room(&at, real * (size_t)lu->capacity);
-    lu->inverse = (double *)room(&at, real * n);
-    lu->work = (double *)room(&at, real * n);
-    lu->index = (int *)room(&at, whole * (size_t)lu->capacity);
-    lu->pivot = (int *)room(&at, whole * n);
-    lu->where = (int *)room(&at, whole * n);
-    lu->start = (int *)room(&at, whole * (n + 1));
-    lu->lower = (int *)room(&at, whole * n);
-    lu->place = (int *)room(&at, whole * (size_t)lu->nnz);
-    lu->mark = (int *)room(&at, whole * n);
-    lu->stack = (int *)room(&at, whole * n);
-    lu->child = (int *)room(&at, whole * n);
-    return (size_t)(at - base);
-}
-
 size_t ph_master_lu_size(int n, int nnz, int capacity) {
-    double here[1];
     ph_lu lu = {.n = n, .nnz = nnz, .capacity = capacity};
-    return lay_lu(&lu, (char *)here);
+    ph_pool counted = {NULL, 0};
+    ph_take(&counted, sizeof(lu));
+    ph_lu_take(&lu, &counted);
+    return counted.used;
 }
 
 void ph_master_lu_init(ph_master *m) {
     ph_lu *lu = m->lu;
+    ph_pool whole = {(char *)m->lu, 0};
     *lu = (ph_lu){.n = m->nxi + 2 * m->nbare, .nnz = m->nnz, .capacity = m->capacity};
     lu->colptr = m->colptr;
     lu->rowind = m->rowind;
     lu->order = m->order;
     lu->prefer = m->prefer;
-    lay_lu(lu, m->lu);
+    ph_take(&whole, sizeof(*lu));
+    ph_lu_take(lu, &whole);
 }
 
 /* Derivatives of all rows with respect to z, of the last trial, and their factors with rows scaled by their
