@@ -20,9 +20,8 @@ from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.scene import Event
+from tests.engines import ENGINES
 from tests.wide import wide
-
-ENGINES = [NativeInstance, PythonInstance]
 
 
 def oscillator(gain: float = 0.0, damping: float = 0.0, constant: float = 0.0) -> PHDAE:

@@ -12,6 +12,7 @@ from phfmu import Collocated, DeclarationError, NativeInstance, PythonInstance, 
 from phfmu.bench.compositions import KAHAN_LI, SUZUKI, Composed
 from phfmu.components.library import build
 from phfmu.components.mechanical.chain import chain
+from tests.engines import ENGINES
 from tests.wide import slow
 
 END, LINKS = 0.4, 3
@@ -79,7 +80,7 @@ def test_without_the_velocity_level_velocities_stay_at_order_2_and_positions_at_
     assert v == pytest.approx(2.0, abs=0.4)
 
 
-@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_a_composed_step_and_the_same_step_back_meet(engine):
     instance = engine(build_model(chain(LINKS), SCHEMES["two-level"]))
     start, composed = instance.x, Composed(instance, SUZUKI)

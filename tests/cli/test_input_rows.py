@@ -16,6 +16,7 @@ from phfmu.audit import read
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.run.result import Result
+from tests.engines import ENGINES
 
 Run = Callable[..., tuple[int, str]]
 
@@ -39,7 +40,7 @@ def pushed(engine: type, t: np.ndarray, force: np.ndarray, **more: float) -> Res
     return run(Monolithic(model, engine(model)), Options(stop=float(t[-1]) + 1e-3, step=1e-3, events=events, **more))
 
 
-@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_rows_on_the_grid_are_held_over_their_steps(compiler: None, engine: type) -> None:
     """m v' = F: v is the sum of h F / m over the rows, and the work of each step is booked at its own force."""
     t, force = 1e-3 * np.arange(200), np.random.default_rng(1).standard_normal(200)

@@ -25,6 +25,7 @@ from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.resistor import resistor
 from phfmu.network.run.result import Result
+from tests.engines import ENGINES
 from tests.wide import slow, wide
 
 V, W, PHI, R, L, LOAD, ARC, HOLDS = 325.0, 2 * pi * 50, 0.3, 0.5, 0.01, 3.0, 40.0, 300.0
@@ -88,7 +89,7 @@ def pole(alpha: float) -> tuple[list[float], float]:
         times.append(t)
 
 
-@pytest.mark.parametrize("engine", wide([PythonInstance, NativeInstance], NativeInstance))
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
 @pytest.mark.parametrize(("k", "h", "late"), [slow((2, 5e-4, 1e-8)), (3, 5e-4, 1e-11)])
 def test_arcs_strike_go_out_and_reignite(engine, k, h, late):
     result = arced(engine, k, h)

@@ -30,10 +30,10 @@ from phfmu import (
     strain_energy,
     time,
 )
+from tests.engines import ENGINES
 from tests.wide import slow, wide
 
 FIRST, THIRD = (TwoLevel(k) for k in (1, 3))
-ENGINES = (PythonInstance, NativeInstance)
 G, A, OMEGA = 9.81, 0.1, 5.0
 
 

@@ -27,9 +27,9 @@ from phfmu import (
     time,
 )
 from phfmu.components.mechanical.four_particle import four_particle
+from tests.engines import ENGINES
 from tests.wide import slow
 
-ENGINES = (PythonInstance, NativeInstance)
 JOINT = Collocated(1, gradient="joint-gonzalez", name="semi-explicit")
 MIDPOINT = Collocated(1, gradient="nodal", name="midpoint")
 THIRD = TwoLevel(3)

@@ -30,10 +30,10 @@ from phfmu import (
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.components.mechanical.multibody import Multibody
+from tests.engines import ENGINES
 from tests.wide import slow, wide
 
 FIRST, THIRD = (TwoLevel(k) for k in (1, 3))
-ENGINES = (PythonInstance, NativeInstance)
 SWING = {"n": 5, "damping": 0.3, "bending": 10.0, "speed": 2.0}
 
 

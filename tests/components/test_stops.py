@@ -29,9 +29,10 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.contacts import bumper, end_stop, impact_pair
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.engine.switched import stepped
+from tests.engines import ENGINES
 from tests.wide import wide
 
-ENGINES = wide([NativeInstance, PythonInstance], PythonInstance)
+EITHER = wide(ENGINES, PythonInstance)
 COMPILED = wide([NativeInstance, PythonInstance], NativeInstance)  # many steps
 W = 10.0  # rad/s, sqrt(200 N/m / 2 kg)
 
@@ -119,7 +120,7 @@ def test_a_bumper_under_a_held_force_rests_until_it_changes():
     assert instance.x == pytest.approx([0.5, 1.0], abs=1e-12)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", EITHER)
 def test_two_bodies_hit_each_other_go_on_as_one_and_part(engine):
     """2 kg pushed with 6 N against 1 kg: impacts of the relative motion, all its energy lost; N = 2 N until the force turns."""
     m_a, m_b, e, gap, force = 2.0, 1.0, 0.4, 0.3, 6.0
@@ -187,7 +188,7 @@ def test_the_scenes_are_of_order_2k(k):
     assert slopes[1] == pytest.approx(2 * k, abs=0.2) and (k == 3 or slopes[0] == pytest.approx(2 * k, abs=0.2))
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", EITHER)
 def test_a_clutch_loses_its_formula_and_keeps_the_momentum(engine):
     result = simulated("clutch_engagement", engine)
     J1, J2, slip = 2.0, 0.7, 40 * exp(-0.1 / 2.0)

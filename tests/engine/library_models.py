@@ -6,12 +6,11 @@ from functools import cache
 
 import numpy as np
 
-from phfmu import Collocated, NativeInstance, PythonInstance, Scene, StepFailure, TwoLevel, build_model
+from phfmu import Collocated, Scene, StepFailure, TwoLevel, build_model
 from phfmu.components.electrical import fault_resistor, rlc_load, synchronous_machine
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 
-ENGINES = (PythonInstance, NativeInstance)
 ERRORS = (ValueError, StepFailure)
 #: components with terms that the default arguments leave out
 FORMS = {

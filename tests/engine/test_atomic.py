@@ -8,9 +8,7 @@ import pytest
 from phfmu import (
     PHDAE,
     TRANSLATIONAL,
-    NativeInstance,
     Port,
-    PythonInstance,
     Status,
     StepFailure,
     algebraic,
@@ -19,8 +17,7 @@ from phfmu import (
     energy,
     state,
 )
-
-ENGINES = (PythonInstance, NativeInstance)
+from tests.engines import ENGINES
 
 
 def brake():

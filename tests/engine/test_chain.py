@@ -29,6 +29,7 @@ from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.model import Model
 from phfmu.engine.library import build as build_library
 from phfmu.schemes.named import named_scheme
+from tests.engines import ENGINES
 from tests.wide import wide
 
 PARTS = (1, 3, 10)
@@ -173,7 +174,7 @@ def _means(unit: FMUInstance) -> list[str]:
     return [n for p in unit.ports for n in p.step_outputs]
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, PythonInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_asking_changes_nothing_and_belongs_to_the_saved_state(models, engine: type) -> None:
     declaration, model, step = models("four_particle-2")
     u, _ = inputs(declaration, model)
@@ -194,7 +195,7 @@ def test_asking_changes_nothing_and_belongs_to_the_saved_state(models, engine: t
     np.testing.assert_array_equal(asked.sensitivity(), S, "inputs set since then are of the next step")
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, PythonInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_with_inputs_at_nodes_it_is_with_respect_to_all_of_them_together(models, engine: type) -> None:
     declaration, model, step = models("dc_motor-4")
     one, parts = engine(model), 3
@@ -228,7 +229,7 @@ def test_a_library_with_tangents_is_made_when_they_are_asked_for(models, monkeyp
     assert len(made) == 1
 
 
-@pytest.mark.parametrize("engine", [NativeInstance, PythonInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_before_the_first_step_there_is_none(models, engine: type) -> None:
     one = engine(models("dc_motor-2")[1])
     with pytest.raises(StepFailure) as failure:

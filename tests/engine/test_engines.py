@@ -7,7 +7,8 @@ import pytest
 
 from phfmu import NativeInstance, PythonInstance, Scene
 from phfmu.components.library import LIBRARY, SWITCHED, build
-from tests.engine.library_models import ENGINES, ERRORS, FORMS, declaration, plan, start
+from tests.engine.library_models import ERRORS, FORMS, declaration, plan, start
+from tests.engines import ENGINES
 from tests.wide import wide
 
 NAMES = [*(n for n in LIBRARY if n not in SWITCHED), *FORMS]

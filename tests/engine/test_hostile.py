@@ -9,10 +9,10 @@ from phfmu import NativeInstance, PythonInstance, Status, StepFailure, TwoLevel,
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
 from phfmu.engine.limits import LIMITS
+from tests.engines import ENGINES
 
 #: the attempt that is under way may end: 30 iterations, or 120 where it grows from an eighth of the step
 LAST = 120
-ENGINES = (PythonInstance, NativeInstance)
 
 
 def fingerprint(instance) -> dict[str, bytes]:

@@ -30,9 +30,9 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass, spring
 from tests.dense_member import DenseMember
+from tests.engines import ENGINES
 from tests.wide import wide
 
-ENGINES = (PythonInstance, NativeInstance)
 PUSH = Domain("push", "f", "N", "v", "m/s", "flow")
 
 

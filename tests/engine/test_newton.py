@@ -15,9 +15,9 @@ from phfmu.engine import newton
 from phfmu.engine.limits import LIMITS
 from phfmu.schemes.named import named_scheme
 from phfmu.stress.mechanisms import doubled
+from tests.engines import ENGINES
 
 ENGINE = Path(phfmu.engine.__path__[0])
-ENGINES = (PythonInstance, NativeInstance)
 
 
 def four(**starts):

@@ -25,9 +25,9 @@ from phfmu import (
     state,
 )
 from phfmu.declare.variable import time
+from tests.engines import ENGINES
 from tests.wide import wide
 
-ENGINES = (PythonInstance, NativeInstance)
 #: order of the scheme -> length of a step of two internal ones, of which one has to be halved, see `growing`
 LENGTH = {1: 0.8, 2: 0.95, 3: 0.97}
 PUSH = Domain("push", "f", "N", "v", "m/s", "flow")

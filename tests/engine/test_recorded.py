@@ -12,7 +12,6 @@ from phfmu import (
     PHDAE,
     Guard,
     Jump,
-    NativeInstance,
     PythonInstance,
     StateEvent,
     StepFailure,
@@ -24,8 +23,7 @@ from phfmu import (
 )
 from phfmu.components.electrical.rectifiers import rectifier_bridge
 from phfmu.engine.record import RECORD
-
-ENGINES = [PythonInstance, NativeInstance]
+from tests.engines import ENGINES
 
 
 @cache

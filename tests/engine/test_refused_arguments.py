@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.engine.library_models import ENGINES, ERRORS, plan, start
+from tests.engine.library_models import ERRORS, plan, start
+from tests.engines import ENGINES
 
 # -- refused arguments -----------------------------------------------------------------------------
 

@@ -20,10 +20,8 @@ from phfmu.stress.mechanisms import G, bricard, hinge
 from phfmu.words import folded
 from tests.engine.mechanisms import crossing, hung, windows
 from tests.engine.runs_at_rest import errors, model
+from tests.engines import ENGINES
 from tests.wide import wide
-
-ENGINES = (PythonInstance, NativeInstance)
-
 
 # -- starts and parameters that are set --------------------------------------------------------------------------
 

@@ -14,9 +14,7 @@ from phfmu import (
     TRANSLATIONAL,
     Guard,
     Jump,
-    NativeInstance,
     Port,
-    PythonInstance,
     StateEvent,
     Switch,
     algebraic,
@@ -27,8 +25,6 @@ from phfmu import (
     state,
     time,
 )
-
-ENGINES = [PythonInstance, NativeInstance]
 
 # -- an oscillator and a wall; it runs until WALL_STOP -----------------------------------------------------------
 

@@ -12,7 +12,8 @@ from phfmu import Collocated, Monolithic, NativeInstance, Options, PythonInstanc
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.network.run.result import Result
-from tests.events.scenes import ENGINES, WALL_STOP, exact, wall
+from tests.engines import ENGINES
+from tests.events.scenes import WALL_STOP, exact, wall
 
 
 @cache

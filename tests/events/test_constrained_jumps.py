@@ -31,7 +31,7 @@ from phfmu import (
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.events.happened import Happened
-from tests.events.scenes import ENGINES
+from tests.engines import ENGINES
 from tests.wide import wide
 
 LINKS, E, WALL = 3, 0.6, 2.2

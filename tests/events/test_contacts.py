@@ -27,7 +27,7 @@ from phfmu import (
 from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.limits import LIMITS
 from phfmu.events.impulse import impulses, pushing
-from tests.events.scenes import ENGINES
+from tests.engines import ENGINES
 
 M, A, G, HEIGHT = 2.0, 0.5, 9.81, 0.7
 

@@ -31,7 +31,8 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.network.run.result import Result
-from tests.events.scenes import ENGINES, lifted
+from tests.engines import ENGINES
+from tests.events.scenes import lifted
 from tests.wide import wide
 
 G, E, V0 = 9.81, 0.8, 2.0

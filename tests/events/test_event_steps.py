@@ -26,7 +26,7 @@ from phfmu import (
 )
 from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.status import Status
-from tests.events.scenes import ENGINES
+from tests.engines import ENGINES
 
 M, K, D, R, FORCE, H = 1.3, 7.0, 0.4, 0.15, 0.3, 0.25
 

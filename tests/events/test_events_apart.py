@@ -37,6 +37,7 @@ from phfmu.fmu.variables import FMUError
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
+from tests.engines import ENGINES
 from tests.wide import slow, wide
 
 OPENED, STOP, CHOP, L = 0.0203, 0.03, 0.5, 0.01
@@ -108,7 +109,7 @@ def test_all_land_together_with_node_values_and_keep_order_2k(
 
 def test_engines_land_together_alike(network: Any) -> None:
     options = Options(stop=0.024, step=1.6e-3, events=EVENTS)
-    native, python = (run(apart(network, e, 2), options) for e in (NativeInstance, PythonInstance))
+    native, python = (run(apart(network, e, 2), options) for e in ENGINES)
     np.testing.assert_allclose(python.time, native.time, rtol=1e-12)
     for name in KEPT:
         np.testing.assert_allclose(python.column(name), native.column(name), atol=1e-16)
@@ -131,7 +132,7 @@ def test_an_event_that_is_refused_leaves_all_members_at_the_last_step(network: A
 def test_engines_agree_and_units_too(network: Any, tmp_path: Path) -> None:
     """A breaker that is a unit gives what it gives as a member of an engine, in the run and in the audit."""
     options = Options(stop=STOP, step=2.5e-4, events=EVENTS)
-    native, python = (run(apart(network, e), options) for e in (NativeInstance, PythonInstance))
+    native, python = (run(apart(network, e), options) for e in ENGINES)
     members: list[Any] = []
     for name, d in network.declared.items():
         model = build_model(d, Collocated(1))

@@ -24,7 +24,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.mechanical.multibody import Multibody
-from tests.events.scenes import ENGINES
+from tests.engines import ENGINES
 
 G = 9.81
 

@@ -34,7 +34,8 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.engine.event_failure import EventRefused
-from tests.events.scenes import ENGINES, MASS, REBOUND, WALL_STOP, exact, wall
+from tests.engines import ENGINES
+from tests.events.scenes import MASS, REBOUND, WALL_STOP, exact, wall
 from tests.wide import wide
 
 
@@ -66,7 +67,7 @@ def test_order_2k_through_nine_impacts(models, engine, k, n, time_error):
 
 def test_engines_land_alike(models):
     native, python = (
-        list(engine(models[2]).land(0.0, 0.05, 120, record=("signals", "stored"))) for engine in (NativeInstance, PythonInstance)
+        list(engine(models[2]).land(0.0, 0.05, 120, record=("signals", "stored"))) for engine in ENGINES
     )  # fmt: skip
     assert len(native) == len(python)
     for a, b in zip(native, python, strict=True):

@@ -26,7 +26,7 @@ from phfmu.components.electrical.synchronous_machine import synchronous_machine
 from phfmu.components.library import build
 from phfmu.components.scenes.smib import circuit
 from phfmu.network.run.result import Result
-from tests.events.scenes import ENGINES
+from tests.engines import ENGINES
 
 OPEN = 0.005
 

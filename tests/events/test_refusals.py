@@ -39,7 +39,7 @@ from phfmu import (
 )
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.engine.event_failure import EventRefused
-from tests.events.scenes import ENGINES
+from tests.engines import ENGINES
 from tests.wide import wide
 
 Q, P, P2 = state("q", unit="m"), state("p", unit="kg.m/s", start=1.0), state("p2", unit="kg.m/s", start=-1.0)

@@ -35,7 +35,8 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.apart import Apart
-from tests.events.scenes import BRIDGE_STOP, ENGINES, LA, LD, bridge
+from tests.engines import ENGINES
+from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge
 from tests.wide import wide
 
 

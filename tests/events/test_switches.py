@@ -41,7 +41,8 @@ from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.limits import defined
 from phfmu.engine.tables import RUNTIME
 from phfmu.events import comply, dependent, null_space, switch_system
-from tests.events.scenes import BRIDGE_STOP, ENGINES, LA, LD, bridge, lifted
+from tests.engines import ENGINES
+from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge, lifted
 from tests.wide import slow, wide
 
 W = 2 * pi * 50

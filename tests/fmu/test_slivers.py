@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phfmu import NativeInstance, PythonInstance, Scene, build_model, export
+from phfmu import Scene, build_model, export
 from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.components.mechanical.four_particle import four_particle
@@ -18,10 +18,10 @@ from phfmu.components.mechanical.heavy_top import heavy_top
 from phfmu.fmu import sources
 from phfmu.fmu.description import Unit
 from phfmu.fmu.reader import FMUInstance
+from tests.engines import ENGINES
 from tests.wide import slow
 
 HERE = Path(__file__).parent
-ENGINES = (PythonInstance, NativeInstance)
 SLIVERS = [10.0**-e for e in range(19, 11, -1)]
 KEPT = ("x", "a", "y_step", "energy", "supplied", "dissipated", "residual")
 needs_cc = pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler for the host program")

@@ -32,6 +32,7 @@ from phfmu import (
 )
 from phfmu.components.library import build
 from phfmu.network.run.adaptive import ToleranceMissed
+from tests.engines import ENGINES
 from tests.wide import wide
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
@@ -108,14 +109,11 @@ def test_the_error_is_proportional_to_the_tolerance_and_of_its_size(case):
 
 @pytest.mark.parametrize("k", [1, 2])
 def test_both_engines_take_the_same_steps_bit_for_bit(k):
-    times = [
-        run(stepper(circuit(), Collocated(k), e), Options(stop=1.0, step=0.01, rtol=1e-4)).time
-        for e in (PythonInstance, NativeInstance)
-    ]
+    times = [run(stepper(circuit(), Collocated(k), e), Options(stop=1.0, step=0.01, rtol=1e-4)).time for e in ENGINES]
     assert np.array_equal(*times)
 
 
-@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_rejected_steps_leave_no_trace(engine):
     """The accepted steps, taken again without control, give the same bits."""
     s = stepper(circuit(), Collocated(2), engine)

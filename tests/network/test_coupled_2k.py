@@ -43,6 +43,7 @@ from phfmu.schemes.midpoint import Midpoint
 from phfmu.schemes.radau import Radau
 from phfmu.schemes.two_level import TwoLevel
 from phfmu.signals import SUM
+from tests.engines import ENGINES
 from tests.wide import wide
 
 
@@ -96,7 +97,7 @@ CASES = [
         (fault_scene, ((2, NativeInstance),)),
     )
     for k in (1, 2, 3)
-    for engine in (PythonInstance, NativeInstance)
+    for engine in ENGINES
 ]
 
 

@@ -39,10 +39,10 @@ from phfmu.fmu.reader import FMUInstance
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.signals import SUM
+from tests.engines import BY_NAME
 from tests.network.test_node_exchange import damped, loaded, quartic_on_cosh
 from tests.wide import slow, wide
 
-ENGINES = {"python": PythonInstance, "native": NativeInstance}
 UNITS = {"fmi2": "2.0", "fmi3": "3.0"}
 MIXED = "native fmi3 python fmi2"
 KINDS = ("python", "native", "fmi2", "fmi3", MIXED)
@@ -163,7 +163,7 @@ def coupled(units: Any) -> Iterator[Any]:
                     members.append(FMUMember(name, stack.enter_context(FMUInstance(path, name=name))))
                 else:
                     model = build_model(replace(d, name=name), scheme)
-                    members.append(EngineMember(name, model, ENGINES[kind](model)))
+                    members.append(EngineMember(name, model, BY_NAME[kind](model)))
             return Coupled(net, members)
 
         yield make

@@ -30,8 +30,8 @@ from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.members.interpolant import Interpolant
 from phfmu.network.run.result import Result
+from tests.engines import ENGINES
 
-ENGINES = [PythonInstance, NativeInstance]
 STIFFNESS, DAMPING, FORCE = 4.2, 0.3, "f.force"
 
 

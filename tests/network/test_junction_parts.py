@@ -36,6 +36,7 @@ from phfmu.engine.steps import Steps
 from phfmu.network.couplings import node_newton
 from phfmu.network.couplings.newton import update
 from phfmu.network.couplings.unconverged import POLICIES
+from tests.engines import ENGINES
 
 H = 1e-3
 PARTS = [
@@ -194,7 +195,7 @@ def saturated(engine: Any, k: int = 1) -> Monolithic:
 OPTIONS = Options(stop=1.0, step=0.1, events=[Event(0.0, "a.drive.v", 5.0)], project=True)
 
 
-@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_the_loss_of_a_projection_is_booked(engine: Any, tmp_path: Path) -> None:
     """It is far from rounding, of order 2, and all that the junction lost; the file says so too."""
     lost = []

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phfmu import Collocated, Coupled, EngineMember, NativeInstance, Options, PythonInstance, build_model, run
+from phfmu import Collocated, Coupled, EngineMember, NativeInstance, Options, build_model, run
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.junctions.network import Network
+from tests.engines import ENGINES
 from tests.network.test_coupled_2k import exact, nonlinear
 from tests.wide import slow
 
@@ -45,7 +46,7 @@ def test_the_order_is_kept_with_internal_steps(k: int, parts: dict[str, int], or
 
 
 def test_internal_steps_are_those_of_the_engine_in_both_engines() -> None:
-    one, two = (last(2, 0.1, engine, spring=4)[0] for engine in (PythonInstance, NativeInstance))
+    one, two = (last(2, 0.1, engine, spring=4)[0] for engine in ENGINES)
     assert np.abs(one - two).max() <= 1e-13
 
 

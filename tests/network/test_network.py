@@ -13,10 +13,8 @@ import pytest
 from phfmu import (
     PHDAE,
     Collocated,
-    NativeInstance,
     Network,
     Options,
-    PythonInstance,
     StepFailure,
     build_model,
     export,
@@ -40,10 +38,10 @@ from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.run.result import Result
+from tests.engines import BY_NAME
 from tests.wide import wide
 
 PHASES = (1.0, -0.5, -0.5)
-ENGINES = {"python": PythonInstance, "native": NativeInstance}
 
 
 def member(name: str, declaration: PHDAE, kind: str, folder: Any = None, step: float = 0.01) -> Any:
@@ -51,7 +49,7 @@ def member(name: str, declaration: PHDAE, kind: str, folder: Any = None, step: f
     own = replace(declaration, name=name)
     model = build_model(own)
     if kind != "fmu":
-        return EngineMember(name, model, ENGINES[kind](model))
+        return EngineMember(name, model, BY_NAME[kind](model))
     (path,) = export(model, folder, versions=("3.0",), step=step)
     return FMUMember(name, FMUInstance(path))
 
@@ -65,7 +63,7 @@ def couple(net: Network, kinds: str = "python", folder: Any = None, step: float 
 def composed(net: Network, engine: str = "python", impulses: bool = True) -> Monolithic:
     """One model; without impulses at bare nodes where coupled members do not exchange them."""
     model = build_model(net.compose(), Collocated(1, impulses=impulses))
-    return Monolithic(model, ENGINES[engine](model))
+    return Monolithic(model, BY_NAME[engine](model))
 
 
 def joined(members: dict[str, PHDAE], *junctions: tuple[str, ...], kind: Any = None) -> Network:

@@ -30,6 +30,7 @@ from phfmu.components.scenes.speed_control import speed_control
 from phfmu.network.couplings.apart import Apart
 from phfmu.network.junctions.junction import ConnectionError
 from phfmu.network.members.member import Member
+from tests.engines import BY_NAME
 from tests.network.governed import (
     LOOP,
     apart_by,
@@ -43,7 +44,6 @@ from tests.wide import wide
 
 # -- units -----------------------------------------------------------------------------------------------------
 
-ENGINES: dict[str, Any] = {"python": PythonInstance, "native": NativeInstance}
 FMI = {"fmi2": "2.0", "fmi3": "3.0"}
 
 
@@ -65,7 +65,7 @@ def with_units(compiler: None, tmp_path: Path) -> Iterator[Any]:
                     )
                     members.append(FMUMember(name, stack.enter_context(FMUInstance(path, name=name))))
                 else:
-                    members.append(EngineMember(name, model, ENGINES[kind](model)))
+                    members.append(EngineMember(name, model, BY_NAME[kind](model)))
             return Coupled(net, members)
 
         yield make

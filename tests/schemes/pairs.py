@@ -8,14 +8,11 @@ from phfmu import (
     PHDAE,
     DiracDissipative,
     GradientPair,
-    NativeInstance,
     PythonInstance,
 )
 from phfmu.components.electrical import synchronous_machine
 from phfmu.components.library import build
 from tests.schemes.test_orders import G, rlc
-
-ENGINES = (PythonInstance, NativeInstance)
 
 
 def steps(model, h, n, engine=PythonInstance):

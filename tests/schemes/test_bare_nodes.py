@@ -37,6 +37,7 @@ from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.run.loop import run
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
+from tests.engines import ENGINES
 from tests.wide import slow, wide
 
 RATED = 18881.48  # A, peak, of kundur555_1q
@@ -146,7 +147,7 @@ def test_balance_of_every_component_and_of_the_node(k: int) -> None:
 
 
 def test_python_and_native_agree() -> None:
-    (_, _, a), (_, _, b) = (stepped(1e-3, Collocated(2), engine=e, n=20) for e in (PythonInstance, NativeInstance))
+    (_, _, a), (_, _, b) = (stepped(1e-3, Collocated(2), engine=e, n=20) for e in ENGINES)
     for block in ("x", "a", "pairs"):
         scale = np.max(np.abs(a[block]), axis=0) + 1e-300
         assert np.max(np.abs(a[block] - b[block]) / np.maximum(scale, 1e-6 * scale.max())) <= 1e-10

@@ -40,9 +40,9 @@ from phfmu.components.electrical import resistor, rl_line, rlc_load, transformer
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
+from tests.engines import ENGINES
 from tests.wide import wide
 
-ENGINES = (PythonInstance, NativeInstance)
 SCHEMES = [Collocated(1), Collocated(2), Collocated(3), GradientPair(), DiracDissipative()]
 
 

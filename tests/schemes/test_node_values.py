@@ -17,7 +17,6 @@ from phfmu import (
     FMUInstance,
     NativeInstance,
     Port,
-    PythonInstance,
     build_model,
     damping,
     energy,
@@ -31,9 +30,9 @@ from phfmu.fmu.values import Derivative
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import FMI3
 from phfmu.gradients.quadrature import nodes
+from tests.engines import ENGINES
 from tests.wide import wide
 
-ENGINES = (PythonInstance, NativeInstance)
 M, K, D, K2, END = 1.3, 4.0, 0.2, 2.5, 1.5
 START = (0.4, -0.3, 0.2)
 

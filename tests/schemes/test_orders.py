@@ -30,6 +30,7 @@ from phfmu import (
 )
 from phfmu.components.electrical import rlc_load
 from phfmu.components.library import build
+from tests.engines import ENGINES
 from tests.wide import wide
 
 TOLERANCE = {1: 0.1, 2: 0.15, 3: 0.25}
@@ -139,7 +140,7 @@ def test_inputs_held_over_the_step_limit_the_order_to_two():
     assert slope(steps, errors) == pytest.approx(-2.0, abs=0.1)
 
 
-@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_parts_of_a_step_resample_the_node_inputs(engine):
     """Inner steps see the polynomial through the node inputs: order 2k holds with a fixed number of parts."""
     model, errors, steps = build_model(rlc("nodes", "state"), Collocated(2)), [], (10, 20, 40)
@@ -152,7 +153,7 @@ def test_parts_of_a_step_resample_the_node_inputs(engine):
     assert slope(steps, errors) == pytest.approx(-4.0, abs=0.15)
 
 
-@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_end_values_see_the_polynomial_through_the_node_inputs(engine):
     """i(t + h) of a resistor and an inductor at u(t) = 1 + t: the input at the end is extrapolated, not held."""
     model, h = build_model(rlc_load(2.0, 0.01), Collocated(2)), 1e-3

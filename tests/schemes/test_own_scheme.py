@@ -18,8 +18,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-from phfmu import PHDAE, Holonomic, NativeInstance, PythonInstance, algebraic, build_model, energy, skew, state
+from phfmu import PHDAE, Holonomic, PythonInstance, algebraic, build_model, energy, skew, state
 from phfmu.schemes.scheme import Scheme
+from tests.engines import ENGINES
 
 PAGE = Path(__file__).parents[2] / "docs" / "internals" / "add-a-part.md"
 
@@ -60,7 +61,7 @@ def by_hand(x: np.ndarray, h: float) -> np.ndarray:
     return root(residual, np.concatenate([x, [10.0, 0.0]]), tol=1e-13).x[:4]
 
 
-@pytest.mark.parametrize("engine", [PythonInstance, NativeInstance])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_a_scheme_with_unknowns_of_its_own_runs_in_both_engines(
     pendulum: PHDAE, Kicked: Callable[[], Scheme], engine: type
 ) -> None:

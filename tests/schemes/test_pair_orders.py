@@ -25,7 +25,8 @@ from phfmu import (
     state,
 )
 from phfmu.components.electrical import synchronous_machine
-from tests.schemes.pairs import BOTH, ENGINES, current, declaration, steps
+from tests.engines import ENGINES
+from tests.schemes.pairs import BOTH, current, declaration, steps
 from tests.schemes.test_orders import BETA, END, START, reference, rlc, rlc_exact, rlc_rate, slope
 from tests.wide import slow
 

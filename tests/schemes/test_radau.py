@@ -13,7 +13,6 @@ from phfmu import (
     DeclarationError,
     Event,
     Monolithic,
-    NativeInstance,
     Options,
     PythonInstance,
     Radau,
@@ -32,9 +31,8 @@ from phfmu.engine.steps import balance
 from phfmu.gradients.quadrature import nodes, radau_nodes
 from phfmu.network.run.restart import Restart
 from phfmu.schemes.named import named_scheme
+from tests.engines import ENGINES
 from tests.wide import wide
-
-ENGINES = (PythonInstance, NativeInstance)
 
 
 def stability(nd, z):

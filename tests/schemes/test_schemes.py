@@ -34,7 +34,8 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.schemes.named import named_scheme
-from tests.schemes.pairs import BOTH, ENGINES, H, current, declaration, steps
+from tests.engines import ENGINES
+from tests.schemes.pairs import BOTH, H, current, declaration, steps
 from tests.schemes.test_orders import BETA, START, G, L, R, drive, rlc
 from tests.wide import wide
 

@@ -14,6 +14,7 @@ from phfmu.stress import coupled, couplings, crash, events, linkage, machine, ma
 from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
 from phfmu.stress.report import page, tally
 from phfmu.words import counted
+from tests.engines import ENGINES
 from tests.wide import wide
 
 
@@ -190,13 +191,11 @@ def test_projection_moves_no_further_than_the_start_was_off():
 @pytest.mark.parametrize("m", [1e-12, 1e-15])
 def test_engines_agree_on_vanishing_masses(m):
     from phfmu.discretise.model import build_model
-    from phfmu.engine.native import NativeInstance
-    from phfmu.engine.python import PythonInstance
     from phfmu.schemes.named import named_scheme
 
     declaration = particles.four(m_1=m, eta0=0.0)
     model = build_model(declaration, named_scheme(declaration, "auto", 2, "per-term"))
-    one, two = (engine(model).run(0.0, 0.01, 300, ("x",))["x"] for engine in (PythonInstance, NativeInstance))
+    one, two = (engine(model).run(0.0, 0.01, 300, ("x",))["x"] for engine in ENGINES)
     assert np.abs(one - two)[:, :12].max() <= 1e-9
 
 

@@ -17,7 +17,6 @@ from phfmu import (
     Collocated,
     DeclarationError,
     Holonomic,
-    NativeInstance,
     Port,
     PythonInstance,
     algebraic,
@@ -32,6 +31,7 @@ from phfmu import (
     state,
 )
 from phfmu.components.mechanical.mass_spring import mass_spring
+from tests.engines import ENGINES
 
 M1, M2, K1, K2, D1, D2, L10, W = 1.3, 0.5, 40.0, 25.0, 0.6, 0.4, 0.4, 0.1
 DATA = dict(m1=M1, m2=M2, k1=K1, k2=K2, d1=D1, d2=D2, l10=L10, w=W, elongations=(0.1, -0.05), speeds=(0.3, -0.8))
@@ -107,9 +107,7 @@ def test_the_multiplier_is_the_force_of_the_second_spring():
 def test_both_engines_agree():
     model = build_model(mass_spring(**DATA), Collocated(2))
     inputs = [[FORCE * np.sin(0.3 * i)] for i in range(200)]
-    a, b = (
-        kind(model).run(0.0, 0.01, 200, ("x", "supplied"), inputs=inputs) for kind in (PythonInstance, NativeInstance)
-    )
+    a, b = (kind(model).run(0.0, 0.01, 200, ("x", "supplied"), inputs=inputs) for kind in ENGINES)
     for name in a:
         assert np.abs(a[name] - b[name]).max() <= 1e-13 * np.abs(a[name]).max()
 

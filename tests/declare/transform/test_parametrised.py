@@ -14,7 +14,6 @@ from phfmu import (
     PHDAE,
     Collocated,
     DeclarationError,
-    NativeInstance,
     Parametrised,
     Port,
     PythonInstance,
@@ -26,6 +25,7 @@ from phfmu import (
     skew,
     state,
 )
+from tests.engines import ENGINES
 
 # Two LC circuits loaded by a resistor R(theta) each and joined by a gyrator; theta is the area the current vector
 # (a, b) sweeps, plus a leak and what the source adds:  theta' + (b a' - a b')/2 = eps v1 + 0.2 u.
@@ -104,9 +104,7 @@ def test_order_2k_and_an_exact_balance(k):
 def test_both_engines_agree():
     model = build_model(swept().assembled(), Collocated(2))
     inputs = source(0.02 * np.arange(100))[:, None]
-    a, b = (
-        kind(model).run(0.0, 0.02, 100, ("x", "dissipated"), inputs=inputs) for kind in (PythonInstance, NativeInstance)
-    )
+    a, b = (kind(model).run(0.0, 0.02, 100, ("x", "dissipated"), inputs=inputs) for kind in ENGINES)
     for name in a:
         assert np.abs(a[name] - b[name]).max() <= 1e-13 * np.abs(a[name]).max()
 
