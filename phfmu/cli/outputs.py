@@ -90,6 +90,11 @@ class Outputs:
         if self._drawn is not None:
             self._drawn.add(time, values)
 
+    def happened(self, time: float, message: str) -> None:
+        """A state event."""
+        if self._drawn is not None:
+            self._drawn.mark(time, message)
+
     def __enter__(self) -> Outputs:
         return self
 

@@ -119,7 +119,9 @@ def call(args: argparse.Namespace) -> int:
         marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
         outputs.begin({"target": args.target, "run": label})
         columns = partial(outputs.columns, marks, args.dense is not None)
-        options_here = replace(chosen, sink=outputs.sink, progress=progress, columns=columns, keep=outputs.keep)
+        options_here = replace(
+            chosen, sink=outputs.sink, progress=progress, columns=columns, keep=outputs.keep, happened=outputs.happened
+        )
         result = run(stepper, options_here, inputs=rows, interpolate=args.interpolate)
         seconds = perf_counter() - begun - outputs.seconds
     summary = result.ledger.summary()

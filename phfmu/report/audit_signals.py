@@ -10,7 +10,7 @@ import numpy as np
 
 from phfmu.report.history import Columns, History
 from phfmu.report.prefix import engineering
-from phfmu.report.recording import Floats, Mark, Signal
+from phfmu.report.recording import Floats, Mark, Signal, together
 
 POWER, LOSS, STORED = (
     "power into the component, mean over the step",
@@ -96,11 +96,11 @@ class AuditSignals:
 
 def marks(history: History) -> list[Mark]:
     """The events, those of one time together."""
-    texts: dict[float, list[str]] = {}
-    for (kind, _, message), c in history.events.items():
-        for t in c["t0"].tolist():
-            texts.setdefault(t, []).append(_NUMBER.sub(_short, message) or kind)
-    return [Mark(t, ", ".join(dict.fromkeys(texts[t]))) for t in sorted(texts)]
+    return together(
+        Mark(t, _NUMBER.sub(_short, message) or kind)
+        for (kind, _, message), c in history.events.items()
+        for t in c["t0"].tolist()
+    )
 
 
 #: the value of an event, as the log writes it

@@ -11,6 +11,8 @@ from phfmu.report.prefix import engineering
 #: pixels: box and bar, room between layers, room of an external port, of an edge's end, and of a line at the most
 BOX, BAR, GAP, PORT, END, WIDEST = 116, 8, 190, 96, 24, 13.0
 ARROW, MARGIN, STRAIGHT = 48, 14, 120
+#: room below a bar with its name
+NAMED = 34
 _LINE, _OUTSIDE = "#0072B2", "#009E73"
 
 
@@ -131,7 +133,7 @@ def _stacked(part: Sequence[_Place], top: float) -> float:
         y = 0.0
         for n in nodes:
             n.y = y + n.room
-            y = n.y + n.height / 2 + 20
+            y = n.y + n.height / 2 + (NAMED if n.node.kind == JUNCTION else 20)
         middle = (nodes[0].y + nodes[-1].y) / 2
         for n in nodes:
             n.y -= middle

@@ -4,14 +4,21 @@ import html
 import os
 from collections.abc import Sequence
 from importlib import import_module
+from math import ceil, log10
 from typing import Any
 
+import numpy as np
+
+from phfmu.report.crowds import Crowd, parted
 from phfmu.report.extra import require
 from phfmu.report.labels import LINE, Label, height, labels
 from phfmu.report.picture import COLOURS, Curve, Panel, Picture
+from phfmu.report.recording import Mark
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 PANEL, ENTRY, GAP, FRAME = 190, 19, 55, 110
+#: counts on an axis with a line for each; ticks of crowds of events, as a share of an axis
+FEW, TICK = 6, 0.06
 #: pixels of an axis that texts of events are laid out for
 AXIS = 800
 _FONT = "system-ui, 'Segoe UI', Roboto, sans-serif"
@@ -54,7 +61,8 @@ def chart(drawn: Picture) -> str:
     panels = drawn.panels
     heights = [max(PANEL, ENTRY * sum(not c.limit for c in p.curves)) for p in panels]
     total = sum(heights) + GAP * (len(heights) - 1)
-    texts = labels(drawn.marks, *_span(drawn), AXIS)
+    alone, crowds = parted(drawn.marks, *_span(drawn))
+    texts = labels([*alone, *(c.mark for c in crowds)], *_span(drawn), AXIS)
     near = any(p.near for p in panels)
     specs = [[{}, {}] if p.near else [{"colspan": 2}, None] for p in panels] if near else None
     figure: Any = import_module("plotly.subplots").make_subplots(
@@ -64,15 +72,18 @@ def chart(drawn: Picture) -> str:
     for i, panel in enumerate(panels, 1):
         name = "legend" if i == 1 else f"legend{i}"
         for curve in panel.curves:
-            figure.add_scatter(x=curve.time, y=curve.values, legend=name, row=i, col=1, **_style(curve))
+            style = _style(curve, panel.log) | (
+                {"showlegend": False} if panel.near else {}
+            )  # bands are pale: told by near
+            figure.add_scatter(x=curve.time, y=curve.values, legend=name, row=i, col=1, **style)
         x, y = next(figure.select_xaxes(row=i, col=1)), next(figure.select_yaxes(row=i, col=1))
-        x.update(matches="x" if i > 1 else None, showticklabels=i == len(panels))
-        y.update(title={"text": panel.unit}, type="log" if panel.log else "linear", exponentformat="power")
+        x.update(matches="x" if i > 1 else None, showticklabels=i == len(panels), range=_span(drawn))
+        y.update(title={"text": panel.unit}, **_scale(panel))
         figure.layout[name] = {"y": y.domain[1], "yanchor": "top", "x": 1.01, "font": {"size": 11}}
         _title(figure, panel.title, 0.0, y.domain[1], height(texts) * (i == 1))
         if panel.near:
             _near(figure, panel, i)
-    _marks(figure, drawn, texts)
+    _marks(figure, len(panels), alone, crowds, texts)
     figure.update_xaxes(title_text="time [s]", row=len(heights), col=1)
     figure.update_xaxes(showgrid=True, gridcolor="#e8e8e8", zeroline=False)
     figure.update_yaxes(showgrid=True, gridcolor="#e8e8e8", zeroline=False)
@@ -86,7 +97,8 @@ def chart(drawn: Picture) -> str:
 def _near(figure: Any, panel: Panel, row: int) -> None:
     """A few periods beside the whole, and where they are in it."""
     for curve in panel.near:
-        figure.add_scatter(x=curve.time, y=curve.values, row=row, col=2, **(_style(curve) | {"showlegend": False}))
+        name = "legend" if row == 1 else f"legend{row}"
+        figure.add_scatter(x=curve.time, y=curve.values, legend=name, row=row, col=2, **_style(curve))
     x, y = next(figure.select_xaxes(row=row, col=2)), next(figure.select_yaxes(row=row, col=2))
     _title(figure, "in the grey window", x.domain[0], y.domain[1], colour="#777")
     time = next(c.time for c in panel.near if len(c.time))
@@ -114,7 +126,24 @@ def part(figure: Any) -> str:
     return figure.to_html(full_html=False, include_plotlyjs=False, include_mathjax=False, config=config)
 
 
-def _style(curve: Curve) -> dict[str, Any]:
+def _scale(panel: Panel) -> dict[str, Any]:
+    """The values of an axis: log ones within their reach, counts at whole numbers."""
+    if panel.reach:
+        low, high = log10(panel.reach[0]) - 0.5, log10(panel.reach[1]) + 0.5
+        return {
+            "type": "log",
+            "range": [low, high],
+            "dtick": ceil((high - low) / 5.0),
+            "exponentformat": "power",
+            "tickfont": {"size": 10},
+        }
+    values = [float(f(c.values)) for c in panel.curves if len(c.values) for f in (np.nanmin, np.nanmax)]
+    if panel.whole and max(values) - min(values) <= FEW:
+        return {"range": [min(values) - 0.25, max(values) + 0.25], "dtick": 1}
+    return {"exponentformat": "power"}
+
+
+def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     colour = COLOURS[curve.colour]
     name = html.escape(curve.label)
     if curve.limit:
@@ -123,19 +152,24 @@ def _style(curve: Curve) -> dict[str, Any]:
     if curve.band is not None:  # as lines, to zoom into
         return {"mode": "lines", "name": name, "opacity": 0.6, "line": {"color": colour, "width": 0.8}}
     dash = DASHES[curve.dash % len(DASHES)]
-    return {"mode": "lines", "name": name, "line": {"color": colour, "dash": dash, "width": 1.5}}
+    line = {"color": colour, "dash": dash, "width": 1 if log else 1.5}
+    if log:  # between zeros are single points
+        return {"mode": "lines+markers", "name": name, "line": line, "marker": {"size": 3}}
+    return {"mode": "lines", "name": name, "line": line}
 
 
-def _marks(figure: Any, drawn: Picture, texts: Sequence[Label]) -> None:
-    """A dotted line in all panels for each mark, its text above the first."""
-    axes = [figure.get_subplot(i, 1) for i in range(1, len(drawn.panels) + 1)]
-    names = [(a.xaxis.plotly_name.replace("axis", ""), a.yaxis.plotly_name.replace("axis", "")) for a in axes]
-    lines = [
-        {"type": "line", "xref": x, "yref": f"{y} domain", "x0": m.time, "x1": m.time, "y0": 0, "y1": 1,
-         "line": {"color": "#777", "width": 1, "dash": "dot"}}
-        for x, y in names for m in drawn.marks
+def _marks(figure: Any, panels: int, alone: Sequence[Mark], crowds: Sequence[Crowd], texts: Sequence[Label]) -> None:
+    """A dotted line in all panels for each mark, ticks at their feet for crowds; their texts above the first."""
+    axes = [figure.get_subplot(i, 1) for i in range(1, panels + 1)]
+    # one path each: a shape for every event would take a browser minutes
+    kinds = [([m.time for m in alone], 1.0, {"color": "#777", "width": 1, "dash": "dot"})]
+    kinds += [(c.ticks, TICK, {"color": "#444", "width": 0.7}) for c in crowds]
+    drawn = [
+        {"type": "path", "path": " ".join(f"M{t!r},0 L{t!r},{high:g}" for t in times), "line": line,
+         "xref": a.xaxis.plotly_name.replace("axis", ""), "yref": f"{a.yaxis.plotly_name.replace('axis', '')} domain"}
+        for a in axes for times, high, line in kinds if times
     ]  # fmt: skip
-    figure.update_layout(shapes=[*figure.layout.shapes, *lines])
+    figure.update_layout(shapes=[*figure.layout.shapes, *drawn])
     for t in texts:
         figure.add_annotation(
             x=t.time, y=1.0, xref="x", yref="paper", text=html.escape(t.text), showarrow=False,

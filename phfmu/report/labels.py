@@ -1,5 +1,6 @@
 """Texts of events above a picture: in lines, so that none lies over another one or over a curve."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,13 +21,19 @@ class Label:
 
 
 def labels(marks: Sequence[Mark], start: float, stop: float, width: float) -> list[Label]:
-    """Where the texts stand above an axis of `width` pixels; none for more than `LABELLED` events."""
-    if len(marks) > LABELLED or not stop > start:
+    """Where the texts stand above an axis of `width` pixels.
+
+    Of more than `LABELLED` marks the first of each text says how many there are; more texts than that are not written.
+    """
+    if not stop > start:
+        return []
+    marks = marks if len(marks) <= LABELLED else _counted(marks)
+    if len(marks) > LABELLED:
         return []
     taken: list[list[tuple[float, float]]] = []
     found = []
     for mark in sorted(marks, key=lambda m: -m.time):  # later ones lie lower: no line crosses a text
-        text = mark.text if len(mark.text) <= LETTERS else f"{mark.text[: LETTERS - 1]}…"
+        text = shortened(mark.text)
         at, size = (mark.time - start) / (stop - start) * width, len(text) * LETTER + 10.0
         right = at + size > width and at > size
         ends = (at - size, at) if right else (at, at + size)
@@ -38,6 +45,22 @@ def labels(marks: Sequence[Mark], start: float, stop: float, width: float) -> li
     return found
 
 
+def shortened(text: str) -> str:
+    """A text of at most `LETTERS`: what comes after a comma or semicolon is left out before a word is cut."""
+    if len(text) <= LETTERS:
+        return text
+    head = text[: LETTERS - 2]
+    cut = max(head.rfind(","), head.rfind(";"))
+    return f"{head[:cut]} …" if cut > 0 else f"{text[: LETTERS - 1]}…"
+
+
 def height(found: Sequence[Label]) -> int:
     """Pixels that the texts need."""
     return LINE * (1 + max(label.row for label in found)) if found else 0
+
+
+def _counted(marks: Sequence[Mark]) -> list[Mark]:
+    """The first mark of each text, with their number."""
+    times = Counter(m.text for m in marks)
+    firsts = {m.text: m for m in sorted(marks, key=lambda m: -m.time)}
+    return [Mark(m.time, text if times[text] == 1 else f"{times[text]} × {text}") for text, m in firsts.items()]

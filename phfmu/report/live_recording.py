@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from phfmu.report.choice import usual
-from phfmu.report.recording import Floats, Mark, Signal
+from phfmu.report.recording import Floats, Mark, Signal, together
 
 
 class LiveRecording:
@@ -26,6 +26,10 @@ class LiveRecording:
         self._time.append(np.array(time))
         self._values.append(values[:, self._columns])
 
+    def mark(self, time: float, text: str) -> None:
+        """Take what happened at a time."""
+        self._marks.append(Mark(time, text))
+
     @property
     def rows(self) -> int:
         return sum(map(len, self._time))
@@ -34,7 +38,7 @@ class LiveRecording:
         return self._chosen
 
     def marks(self) -> list[Mark]:
-        return self._marks
+        return together(self._marks)
 
     def read(self, names: Sequence[str]) -> list[Signal]:
         time = np.concatenate(self._time)

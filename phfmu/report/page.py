@@ -7,6 +7,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phfmu.audit import summarise
 from phfmu.audit.summary import LedgerSummary
 from phfmu.pick import pick
@@ -20,11 +22,11 @@ from phfmu.report.picture import ALWAYS, picture, with_marks
 from phfmu.report.prefix import engineering
 from phfmu.report.recording import Mark
 from phfmu.report.result_table import ResultTable
-from phfmu.report.sankey import sankey
+from phfmu.report.sankey import sankey, seen
 from phfmu.words import counted
 
-#: rows of the table of events
-EVENTS = 60
+#: events that a table tells one by one, and rows of the folded list of more
+FEW, EVENTS = 20, 60
 #: junctions whose residuals are told, the largest first
 JUNCTIONS = 12
 
@@ -135,13 +137,22 @@ def _energy(inside: History, summary: LedgerSummary) -> Iterator[str]:
         yield '<p class="note">Widths are proportional to energy (1 px at least); arrows show which way it went.</p>'
     if flows:
         yield _heading(f"Where the energy went, {span}")
-        yield part(sankey(flows))
+        drawn, note = seen(flows, summary.rtol * _level(inside))
+        if drawn:
+            yield part(sankey(drawn))
+        if note:
+            yield f'<p class="note">{escape(note)}</p>'
         yield from _books([b for b in accounts if b.component not in gone], summary)
         if gone:
             yield (
                 f'<p class="note">Of {len(accounts)} members those that most energy passed through; the {len(gone)} others are '
                 "drawn as one. All are in the table of: phfmu audit FILE</p>"
             )
+
+
+def _level(inside: History) -> float:
+    """The largest energy that a member stored at a step's end, J."""
+    return max((float(np.nanmax(np.abs(c["H1"]), initial=0.0)) for c in inside.components.values()), default=0.0)
 
 
 def _books(accounts: Sequence[Book], summary: LedgerSummary) -> Iterator[str]:
@@ -170,12 +181,34 @@ def _cell(value: float | None) -> str:
 
 
 def _events(found: Sequence[Mark]) -> Iterator[str]:
+    """A table of the events; of many, what happened how often, and the first ones folded away."""
     if not found:
         return
     yield _heading("Events")
     rows = "".join(f'<tr><td class="n">{m.time:.9g} s</td><td>{escape(m.text)}</td></tr>' for m in found[:EVENTS])
-    more = f'<p class="note">and {len(found) - EVENTS} more times</p>' if len(found) > EVENTS else ""
-    yield f"<table>{rows}</table>{more}"
+    if len(found) <= FEW:
+        yield f"<table>{rows}</table>"
+        return
+    yield from _kinds(found)
+    some = f"the first {EVENTS} of {len(found)}" if len(found) > EVENTS else f"all {len(found)}"
+    yield f"<details><summary>{some}</summary><table>{rows}</table></details>"
+
+
+def _kinds(found: Sequence[Mark]) -> Iterator[str]:
+    """What happened how often, first and last."""
+    times: dict[str, list[float]] = {}
+    for m in found:
+        times.setdefault(m.text, []).append(m.time)
+    often = sorted(times, key=lambda text: -len(times[text]))[:FEW]
+    head = '<tr><th>event</th><th class="n">times</th><th class="n">first</th><th class="n">last</th></tr>'
+    rows = "".join(
+        f'<tr><td>{escape(text)}</td><td class="n">{len(times[text])}</td><td class="n">{times[text][0]:.9g} s</td>'
+        f'<td class="n">{times[text][-1]:.9g} s</td></tr>'
+        for text in often
+    )
+    yield f"<table>{head}{rows}</table>"
+    if len(times) > FEW:
+        yield f'<p class="note">and {len(times) - FEW} others, less often</p>'
 
 
 def _heading(text: str) -> str:

@@ -17,6 +17,8 @@ from phfmu.report.thin import COLUMNS, PER_COLUMN, thin
 MOST_PANELS = 16
 #: height of a signal that can be seen as a band, of its axis
 SEEN = 0.05
+#: decades of a log axis below its largest value: rounding errors of nothing are no reason to shrink the others
+DECADES = 12
 #: variables that the title of an axis names
 TITLED = 4
 #: Okabe and Ito's colours, told apart by colour-blind readers; their yellow is lost on white
@@ -43,7 +45,7 @@ class Curve:
 class Panel:
     """One axis: values are in `unit`, its SI prefix or power of ten included ("" where there is none); `whole`: counts.
 
-    `near`: the curves in a short window, where some have bands.
+    `near`: the curves in a short window, where some have bands; `reach`: smallest and largest value of a log axis.
     """
 
     title: str
@@ -52,6 +54,7 @@ class Panel:
     log: bool = False
     whole: bool = False
     near: tuple[Curve, ...] = ()
+    reach: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,8 @@ def picture(recording: Recording, names: Sequence[str] = (), window: tuple[float
     axes = tuple(panel(title_of(group), group, [m.time for m in marks]) for group in groups)
     if any(p.near for p in axes):
         notes.append("bands: least to largest value of signals with too many periods to draw; a few of them beside")
+    if any(p.reach and _below(p.curves, p.reach[0]) for p in axes):
+        notes.append(f"log axes end {DECADES} decades below their largest value; what is smaller is not seen")
     return Picture(recording.title, axes, tuple(marks), (*notes, *thinned(shown)))
 
 
@@ -149,7 +154,9 @@ def panel(title: str, signals: Sequence[Signal], events: Sequence[float] = ()) -
             near.append(replace(curve, time=time, values=values, band=None))
         lines[colour] = lines.get(colour, 0) + (not s.limit)
     whole = unit == "1" and all((s.values == np.round(s.values)).all() for s in signals)
-    return Panel(title, "" if text == "1" else text, tuple(curves), log, whole, tuple(near))
+    return Panel(
+        title, "" if text == "1" else text, tuple(curves), log, whole, tuple(near), _reach(curves) if log else None
+    )
 
 
 def thinned(signals: Sequence[Signal]) -> list[str]:
@@ -174,6 +181,17 @@ def _highest(s: Signal) -> tuple[Floats, Floats]:
         time, _, size = band(s.time, size)
         return time, size
     return s.time, size
+
+
+def _reach(curves: Sequence[Curve]) -> tuple[float, float] | None:
+    """The smallest and the largest value, at most `DECADES` apart; None where there is none."""
+    parts = [c.values[np.isfinite(c.values)] for c in curves]
+    there = np.concatenate(parts)
+    return (max(float(there.min()), float(there.max()) * 10.0**-DECADES), float(there.max())) if len(there) else None
+
+
+def _below(curves: Sequence[Curve], least: float) -> bool:
+    return any(bool((c.values < least).any()) for c in curves)
 
 
 def _pace(values: Floats, size: float) -> float:

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from phfmu.report.crowds import Crowd, parted
 from phfmu.report.extra import require
 from phfmu.report.labels import Label, height, labels
 from phfmu.report.picture import COLOURS, Curve, Panel, Picture
 from phfmu.report.prefix import scaled
+from phfmu.report.recording import Mark
 
 DPI = 100
 WIDTH, HEIGHT, ENTRY, FRAME = (1100, 1500), 190, 15, 90
@@ -18,8 +20,10 @@ ONE_COLUMN = 6
 DASHES = ("-", (0, (5, 2)), (0, (1, 1.3)), (0, (6, 2, 1, 2)))
 #: widths of the whole run and of the close look at a part of it; share of a column that axes have beside their legends
 WIDE, NEAR, SHARE = 1.7, 1.0, 0.75
-#: points between lines of texts of events
-UP = 10
+#: points between lines of texts of events, ticks of crowds of them as a share of an axis
+UP, TICK = 10, 0.06
+#: factor by which log axes reach beyond their values
+EDGE = 3.0
 
 
 def write_png(drawn: Picture, path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> None:
@@ -34,7 +38,8 @@ def write_png(drawn: Picture, path: str | os.PathLike[str], size: tuple[int, int
     columns = 1 if len(drawn.panels) <= ONE_COLUMN else 2
     rows = max(ceil(len(drawn.panels) / columns), 1)
     span = _span(drawn)
-    texts = labels(drawn.marks, *span, (size or (WIDTH[columns - 1], 0))[0] / columns * SHARE)
+    alone, crowds = parted(drawn.marks, *span)
+    texts = labels([*alone, *(c.mark for c in crowds)], *span, (size or (WIDTH[columns - 1], 0))[0] / columns * SHARE)
     heights = _heights(drawn, rows, columns)
     width, full = size or (WIDTH[columns - 1], FRAME + height(texts) + sum(heights))
     figure = Figure(figsize=(width / DPI, full / DPI), dpi=DPI, layout="constrained")
@@ -56,7 +61,8 @@ def write_png(drawn: Picture, path: str | os.PathLike[str], size: tuple[int, int
         axes[0].set_title(
             panel.title, fontsize=9, loc="left", pad=4 + UP * (1 + max((t.row for t in above), default=-1))
         )
-        _marks(axes[0], drawn, above)
+        _marks(axes[0], alone, above)
+        _crowds(axes[0], crowds)
         if panel.near:
             _near(axes[1], panel, axes[0])
         _legend(axes[-1], panel)
@@ -96,8 +102,9 @@ def _panel(ax: Any, panel: Panel, curves: tuple[Curve, ...]) -> None:
             ax.plot(time, high, color=COLOURS[curve.colour], lw=0.5)
         else:
             ax.plot(curve.time, curve.values, **_style(curve, panel.log))
-    if panel.log and any(np.isfinite(c.values).any() for c in curves):
+    if panel.reach:
         ax.set_yscale("log")
+        ax.set_ylim(panel.reach[0] / EDGE, panel.reach[1] * EDGE)
     else:
         ax.yaxis.set_major_locator(MaxNLocator("auto", integer=panel.whole, steps=[1, 2, 2.5, 5, 10]))
         if panel.whole:
@@ -152,12 +159,21 @@ def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     if curve.limit:
         return {"color": colour, "ls": (0, (4, 3)), "lw": 0.8, "alpha": 0.8}
     dash = DASHES[curve.dash % len(DASHES)]
-    return {"color": colour, "ls": dash, "lw": 0.6 if log else 1.1, "label": curve.label}
+    shape: dict[str, Any] = (
+        {"lw": 0.6, "marker": ".", "ms": 2} if log else {"lw": 1.1}
+    )  # between zeros are single points
+    return {"color": colour, "ls": dash, "label": curve.label} | shape
 
 
-def _marks(ax: Any, drawn: Picture, texts: list[Label]) -> None:
+def _crowds(ax: Any, crowds: list[Crowd]) -> None:
+    """Ticks at the foot of the axis."""
+    for crowd in crowds:
+        ax.vlines(crowd.ticks, 0.0, TICK, transform=ax.get_xaxis_transform(), color="0.3", lw=0.6)
+
+
+def _marks(ax: Any, alone: list[Mark], texts: list[Label]) -> None:
     """A dotted line for each event; its text above the axis, below the title."""
-    for mark in drawn.marks:
+    for mark in alone:
         ax.axvline(mark.time, color="0.45", lw=0.8, ls=":")
     for t in texts:
         ax.annotate(

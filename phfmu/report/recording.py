@@ -1,6 +1,6 @@
 """What a run leaves to draw: signals over time and marks."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -34,6 +34,14 @@ class Mark:
 
     time: float
     text: str
+
+
+def together(marks: Iterable[Mark]) -> list[Mark]:
+    """Marks in order of time, those of one time as one."""
+    texts: dict[float, list[str]] = {}
+    for m in marks:
+        texts.setdefault(m.time, []).append(m.text)
+    return [Mark(t, ", ".join(dict.fromkeys(texts[t]))) for t in sorted(texts)]
 
 
 class Recording(Protocol):

@@ -19,6 +19,7 @@ from phfmu.report.flows import (
     Node,
 )
 from phfmu.report.prefix import engineering
+from phfmu.words import counted
 
 #: Okabe and Ito
 KIND_COLOURS = {
@@ -30,8 +31,24 @@ _ENDS = {
     (STORE, "from"): "from store", (STORE, "to"): "into store", (RESIDUAL, "from"): "residual (created)",
     (RESIDUAL, "to"): "residual (lost)", (CREATED, "from"): "created at junctions", (CREATED, "to"): "lost at junctions",
 }  # fmt: skip
-#: pixels that a node needs, and bounds of the whole height
+#: pixels that a node needs with its two lines of text, and bounds of the whole height
 NODE, LEAST, MOST = 34, 340, 900
+#: share of the largest energy below which a flow is not drawn: its line would be that of a larger one
+SEEN = 1e-6
+
+
+def seen(links: Sequence[Link], rounding: float) -> tuple[list[Link], str]:
+    """The flows that a diagram can show, and a line about the others ("" for none); `rounding`: energies in J that are none."""
+    most = max((x.energy for x in links), default=0.0)
+    if most <= rounding:
+        return [], f"No energy moved but what rounding leaves, {engineering(most, 'J')} at most."
+    left = [x for x in links if x.energy < SEEN * most]
+    if not left:
+        return list(links), ""
+    sizes = f"the largest {engineering(max(x.energy for x in left), 'J')}"
+    return [
+        x for x in links if x not in left
+    ], f"Not drawn: {counted(len(left), 'flow')} below {SEEN:g} of the largest, {sizes}."
 
 
 def sankey(links: Sequence[Link]) -> Any:
@@ -42,7 +59,7 @@ def sankey(links: Sequence[Link]) -> Any:
     figure = go.Figure(
         go.Sankey(
             node={
-                "label": [label(n, links) for n in nodes], "color": [KIND_COLOURS[n.kind] for n in nodes], "pad": 22,
+                "label": [label(n, links) for n in nodes], "color": [KIND_COLOURS[n.kind] for n in nodes], "pad": NODE,
                 "thickness": 14, "line": {"width": 0}, "hovertemplate": "%{label}<extra></extra>",
             },
             link={
@@ -54,7 +71,7 @@ def sankey(links: Sequence[Link]) -> Any:
         )
     )  # fmt: skip
     figure.update_layout(
-        height=min(max(LEAST, NODE * len(nodes)), MOST), margin={"l": 10, "r": 10, "t": 10, "b": 20}, font={"size": 12}
+        height=min(max(LEAST, NODE * len(nodes)), MOST), margin={"l": 10, "r": 10, "t": 44, "b": 20}, font={"size": 12}
     )
     return figure
 

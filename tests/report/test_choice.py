@@ -10,7 +10,7 @@ import pytest
 
 from phfmu.cli import main
 from phfmu.report.choice import MOST
-from phfmu.report.labels import LETTER, labels
+from phfmu.report.labels import LETTER, labels, shortened
 from phfmu.report.live_recording import LiveRecording
 from phfmu.report.pace import BEFORE, PERIODS, swings
 from phfmu.report.picture import Picture, picture
@@ -91,7 +91,14 @@ def test_texts_of_events_do_not_overlap() -> None:
         boxes.append((label.row, *((at - size, at) if label.right else (at, at + size))))
     assert all(low >= 0.0 and high <= width for _, low, high in boxes)
     assert not any(a[0] == b[0] and a[1] < b[2] and b[1] < a[2] for a, b in itertools.combinations(boxes, 2))
-    assert labels([Mark(float(t), "x") for t in range(13)], 0.0, 13.0, width) == []
+    many = [Mark(float(t), "x") for t in range(13)]
+    assert [(label.time, label.text) for label in labels(many, 0.0, 13.0, width)] == [(0.0, "13 × x")]
+    assert labels([Mark(float(t), f"x{t}") for t in range(13)], 0.0, 13.0, width) == []
+
+
+def test_long_texts_of_events_are_cut_where_a_part_ends() -> None:
+    assert shortened("bridge.d5.closes, bridge.conducts[5] = 1; bridge.d5 on") == "bridge.d5.closes …"
+    assert shortened("x" * 50) == "x" * 39 + "…" and shortened("x" * 40) == "x" * 40
 
 
 def test_an_audit_says_what_it_holds_and_where_signals_are(tmp_path, capsys) -> None:

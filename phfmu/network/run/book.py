@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby
 from operator import itemgetter
@@ -29,10 +29,11 @@ Array = NDArray[Any]
 
 
 class Book:
-    """Books the steps of a stepper in a ledger and watches the hidden constraints."""
+    """Books the steps of a stepper in a ledger and watches the hidden constraints; `tell` gets time and text of state events."""
 
-    def __init__(self, stepper: Stepper, ledger: Ledger | Unbooked):
+    def __init__(self, stepper: Stepper, ledger: Ledger | Unbooked, tell: Callable[[float, str], None] | None = None):
         self.stepper, self.ledger, self.booking = stepper, ledger, stepper.booking
+        self._tell = tell
         self.steps, self.iterations = 0, 0.0
         self._watch = [(n, i) for i, n in enumerate(stepper.names) if n.startswith(CONSTRAINT)]
         self._worst = dict.fromkeys((n for n, _ in self._watch), 0.0)
@@ -70,6 +71,8 @@ class Book:
         if not changed:
             self.ledger.event(e.t, e.kind, message=e.message)
         self._H = self._H + e.energy
+        if self._tell is not None:
+            self._tell(e.t, e.message)
         lost = float(e.lost.sum())
         self.notes.append(f"t = {e.t:.12g} s: {e.names}" + (f", lost {lost:.9g} J" if lost else ""))
 

@@ -55,7 +55,7 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
     told = RunColumns(stepper, options.signals, options.step)
     if options.columns is not None:
         options.columns(told.names, told.units)
-    book, rows = Book(stepper, ledger), Rows(options)
+    book, rows = Book(stepper, ledger, options.happened), Rows(options)
     march = _march(stepper, book, options)
     before, projection = stepper.rest_changes(), None
     t0, stop, close = options.t0, options.stop, 1e-9 * options.step

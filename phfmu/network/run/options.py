@@ -36,6 +36,7 @@ class Options:
     columns:  called with names and units of the rows' columns, before the first row
     keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
         accepted before a failure
+    happened:  called with time and message of each state event as it is booked
     progress:  called with the time after each block; a KeyboardInterrupt from it ends the run there
     Errors: ValueError for what is out of range or does not go together.
     """
@@ -61,6 +62,7 @@ class Options:
     sink: Any = None
     columns: Callable[[Sequence[str], Sequence[str]], None] | None = None
     keep: Keep | None = None
+    happened: Callable[[float, str], None] | None = None
     progress: Callable[[float], None] | None = None
 
     @property
