@@ -1,139 +1,17 @@
-"""The command line on sound input: every verb, every kind of target and option, and the tables it writes."""
+"""Runs and audits at the command line on sound input: every option, every kind of target, and the tables they write."""
 
 from __future__ import annotations
 
-import csv
-import math
 import os
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable
-from importlib.resources import files
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from phfmu.audit import AuditWriter, metadata, read
-from phfmu.cli import main
-from phfmu.components.library import LIBRARY, build
-from phfmu.network.run.input_file import read_inputs
-from phfmu.results.writer import TableWriter
-from tests.wide import wide
-
-Cli = Callable[..., tuple[int, str, str]]
-
-VERBS = ("list", "info", "check", "run", "export", "audit")
-MODELS = '''
-"""Models of a user."""
-from phfmu import Event, Network, Scene
-from phfmu.components.mechanical.translational import mass, spring
-
-def pushed():
-    """A free mass, pushed by 2 N on [0.31, 0.52)."""
-    events = (Event(0.31, "flange.force", 2.0), Event(0.52, "flange.force", 0.0))
-    return Scene("pushed", mass(2.0), 1.0, 0.1, events)
-
-def joined():
-    net = Network("joined", description="mass and spring")
-    net.add("m", mass(1.0, q=0.5))
-    net.add("s", spring(3.0, elongation=0.2))
-    net.connect("m.flange", "s.b", name="joint")
-    return net
-
-ready = mass(3.0)
-'''
-
-
-@pytest.fixture
-def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Cli:
-    """Runs a command line in an empty folder: exit code, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-    Path("models.py").write_text(MODELS)
-
-    def call(*words: str) -> tuple[int, str, str]:
-        capsys.readouterr()
-        try:
-            code = main(words)
-        except SystemExit as leave:
-            code = int(leave.code or 0)
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return code, out, err
-
-    return call
-
-
-def table(path: str) -> tuple[list[str], np.ndarray]:
-    """Names and rows of a CSV or Parquet result."""
-    if path.endswith(".parquet"):
-        t = pq.read_table(path)
-        return t.column_names, np.column_stack([t[n].to_numpy() for n in t.column_names])
-    with open(path, newline="") as file:
-        rows = list(csv.reader(file))
-    return rows[0], np.array(rows[1:], float)
-
-
-def column(path: str, name: str) -> np.ndarray:
-    names, rows = table(path)
-    return rows[:, names.index(name)]
-
-
-def balances(text: str) -> list[str]:
-    """The lines of the energy tables without the head of a run, in no order."""
-    return sorted(text[text.index("Energy in joule") :].splitlines())
-
-
-# -- verbs ---------------------------------------------------------------------------------------------------
-
-
-def test_help_lists_the_verbs(cli: Cli) -> None:
-    code, out, _ = cli("--help")
-    assert code == 0 and all(f"\n    {verb} " in out for verb in VERBS)
-    assert all(cli(verb, "--help")[0] == 0 for verb in VERBS)
-    assert cli("--version")[1].startswith("phfmu ")
-
-
-def test_list_names_the_whole_library(cli: Cli) -> None:
-    code, out, _ = cli("list")
-    lines = {line.split()[0]: line for line in out.splitlines() if line.startswith("  ")}
-    assert code == 0 and lines.keys() == LIBRARY.keys()
-    assert all(line.endswith(LIBRARY[name][2]) for name, line in lines.items())
-
-
-#: a component of each domain and kind, scenes with parts, events and signals
-SHOWN = (
-    *(
-        "synchronous_machine",
-        "rlc_load",
-        "breaker",
-        "transformer",
-        "dc_motor",
-        "four_particle",
-        "mass",
-        "pi_controller",
-    ),
-    *("bouncing_ball", "oscillator", "speed_control", "two_machine"),
-)
-
-
-@pytest.mark.parametrize("target", wide(LIBRARY, *SHOWN))
-def test_info_and_check_of_the_library(cli: Cli, target: str) -> None:
-    code, out, _ = cli("info", target)
-    assert code == 0
-    declaration = getattr(build(target), "declaration", lambda: build(target))()
-    for variable in (*declaration.states, *declaration.parameters):
-        name = variable.name + (f"[1..{variable.size}]" if variable.size else "")
-        assert any(line.split()[:2] == [name, variable.unit] for line in out.splitlines()), name
-    assert all(f"  {p.name} " in out for p in declaration.ports)
-    assert cli("check", target)[:2] == (0, f"{target}: no problems\n")
-    if target == "two_machine":
-        assert "t = 0.1 s: fault.G = 20" in out and "t = 0.2 s: fault.G = 0" in out
-        assert "junction bus2: line.b, m2.terminal, load.terminal, fault.terminal" in out
-
+from tests.cli.commands import Cli, balances, column, table
 
 # -- result tables -------------------------------------------------------------------------------------------
 
@@ -242,26 +120,6 @@ def test_targets_in_a_file(cli: Cli) -> None:
     assert np.allclose(column("j.csv", "m.q"), exact, rtol=0, atol=1e-6)
 
 
-def test_customary_runs_belong_to_names_of_the_library(tmp_path: Path) -> None:
-    from phfmu.components.library import RUNS
-    from phfmu.target import scene
-
-    assert set(RUNS) <= set(LIBRARY) and all(LIBRARY[name][0] == "component" for name in RUNS)
-    for name, (stop, step) in RUNS.items():
-        assert (scene(name).stop, scene(name).step) == (stop, step)
-    file = tmp_path / "own.py"
-    file.write_text("from phfmu import PHDAE\ndef model():\n    return PHDAE('four_particle')\n", encoding="utf-8")
-    own = scene(f"{file}:model")  # a model of a user, whatever its name
-    assert (own.stop, own.step) == (1.0, 1e-3)
-
-
-def test_no_verb_knows_a_model_by_name() -> None:
-    for source in (files("phfmu") / "cli").iterdir():
-        if source.name.endswith(".py"):
-            text = source.read_text(encoding="utf-8")
-            assert not [name for name in LIBRARY if f'"{name}"' in text], source.name
-
-
 def test_a_run_without_a_compiler(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     from phfmu.engine import compile as found
 
@@ -334,58 +192,3 @@ def test_recover(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, _ = cli("audit", "by_name.arrows")
     assert code == 0 and "100 steps" in out and cli("audit", "recover", "by_name.parquet")[0] == 0
     assert cli("audit", "by_name.parquet")[:2] == (0, out)
-
-
-def test_no_progress_bar_in_a_pipe(cli: Cli) -> None:
-    call = [sys.executable, "-c", "from phfmu.cli import main; raise SystemExit(main())"]
-    words = ["run", "mass", "--engine", "python", "--stop", "0.1"]
-    done = subprocess.run([*call, *words], capture_output=True, text=True, check=True)
-    assert done.stderr == "" and not {"\r", "\x1b"} & set(done.stdout) and "closed" in done.stdout
-    code, out, err = cli("run", "none")
-    assert (code, out) == (2, "") and err.startswith("phfmu: no component")
-
-
-# -- names and the terminal ----------------------------------------------------------------------------------
-
-ODD = ['a"b', "c,d", "e\nf", "größe ω", 'g"",\n"h', "plain[1]"]
-
-
-def test_names_of_any_kind_survive_a_table(tmp_path: Path) -> None:
-    """Quotes, commas, newlines and letters beyond ASCII: what is written is read again, by both readers."""
-    writer = TableWriter(tmp_path / "o.csv", ODD, [""] * len(ODD))
-    values = np.array([[0.1, 1 / 3, -0.0, 1e300, 5e-324, 7.0], [math.nan, math.inf, -math.inf, 1e-5, 123456789.0, 0.0]])
-    writer.add(np.array([0.0, 0.1]), values, np.zeros(2, bool))
-    writer.close()
-    with open(tmp_path / "o.csv", newline="", encoding="utf-8") as file:
-        head, *rows = csv.reader(file)
-    assert head == ["time", *ODD] and np.array_equal(np.array(rows, float)[:, 1:], values, equal_nan=True)
-    writer = TableWriter(tmp_path / "in.csv", ODD, [""] * len(ODD))
-    writer.add(np.array([0.0]), values[:1], np.zeros(1, bool))
-    writer.close()
-    held = read_inputs(str(tmp_path / "in.csv"), ODD)
-    assert held.names == ODD and np.array_equal(held.values, values[:1])
-
-
-@pytest.mark.parametrize("verb", wide(["info", "check", "run", "list"], "run"))
-def test_a_terminal_without_the_letters(tmp_path: Path, verb: str) -> None:
-    """The exit code is that of the verb; letters that the terminal does not have are spelled out."""
-    (tmp_path / "m.py").write_text(
-        "from dataclasses import replace\nfrom phfmu.components.mechanical.translational import mass\n"
-        "from phfmu.components.library import LIBRARY\nLIBRARY['mass'] = (*LIBRARY['mass'][:2], 'größe ω')\n"
-        "def größe(): return replace(mass(), name='größe_ω', description='größe ω')\n",
-        encoding="utf-8",
-    )
-    target = [str(tmp_path / "m.py:größe")] if verb != "list" else []
-    words = [verb, *target, *(["--engine", "python", "--stop", "0.01"] if verb == "run" else [])]
-    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import m; from phfmu.cli import main; sys.exit(main({words}))"
-    env = os.environ | {"LC_ALL": "C", "PYTHONIOENCODING": "ascii"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=env)
-    assert done.returncode == 0, done.stderr
-    assert b"\\xf6" in done.stdout and done.stdout.isascii()
-
-
-def test_the_package_is_a_command() -> None:
-    done = subprocess.run([sys.executable, "-m", "phfmu", "--version"], capture_output=True, text=True)
-    assert done.returncode == 0 and done.stdout.startswith("phfmu ")
-    done = subprocess.run([sys.executable, "-m", "phfmu", "run", "none"], capture_output=True, text=True)
-    assert done.returncode == 2 and done.stderr.startswith("phfmu: no component")

@@ -40,7 +40,7 @@ from phfmu.fmu.description import Unit
 from phfmu.fmu.refusal import UnitFailure
 from phfmu.fmu.schedule import UnitEvent, fed_inside
 from phfmu.fmu.variables import FMUError
-from tests.fmu.test_fmu_export import needs_cc
+from tests.fmu.exported import needs_cc
 
 VERSIONS = ("2.0", "3.0")
 HERE = Path(__file__).parent

@@ -47,7 +47,7 @@ from phfmu.signals import SUM
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
 from tests.network.test_coupled_units import states_differ
-from tests.schemes.test_bare_nodes import RATED, STOP, lumped, mean_voltage, saturable
+from tests.schemes.bare_scenes import RATED, STOP, lumped, mean_voltage, saturable
 from tests.wide import slow
 
 pytestmark = pytest.mark.usefixtures("compiler")

@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
-from machine_reference import ALPHA, MachineReference
-from reference_tools import load, read
-from scipy.integrate import solve_ivp
+from reference_tools import read
 
 from phfmu import (
-    ELECTRICAL,
     PHDAE,
     Collocated,
     Event,
     NativeInstance,
     Network,
     Options,
-    Port,
     PythonInstance,
     build_model,
-    damping,
-    energy,
-    state,
 )
 from phfmu.components.electrical.machine_data import machine_set
 from phfmu.components.electrical.machine_init import steady_state
@@ -38,50 +30,18 @@ from phfmu.network.run.loop import run
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
 from tests.engines import ENGINES
+from tests.schemes.bare_scenes import (
+    RATED,
+    STOP,
+    joined,
+    lumped,
+    mean_voltage,
+    saturable,
+    saturable_pair,
+    scene_inductance,
+    two_bare_nodes,
+)
 from tests.wide import slow, wide
-
-RATED = 18881.48  # A, peak, of kundur555_1q
-STOP = 0.02
-
-
-@cache
-def lumped() -> tuple[object, object]:
-    """smib with the torque step at t = 0 and the line folded into the machine (no node): t -> I, and bus data."""
-    scene, machines = load("scenes")["smib"], load("machines")
-    machine = MachineReference(machines[scene["machine"]], scene["d"], scene["Rx"], scene["Lx"])
-    bus, inputs, initial = scene["infinite_bus"], scene["inputs"], scene["initial"]
-    w = bus["w"]
-
-    def rhs(t: float, y: np.ndarray) -> np.ndarray:
-        v = bus["amp"] * np.cos(w * t + bus["phase"] - ALPHA)
-        d = machine.rhs(y[:6], machine.J * w + y[6], w * t + y[7], v, inputs["Vf"], inputs["tau1"])
-        return np.concatenate([d[0], [d[1], y[6] / machine.J]])
-
-    psi = machine.fluxes(initial["I"], initial["theta"])
-    y0 = np.concatenate([psi, [initial["p"] - machine.J * w, initial["theta"]]])
-    scale = np.concatenate([np.full(3, 50.0), np.abs(psi[3:]), [machine.J], [1.0]])
-    found = solve_ivp(rhs, (0.0, STOP), y0, "DOP853", rtol=3e-14, atol=1e-14 * scale, max_step=1e-4, dense_output=True)
-
-    def currents(t: float) -> np.ndarray:
-        y = found.sol(t)
-        rest = machine.rhs(y[:6], machine.J * w + y[6], w * t + y[7], np.zeros(3), 0.0, 0.0)
-        return rest[3][:3]
-
-    return currents, scene
-
-
-def mean_voltage(h: float) -> np.ndarray:
-    """Mean over the last step of v = v_bus - Rx I - Lx I'."""
-    currents, scene = lumped()
-    bus = scene["infinite_bus"]  # type: ignore[index]
-    t, b = np.polynomial.legendre.leggauss(8)
-    times = STOP - h + h * (t + 1) / 2
-    grid = sum(
-        bi / 2 * bus["amp"] * np.cos(bus["w"] * ti + bus["phase"] - ALPHA) for ti, bi in zip(times, b, strict=True)
-    )
-    mean = sum(bi / 2 * currents(ti) for ti, bi in zip(times, b, strict=True))  # type: ignore[operator]
-    slope = (currents(STOP) - currents(STOP - h)) / h  # type: ignore[operator]
-    return grid - scene["Rx"] * mean - scene["Lx"] * slope  # type: ignore[index]
 
 
 def place(names: list[str], which: str) -> list[int]:
@@ -215,20 +175,6 @@ def test_two_machines_keep_kirchhoff_through_fault_and_clearing() -> None:
     assert error <= 1e-6
 
 
-def two_bare_nodes() -> PHDAE:
-    """Machine - line - node - line - second machine: two coupled bare nodes."""
-    data = machine_set("krause_hydro325", d=50.0)
-    start = steady_state(data)
-    net = Network("row")
-    size = {"i": [-x for x in start.I[:3]], "v": 2e4}
-    net.add("gen", synchronous_machine(data, start=start))
-    net.add("line1", rl_line(1e-2, 1e-3, **size))
-    net.add("line2", rl_line(2e-2, 2e-3, **size))
-    net.junction("bus1", ["gen.terminal", "line1.a"])
-    net.junction("bus2", ["line1.b", "line2.a"])
-    return net.compose()
-
-
 @pytest.mark.slow
 def test_two_bare_nodes_in_a_row() -> None:
     """bus2 joins two lines (linear by itself) but shares a line with bus1: both get impulses."""
@@ -245,27 +191,6 @@ def test_two_bare_nodes_in_a_row() -> None:
     scale = np.array([v.nominal[j] for v in declaration.states for j in range(v.n)])
     gaps = [np.max(np.abs(a - b) / scale) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     assert np.log2(gaps[1] / gaps[2]) == pytest.approx(4.0, abs=0.15)
-
-
-def saturable(name: str, scale: float, start: float) -> PHDAE:
-    """An inductor with H = (flux^2/2 + flux^4/4)/scale."""
-    flux = state("flux", unit="Wb", start=start)
-    h = energy((flux**2 / 2 + flux**4 / 4) / scale)
-    return PHDAE(name, states=(flux,), energies=(h,), dissipation=(damping(flux, 0.3),),
-                 ports=(Port("p", ELECTRICAL, "effort", {flux: 1}), Port("drive", ELECTRICAL, "effort", {flux: 1})))  # fmt: skip
-
-
-def joined(*models: PHDAE) -> PHDAE:
-    net = Network("joined")
-    for i, m in enumerate(models):
-        net.add(f"m{i}", m)
-    net.junction("bus", [f"m{i}.{m.ports[0].name}" for i, m in enumerate(models)])
-    return net.compose()
-
-
-def saturable_pair() -> PHDAE:
-    """Currents +- (1 + 1^3) at the start."""
-    return joined(saturable("a", 1.0, 1.0), saturable("b", 1.0, -1.0))
 
 
 def test_which_nodes_are_bare() -> None:
@@ -334,8 +259,3 @@ class Rows:
 
     def __getattr__(self, name: str):
         return lambda *args, **kwargs: None
-
-
-def scene_inductance(model) -> float:
-    names = [n for v in model.declaration.parameters for n in v.names()]
-    return float(model.p0[names.index("line.L")])

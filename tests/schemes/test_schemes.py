@@ -12,8 +12,6 @@ import pytest
 from phfmu import (
     PHDAE,
     ClosedPair,
-    Collocated,
-    DeclarationError,
     DiracDissipative,
     FMUInstance,
     GradientPair,
@@ -21,54 +19,22 @@ from phfmu import (
     Port,
     PythonInstance,
     SemiExplicit,
-    algebraic,
     block,
     build_model,
     check,
     damping,
-    energy,
     export,
     skew,
     state,
     time,
 )
-from phfmu.cli import main
-from phfmu.schemes.named import named_scheme
 from tests.engines import ENGINES
+from tests.schemes.linear import linear, linear_descriptor
 from tests.schemes.pairs import BOTH, H, current, declaration, steps
 from tests.schemes.test_orders import BETA, START, G, L, R, drive, rlc
 from tests.wide import wide
 
 POINTS = ("end", "start", "midpoint")
-
-
-# -- Examples 1, 5 and 6 ------------------------------------------------------------------------------------------
-
-
-def linear() -> PHDAE:
-    """x1' = x2, 0 = -x1 - x2, H = x1^2/2 (Example 1)."""
-    x1, x2 = state("x1", start=1.0), algebraic("x2", start=-1.0)
-    return PHDAE(
-        "linear",
-        states=(x1,),
-        algebraics=(x2,),
-        energies=(energy(x1**2 / 2),),
-        structure=(skew(x1, x2, 1.0),),
-        dissipation=(damping(x2, 1.0),),
-    )
-
-
-def linear_descriptor(ebar=None, zbar=None) -> PHDAE:
-    """The same with x = (x1, x2) and the singular E = diag(1, 0) as a gradient pair."""
-    x = state("x", 2, start=(1.0, -1.0))
-    pair = ClosedPair((x,), x[0] ** 2 / 2, ca.SX([[1.0, 0.0], [0.0, 0.0]]), x.sx, ebar, zbar)
-    return PHDAE(
-        "linear_descriptor",
-        states=(x,),
-        closed=(pair,),
-        structure=(block([x], ca.SX([[0.0, 1.0], [-1.0, 0.0]])),),
-        dissipation=(block([x], ca.diag(ca.SX([0.0, 1.0]))),),
-    )
 
 
 #: x1 after each step, and the means (x1 + x1')/2
@@ -276,56 +242,3 @@ def test_units_equal_the_native_engine(scheme, tmp_path):
             assert unit.get(names) == pytest.approx(x[-1], rel=1e-12, abs=1e-13)
             algebraics = [n for v in d.algebraics for n in v.names()]
             assert unit.get(algebraics) == pytest.approx(a[-1], rel=1e-11, abs=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ({"name": "gradient-pair", "order": 4}, "order 2 only; use --scheme collocated"),
-        ({"name": "dirac-dissipative", "order": 6}, "order 2 only; use --scheme collocated"),
-        ({"name": "gradient-pair", "closure": "minimal"}, "dirac-dissipative"),
-        ({"name": "collocated", "closure": "minimal"}, "dirac-dissipative"),
-        ({"name": "midpoint", "closure": "end"}, "has no closure; .* semi-explicit, gradient-pair"),
-        ({"closure": "middle"}, "choose from end, start, midpoint, minimal"),
-        ({"gradient": "gonzales"}, "choose from per-term"),
-    ],
-)
-def test_a_scheme_that_does_not_exist_says_what_does(arguments, said):
-    with pytest.raises(DeclarationError, match=said):
-        named_scheme(linear(), **arguments)
-
-
-@pytest.mark.parametrize(
-    ("scheme", "said"),
-    [
-        (Collocated(1), "no discrete pair; give ebar and zbar, or use --scheme dirac-dissipative"),
-        (GradientPair(), "no discrete pair; give ebar and zbar, or use --scheme dirac-dissipative"),
-        (DiracDissipative("midpoint"), "rank 1 of 2 at the start.*--closure minimal"),
-        (DiracDissipative("minimal", at="start"), "structurally singular"),
-        (DiracDissipative(lambda x, new, f: new), "gives 2 x 1 rows, but 1 are open.*give 1"),
-        (DiracDissipative("middle"), "closure 'middle' is not known; choose from end, start, midpoint"),
-    ],
-)
-def test_a_model_that_a_scheme_cannot_take_says_what_can(scheme, said):
-    with pytest.raises(DeclarationError, match=said):
-        build_model(linear_descriptor(), scheme)
-
-
-def test_closures_that_leave_something_open_are_refused():
-    with pytest.raises(DeclarationError, match="x2 would occur in no equation.*--closure midpoint or end"):
-        build_model(linear(), GradientPair(closure="start"))
-    with pytest.raises(DeclarationError, match="closure midpoint of collocated: is for order 2 only"):
-        named_scheme(linear(), "collocated", 4, closure="midpoint")
-
-
-@pytest.mark.parametrize(
-    "words", ["gradient-pair", "dirac-dissipative --closure end", "dirac-dissipative --closure minimal"]
-)
-def test_schemes_at_the_command_line(words, capsys):
-    assert main(f"run drive --engine python --stop 0.001 --scheme {words}".split()) == 0
-    assert words.split()[0] in capsys.readouterr().out
-
-
-def test_the_command_line_refuses_what_does_not_fit(capsys):
-    assert main("run drive --engine python --scheme gradient-pair --closure start".split()) == 2
-    assert "--closure midpoint or end" in capsys.readouterr().err

@@ -10,8 +10,8 @@ import pytest
 from phfmu.cli import main
 from phfmu.fmu.xml import etree
 from phfmu.ssp.schema import require_valid
+from tests.ssp.documents import UNITS, connection, linear
 from tests.ssp.packages import SPACES, pack
-from tests.ssp.test_read import UNITS, connection, linear
 
 ALL = (
     '<ssd:Annotations><ssc:Annotation type="org.openmodelica"><oms:SimulationInformation xmlns:oms="http://oms" tool="4"/>'

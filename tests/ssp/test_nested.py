@@ -15,8 +15,7 @@ from phfmu.ssp.loading import load
 from phfmu.ssp.names import DEFINITION, PACKAGE
 from phfmu.ssp.structure import SSPError
 from tests.fmu import foreign
-from tests.ssp.packages import document, pack
-from tests.ssp.test_read import (
+from tests.ssp.documents import (
     AFTER,
     MASS,
     PLAIN,
@@ -33,6 +32,7 @@ from tests.ssp.test_read import (
     ran,
     system,
 )
+from tests.ssp.packages import document, pack
 
 OUTSIDE = ("speed", "output", "m/s"), ("push", "input", "N")
 #: a system around the mass, with connectors of its own

@@ -11,8 +11,8 @@ from phfmu.cli import main
 from phfmu.ssp.loading import load
 from phfmu.ssp.structure import SSPError
 from tests.fmu import foreign
+from tests.ssp.documents import SPRING, component, connection, linear, system
 from tests.ssp.packages import document, pack, unpacked
-from tests.ssp.test_read import SPRING, component, connection, linear, system
 
 PUMP = ("F", "input", ""), ("v", "output", ""), ("q", "output", "")
 
