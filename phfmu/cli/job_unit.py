@@ -21,8 +21,8 @@ def unit(args: argparse.Namespace) -> Job:
     from phfmu.network.scene import fmu_scene
 
     _refuse_compiled_in(args)
-    file = unit_file(args.target)
-    instance = FMUInstance(file.path, file.port_maps, starts=settings(args.set), isolate=isolate_of(args))
+    file = unit_file(args.target).with_starts(settings(args.set))
+    instance = FMUInstance(file.path, file.port_maps, starts=file.starts, isolate=isolate_of(args))
     for line in file.left_out:
         print(f"phfmu: {args.target}: {line}", file=sys.stderr)
     return Job(fmu_scene(instance), f"FMI {instance.interface.version}", False, lambda: FMUStepper(instance))

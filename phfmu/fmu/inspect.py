@@ -13,10 +13,20 @@ from phfmu.fmu.outward import summed
 from phfmu.fmu.port_tables import ENDING
 from phfmu.fmu.port_units import domain_of, unit_of
 from phfmu.fmu.unit_file import UnitFile, unit_file
+from phfmu.fmu.unit_interface import Scalar
 from phfmu.fmu.variables import FMUError
 
 #: pairs of variables that are told
 PAIRS = 4
+#: kinds of variables in the order they are told
+_TITLES = {
+    "parameter": "parameters",
+    "structuralParameter": "structural parameters, which stay as they are here",
+    "calculatedParameter": "parameters that follow from others",
+    "input": "inputs",
+    "output": "outputs",
+    "local": "local variables",
+}
 
 
 def fmu_info(path: str | Path) -> str:
@@ -43,16 +53,21 @@ def fmu_info(path: str | Path) -> str:
     if face.step is not None:
         lines.append(f"suggested step {face.step:g} s" + (f", stop {face.stop:g} s" if face.stop is not None else ""))
     lines += port_lines(file.port_maps) or _ports_wanted(file)
-    for causality in ("parameter", "input", "output", "local"):
+    for causality, title in _TITLES.items():
         chosen = [v for v in face.variables.values() if v.causality == causality]
         if chosen:
-            lines.append(f"{causality}s:" if causality != "local" else "local variables:")
+            lines.append(f"{title}:")
         for v in chosen:
             start = "" if v.start is None else f"{v.start:g}"
-            kind = v.unit if v.type == "Float64" else v.type
-            lines.append(f"  {v.name:<32} {kind:<12} {start:<16} {v.description}".rstrip())
+            lines.append(f"  {v.name:<32} {_kind(v):<12} {start:<16} {v.description}".rstrip())
     lines += file.left_out
     return "\n".join(lines) + "\n"
+
+
+def _kind(v: Scalar) -> str:
+    """Its unit, and its type where that is not Float64."""
+    told = [v.unit] if v.type == "Float64" or v.unit != "1" else []
+    return ", ".join([*told, *([v.type] if v.type != "Float64" else [])])
 
 
 def port_lines(ports: Sequence[PortMap]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
@@ -19,6 +19,15 @@ from phfmu.fmu.unit_interface import UnitInterface
 from phfmu.fmu.variables import FMUError
 from phfmu.gradients.quadrature import gauss_nodes
 from phfmu.words import meant
+
+#: what takes no value before the start, in words
+_KINDS = {
+    "output": "an output that the unit computes",
+    "local": "a local variable that the unit computes",
+    "calculatedParameter": "a parameter that the unit computes from others",
+    "structuralParameter": "a structural parameter, which stays as it is here",
+    "independent": "the time of the unit",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,20 +78,38 @@ class UnitFile:
         raise KeyError(f"{self.found} has no port '{name}'; {meant(name, [p.name for p in self.ports])}")
 
     def settable_names(self) -> list[str]:
-        """Variables that have a value before the start."""
+        """Variables that take a value before the start: parameters, inputs, and others that begin at one of their own."""
         return [
             n
             for n, v in self.interface.variables.items()
-            if v.causality in ("parameter", "input") or v.start is not None
+            if v.causality in ("parameter", "input")
+            or (v.start is not None and v.causality in ("output", "local") and v.variability != "constant")
         ]
 
     def with_starts(self, values: Mapping[str, float]) -> UnitFile:
-        """A copy with other values before the start; KeyError names close ones if one is unknown."""
-        known = self.settable_names()
-        for name in values:
-            if name not in known:
-                raise KeyError(f"{self.found} has no parameter, state or input '{name}'; {meant(name, known)}")
-        return replace(self, starts={**self.starts, **values})
+        """A copy with other values before the start, the name of an array for all its entries.
+
+        KeyError names close ones if one is unknown, or says what a variable is that takes none.
+        """
+        known, starts = dict.fromkeys(self.settable_names()), dict(self.starts)
+        entries: dict[str, list[str]] = {}
+        for n in known:
+            if self.interface.variables[n].size:
+                entries.setdefault(n.rpartition("[")[0], []).append(n)
+        for name, value in values.items():
+            own = [name] if name in known else entries.get(name, [])
+            if not own:
+                raise KeyError(self._takes_none(name, [*known, *entries]))
+            starts |= dict.fromkeys(own, value)
+        return replace(self, starts=starts)
+
+    def _takes_none(self, name: str, known: Sequence[str]) -> str:
+        """Why nothing is set there."""
+        there = self.interface.variables.get(name)
+        if there is not None:
+            kind = "constant" if there.variability == "constant" else _KINDS.get(there.causality, there.causality)
+            return f"{self.found}: '{name}' is {kind}: it cannot be set"
+        return f"{self.found} has no parameter, state or input '{name}'; {meant(name, known)}"
 
 
 def unit_file(path: str | PathLike[str], ports: Mapping[str, Any] | None = None) -> UnitFile:

@@ -61,7 +61,7 @@ class References:
         with np.errstate(invalid="ignore", over="ignore"):
             own.buffer[own.picks] = values
             kept = own.buffer[own.picks].astype(float)
-        lost = ~np.isfinite(values) if own.buffer.dtype == np.float32 else kept != values
+        lost = ~np.isfinite(kept) if own.buffer.dtype == np.float32 else kept != values
         if own.boolean:
             lost |= (values != 0) & (values != 1)
         if lost.any():

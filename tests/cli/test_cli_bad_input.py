@@ -288,7 +288,7 @@ def test_units(refused: Cli) -> None:
     refuse("no modelDescription.xml")
     refused(2, "run none.fmu", "none.fmu: there is no such file")
     refused(2, "export mass_fmi3.fmu", "is an FMU; this verb needs a declaration")
-    refused(2, "run mass_fmi3.fmu --set mm=1", "no variable 'mm'; did you mean m?")
+    refused(2, "run mass_fmi3.fmu --set mm=1", "no parameter, state or input 'mm'; did you mean m?")
     refused(2, "run mass_fmi3.fmu --order 4", "--order 4 has no effect", "compiled in")
     refused(2, "run mass_fmi3.fmu --coupling newton", "--coupling newton has no effect")
     Path("in.csv").write_text("time,m\n0,1\n")

@@ -167,14 +167,14 @@ class Joined:
         joined[[*self.face.fed, *self.sent.values(), *(self.taken[e] for e in self._wired if e in self.taken)]] = True
         told: dict[str, float] = {}
         for m, place in zip(self.members, self.places, strict=True):
-            values = self.free[place] * m.input_sign
+            values = self.free[place] / m.input_sign
             rows = zip(m.input_names, values.tolist(), joined[place], strict=True)
             told |= {f"{m.name}.{n}": value for n, value, fed in rows if not fed}
             told |= {f"{m.name}.{n}": value for n, value in m.signals().items()}
         return told
 
     def input_places(self) -> dict[str, tuple[int, float]]:
-        """Input of a port, `member.name` -> its place among all inputs, and its sign."""
+        """Input of a port, `member.name` -> its place among all inputs, and its factor into the member."""
         return {
             f"{m.name}.{n}": (place.start + i, float(m.input_sign[i]))
             for m, place in zip(self.members, self.places, strict=True)

@@ -36,7 +36,7 @@ class FMUStepper:
 
     def inputs(self) -> dict[str, float]:
         """Inputs of ports and others, as they are now."""
-        given = self._u * self.member.input_sign
+        given = self._u / self.member.input_sign
         return dict(zip(self.member.input_names, given.tolist(), strict=True)) | self.member.signals()
 
     @property

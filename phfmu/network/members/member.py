@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 class Member(Protocol):
     """What the coupling asks of a member; `places`: port name -> slice of the stacked external inputs.
 
-    `input_sign` (nu): -1 where an input called by its name counts out of the member (outward ports of units).
+    `input_sign` (nu): times it, an input called by its name counts into the member in units of the domain: -1 at outward
+    ports of units, 1000 where a unit says kN.
     `saves`: whether it can give its state and take it back.
     `taken`, `sent`: signals that it exchanges at the nodes of its steps, with their places among inputs and outputs.
     """
