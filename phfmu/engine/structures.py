@@ -18,7 +18,7 @@ class Header:
     """Structures `names` of headers (one field a line), and `calls`: the one of functions of the library of a model."""
 
     def __init__(self, paths: Sequence[Path], names: Sequence[str], calls: str):
-        self._text, self._names, self._calls = "".join(p.read_text() for p in paths), tuple(names), calls
+        self._text, self._names, self.calls = "".join(p.read_text() for p in paths), tuple(names), calls
 
     @cached_property
     def fields(self) -> dict[str, tuple[Field, ...]]:
@@ -28,10 +28,9 @@ class Header:
     def structures(self) -> dict[str, type[ctypes.Structure]]:
         return for_ctypes(self.fields)
 
-    @cached_property
-    def functions(self) -> list[str]:
-        """Names of the functions of `calls`, in order."""
-        body = re.search(rf"typedef struct {self._calls} {{(.*?)}} {self._calls};", self._text, re.S)
+    def functions(self, name: str) -> list[str]:
+        """Names of the functions of a structure of these, in order."""
+        body = re.search(rf"typedef struct {name} {{(.*?)}} {name};", self._text, re.S)
         assert body
         return re.findall(r"\(\*(\w+)\)\(", body[1])
 
@@ -45,10 +44,12 @@ class Structures:
 
     def calls(self, lib: ctypes.CDLL) -> int:
         """Address of the functions of a model's library."""
-        names = self._header.functions
-        table = (ctypes.c_void_p * len(names))(
-            *(ctypes.cast(getattr(lib, "ph_" + n), ctypes.c_void_p).value for n in names)
-        )
+        names = self._header.functions(self._header.calls)
+        return self.functions([getattr(lib, "ph_" + n) for n in names])
+
+    def functions(self, functions: Sequence[Any]) -> int:
+        """Address of a structure of these functions of libraries."""
+        table = (ctypes.c_void_p * len(functions))(*(ctypes.cast(f, ctypes.c_void_p).value for f in functions))
         self._keep.append(table)
         return ctypes.addressof(table)
 

@@ -15,6 +15,7 @@ import faulthandler
 import os
 import signal
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -23,8 +24,10 @@ CODE = 3
 #: time in s after which a handler that hangs, since the memory it works with is broken, is ended
 PATIENCE = 5
 
-#: name of the unit, the function and the arguments of the call that is under way; between calls there is none
-current: tuple[str, Any, tuple[Any, ...]] | None = None
+#: a call: name of the unit, the function or its name, the arguments
+Call = tuple[str, Any, tuple[Any, ...]]
+#: the call that is under way; of those that compiled code makes, what tells; between calls there is none
+current: Call | Callable[[], list[Call]] | None = None
 
 _FAULTS = {
     "SIGSEGV": "it used memory that is not its own",
@@ -74,7 +77,7 @@ def _arm_signals(library: ctypes.CDLL) -> None:
     set_handler.restype, set_handler.argtypes = ctypes.c_void_p, (ctypes.c_int, ctypes.c_void_p)
 
     def fault(number: int) -> None:
-        if current is None:  # not a unit's: what was there before takes it when the faulty instruction is run again
+        if not _calls():  # not a unit's: what was there before takes it when the faulty instruction is run again
             set_handler(number, _before[number])
             if number == signal.SIGABRT:
                 signal.raise_signal(number)
@@ -95,23 +98,29 @@ def _arm_signals(library: ctypes.CDLL) -> None:
 
 
 def _exits(_: object) -> None:
-    if current is not None:
+    if _calls():
         _leave(f"ended the process in {_call()}", "its library called exit")
+
+
+def _calls() -> list[Call]:
+    """Those under way: more than one where several threads make them."""
+    if current is None:
+        return []
+    return current() if callable(current) else [current]
 
 
 def _call() -> str:
     """The function, and the time at which it is to begin a step."""
-    assert current is not None
-    _, function, arguments = current
+    _, function, arguments = _calls()[0]
     name = getattr(function, "__name__", str(function))
     return f"{name} at t = {arguments[0]:.9g} s" if name == "doStep" and arguments else name
 
 
 def _leave(what: str, how: str) -> None:
     """Says so in pieces that need no memory of the C library, which may be broken, and leaves."""
-    assert current is not None
+    names = " or ".join(f"'{name}'" for name, *_ in _calls())
     with suppress(OSError):
-        os.write(2, f"phfmu: the unit '{current[0]}' {what} ({how}).".encode())
+        os.write(2, f"phfmu: the unit {names} {what} ({how}).".encode())
         os.write(2, b" Next: --isolate gives it a process of its own, and keeps the rows and the audit until then;")
         os.write(2, b" of this run rows are in the .partial file of -o, `phfmu audit recover` reads an audit\n")
         if faulthandler.is_enabled():

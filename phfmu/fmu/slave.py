@@ -95,6 +95,11 @@ class Slave:
         words = (text or b"")[: 4 * LONGEST].decode("utf-8", "replace").strip()
         self.words.append(plain(self._names.unescaped(words), LONGEST))
 
+    @property
+    def address(self) -> int:
+        """Of the instance, as functions of the library take it."""
+        return int(self.fmu.component)
+
     def last_words(self) -> tuple[str, ...]:
         return tuple(self.words)[-QUOTED:]
 
@@ -106,7 +111,7 @@ class Slave:
         try:
             return function(*arguments)
         except FMICallException as error:
-            raise self._refused(error.function, error.status) from None
+            raise self.refused(error.function, error.status) from None
         finally:
             exit_guard.current = None
 
@@ -123,13 +128,14 @@ class Slave:
         finally:
             exit_guard.current = None
         if status > WARNING:
-            raise self._refused(function, status)
+            raise self.refused(function, status)
 
     def _require_alive(self, function: Any) -> None:
         if self.dead:
             raise UnitCallError(self.name, _name(function), "fatal", ["it met a fatal error before"])
 
-    def _refused(self, function: str, status: int) -> UnitCallError:
+    def refused(self, function: str, status: int) -> UnitCallError:
+        """The error of a call that was answered with this status; after a fatal one the unit is dead."""
         answer = _ANSWERS.get(status, f"status {status}")
         self.dead = answer == "fatal"
         return UnitCallError(self.name, function, answer, self.last_words())

@@ -75,8 +75,8 @@ class OwnBooks:
 
     def __init__(self, ports: PortValues, means: References):
         self._ports, self._means, energy = ports, means, ports.interface.energy
-        self._step = ports.group([energy[s] for s in (*_STEP, _MOVED) if s in energy], "output")
-        self._stored = ports.group([energy["stored"]], "output")
+        self.step = ports.group([energy[s] for s in (*_STEP, _MOVED) if s in energy], "output")
+        self.stored = ports.group([energy["stored"]], "output")
         self._gap = ports.group([energy["gap"]], "output") if "gap" in energy else None
 
     def begin(self, slave: AnySlave) -> None:
@@ -95,22 +95,33 @@ class OwnBooks:
         return self._slave.get(self._means) * self._ports.output_sign
 
     def energies(self) -> Array:
-        return self._slave.get(self._stored).copy()
+        return self._slave.get(self.stored).copy()
 
     def gap(self) -> float | None:
         return None if self._gap is None else float(self._slave.get(self._gap)[0])
 
     def ledger(self, h: float) -> dict[str, Array]:
-        rows, ports = self._slave.get(self._step).copy(), self._ports
+        rows, ports = self._slave.get(self.step).copy(), self._ports
         if ports.pair_energies.n:
             pairs = self._slave.get(ports.pair_energies).copy()
         elif len(self._given) == 1:
-            pairs = h * self._given[0] * self.means()
+            pairs = self.through(h, self._given, self.means()[None])
         else:
             y = self._slave.get(ports.y_nodes).reshape(-1, ports.nu) * ports.output_sign
-            pairs = h * np.array(ports.interface.weights) @ (self._given * y)
-        moved = {"moved": rows[3:]} if len(rows) > len(_STEP) else {}
-        return {"stored": rows[:1], "dissipated": rows[1:2], "supplied": rows[2:3], "pairs": pairs, **moved}
+            pairs = self.through(h, self._given, y)
+        return self.named(rows) | {"pairs": pairs}
+
+    def through(self, h: float, given: Array, y: Array) -> Array:
+        """Energy through each pair in steps of length h (.. x nu) of inputs and outputs at nodes, or held ones (.. x k x nu)."""
+        if given.shape[-2] == 1:
+            return h * given[..., 0, :] * y[..., 0, :]
+        return h * np.array(self._ports.interface.weights) @ (given * y)
+
+    @staticmethod
+    def named(step: Array) -> dict[str, Array]:
+        """Values of `step` (.. x n) by what they are."""
+        moved = {"moved": step[..., 3:]} if step.shape[-1] > len(_STEP) else {}
+        return {"stored": step[..., :1], "dissipated": step[..., 1:2], "supplied": step[..., 2:3], **moved}
 
     def memory(self) -> dict[str, Any]:
         return {"given": self._given}

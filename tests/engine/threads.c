@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "master.h"
+#include "native.h"
 #include "plan.h"
 #include "system.h"
 
@@ -102,25 +103,27 @@ static ph_share share(int i, const int *numbers, const double *ones) {
     const int nu = p->nu, width = p->nx + 1 + p->na;
     ph_instance *in = make(i);
     int offset[PH_NBLOCK + 1];
-    ph_share s = {.calls = &calls, .in = in, .nu = nu, .nq = p->nq, .parts = 1, .k = 1, .ncomp = p->ncomp};
+    ph_native *of = room(sizeof(ph_native));
+    ph_share s = {.kind = ph_kind_native(), .of = of, .nu = nu, .stride = p->nq, .k = 1, .ncomp = p->ncomp};
+    *of = (ph_native){.calls = &calls, .in = in, .parts = 1, .nq = p->nq, .width = width};
     ph_layout(&ph_the_model, offset);
-    s.nsignal = offset[PH_NBLOCK];
-    s.width = width;
+    of->nsignal = offset[PH_NBLOCK];
+    s.length = of->nsignal + 5 * s.ncomp + p->nq;
     s.ninput = s.ncol = s.nrow = s.nright = s.nleft = nu;
     s.col = s.row = s.input = s.right_direction = s.right_col = s.left_output = s.left_row = numbers;
     s.right = s.left = s.weights = s.at_end = ones;
     s.free = reals(nu);
     s.outputs = ph_node_outputs(in);
-    s.signals = ph_signals(in);
-    s.energies = s.signals + offset[PH_H];
-    s.end = s.signals + offset[PH_Y_END];
-    s.kept = room(ph_state_size(in));
+    of->signals = ph_signals(in);
+    s.energies = of->signals + offset[PH_H];
+    s.end = of->signals + offset[PH_Y_END];
+    of->kept = room(ph_state_size(in));
     s.u = reals(nu);
     s.y = reals(2 * nu);
-    s.dx = reals(nu * width + nu * nu);
+    of->dx = reals(nu * width + nu * nu);
     s.dy = reals(nu * nu);
     s.across = reals(nu * nu);
-    s.record = reals(STEPS * (s.nsignal + 5 * s.ncomp + s.nq));
+    s.record = reals(STEPS * s.length);
     return s;
 }
 
@@ -160,7 +163,7 @@ static double *together(int threads, size_t *size) {
         ph_crew_end(m.crew);
     for (int i = 1; i < threads; i++)
         require(pthread_join(thread[i], NULL) == 0, "join");
-    one = (size_t)(STEPS * (shares[0].nsignal + 5 * shares[0].ncomp + shares[0].nq));
+    one = (size_t)(STEPS * shares[0].length);
     *size = sizeof(double) * (one + square) * INSTANCES;
     found = room(*size);
     for (size_t i = 0; i < INSTANCES; i++) {

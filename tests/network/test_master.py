@@ -345,10 +345,10 @@ def test_what_is_refused_is_taken_by_the_loop_in_python() -> None:
 @pytest.mark.parametrize("slow_one", [1, 2])
 def test_the_faster_number_of_threads_goes_on(slow_one: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where threads could pay, some steps by one and by two tell which; the rows are those of one thread."""
-    from phfmu.network.couplings import master
+    from phfmu.network.couplings import pace
 
-    monkeypatch.setattr(master, "worth", lambda *_: 2)
-    monkeypatch.setattr(master, "processors", lambda: 2)
+    monkeypatch.setattr(pace, "worth", lambda *_: 2)
+    monkeypatch.setattr(pace, "processors", lambda: 2)
     runs = []
     for threads in (1, None):
         stepper = coupling_bench.coupled(coupling_bench.ring(4), 1, threads=threads)
@@ -356,8 +356,8 @@ def test_the_faster_number_of_threads_goes_on(slow_one: int, monkeypatch: pytest
         made: Any = stepper._master  # pyright: ignore[reportAttributeAccessIssue]
         runs.append([stepper.advance(0.0, 1e-3, 60)])
         if threads is None:
-            assert set(made._pace) == {1, 2}
-            made._pace = {slow_one: 2.0, 3 - slow_one: 1.0}
+            assert set(made.pace._taken) == {1, 2}
+            made.pace._taken = {slow_one: 2.0, 3 - slow_one: 1.0}
         runs[-1].append(stepper.advance(0.0, 1e-3, 40, 60))
         assert made.threads == (3 - slow_one if threads is None else 1)
     for one, chosen in zip(*runs, strict=True):

@@ -27,7 +27,6 @@ from phfmu.network.couplings.totals import Totals
 from phfmu.network.couplings.unconverged import booked, plain
 from phfmu.network.couplings.works import Works
 from phfmu.network.junctions.network import Network
-from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 
 if TYPE_CHECKING:
@@ -105,8 +104,6 @@ class Coupled:
     def _master(self) -> Master | None:
         """The steps in compiled code, where there are such."""
         if not self._may_compile or (self._signals.wires and self._signals.any_held):
-            return None
-        if not all(isinstance(m, EngineMember) and m.model.events is None for m in self.joined.members):
             return None
         from phfmu.network.couplings.master import master
 
@@ -219,12 +216,12 @@ class Coupled:
         parts: list[Steps] = []
         done, self._at_start = 0, None
         while done < n:
-            if (steps := self._compiled(t0, h, first + done, n - done)) is not None:
-                parts.append(steps)
-                done += len(steps.H)
-            if done == n:
-                break
             try:
+                if (steps := self._compiled(t0, h, first + done, n - done)) is not None:
+                    parts.append(steps)
+                    done += len(steps.H)
+                if done == n:
+                    break
                 parts.append(Steps.stacked([self._step(t0 + (first + done) * h, h)]))
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.joined(parts)} if parts else {}

@@ -1,4 +1,4 @@
-"""The master in compiled code: members of native engines, stepped and joined without returning to Python.
+"""The master in compiled code: members of native engines and units, stepped and joined without returning to Python.
 
 The same iteration as that of `newton.py` and `node_newton.py`, with the same rules; equal to rounding, since linear systems are
 solved by the sparse factors of the runtime.  What does not go as usual there is left to these: a step that is refused by the
@@ -8,61 +8,63 @@ compiled loop is taken by them, or refused with their words.
 from __future__ import annotations
 
 import ctypes
-from math import inf
+from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.native import NativeInstance
 from phfmu.engine.steps import Steps
 from phfmu.engine.structures import Structures
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings import newton
 from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
 from phfmu.network.couplings.coupling import Coupling, Solution
-from phfmu.network.couplings.crew import crew, worth
+from phfmu.network.couplings.crew import crew
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.master_library import HEADER, library
-from phfmu.network.couplings.master_pattern import Exchanged, Part, Pattern, exchanged
+from phfmu.network.couplings.master_pattern import Exchanged, Part, Pattern, Told, exchanged
 from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknowns
+from phfmu.network.couplings.pace import Pace
+from phfmu.network.couplings.shares import Make, Own, own_share, watched
 from phfmu.network.couplings.unconverged import plain
-from phfmu.network.members.engine_member import EngineMember
 from phfmu.plan.ordering import StructurallySingular
-from phfmu.processors import processors
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[Any]
 
 #: words for ph_accepted
 ACCEPTED = np.array(["", "energy", "rounding floor"])
-MEASURED = 4  # steps that tell how long a trial takes
-TRIALS = 2  # of a step, at least
-TRIED = 16  # steps by one thread and by many, of which the faster go on
 LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 
 
 class Master:
     """Compiled steps of `joined` under `coupling`; ledger rows and columns are those of `Coupled`."""
 
-    def __init__(self, joined: Joined, coupling: Coupling, found: Exchanged, works: bool, threads: int | None = None):
+    def __init__(
+        self,
+        joined: Joined,
+        coupling: Coupling,
+        found: Exchanged,
+        makes: Sequence[Make],
+        works: bool = False,
+        threads: int | None = None,
+    ):
         self.joined, self.coupling, self.found, self._works = joined, coupling, found, works
-        #: asked for, None: as many as pay;  used last
-        self._threads, self.threads = threads, 1
-        self._cost, self._measured = np.zeros(len(found.parts)), 0
-        #: parts that were begun;  seconds of a trial by so many threads
-        self._parts, self._pace = 0, dict[int, float]()
+        #: threads used last
+        self.pace, self.threads = Pace(len(found.parts), threads), 1
         self._pattern, self._memory = Pattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs: list[Array] = []
-        self._shares = [self._share(i) for i in range(len(found.parts))]
+        self._own = [make(p, self._memory, self._lib) for make, p in zip(makes, found.parts, strict=True)]
+        shares = [self._share(i, own) for i, own in enumerate(self._own)]
         self._z, self._last = np.zeros(found.size), np.zeros(found.size)
         self._missed = np.zeros((KNOWN, found.size))
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
         self.taken, self.rules = 0, self._memory.fill("ph_rules", self._rules())
-        self._array = self._memory.array(self._shares)
+        self._array = self._memory.array(shares)
         self._struct = self._memory.fill("ph_master", self._values())
         self._lib.ph_master_lu_init(ctypes.addressof(self._struct))
 
@@ -74,32 +76,18 @@ class Master:
         parts: list[Steps] = []
         t0, h, first = grid
         while n:
-            k, self.threads = self._part(n)
+            k, self.threads = self.pace.part(n)
             steps, last = self._advance(last, sums, (t0, h, first), k)
             if len(steps.H):
                 parts.append(steps)
             first, n = first + k, n - k if len(steps.H) == k else 0
         return Steps.joined(parts) if parts else Steps.stacked([]), last
 
-    def _part(self, n: int) -> tuple[int, int]:
-        """How many of n steps come next, by how many threads.
-
-        Parts are the same whatever the threads: where one ends shows in the last bits.
-        """
-        self._parts += 1
-        k = min(n, (MEASURED, TRIED, TRIED, n)[min(self._parts, 4) - 1])
-        if self._threads is not None:
-            return k, min(self._threads, len(self._cost))
-        most = worth(self._cost / self._measured, TRIALS * n, processors()) if self._measured else 1
-        if self._parts < 3 or most == 1:
-            return k, 1
-        return k, most if self._parts == 3 or self._pace.get(most, inf) < self._pace.get(1, 0.0) else 1
-
     def _advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
         t0, h, first = grid
         e, s = self.found, self._struct
         next_ = self._begin(last, h)
-        members = [np.empty((n, width)) for width in e.widths]
+        members = [np.empty((n, own.values["length"])) for own in self._own]
         given = [self._given(i, grid, n) for i in range(len(members))]
         for struct, rows, followed in zip(self._array, members, given, strict=True):
             struct.record = rows.ctypes.data
@@ -109,25 +97,34 @@ class Master:
         works = np.empty((n, e.size)) if self._works else None
         s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
         s.work = None if works is None else works.ctypes.data
-        with crew(self._lib, self.threads) as s.crew:
-            begun = perf_counter()
-            done = self._lib.ph_master_run(ctypes.addressof(s), t0, h, n, first, next_)
-            spent = perf_counter() - begun
-        s.crew = None
+        s.cost = self.pace.cost.ctypes.data if self.pace.measures else None
+        done, spent = self._run(grid, n, next_)
         self.taken += done
-        if done == TRIED and not s.cost:
-            self._pace.setdefault(self.threads, spent / int(trials.sum()))
-        if s.cost:
-            self._measured += int(trials.sum())
-            s.cost = None if self._measured else s.cost
+        self.pace.took(self.threads, done, trials, spent)
         if done == 0:
+            for own in self._own:
+                own.refused()
             return Steps.stacked([]), last
+        for own, rows in zip(self._own, members, strict=True):
+            own.finish(t0 + (first + done - 1) * h, h, rows[done - 1])
         xi = xi[:done, : len(self.joined.face.names)]  # signals are no columns
-        rows = self._steps([m[:done] for m in members], xi, sums)
+        rows = self._steps([own.told(m[:done], h) for own, m in zip(self._own, members, strict=True)], xi, sums)
         if works is not None:
             rows["works"] = works[:done, e.unpacked]
         solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
         return Steps(**rows, iterations=trials[:done], accepted_by=ACCEPTED[accepted[:done]]), solution
+
+    def _run(self, grid: tuple[float, float, int], n: int, next_: int) -> tuple[int, float]:
+        """Steps that were taken, seconds.  A crash in a unit tells its name."""
+        t0, h, first = grid
+        for own in self._own:
+            own.begin()
+        with crew(self._lib, self.threads) as self._struct.crew, watched(self._own):
+            begun = perf_counter()
+            done = self._lib.ph_master_run(ctypes.addressof(self._struct), t0, h, n, first, next_)
+            spent = perf_counter() - begun
+        self._struct.crew = None
+        return done, spent
 
     def _given(self, i: int, grid: tuple[float, float, int], n: int) -> Array | None:
         """Free inputs of a member at the nodes of n steps (n x k x nu) where some follow data."""
@@ -163,46 +160,21 @@ class Master:
         missed = tuple(unpack(m) for m in self._missed[: self._struct.known])
         return NodeSolution(xi, y, trials, accepted_by, found=found, h=h, missed=missed)
 
-    def _steps(self, members: list[Array], xi: Array, sums: EndSums) -> dict[str, Any]:
+    def _steps(self, members: list[Told], xi: Array, sums: EndSums) -> dict[str, Any]:
         """Fields of `Steps` from what was recorded."""
-        signals, H, ends = [], [], []
-        books: dict[str, list[Array]] = {name: [] for name in LEDGER}
-        for rows, part in zip(members, self.found.parts, strict=True):
-            m, plan = part.member, part.instance.model.step
-            layout, width = part.instance.layout, part.signals
-            signals.append(m.columns(rows[:, :width]))
-            H.append(rows[:, layout["H"]])
-            ends.append(rows[:, layout["y_end"]][:, : m.nu])
-            at = width
-            for name in LEDGER:
-                size = plan.nq if name == "pairs" else plan.ncomp
-                found = rows[:, at : at + size]
-                books[name].append(m.pairs(found) if name == "pairs" else found)
-                at += size
-        signals += [xi, sums.of_rows(xi, np.hstack(ends))]
-        return {"signals": np.hstack(signals), "H": np.hstack(H)} | {n: np.hstack(b) for n, b in books.items()}
+        signals = [*(m.columns for m in members), xi, sums.of_rows(xi, np.hstack([m.ends for m in members]))]
+        rows = {"signals": np.hstack(signals), "H": np.hstack([m.H for m in members])}
+        return rows | {name: np.hstack([m.books[name] for m in members]) for name in LEDGER}
 
     # -- structures -----------------------------------------------------------------------------------------------
 
-    def _share(self, i: int) -> Any:
-        part, m = self.found.parts[i], self._memory
-        handle = part.instance.handle
-        chain = handle.tangents() if part.directions and not part.held else None
-        kicks = handle.impulses() if part.kicks else handle.kicked
-        own = kicks.n if kicks else 0
-        plan, layout = part.instance.model.step, part.instance.layout
-        nu, kn, all_ = plan.nu, part.k * plan.nu, part.directions
-        width = plan.nx + 1 + plan.na
-        start = handle.signals
-        unit = np.zeros((all_, kn))
-        unit[np.arange(len(part.inputs)), part.inputs] = 1.0
+    def _share(self, i: int, own: Own) -> Any:
+        part, nu = self.found.parts[i], self.found.parts[i].member.nu
+        kn, all_ = part.k * nu, part.directions
         self._inputs.append(np.zeros(kn))
-        values = {
-            "calls": m.calls(handle.lib), "in": handle.instance, "kicks": kicks.address if kicks else None,
-            "chain_calls": m.calls(chain.lib) if chain else None, "chain": chain.address if chain else None,
-            "parts": part.member.parts, "nu": nu, "nq": plan.nq, "k": part.k, "ncomp": plan.ncomp,
-            "nsignal": part.signals, "width": width,
-            "ninput": len(part.inputs), "nkick": part.kicks, "nbare": len(part.kicked), "impulses": own, "ncol": len(part.col),
+        values = own.values | {
+            "nu": nu, "k": part.k,
+            "ninput": len(part.inputs), "nkick": part.kicks, "nbare": len(part.kicked), "ncol": len(part.col),
             "nrow": len(part.row), "nright": len(part.right), "nleft": len(part.left), "col": part.col, "row": part.row,
             "entry": self._pattern.entries[i], "input": part.inputs, "kicked": part.kicked,
             "kicked_output": part.kicked_output, "right_direction": part.right_direction,
@@ -210,18 +182,11 @@ class Master:
             "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
             "at_end": nodes(part.k).value(1.0), "now": np.zeros(nu),
             "free": self.joined.free[self.joined.places[i]].ctypes.data,
-            "given": None,
-            "outputs": start + 8 * layout["y_step"].start if part.held else handle.node_outputs,
-            "signals": start, "energies": start + 8 * layout["H"].start, "end": start + 8 * layout["y_end"].start,
-            "values": kicks.values.ctypes.data if kicks else None, "du": unit, "ds": np.eye(part.kicks)[part.kicked],
-            "ds_end": np.zeros((all_, part.kicks)),
-            "kept": np.zeros(handle.state_size // 8 + 1), "copied": np.zeros(handle.state_size // 8 + 1),
-            "kept_values": np.zeros(4 * own), "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
-            "y": np.zeros(kn), "dx": np.zeros(max(all_ * width, nu * nu)), "dy": np.zeros((all_, kn)),
-            "dend": np.zeros((all_, nu)), "across": np.zeros((len(part.row), all_)), "jump": np.zeros(part.kicks**2),
-            "record": None,
+            "given": None, "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
+            "y": np.zeros(kn), "dy": np.zeros((all_, kn)), "dend": np.zeros((all_, nu)),
+            "across": np.zeros((len(part.row), all_)), "jump": np.zeros(part.kicks**2), "record": None, "clock": None,
         }  # fmt: skip
-        return m.fill("ph_share", values)
+        return self._memory.fill("ph_share", values)
 
     def _rules(self) -> dict[str, Any]:
         return {"held": not isinstance(self.coupling, NodeNewton), "iterations": ITERATIONS}
@@ -248,7 +213,7 @@ class Master:
             "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
             "found": self._last, "missed": self._missed, "known": 0, "row": 0,
             "lu": lu, "crew": None,
-            "status": np.zeros(len(e.parts), np.int32), "cost": self._cost, "xi": None, "work": None, "trials": None,
+            "status": np.zeros(len(e.parts), np.int32), "cost": None, "clock": None, "xi": None, "work": None, "trials": None,
             "accepted": None,
         }  # fmt: skip
 
@@ -271,9 +236,10 @@ def master(joined: Joined, coupling: Coupling, works: bool = False, threads: int
     coupling = plain(coupling)
     if not isinstance(coupling, newton.Newton | NodeNewton):
         return None
-    if not all(isinstance(m, EngineMember) and isinstance(m.instance, NativeInstance) for m in joined.members):
+    makes = [make for m in joined.members if (make := own_share(m))]
+    if len(makes) < len(joined.members):
         return None
     try:
-        return Master(joined, coupling, exchanged(joined, coupling), works, threads)
+        return Master(joined, coupling, exchanged(joined, coupling), makes, works, threads)
     except StructurallySingular:  # the twin tells where
         return None

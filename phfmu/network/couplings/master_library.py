@@ -12,7 +12,9 @@ from phfmu.engine.structures import Header
 from phfmu.network.couplings.acceptance import RULES
 
 RUNTIME = Path(__file__).parent / "runtime"
-HEADER = Header((RULES, RUNTIME / "master.h"), ("ph_share", "ph_rules", "ph_progress", "ph_master"), "ph_calls")
+HEADERS = (RULES, *(RUNTIME / f"{name}.h" for name in ("clock", "native", "unit", "master")))
+STRUCTURES = ("ph_rules", "ph_progress", "ph_clock", "ph_native", "ph_scalars", "ph_unit", "ph_share", "ph_master")
+HEADER = Header(HEADERS, STRUCTURES, "ph_calls")
 #: of the runtime of models, what the master has in common with it
 SHARED = "lu.c"
 
@@ -36,6 +38,8 @@ def library() -> ctypes.CDLL:
         [pointer, *[ctypes.c_double] * 2, integer, ctypes.c_longlong, integer],
     )
     lib.ph_crew_size.restype, lib.ph_crew_size.argtypes = ctypes.c_size_t, []
+    for name in ("ph_kind_native", "ph_kind_unit", "ph_unit_fmi2", "ph_unit_fmi3"):
+        getattr(lib, name).restype = pointer
     for name in ("ph_crew_init", "ph_crew_help", "ph_crew_end"):
         function = getattr(lib, name)
         function.restype, function.argtypes = None, [pointer]

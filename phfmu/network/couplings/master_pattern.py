@@ -16,7 +16,7 @@ from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.exchange import Share
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import NodeNewton
-from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.member import Member
 from phfmu.network.members.node_values import HeldNodes
 from phfmu.plan.ordering import elimination_order
 
@@ -28,7 +28,7 @@ Ints = NDArray[np.int32]
 class Part:
     """Of a member: the lists of `ph_share`."""
 
-    member: EngineMember
+    member: Member
     held: bool
     k: int
     weights: Array
@@ -47,17 +47,18 @@ class Part:
     left: Array
 
     @property
-    def instance(self) -> Any:
-        return self.member.instance
-
-    @property
     def directions(self) -> int:
         return len(self.inputs) + 2 * len(self.kicked)
 
-    @property
-    def signals(self) -> int:
-        """Length of the signal table."""
-        return max(s.stop for s in self.instance.layout.values())
+
+@dataclass(frozen=True)
+class Told:
+    """Of a member, a row a step: its columns, stored energies, outputs at the end, and its ledger."""
+
+    columns: Array
+    H: Array
+    ends: Array
+    books: dict[str, Array]
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,6 @@ class Exchanged:
     @property
     def size(self) -> int:
         return self.nodes + 2 * len(self.bare)
-
-    @property
-    def widths(self) -> list[int]:
-        """Of the record of each member."""
-        plans = [p.instance.model.step for p in self.parts]
-        return [p.signals + 5 * plan.ncomp + plan.nq for p, plan in zip(self.parts, plans, strict=True)]
 
     def pack(self, z: Array) -> Array:
         """Unknowns as the exchange has them -> as they stand here."""
@@ -180,7 +175,6 @@ def _ahead(k: Array) -> tuple[Ints, Ints, Array]:
 def _part(s: Share, where: Array, n: int) -> Part:
     """`where`: each bare column stands, `n`: unknowns at nodes."""
     member, rule = s.values.member, s.values.rule
-    assert isinstance(member, EngineMember)
     kicks, own, inputs = len(s.Q) if s.kicked else 0, s.own, np.array(s.fed_rows, np.int32)
     fed = s.to[inputs]
     right = [(d, c, fed[d, c]) for d, c in np.argwhere(fed)]

@@ -224,10 +224,19 @@ class FMUMember:
 
     def ledger(self) -> dict[str, Array]:
         """The unit's ledger of the last step; what it supplies to itself becomes the pair `inside`."""
-        book = self.unit.ledger()
+        return self.booked(self.unit.ledger())
+
+    def booked(self, book: dict[str, Array]) -> dict[str, Array]:
+        """A ledger of the unit (.. x entries of each)."""
         if self._inside:
-            book["pairs"] = np.append(book["pairs"], book["supplied"].sum() - book["pairs"].sum())
+            inside = book["supplied"].sum(axis=-1, keepdims=True) - book["pairs"].sum(axis=-1, keepdims=True)
+            book["pairs"] = np.concatenate([book["pairs"], inside], axis=-1)
         return book
+
+    @property
+    def told_of_events(self) -> list[str]:
+        """Variables that only events of the unit change."""
+        return self._happened.names
 
     def happened(self) -> list[StepEvent]:
         return self._happened.found

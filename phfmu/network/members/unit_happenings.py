@@ -16,19 +16,19 @@ class UnitHappenings:
     def __init__(self, unit: FMUInstance, name: str):
         known = () if unit.estimated else unit.interface.variables
         self._unit, self._member = unit, name
-        self._names = [n for n in (total(JUMPED[0]), *(n for n, _, _ in HAPPENED)) if n in known]
+        self.names = [n for n in (total(JUMPED[0]), *(n for n, _, _ in HAPPENED)) if n in known]
         self.found: list[StepEvent] = []
 
     def begin(self) -> None:
         """Before a step."""
-        if self._names:
-            self._before = self._unit.get(self._names)
+        if self.names:
+            self._before = self._unit.get(self.names)
 
     def end(self, t: float) -> None:
         """After it, at time t."""
-        if not self._names:
+        if not self.names:
             return
-        after = self._unit.get(self._names)
+        after = self._unit.get(self.names)
         change, self.found = after - self._before, []
         if len(change) == 1:
             if change[0]:

@@ -39,7 +39,9 @@ int ph_matrix_take(ph_master *m) {
         return status;
     for (int i = 0; i < m->nshare; i++)
         ph_share_add_matrix(m, &m->shares[i]);
+    ph_lap(m->clock, PH_SOLVING);
     status = ph_pair_root(m);
+    ph_lap(m->clock, PH_JOINING);
     if (status)
         return status;
     for (int c = 0; c < m->ncluster; c++) {
@@ -62,14 +64,19 @@ int ph_matrix_take(ph_master *m) {
         m->scaled[e] = m->a[e] * m->scale[m->rowind[e]];
     if (!ph_all_finite(m->scaled, m->nnz))
         return PH_NOT_FINITE;
-    return ph_lu_factor(m->lu, m->scaled, count);
+    ph_lap(m->clock, PH_SOLVING);
+    status = ph_lu_factor(m->lu, m->scaled, count);
+    ph_lap(m->clock, PH_JOINING);
+    return status;
 }
 
 int ph_matrix_update(ph_master *m) {
     const int all = m->nxi + 2 * m->nbare;
     for (int i = 0; i < all; i++)
         m->rows[i] *= m->scale[i];
+    ph_lap(m->clock, PH_SOLVING);
     ph_lu_solve(m->lu, m->rows, m->move);
+    ph_lap(m->clock, PH_JOINING);
     for (int i = 0; i < all; i++)
         m->z[i] -= m->move[i];
     return ph_all_finite(m->z, all) ? PH_OK : PH_NOT_FINITE;

@@ -4,11 +4,10 @@
 #include "master.h"
 #include "system.h"
 
-static int restore(ph_master *m) {
-    int status = PH_OK;
-    for (int i = 0; i < m->nshare && status == PH_OK; i++)
-        status = ph_share_restore(&m->shares[i]);
-    return status;
+/* All members, also if one of them cannot be brought back. */
+static void restore(ph_master *m) {
+    for (int i = 0; i < m->nshare; i++)
+        m->shares[i].kind->restore(&m->shares[i]);
 }
 
 /* z of one step, from z; how many trials it took and by which test it was accepted. */
@@ -49,7 +48,10 @@ static void record(ph_master *m, double h, int row) {
 }
 
 int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next) {
-    int done = 0, status = ph_trial_before(m);
+    int done = 0, status;
+    if (m->clock)
+        ph_clock_start(m->clock);
+    status = ph_trial_before(m);
     for (; done < n && status == PH_OK; done++) {
         int by = PH_NOT_YET;
         double *swap;
@@ -76,5 +78,6 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
         m->S0 = m->S1;
         m->S1 = swap;
     }
+    ph_lap(m->clock, PH_JOINING);
     return done;
 }

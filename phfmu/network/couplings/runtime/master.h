@@ -1,9 +1,9 @@
 /* Members of a network in compiled code, stepped apart and joined by Newton's method: the twin of newton.py
  * and node_newton.py, where the equations are.
  *
- * Each member is a library of its own, and many may be loaded at once under the same names, so that they are
- * called through tables of functions. This is a library of its own too: it is the same for every network and
- * is compiled once, and what is not coupled has nothing of it.
+ * Each member is a library of its own, native or that of a unit, and many may be loaded at once under the
+ * same names, so that they are called through tables of functions. This is a library of its own too: it is
+ * the same for every network and is compiled once, and what is not coupled has nothing of it.
  *
  * Whatever is not plain here, a member that refuses a step or rows that do not converge, is left to the
  * Python twin: the members are put back to the start of the step.
@@ -15,49 +15,40 @@
 #define PH_MASTER_H
 
 #include "acceptance.h"
+#include "clock.h"
 #include "crew.h"
-#include "impulses.h"
 #include "phfmu.h"
 
-/* Functions of the library of a member. */
-typedef struct ph_calls {
-    void (*save)(const ph_instance *, void *);
-    int (*load)(ph_instance *, const void *);
-    int (*set_input)(ph_instance *, const double *);
-    int (*set_node_inputs)(ph_instance *, const double *);
-    int (*step_parts)(ph_instance *, double, double, int);
-    int (*refresh)(ph_instance *);
-    int (*sensitivity)(ph_instance *, double *);
-    int (*step_along)(ph_instance *, const ph_directions *);
-    int (*end_along)(ph_instance *, const ph_directions *);
-    const double *(*ledger)(const ph_instance *, int);
-    int (*set_impulses)(ph_impulses *, const double *);
-    int (*step_impulses)(ph_impulses *, double, double, int);
-    int (*kick_more)(ph_impulses *, const double *);
-    void (*jump)(ph_impulses *, double *);
-    void (*impulses_along)(ph_impulses *, int, int, const double *, double *);
-} ph_calls;
+struct ph_share;
+
+/* What is asked of a member: of a native one (native.c), or of a unit (unit.c). Functions answer a ph_status,
+ * or anything else but PH_OK for what is left to the Python twin. */
+typedef struct ph_kind {
+    int (*keep)(const struct ph_share *);                     /* where it is, to come back */
+    int (*restore)(const struct ph_share *);                  /* there */
+    int (*step)(const struct ph_share *, double t, double h); /* under u and s */
+    int (*refresh)(const struct ph_share *);                  /* energies and outputs now */
+    int (*jump)(const struct ph_share *);                     /* S now */
+    int (*more)(const struct ph_share *);                     /* one more impulse at the end of the step: s */
+    int (*along)(const struct ph_share *);                    /* dy and dend of the step */
+    int (*present)(const struct ph_share *);                  /* inputs from now on */
+    int (*record)(const struct ph_share *, double *to); /* energies and outputs now, a row of the step */
+} ph_kind;
 
 /* A member's part. Its directions are: ninput inputs at nodes, nbare impulses at the start, nbare at the end.
  * Its unknowns and rows have numbers of their own, that of unknown c in z is col[c], that of row r is row[r].
  */
 typedef struct ph_share {
-    const ph_calls *calls;
-    ph_instance *in;
-    ph_impulses *kicks; /* NULL: it takes none */
-    const ph_calls *chain_calls;
-    ph_instance *chain; /* the instance with tangents; NULL: inputs are held */
+    const ph_kind *kind;
+    void *of; /* ph_native or ph_unit */
     int nu;
-    int nq;
-    int parts; /* internal steps of a step */
-    int k;     /* values of each input: its nodes, or 1 where they are held */
+    int k; /* values of each input: its nodes, or 1 where they are held */
     int ncomp;
-    int nsignal;
-    int width; /* nx+1+na */
+    int stride; /* of outputs */
+    int length; /* of a row of its record */
     int ninput;
-    int nkick;    /* impulses of the model if it is at a bare node, else 0 */
-    int nbare;    /* how many of them are at bare nodes */
-    int impulses; /* impulses of the model */
+    int nkick; /* impulses that it takes if it is at a bare node, else 0 */
+    int nbare; /* how many of them are at bare nodes */
     int ncol;
     int nrow;
     int nright;
@@ -79,27 +70,19 @@ typedef struct ph_share {
     const double *at_end;       /* k: of the polynomial through values at nodes its value at the end */
     const double *free;         /* nu: inputs besides those of junctions, offsets of signals */
     const double *given;    /* a row a step, k*nu each: the same at its nodes; NULL: free is what they are */
-    const double *outputs;  /* k*nq, of the instance */
-    const double *signals;  /* nsignal, of the instance */
-    const double *energies; /* ncomp, of the instance: stored now */
-    const double *end;      /* nu, of the instance: outputs now */
-    double *values;         /* 4*impulses, of the instance: impulses that belong to its state */
-    const double *du;       /* directions*(k*nu), unit */
-    const double *ds;       /* nbare*nkick, unit */
-    const double *ds_end;   /* directions*nkick, zero */
-    double *kept;           /* state at the start of the step, then the impulses: work, as all below */
-    double *copied;         /* state for the chain */
-    double *kept_values;    /* 4*impulses */
-    double *u;              /* k*nu */
+    const double *outputs;  /* k*stride, of the member */
+    const double *energies; /* ncomp, of the member: stored now */
+    const double *end;      /* nu, of the member: outputs now */
+    double *u;              /* k*nu: work, as all below */
     double *now;            /* nu: inputs at the end of the step, where signals feed some */
     double *s;              /* 2*nkick */
     double *y;              /* k*nu + nu */
-    double *dx;             /* directions*width */
     double *dy;             /* directions*(k*nu) */
     double *dend;           /* directions*nu */
     double *across;         /* nrow*directions */
     double *jump;           /* nkick*nkick */
-    double *record;         /* a row a step: signals, ledger rows; stride nsignal + 5 ncomp + nq */
+    double *record;         /* a row a step */
+    ph_clock *clock;        /* NULL: nobody asks */
 } ph_share;
 
 typedef struct ph_master {
@@ -158,16 +141,17 @@ typedef struct ph_master {
     double *S1;
     double *mixed;
     double *T;
-    double *moved; /* nbare: T m */
-    double *sums;  /* nbare: of outputs before the step */
-    void *lu;      /* ph_lu with room for its parts behind it */
-    double *xi;    /* a row a step: means of the common variables, ncolumn */
-    double *work;  /* a row a step: energy of each unknown at its junction, nz; NULL: not wanted */
-    ph_crew *crew; /* threads that help, or NULL */
-    int *status;   /* nshare: of the parts of members */
-    double *cost;  /* nshare: seconds of their steps are added, NULL: nobody asks */
-    int *trials;   /* a step each */
-    int *accepted; /* a step each: ph_accepted */
+    double *moved;   /* nbare: T m */
+    double *sums;    /* nbare: of outputs before the step */
+    void *lu;        /* ph_lu with room for its parts behind it */
+    double *xi;      /* a row a step: means of the common variables, ncolumn */
+    double *work;    /* a row a step: energy of each unknown at its junction, nz; NULL: not wanted */
+    ph_crew *crew;   /* threads that help, or NULL */
+    int *status;     /* nshare: of the parts of members */
+    double *cost;    /* nshare: seconds of their steps are added, NULL: nobody asks */
+    ph_clock *clock; /* of one thread: seconds of its parts, NULL: nobody asks */
+    int *trials;     /* a step each */
+    int *accepted;   /* a step each: ph_accepted */
 } ph_master;
 
 /* What the rows of a trial leave, in scaled size and in energy, and the energy in play as far as it is known.
@@ -228,9 +212,10 @@ void ph_share_add_matrix(ph_master *m, const ph_share *s);
 int ph_share_more(const ph_master *m, const ph_share *s, const double *more);
 int ph_share_before(const ph_share *s, int nxi, double *S, double *sums);
 int ph_share_end(const ph_share *s, int nxi, double *sums);
-void ph_share_keep(const ph_share *s);
-int ph_share_restore(const ph_share *s);
-void ph_share_record(const ph_share *s, int row);
+
+/* native.c, unit.c: the kinds of members. */
+PH_API const ph_kind *ph_kind_native(void);
+PH_API const ph_kind *ph_kind_unit(void);
 
 /* pair.c: T of r_T and what it makes of m. */
 int ph_pair_moved(ph_master *m);

@@ -13,11 +13,11 @@ int ph_signals_present(const ph_master *m) {
     }
     for (int w = 0; w < m->nwire; w++) {
         const ph_share *from = &m->shares[m->wire_source[w]], *to = &m->shares[m->wire_target[w]];
-        int status = from->calls->refresh(from->in);
+        int status = from->kind->refresh(from);
         if (status)
             return status;
         to->now[m->wire_input[w]] = m->factor[w] * from->end[m->wire_output[w]] + to->free[m->wire_input[w]];
-        status = to->calls->set_input(to->in, to->now);
+        status = to->kind->present(to);
         if (status)
             return status;
     }

@@ -14,7 +14,9 @@ int ph_settle(ph_master *m) {
         needed |= fabs(sums[b]) > PH_COUPLED_END * m->size[n + b];
     if (!needed)
         return PH_OK;
+    ph_lap(m->clock, PH_SOLVING);
     status = ph_pair_left(m);
+    ph_lap(m->clock, PH_JOINING);
     for (int b = 0; b < nb && status == PH_OK; b++)
         m->z[n + nb + b] += m->moved[b];
     for (int i = 0; i < m->nshare && status == PH_OK; i++)

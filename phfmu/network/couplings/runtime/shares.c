@@ -29,11 +29,7 @@ static void one_step(void *with, int i) {
     ph_master *m = s->m;
     const ph_share *share = &m->shares[i];
     const double before = m->cost ? seconds() : 0.0;
-    int status = PH_OK;
-    if (s->again)
-        status = ph_share_restore(share);
-    else
-        ph_share_keep(share);
+    int status = s->again ? share->kind->restore(share) : share->kind->keep(share);
     m->status[i] = status ? status : ph_share_step(m, share, s->t, s->h);
     if (m->cost)
         m->cost[i] += seconds() - before;
@@ -46,7 +42,7 @@ static void one_along(void *with, int i) {
 
 static void one_refresh(void *with, int i) {
     ph_master *m = with;
-    m->status[i] = m->shares[i].calls->refresh(m->shares[i].in);
+    m->status[i] = m->shares[i].kind->refresh(&m->shares[i]);
 }
 
 typedef struct finish {
@@ -57,9 +53,7 @@ typedef struct finish {
 static void one_finish(void *with, int i) {
     const finish *f = with;
     const ph_share *share = &f->m->shares[i];
-    f->m->status[i] = share->calls->refresh(share->in);
-    if (f->m->status[i] == PH_OK)
-        ph_share_record(share, f->row);
+    f->m->status[i] = share->kind->record(share, share->record + (ptrdiff_t)f->row * share->length);
 }
 
 static int first_failure(const ph_master *m) {

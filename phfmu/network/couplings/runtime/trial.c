@@ -54,7 +54,9 @@ int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found) 
         return status;
     for (int i = 0; i < m->nshare; i++)
         ph_share_add_rows(m, &m->shares[i], h, &found->through);
+    ph_lap(m->clock, PH_SOLVING);
     status = ph_pair_moved(m);
+    ph_lap(m->clock, PH_JOINING);
     if (status)
         return status;
     for (int i = 0; i < n; i++)
