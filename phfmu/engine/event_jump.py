@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
@@ -11,11 +13,55 @@ from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.guards import Guards
 from phfmu.engine.limits import LIMITS
 from phfmu.events.event_plan import EventPlan
-from phfmu.events.impulse import impulses, pushing
+from phfmu.events.impulse import Columns, impulses, pushing
 
 Array = NDArray[Any]
 
 DEPENDENT, MOST, GAIN, PILE, AGAIN, SLIDES, NO_MODE, SHARED = range(8)  # places in event_failure.REASONS
+
+
+@dataclass(frozen=True)
+class Laws:
+    """Of n jumps: rests: it ends with restitution 0;  most: largest |c|;  pushes: its impulse is not negative."""
+
+    rests: NDArray[np.bool_]
+    most: Array
+    pushes: NDArray[np.bool_]
+
+
+def struck(
+    columns: Callable[[], Columns],
+    move: Callable[[Columns, Array], None],
+    laws: Laws,
+    refuse: Callable[[int, Sequence[int] | None, float, float], NoReturn],
+) -> Array:
+    """The work of the impulses of jumps and constraints (components x columns): `columns` as they are, `move` along them.
+
+    `refuse`: takes a reason, places of jumps (None: of all events), a value and its limit.
+    """
+    at = columns()
+    n, before = len(laws.most), at.c.copy()
+    e = np.zeros(len(at.S))
+    e[:n] = np.where(laws.rests, 0.0, at.e)
+    goal, m = -(1.0 + e) * at.c.sum(axis=0), np.zeros(len(e))
+    for j, c in enumerate(at.c.sum(axis=0)[:n]):
+        if abs(c) > laws.most[j]:
+            refuse(MOST, [j], abs(float(c)), float(laws.most[j]))
+    least = LIMITS["JUMP_DEPENDENT"]
+    acts = pushing(at.S, goal, laws.pushes, least, LIMITS["PUSH_ROUNDING"], int(LIMITS["MOST_PUSHING"]))
+    for _ in range(2):  # the second corrects the rounding of the first
+        found = None if acts is None else impulses(at.S, goal, acts, n, least)
+        if found is None or acts is None:
+            refuse(DEPENDENT, range(n), 0.0, 0.0)
+        m += found
+        move(at, found)
+        at = columns()
+        goal = -e * before.sum(axis=0) - at.c.sum(axis=0)
+    work = m * (before + at.c) / 2  # exact as H is quadratic along L
+    moved = (np.abs(m) * (np.abs(before) + np.abs(at.c))).sum() / 2
+    if (gain := float(work.sum())) > LIMITS["LOSS_ROUNDING"] * moved:
+        refuse(GAIN, None, gain, 0.0)
+    return work
 
 
 class Jumps:
@@ -37,33 +83,21 @@ class Jumps:
         jumping = [i for i in fired if jump.of[i] >= 0]
         if not jumping and not jump.held:
             return energy, lost
-        which = [int(jump.of[i]) for i in jumping]
-        x = instance.x
-        at = self.guards.columns(np.append(x, t), p).chosen(which)
-        n, before = len(which), at.c.copy()
-        e = np.zeros(len(at.S))
-        e[:n] = np.where([i in rests for i in jumping], 0.0, at.e)
-        goal, m = -(1.0 + e) * at.c.sum(axis=0), np.zeros(len(e))
-        for j, c in enumerate(at.c.sum(axis=0)[:n]):
-            if abs(c) > jump.most[which[j]]:
-                self.refuse(t, MOST, [jumping[j]], abs(float(c)), float(jump.most[which[j]]))
-        least, pushes = LIMITS["JUMP_DEPENDENT"], jump.pushes[which] > 0
-        acts = pushing(at.S, goal, pushes, least, LIMITS["PUSH_ROUNDING"], int(LIMITS["MOST_PUSHING"]))
-        for _ in range(2):  # the second corrects the rounding of the first
-            found = None if acts is None else impulses(at.S, goal, acts, n, least)
-            if found is None or acts is None:
-                self.refuse(t, DEPENDENT, jumping)
-            m += found
-            x[jump.moved] += at.L @ found
-            at = self.guards.columns(np.append(x, t), p).chosen(which)
-            goal = -e * before.sum(axis=0) - at.c.sum(axis=0)
-        work = m * (before + at.c) / 2  # components x columns, exact as H is quadratic along L
-        loss = -work.sum(axis=0)
-        moved = (np.abs(m) * (np.abs(before) + np.abs(at.c))).sum() / 2
-        if -loss.sum() > LIMITS["LOSS_ROUNDING"] * moved:
-            self.refuse(t, GAIN, fired, float(-loss.sum()))
+        which, x = [int(jump.of[i]) for i in jumping], instance.x
+
+        def columns() -> Columns:
+            return self.guards.columns(np.append(x, t), p).chosen(which)
+
+        def move(at: Columns, m: Array) -> None:
+            x[jump.moved] += at.L @ m
+
+        def refuse(reason: int, places: Sequence[int] | None, value: float, limit: float) -> NoReturn:
+            self.refuse(t, reason, fired if places is None else [jumping[j] for j in places], value, limit)
+
+        laws = Laws(np.array([i in rests for i in jumping], bool), jump.most[which], jump.pushes[which] > 0)
+        work = struck(columns, move, laws, refuse)
         energy[jump.component] = work.sum(axis=1)
-        np.add.at(lost, self.plan.owner[[*jumping, *[fired[0]] * (len(e) - n)]], loss)
+        np.add.at(lost, self.plan.owner[[*jumping, *[fired[0]] * (work.shape[1] - len(which))]], -work.sum(axis=0))
         instance.set_x(t, x)
         return energy, lost
 

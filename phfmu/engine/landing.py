@@ -127,29 +127,42 @@ class Landing:
 
     def happen(self, t: float, h: float, fired: list[int], events: int) -> Happened:
         """Events number `events` of a grid step of length h, at t: the states jump, parameters are set."""
-        instance, plan = self.instance, self.plan
+        p, rests = self.decided(t, h, fired, events)
+        ncomp = self.instance.model.step.ncomp
+        energy, lost = self.jumps.jump(t, p, fired, rests) if fired else np.zeros((2, ncomp))
+        return self.follows(t, h, (p, fired, rests), (energy, lost))
+
+    def decided(self, t: float, h: float, fired: list[int], events: int) -> tuple[Array, list[int]]:
+        """Parameters after the events, and which of these come to rest."""
+        plan = self.plan
         crowded = events >= LIMITS["MOST_EVENTS"]
         piled = [i for i in fired if crowded or t - self._last[i] < LIMITS["PILE_UP"] * h]
         rests = [i for i in piled if plan.rest.ptr[i + 1] > plan.rest.ptr[i]]
         if crowded and not rests:
             slides = any(t - self._last[i] <= LIMITS["REST_OF_STEP"] * EPS * abs(t) for i in fired)
             self.jumps.refuse(t, SLIDES if slides else PILE, fired)
-        p = (self.structure or instance).parameters
+        p = (self.structure or self.instance).parameters
         for i in fired:
             _set(p, plan.sets, i)
         for i in rests:
             _set(p, plan.rest, i)
-        energy, lost = self.jumps.jump(t, p, fired, rests) if fired else np.zeros((2, instance.model.step.ncomp))
+        return p, rests
+
+    def follows(
+        self, t: float, h: float, decided: tuple[Array, list[int], list[int]], jumped: tuple[Array, Array]
+    ) -> Happened:
+        """Takes the parameters p of the events `fired`, some of which rest; `jumped`: energies got and lost by component."""
+        (p, fired, rests), (energy, lost) = decided, jumped
         if self.structure is None:
-            instance.set_parameters(p)
-            instance.initialise()
+            self.instance.set_parameters(p)
+            self.instance.initialise()
             switched: tuple[str, ...] = ()
         else:
             found = self.structure.change(p, h)
             energy, lost, switched = energy + found.energy, lost + found.lost, found.names
             self._adopt(self.structure.present)
         self._last[fired] = t
-        return Happened(t, tuple(fired), tuple(rests), energy, lost, (self.structure or instance).row(), switched)
+        return Happened(t, tuple(fired), tuple(rests), energy, lost, (self.structure or self.instance).row(), switched)
 
 
 def _set(p: Array, settings: Settings, i: int) -> None:

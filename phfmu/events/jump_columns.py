@@ -30,7 +30,7 @@ BLOCK = 8
 
 @dataclass(frozen=True, eq=False)
 class JumpColumns:
-    """N columns: those of the n jumps, then those of the constraints that are `held`.
+    """N columns: those of the n jumps, of ports where they are asked for, and of the constraints that are `held`.
 
     moved: states that L (moved x N) moves;  components: those whose energy they change;  c (components x N);  S (N x N);  e (n)
     """
@@ -44,17 +44,23 @@ class JumpColumns:
     e: ca.SX
 
 
-def jump_columns(terms: Terms, events: Sequence[StateEvent]) -> JumpColumns | None:
-    """The columns of the events' jumps, None if there are none.  DeclarationError names what does not fit."""
+def jump_columns(
+    terms: Terms, events: Sequence[StateEvent], ports: Sequence[tuple[str, ca.SX]] = ()
+) -> JumpColumns | None:
+    """The columns of the events' jumps, and of `ports` (name, n1 x 1), None if there are none.
+
+    DeclarationError names what does not fit.
+    """
     found = [(e.guard.name, e.jump) for e in events if e.jump is not None]
     locator, model = Locator(terms.model, terms.pairs), terms.model
-    own = ca.horzcat(ca.SX(terms.n1, 0), *(_column(terms, locator, name, jump) for name, jump in found))
+    own = ca.horzcat(
+        ca.SX(terms.n1, 0), *(_column(terms, locator, name, jump) for name, jump in found), *(b for _, b in ports)
+    )
     met = _met(terms, own, held(terms))
-    if not found and not met.names:
+    if not own.shape[1] and not met.names:
         return None
-    names = [f"jump '{name}'" for name, _ in found] + [
-        f"the constraint of {name} at state events" for name in met.names
-    ]
+    names = [f"jump '{name}'" for name, _ in found] + [f"the impulse at {name}" for name, _ in ports]
+    names += [f"the constraint of {name} at state events" for name in met.names]
     _require_rates(terms, names, ca.horzcat(own, met.A))
     full = ca.sparsify(rates(terms, ca.horzcat(own, met.A)))
     moved = sorted(set(full.sparsity().get_triplet()[0]))
@@ -67,7 +73,7 @@ def jump_columns(terms: Terms, events: Sequence[StateEvent]) -> JumpColumns | No
         reason = _bent(L[:, j], S, j, psi)
         if reason:
             raise DeclarationError(f"{model.name}: {name}", *reason)
-    _require_still(terms, names[len(found) :], met)
+    _require_still(terms, names[own.shape[1] :], met)
     _require_other_modes(terms, events)
     e = ca.vertcat(ca.SX(0, 1), *(ca.SX(_sx(jump.restitution)) for _, jump in found))
     return JumpColumns(met.names, moved, inside, L, c, S, e)

@@ -84,7 +84,10 @@ class Coupled:
             return None
         from phfmu.network.couplings.together import Together
 
-        return Together(members, self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
+        return Together(self.joined, exchange.shared, members, self._all_step, self._where, self._all_back)
+
+    def _where(self) -> tuple[list[Any], Solution]:
+        return self.joined.states(), self.last
 
     def _all_step(self, t: float, h: float) -> bool:
         """Whether it went in one part."""
@@ -262,10 +265,7 @@ class Coupled:
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
-        from phfmu.network.couplings.together import among
-
         assert self._together is not None
-        components = self.booking.components
         for k in range(first, first + n):
             for t, taken, happened in self._together.over(t0 + k * h, t0 + (k + 1) * h, changed):
                 if taken:
@@ -279,9 +279,8 @@ class Coupled:
                 self._sums.forget()
                 self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
                 self.joined.apply(self.last.xi)
-                for member, event in happened:
-                    told = among(components, member.booking.components, event)
-                    yield np.zeros(0), np.zeros(0), None, (told, self.read())
+                for event in happened:
+                    yield np.zeros(0), np.zeros(0), None, (event, self.read())
             changed = False
 
     def _known(self, t: float, h: float) -> dict[str, Any]:

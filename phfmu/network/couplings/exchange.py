@@ -27,6 +27,7 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.bare_columns import bare
 from phfmu.network.couplings.clusters import Clusters
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.network.members.node_values import HeldNodes, NodeValues, node_values
@@ -77,7 +78,8 @@ class Exchange:
 
     def __init__(self, joined: Joined):
         self.joined, face = joined, joined.face
-        parts = [node_values(m, together=not joined.network.wires) for m in joined.members]
+        self.shared = SharedJumps(joined)
+        parts = [node_values(m, self._lands(m)) for m in joined.members]
         self._hold_at_bare_nodes(parts)
         k_of = {v.member.name: v.rule.k for v in parts}
         #: values per column of the interface
@@ -108,6 +110,12 @@ class Exchange:
         self._ratio, self._ahead = np.nan, list[Array]()
         self.clusters = Clusters([s.bare for s in self.shares if s.kicked], len(self.bare))
 
+    def _lands(self, member: Member) -> bool:
+        """Whether a member may land together with the others: of order 4 and 6, and where jumps act on other members."""
+        if self.joined.network.wires or not has_events(member) or not member.guards_states:
+            return False
+        return member.model.step.k > 1 or member.name in self.shared.of
+
     def _hold_at_bare_nodes(self, parts: list[NodeValues]) -> None:
         """Members with state events take no impulses: where they meet at bare nodes, they land inside and take held values."""
         joined = self.joined
@@ -124,7 +132,7 @@ class Exchange:
     @property
     def held(self) -> bool:
         """One value each and no impulses: what the held inputs of a step are."""
-        return not self.bare and not self.wires and bool((self.k == 1).all())
+        return not (self.bare or self.wires or self.landing()) and bool((self.k == 1).all())
 
     def spread(self, xi: Array) -> Array:
         """Values of the columns, the same at all nodes; of signals as they are now."""

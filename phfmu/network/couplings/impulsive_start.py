@@ -1,8 +1,6 @@
 """Starts of members stepped apart, and states after events, that violate the rows of their junctions: moved as by an impulse.
 
-Impulses a may act where the ports that they move take some: at nodes of states, one per common variable, and at junctions whose
-common variable is an output of several ports, one between every two of these.  With B the directions of a in the unknowns of the
-interface, those that make their rows c = B^T P^T y zero are
+With B the directions of impulses a in the unknowns of the interface, those that make their rows c = B^T P^T y zero are
 
     a = -S^-1 c,   S = B^T (sum_j P_j^T S_j P_j) B,      x_j -> x_j + L_j P_j B a,      energy of all members: -c.S^-1 c / 2,
 
@@ -18,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from phfmu.discretise.start import Projection
 from phfmu.network.couplings.bare_columns import clusters
 from phfmu.network.couplings.exchange import Exchange
+from phfmu.network.couplings.impulse_directions import directions
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.matrices import summed
 from phfmu.network.members.node_values import InstanceNodes
@@ -54,7 +52,8 @@ def project_start(joined: Joined, t: float, kept: Sequence[str]) -> Projection:
     Members know their own constraints only: ValueError tells what to do where no junction can do that, and of `kept` states.
     """
     exchange, network = Exchange(joined), joined.network
-    names, B = _directions(exchange)
+    kicked = [s.place.start + np.array(s.values.offer.kicked, int) for s in exchange.shares if s.values.offer is not None]
+    names, B = directions(joined.face, kicked)
     if names and not kept:
         return _project(exchange, names, B, t)
     composed = "use --coupling monolithic" if network.composable else "start its units where the junctions hold"
@@ -67,28 +66,6 @@ def project_start(joined: Joined, t: float, kept: Sequence[str]) -> Projection:
     else:
         reason, remedy = "no junction of it constrains states", composed
     raise ValueError(f"{network.name}: a coupled network cannot be projected at t = {t:g} s: {reason}; {remedy}")
-
-
-def _directions(exchange: Exchange) -> tuple[list[str], Any]:
-    """Names of a, and B (unknowns of the interface x a)."""
-    face = exchange.joined.face
-    taken = np.zeros(len(face.column), bool)
-    for s in exchange.shares:
-        if s.values.offer is not None:
-            taken[np.arange(s.place.start, s.place.stop)[s.values.offer.kicked]] = True
-    refused = set(face.column[face.fed[~taken[face.fed]]].tolist())
-    offered, names = set(exchange.offered), list[str]()
-    entries: list[tuple[int, int, float]] = []
-    for c, duals in zip(face.commons(), face.rows_of_sums(), strict=True):
-        if c in offered:
-            entries.append((c, len(names), 1.0))
-            names.append(face.names[c])
-        elif c not in duals and refused.isdisjoint(duals.tolist()):
-            for first, second in zip(duals[:-1], duals[1:], strict=True):
-                entries += [(int(first), len(names), 1.0), (int(second), len(names), -1.0)]
-                names.append(face.names[c] if len(duals) == 2 else f"{face.names[c]} at {face.names[second]}")
-    row, column, value = (np.array([e[i] for e in entries], kind) for i, kind in enumerate((int, int, float)))
-    return names, csr_array((value, (row, column)), shape=(len(face.names), len(names)))
 
 
 def _project(exchange: Exchange, names: list[str], B: Any, t: float) -> Projection:

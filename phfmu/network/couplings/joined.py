@@ -59,6 +59,16 @@ class Joined:
         self.C = small(self.face.C)
         self._abs_C = abs(self.C)
 
+    def components(self, member: str) -> slice:
+        """Where those of a member are among the components of all."""
+        first = 0
+        for m in self.members:
+            end = first + len(m.booking.components)
+            if m.name == member:
+                return slice(first, end)
+            first = end
+        raise KeyError(member)
+
     # -- a step -----------------------------------------------------------------------------------------------------
 
     def inputs(self, xi: Array) -> Array:

@@ -7,7 +7,7 @@ for each trial.  Rules and words are those of `engine/locate.py`, which sees one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NoReturn
@@ -21,34 +21,42 @@ from phfmu.engine.landing import Landing
 from phfmu.engine.locate import Location
 from phfmu.engine.steps import StepEvent
 from phfmu.events.event_plan import EventPlan, Settings
+from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.joint_impulse import Fired
+from phfmu.network.couplings.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.happenings import Happenings
 
 Array = NDArray[Any]
 
 
-def among(components: Sequence[str], own: Sequence[str], event: StepEvent) -> StepEvent:
+_NONE: frozenset[int] = frozenset()
+
+
+def among(components: int, own: slice, event: StepEvent) -> StepEvent:
     """The energies of a member's event, whose components are its `own`, among those of all."""
-    energy, lost = np.zeros((2, len(components)))
-    at = [components.index(c) for c in own]
-    energy[at], lost[at] = event.energy, event.lost
+    energy, lost = np.zeros((2, components))
+    energy[own], lost[own] = event.energy, event.lost
     return replace(event, energy=energy, lost=lost)
 
 
 class Together:
     """Steps of `members` with state events and of all they are joined with.
 
+    joined: all members of the network;  shared: which jumps act on several
     solve: takes a step (t, h) of all, True if in one part;  save, restore: of where all are
     """
 
     def __init__(
         self,
+        joined: Joined,
+        shared: SharedJumps,
         members: list[EngineMember],
         solve: Callable[[float, float], bool],
         save: Callable[[], Any],
         restore: Callable[[Any], None],
     ):
-        self.members, self._solve = members, solve
+        self.members, self._joined, self._shared, self._solve = members, joined, shared, solve
         for m in members:
             m.together = True
         self._save, self.restore, self._saved, self._in_parts = save, restore, save(), 0
@@ -103,7 +111,7 @@ class Together:
 
     def over(
         self, t: float, end: float, changed: bool
-    ) -> Iterator[tuple[float, float, tuple[tuple[EngineMember, StepEvent], ...]]]:
+    ) -> Iterator[tuple[float, float, tuple[StepEvent, ...]]]:
         """(start, length, nothing) of each step taken in [t, end], (time, 0, what happened at members) of each event."""
         for landing in self._landings:
             landing.begin()
@@ -119,15 +127,44 @@ class Together:
         member, own = next(self._plan.of(fired))
         self._landings[member].refuse_again(t, own)
 
-    def happen(self, t: float, h: float, fired: list[int], events: int) -> tuple[tuple[EngineMember, StepEvent], ...]:
-        before, found = self.get_state(), []
+    def happen(self, t: float, h: float, fired: list[int], events: int) -> tuple[StepEvent, ...]:
+        before = self.get_state()
         try:
-            for i, own in self._plan.of(fired):
-                found.append((self.members[i], self._words[i].told(self._landings[i].happen(t, h, own, events))))
+            return self._happened(t, h, fired, events)
         except BaseException:
             self.restore(before)
             raise
+
+    def _happened(self, t: float, h: float, fired: list[int], events: int) -> tuple[StepEvent, ...]:
+        """An event of each member; what jumps bring to members without one is in the first's."""
+        own = dict(self._plan.of(fired))
+        decided = {i: self._landings[i].decided(t, h, numbers, events) for i, numbers in own.items()}
+        struck, (energy, lost) = self._struck(t, own, decided)
+        found = list[StepEvent]()
+        for i, (p, rests) in decided.items():
+            landing, of = self._landings[i], self._joined.components(self.members[i].name)
+            if i in struck:
+                jumped = energy[of].copy(), lost[of].copy()
+                energy[of] = lost[of] = 0.0
+            else:
+                jumped = landing.jumps.jump(t, p, own[i], rests)
+            told = self._words[i].told(landing.follows(t, h, (p, own[i], rests), jumped))
+            found.append(among(len(energy), of, told))
+        found[0] = replace(found[0], energy=found[0].energy + energy, lost=found[0].lost + lost)
         return tuple(found)
+
+    def _struck(
+        self, t: float, own: dict[int, list[int]], decided: dict[int, tuple[Array, list[int]]]
+    ) -> tuple[set[int], Any]:
+        """Members whose jumps have taken place, in one system with all that these act on; energies got and lost by component."""
+        numbers = [self._joined.members.index(m) for m in self.members]
+        start = [numbers[i] for i, e in own.items() if not self._shared.of.get(self.members[i].name, _NONE).isdisjoint(e)]
+        if not start:
+            return set(), np.zeros((2, len(self._joined.booking.components)))
+        reached, _ = self._shared.reached(start)
+        struck = {i for i in own if numbers[i] in reached}
+        fired = {numbers[i]: Fired(self._landings[i].plan, own[i], *decided[i]) for i in struck}
+        return struck, self._shared.jump(t, fired)
 
 
 class _Stacked:

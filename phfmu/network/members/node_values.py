@@ -218,12 +218,10 @@ class HeldNodes:
 def node_values(member: Member, together: bool = True) -> NodeValues:
     """The most that a member offers; runs without units do not load their reader.
 
-    `together`: whether members with state events may land together, which those of order 4 and 6 do.
+    `together`: whether a member with state events lands together with others; else what happens within its step is in no polynomial.
     """
-    if isinstance(member, EngineMember) and member.model.events is not None:
-        together = together and member.guards_states and member.model.step.k > 1
-        if not together:  # what happens within its step is in no polynomial
-            return HeldNodes(member)
+    if isinstance(member, EngineMember) and member.model.events is not None and not together:
+        return HeldNodes(member)
     if isinstance(member, EngineMember) and (scheme := member.model.scheme).node_values:
         offer = DeclaredOffer(member.name, member.model.declaration) if scheme.impulses else None
         return InstanceNodes(member, scheme.nodes, offer)
