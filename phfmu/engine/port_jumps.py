@@ -72,7 +72,11 @@ def _jump_kernel(model: PHDAE) -> JumpKernel | None:
     results = [ca.densify(ca.SX(v)) for v in (found.c, found.L, found.S, found.e)]
     function = ca.Function("jumps", [x, p], ca.cse(results), {"allow_free": False})
     return JumpKernel(
-        tuple(inputs), tuple(found.moved), tuple(found.components), _coupled(ca.sparsify(found.S), n, len(inputs)), function
+        tuple(inputs),
+        tuple(found.moved),
+        tuple(found.components),
+        _coupled(ca.sparsify(found.S), n, len(inputs)),
+        function,
     )
 
 

@@ -266,6 +266,7 @@ class Coupled:
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
         assert self._together is not None
+        self._at_start = None
         for k in range(first, first + n):
             for t, taken, happened in self._together.over(t0 + k * h, t0 + (k + 1) * h, changed):
                 if taken:
@@ -279,8 +280,8 @@ class Coupled:
                 self._sums.forget()
                 self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
                 self.joined.apply(self.last.xi)
-                for event in happened:
-                    yield np.zeros(0), np.zeros(0), None, (event, self.read())
+                assert happened is not None
+                yield np.zeros(0), np.zeros(0), None, (happened, self.read())
             changed = False
 
     def _known(self, t: float, h: float) -> dict[str, Any]:

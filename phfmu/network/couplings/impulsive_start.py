@@ -52,7 +52,9 @@ def project_start(joined: Joined, t: float, kept: Sequence[str]) -> Projection:
     Members know their own constraints only: ValueError tells what to do where no junction can do that, and of `kept` states.
     """
     exchange, network = Exchange(joined), joined.network
-    kicked = [s.place.start + np.array(s.values.offer.kicked, int) for s in exchange.shares if s.values.offer is not None]
+    kicked = [
+        s.place.start + np.array(s.values.offer.kicked, int) for s in exchange.shares if s.values.offer is not None
+    ]
     names, B = directions(joined.face, kicked)
     if names and not kept:
         return _project(exchange, names, B, t)

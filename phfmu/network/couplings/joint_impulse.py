@@ -145,7 +145,9 @@ class Joint:
         jumping = [f.plan.owner[e] + at for f, at in self._fired for e in f.jumping]
         started, at = self._fired[0]
         #: components that lose what is left in each column: what is in no jump's, with the first event
-        self.owners = np.array([*jumping, *[started.plan.owner[started.events[0]] + at] * (self._n - len(jumping))], int)
+        self.owners = np.array(
+            [*jumping, *[started.plan.owner[started.events[0]] + at] * (self._n - len(jumping))], int
+        )
 
     def columns(self) -> Columns:
         found = [p.columns() for p in self._parties]
@@ -167,6 +169,8 @@ class Joint:
         everything = [f.plan.names[e] for f, _ in self._fired for e in f.events]
 
         def refuse(reason: int, places: Sequence[int] | None, value: float, limit: float) -> NoReturn:
-            raise EventRefused(name, t, reason, everything if places is None else [names[j] for j in places], value, limit)
+            raise EventRefused(
+                name, t, reason, everything if places is None else [names[j] for j in places], value, limit
+            )
 
         return struck(self.columns, self.move, Laws(np.array(rests, bool), most, pushes), refuse)

@@ -8,7 +8,6 @@ for each trial.  Rules and words are those of `engine/locate.py`, which sees one
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -31,13 +30,6 @@ Array = NDArray[Any]
 
 
 _NONE: frozenset[int] = frozenset()
-
-
-def among(components: int, own: slice, event: StepEvent) -> StepEvent:
-    """The energies of a member's event, whose components are its `own`, among those of all."""
-    energy, lost = np.zeros((2, components))
-    energy[own], lost[own] = event.energy, event.lost
-    return replace(event, energy=energy, lost=lost)
 
 
 class Together:
@@ -109,15 +101,12 @@ class Together:
 
     # -- a grid step ----------------------------------------------------------------------------------------------------
 
-    def over(
-        self, t: float, end: float, changed: bool
-    ) -> Iterator[tuple[float, float, tuple[StepEvent, ...]]]:
-        """(start, length, nothing) of each step taken in [t, end], (time, 0, what happened at members) of each event."""
+    def over(self, t: float, end: float, changed: bool) -> Iterator[tuple[float, float, StepEvent | None]]:
+        """(start, length, None) of each step taken in [t, end], (time, 0, what happened at members) of each event."""
         for landing in self._landings:
             landing.begin()
         fired = self.location.already(t) if changed else []
-        for start, taken, happened in grid_step(self, t, end, end - t, fired):
-            yield start, taken, happened or ()
+        yield from grid_step(self, t, end, end - t, fired)
 
     @property
     def guards(self) -> int:
@@ -127,7 +116,7 @@ class Together:
         member, own = next(self._plan.of(fired))
         self._landings[member].refuse_again(t, own)
 
-    def happen(self, t: float, h: float, fired: list[int], events: int) -> tuple[StepEvent, ...]:
+    def happen(self, t: float, h: float, fired: list[int], events: int) -> StepEvent:
         before = self.get_state()
         try:
             return self._happened(t, h, fired, events)
@@ -135,30 +124,29 @@ class Together:
             self.restore(before)
             raise
 
-    def _happened(self, t: float, h: float, fired: list[int], events: int) -> tuple[StepEvent, ...]:
-        """An event of each member; what jumps bring to members without one is in the first's."""
+    def _happened(self, t: float, h: float, fired: list[int], events: int) -> StepEvent:
+        """What happens at members at once, as one event."""
         own = dict(self._plan.of(fired))
         decided = {i: self._landings[i].decided(t, h, numbers, events) for i, numbers in own.items()}
         struck, (energy, lost) = self._struck(t, own, decided)
-        found = list[StepEvent]()
+        told = list[StepEvent]()
         for i, (p, rests) in decided.items():
             landing, of = self._landings[i], self._joined.components(self.members[i].name)
-            if i in struck:
-                jumped = energy[of].copy(), lost[of].copy()
-                energy[of] = lost[of] = 0.0
-            else:
-                jumped = landing.jumps.jump(t, p, own[i], rests)
-            told = self._words[i].told(landing.follows(t, h, (p, own[i], rests), jumped))
-            found.append(among(len(energy), of, told))
-        found[0] = replace(found[0], energy=found[0].energy + energy, lost=found[0].lost + lost)
-        return tuple(found)
+            if i not in struck:
+                energy[of], lost[of] = landing.jumps.jump(t, p, own[i], rests)
+            happened = landing.follows(t, h, (p, own[i], rests), (energy[of], lost[of]))
+            told.append(self._words[i].told(happened))
+        names, messages = ", ".join(e.names for e in told), "; ".join(e.message for e in told)
+        return StepEvent(t, energy, lost, names, messages)
 
     def _struck(
         self, t: float, own: dict[int, list[int]], decided: dict[int, tuple[Array, list[int]]]
     ) -> tuple[set[int], Any]:
         """Members whose jumps have taken place, in one system with all that these act on; energies got and lost by component."""
         numbers = [self._joined.members.index(m) for m in self.members]
-        start = [numbers[i] for i, e in own.items() if not self._shared.of.get(self.members[i].name, _NONE).isdisjoint(e)]
+        start = [
+            numbers[i] for i, e in own.items() if not self._shared.of.get(self.members[i].name, _NONE).isdisjoint(e)
+        ]
         if not start:
             return set(), np.zeros((2, len(self._joined.booking.components)))
         reached, _ = self._shared.reached(start)

@@ -218,7 +218,7 @@ class HeldNodes:
 def node_values(member: Member, together: bool = True) -> NodeValues:
     """The most that a member offers; runs without units do not load their reader.
 
-    `together`: whether a member with state events lands together with others; else what happens within its step is in no polynomial.
+    `together`: whether a member with state events lands together with others; else what happens in its step is in no polynomial.
     """
     if isinstance(member, EngineMember) and member.model.events is not None and not together:
         return HeldNodes(member)
