@@ -6,7 +6,7 @@ The one place for them: result tables, units and the audit take them from here. 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -29,13 +29,24 @@ CONSTRAINT = "constraint."
 SUM = CONSTRAINT + "sum."
 
 
+#: what a signal is: a port's value at the present time, its mean over the last step, an algebraic variable as the step has it and
+#: at the step's end, an energy of the books, what a hidden constraint misses, whether a row lies within a step
+SignalKind = Literal[
+    "state", "observable", "input", "port", "mean", "algebraic", "end", "energy", "constraint", "event", "mark"
+]
+_KINDS: dict[str, SignalKind] = {
+    "x": "state", "a": "algebraic", "a_end": "end", "y_end": "port", "y_step": "mean", "observables": "observable",
+    "input": "input", "happened": "event", "mode": "event",
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Quantity:
     """One scalar: the sum of `count` entries of `block` from `first` on.
 
     `block`: one of an instance's signals (x, a, y_step, energy, ..), or a place that only units have (parameter, tunable,
     input, node_input, node_output, impulse, jump, gap, row_*).  `start` is None if calculated; `unit` "1" is none;
-    `nominal` None: not known.
+    `nominal` None: not known; `checks`: it is what a hidden constraint misses.
     """
 
     name: str
@@ -47,6 +58,14 @@ class Quantity:
     unit: str = "1"
     nominal: float | None = None
     description: str = ""
+    checks: bool = field(default=False, kw_only=True)
+
+    @property
+    def kind(self) -> SignalKind:
+        """What it is; all that is not named in `_KINDS` is booked."""
+        if self.checks:
+            return "constraint"
+        return "mean" if self.block.startswith("row_") else _KINDS.get(self.block, "energy")
 
 
 #: name after `energy.`, block and meaning of the entries of the energy ledger, J
@@ -72,6 +91,8 @@ HAPPENED = (
     ("events.last", "s", "time of the last state event, of the start before the first"),
     ("events.lost", "J", "energy lost in jumps of the states since the start"),
 )
+#: the column that marks rows within steps
+MARKS = "interpolated"
 #: begins the names of values that state events set
 MODE = "mode."
 #: ending, block and time of the outputs of a port
@@ -255,4 +276,4 @@ def _checks(model: Model) -> Iterator[Quantity]:
     first = len(model.observable_names)
     for i, (name, check) in enumerate(zip(check_names(model), model.checks, strict=True)):
         text = f"residual of the hidden constraint of {check.name}, {check.level} level"
-        yield Quantity(name, "output", "observables", first + i, description=text)
+        yield Quantity(name, "output", "observables", first + i, description=text, checks=True)

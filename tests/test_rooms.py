@@ -15,8 +15,9 @@ TESTS = Path(__file__).parent
 
 #: from the ground up; a room may import those before it
 ROOMS = (
-    "words", "files", "processors", "html", "pick", "results", "declare", "terms", "gradients", "plan", "schemes", "schur",
-    "events", "discretise", "engine", "checks", "signals", "importers", "audit", "fmu", "network.junctions", "network.scene",
+    "words", "files", "processors", "html", "pick", "declare", "terms", "gradients", "plan", "schemes", "schur",
+    "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu",
+    "network.junctions", "network.scene",
     "network.members", "network.couplings", "network.run", "network.check_scene", "ssp", "components", "target", "report",
     "sweeps", "stress", "bench", "cli",
 )  # fmt: skip

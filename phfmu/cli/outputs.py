@@ -68,18 +68,22 @@ class Outputs:
 
             self.sink = AuditWriter(self._audit_path, about, self._table_path)
 
-    def columns(self, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str]) -> None:
+    def columns(
+        self, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str], kinds: Sequence[str]
+    ) -> None:
         """Open table and picture of its rows; `marked`: rows within steps are among them."""
         if self._picture:
             from phfmu.report.live_recording import LiveRecording
             from phfmu.report.recording import Mark
 
             marks = [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events]
-            self._drawn = LiveRecording(self._title, names, marks, dict(zip(names, units, strict=True)))
+            self._drawn = LiveRecording(
+                self._title, names, marks, dict(zip(names, units, strict=True)), dict(zip(names, kinds, strict=True))
+            )
         if self._table_path:
             from phfmu.results.writer import TableWriter
 
-            self.table = TableWriter(self._table_path, names, units, marked, self._units_row)
+            self.table = TableWriter(self._table_path, names, units, marked, self._units_row, kinds)
 
     def keep(self, time: np.ndarray, values: np.ndarray, inside: np.ndarray) -> None:
         """Rows as the run makes them."""

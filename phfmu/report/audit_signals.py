@@ -50,6 +50,10 @@ class AuditSignals:
     def names(self) -> list[str]:
         return list(self._makers)
 
+    @property
+    def kinds(self) -> dict[str, str]:
+        return {}
+
     def usual(self) -> list[str]:
         return self.names
 

@@ -5,53 +5,49 @@ variables; first entries before second ones, so that every variable has its turn
 negative again.  Of an audit: the largest.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from phfmu.report.recording import Signal
-from phfmu.signals import CONSTRAINT, END, ENERGY, LEDGER, MEAN, total
 from phfmu.words import counted
 
 #: signals on an axis
 MOST = 6
-#: endings of what is not drawn unasked: mean and end values of a step, books
-_BESIDE = (MEAN, END, ENERGY, *(total(name) for name, _, _ in LEDGER))
+#: what is not drawn unasked
+_BESIDE = ("mean", "end", "energy", "constraint", "mark")
+#: what comes later than the others
+_RANKS = {"port": 1, "algebraic": 2}
 #: rows at which two signals are compared
 _SAMPLES = 500
 
 
-def usual(names: Sequence[str]) -> list[str]:
+def usual(names: Sequence[str], kinds: Mapping[str, str]) -> list[str]:
     """Signals of a table that may be drawn: all but means and ends of steps, energies and the marks of rows."""
-    bases = {n: _base(n) for n in names}
-    chosen = [
-        n for n, b in bases.items() if not b.endswith(_BESIDE) and not b.startswith(CONSTRAINT) and b != "interpolated"
-    ]
+    chosen = [n for n in names if kinds.get(n) not in _BESIDE]
     return chosen or list(names)
 
 
-def first(groups: Sequence[list[Signal]], names: Sequence[str]) -> list[list[Signal]]:
+def first(groups: Sequence[list[Signal]]) -> list[list[Signal]]:
     """Groups that are drawn: where units are not known, those of ports and algebraic variables only where there are no others."""
-    bases = {_base(n) for n in names}
 
     def known(s: Signal) -> bool:
-        return bool(s.topic) or s.unit not in (None, "") or not _rank(_base(s.name), bases)
+        return bool(s.topic) or s.unit not in (None, "") or s.kind not in _RANKS
 
     kept = [group for group in groups if known(group[0])]
     return kept or list(groups)
 
 
-def few(signals: Sequence[Signal], names: Sequence[str]) -> list[Signal]:
-    """Those of one axis that are drawn, in their order; `names`: all of the recording."""
+def few(signals: Sequence[Signal]) -> list[Signal]:
+    """Those of one axis that are drawn, in their order."""
     if signals[0].topic:
         return _largest(signals)
-    bases = {_base(n) for n in names}
     turns: dict[str, int] = {}
     keys = dict[int, tuple[int, int]]()
     for i, s in enumerate(signals):
         base = _base(s.name)
         turns[base] = turns.get(base, -1) + 1
-        keys[i] = _rank(base, bases), turns[base]
+        keys[i] = _RANKS.get(s.kind, 0), turns[base]
     kept: list[int] = []
     for i in sorted(keys, key=keys.__getitem__):
         if len(kept) < MOST and not (keys[i][0] and any(_again(signals[i], signals[k]) for k in kept)):
@@ -70,11 +66,6 @@ def told(left: Sequence[str], total: int, audit: bool) -> str:
 
 def _base(name: str) -> str:
     return name.partition("[")[0]
-
-
-def _rank(base: str, bases: set[str]) -> int:
-    """0: state, observable, input; 1: at a port, which has a mean too; 2: algebraic, which has a value at the end too."""
-    return 1 if base + MEAN in bases else 2 if base + END in bases else 0
 
 
 def _again(a: Signal, b: Signal) -> bool:

@@ -10,12 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.report.recording import Recording, Signal
-from phfmu.signals import CONSTRAINT, ENERGY, LEDGER, total
 
 #: times that differ by less, relative to the larger one or to 1 s, are one
 CLOSE = 1e-9
-#: endings of the names of energies
-ENERGIES = (ENERGY, *(total(name) for name, _, _ in LEDGER))
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,8 @@ def compare(a: Recording, b: Recording, names: Sequence[str] | None = None) -> C
     Where times differ, the signal with more rows is taken at the times of the other, linearly between its rows, which is said.
     Errors: ValueError for nothing in common.
     """
-    wanted = [n for n in common(a, b) if not n.startswith(CONSTRAINT)] if names is None else list(names)
+    kinds = {**b.kinds, **a.kinds}
+    wanted = [n for n in common(a, b) if kinds.get(n) != "constraint"] if names is None else list(names)
     if not wanted:
         raise ValueError(f"{a.title} and {b.title} have no signal in common")
     found, between = [], False
@@ -72,8 +70,9 @@ def compare(a: Recording, b: Recording, names: Sequence[str] | None = None) -> C
             raise ValueError(f"{a.title} and {b.title} have no times in common")
         between |= guessed
         found.append(_difference(one, t, x, y))
-    most = max((d.scale for d in found if _is_energy(d.name)), default=0.0)
-    found = [replace(d, scale=most) if _is_energy(d.name) else d for d in found]
+    energies = {n for n, kind in kinds.items() if kind == "energy"}
+    most = max((d.scale for d in found if d.name in energies), default=0.0)
+    found = [replace(d, scale=most) if d.name in energies else d for d in found]
     notes = [
         "their times differ: compared at those of the shorter table, linearly between rows of the longer one"
     ] * between
@@ -84,10 +83,6 @@ def compare(a: Recording, b: Recording, names: Sequence[str] | None = None) -> C
 def common(a: Recording, b: Recording) -> list[str]:
     """Signals that both have."""
     return [n for n in a.names if n in set(b.names)]
-
-
-def _is_energy(name: str) -> bool:
-    return name.partition("[")[0].endswith(ENERGIES)
 
 
 def _difference(signal: Signal, t: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> Difference:

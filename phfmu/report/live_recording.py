@@ -6,17 +6,24 @@ import numpy as np
 
 from phfmu.report.choice import usual
 from phfmu.report.recording import Floats, Mark, Signal, together
+from phfmu.results.kinds import kinds_by_name
 
 
 class LiveRecording:
-    """Keeps the signals that are drawn unasked; `units` by name, where they are known."""
+    """Keeps the signals that are drawn unasked; `units` and `kinds` by name, where they are known."""
 
     def __init__(
-        self, title: str, names: Sequence[str], marks: Sequence[Mark] = (), units: Mapping[str, str] | None = None
+        self,
+        title: str,
+        names: Sequence[str],
+        marks: Sequence[Mark] = (),
+        units: Mapping[str, str] | None = None,
+        kinds: Mapping[str, str] | None = None,
     ):
         self.title, self.names = title, list(names)
+        self.kinds = kinds_by_name(self.names) if kinds is None else kinds
         self._marks, self._units = list(marks), units or {}
-        self._chosen = usual(self.names)
+        self._chosen = usual(self.names, self.kinds)
         self._columns = [self.names.index(n) for n in self._chosen]
         self._time: list[Floats] = []
         self._values: list[Floats] = []
@@ -43,4 +50,13 @@ class LiveRecording:
     def read(self, names: Sequence[str]) -> list[Signal]:
         time = np.concatenate(self._time)
         at = {n: i for i, n in enumerate(self._chosen)}
-        return [Signal(n, self._units.get(n), time, np.concatenate([v[:, at[n]] for v in self._values])) for n in names]
+        return [
+            Signal(
+                n,
+                self._units.get(n),
+                time,
+                np.concatenate([v[:, at[n]] for v in self._values]),
+                kind=self.kinds.get(n, ""),
+            )
+            for n in names
+        ]

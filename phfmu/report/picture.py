@@ -83,7 +83,7 @@ def picture(recording: Recording, names: Sequence[str] = (), window: tuple[float
         raise ValueError(f"{recording.title} has no row from {window[0]:g} s to {window[1]:g} s")
     groups, notes = grouped(found), list[str]()
     if not names:
-        groups = [few(group, recording.names) for group in first(groups, recording.names)][:MOST_PANELS]
+        groups = [few(group) for group in first(groups)][:MOST_PANELS]
         drawn = {id(s) for group in groups for s in group}
         left = [n for n, s in zip(asked, found, strict=True) if not s.limit and id(s) not in drawn]
         left += [n for n in recording.names if n not in set(asked)]

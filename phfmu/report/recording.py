@@ -1,6 +1,6 @@
 """What a run leaves to draw: signals over time and marks."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,6 +15,7 @@ class Signal:
     """Values [n] over times [n] in seconds; `unit` None: the file does not say.
 
     `topic`: signals of one topic share an axis; without one those of a unit do. `log`: drawn as magnitude on a log axis.
+    `kind`: what it is (`phfmu.signals.SignalKind`), "" where nothing tells.
     `limit`: the limit of another signal. `owner` counts what signals belong to, for colours that are the same on all axes.
     """
 
@@ -26,6 +27,7 @@ class Signal:
     log: bool = False
     limit: bool = False
     owner: int | None = None
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,10 @@ class Recording(Protocol):
 
     @property
     def names(self) -> Sequence[str]: ...
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """Of signals that are told to be something."""
+        ...
 
     def usual(self) -> list[str]:
         """Names that are drawn when none are asked for."""

@@ -13,14 +13,14 @@ class ResultTable:
 
     def __init__(self, path: str | os.PathLike[str]):
         self._file = ResultFile(path)
-        self.names = self._file.names
+        self.names, self.kinds = self._file.names, self._file.kinds
 
     @property
     def title(self) -> str:
         return self._file.path.name
 
     def usual(self) -> list[str]:
-        return usual(self.names)
+        return usual(self.names, self.kinds)
 
     def marks(self) -> list[Mark]:
         return []
@@ -28,4 +28,5 @@ class ResultTable:
     def read(self, names: Sequence[str]) -> list[Signal]:
         """Signals by their exact names."""
         columns, time = self._file.columns(names), self._file.time
-        return [Signal(n, self._file.units.get(n), time, columns[n]) for n in names]
+        units, kinds = self._file.units, self.kinds
+        return [Signal(n, units.get(n), time, columns[n], kind=kinds.get(n, "")) for n in names]

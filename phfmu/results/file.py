@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.results.schema import UNIT_KEY
+from phfmu.results.kinds import kinds_by_name
+from phfmu.results.schema import KIND_KEY, UNIT_KEY
 from phfmu.results.table import Table
 
 if TYPE_CHECKING:
@@ -34,7 +35,8 @@ def open_result(path: str | os.PathLike[str], signals: Sequence[str] = ()) -> Ta
     names = pick(signals, file.names, str(path)) if signals else file.names
     columns = file.columns(names)
     values = np.column_stack([columns[n] for n in names]) if names else np.zeros((len(file.time), 0))
-    return Table(list(names), file.time, values, [file.units.get(n, "") for n in names])
+    units, kinds = ([told.get(n, "") for n in names] for told in (file.units, file.kinds))
+    return Table(list(names), file.time, values, units, kinds=kinds)
 
 
 class ResultFile:
@@ -44,11 +46,14 @@ class ResultFile:
         self.path = Path(path)
         #: name -> unit, of those that the file tells
         self.units: dict[str, str] = {}
+        #: name -> what the signal is, told by the file, of others by their names
+        self.kinds: dict[str, str] = {}
         self._lines_above = 1  # of CSV: names, and units where they are told
         header = self._parquet_header() if self.path.suffix == ".parquet" else self._csv_header()
         if not header or header[0] != "time":
             raise ValueError(f"{self.path} is not a result table of phfmu: its first column must be 'time'")
         self.names = header[1:]
+        self.kinds = kinds_by_name(self.names) | self.kinds
         if len(set(header)) < len(header):
             twice = next(n for n in header if header.count(n) > 1)
             raise ValueError(f"{self.path} has {header.count(twice)} columns called '{twice}'; keep one")
@@ -116,7 +121,10 @@ class ResultFile:
             schema = pq.read_schema(self.path)
         except pa.ArrowInvalid as error:
             raise ValueError(f"{self.path} was cut off or is not a Parquet file: {error}") from error
-        self.units = {f.name: f.metadata[UNIT_KEY].decode() for f in schema if UNIT_KEY in (f.metadata or {})}
+        self.units, self.kinds = (
+            {f.name: f.metadata[key].decode() for f in schema if key in (f.metadata or {})}
+            for key in (UNIT_KEY, KIND_KEY)
+        )
         return schema.names
 
     def _parquet(self, wanted: list[str]) -> pa.Table:

@@ -5,20 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from phfmu.signals import MARKS
+
 if TYPE_CHECKING:
     import pyarrow as pa
 
-#: metadata key of a column's unit in Arrow and Parquet
-UNIT_KEY = b"unit"
+#: metadata keys of a column's unit in Arrow and Parquet, and of what its signal is (see `phfmu.signals.SignalKind`)
+UNIT_KEY, KIND_KEY = b"unit", b"kind"
 
 
-def schema(names: Sequence[str], units: Sequence[str], marked: bool = False) -> pa.Schema:
-    """`time`, the column of marks, the signals, with their units."""
+def schema(names: Sequence[str], units: Sequence[str], marked: bool = False, kinds: Sequence[str] = ()) -> pa.Schema:
+    """`time`, the column of marks, the signals, with their units and kinds; "" is neither written nor known, nor are no kinds."""
     import pyarrow as pa
 
-    def field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
-        return pa.field(name, kind, metadata={UNIT_KEY: unit.encode()} if unit else None)
+    def field(name: str, unit: str, kind: str) -> pa.Field:
+        told = {key: text.encode() for key, text in ((UNIT_KEY, unit), (KIND_KEY, kind)) if text}
+        return pa.field(name, pa.float64(), metadata=told or None)
 
-    marks = [pa.field("interpolated", pa.int8())] if marked else []
-    own = [field(n, pa.float64(), u) for n, u in zip(names, units, strict=True)]
-    return pa.schema([field("time", pa.float64(), "s"), *marks, *own])
+    marks = [pa.field(MARKS, pa.int8(), metadata={KIND_KEY: b"mark"})] if marked else []
+    own = [field(n, u, k) for n, u, k in zip(names, units, kinds or [""] * len(names), strict=True)]
+    return pa.schema([field("time", "s", ""), *marks, *own])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,8 @@ class Table:
     time: Array
     values: Array
     units: list[str]
+    #: what each signal is (`phfmu.signals.SignalKind`), "": not known; empty: none is
+    kinds: list[str] = field(default_factory=list[str], kw_only=True)
 
     def column(self, name: str) -> Array:
         """One signal over time; KeyError lists close names."""
@@ -39,11 +41,11 @@ class Table:
         return self.units[self._place(name)]
 
     def to_arrow(self) -> pa.Table:
-        """A pyarrow table: `time`, then the signals; units in the metadata of the fields."""
+        """A pyarrow table: `time`, then the signals; units and kinds in the metadata of the fields."""
         import pyarrow as pa
 
         columns = [pa.array(c) for c in (self.time, *np.ascontiguousarray(self.values.T))]
-        return pa.table(columns, schema=schema(self.names, self.units))
+        return pa.table(columns, schema=schema(self.names, self.units, kinds=self.kinds))
 
     def to_pandas(self) -> Any:
         """A pandas frame with `time` as index; `frame.attrs["units"]`: name -> unit."""
@@ -59,7 +61,7 @@ class Table:
     def save(self, path: str | Path, *, units_row: bool = False) -> Path:
         """Write .csv or .parquet, as `phfmu run -o` does; `units_row`: a second line of units in CSV. ValueError, OSError."""
         check_table(str(path), "save")
-        writer = TableWriter(Path(path), self.names, self.units, units_row=units_row)
+        writer = TableWriter(Path(path), self.names, self.units, units_row=units_row, kinds=self.kinds)
         writer.add(self.time, self.values, np.zeros(len(self.time), bool))
         writer.close()
         return Path(path)

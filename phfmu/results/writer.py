@@ -34,7 +34,7 @@ class TableWriter:
     """Writes `time` and all signals as CSV (RFC 4180, UTF-8, the shortest digits that give the number) or Parquet.
 
     By the file's ending. Rows go to a file beside the target while they are made, which takes the target's place on
-    `close`: memory does not grow with the run, and what was there before stays until then. `units` (of the names) are in the
+    `close`: memory does not grow with the run, and what was there before stays until then. `units` and `kinds` are in the
     metadata of Parquet's columns; in CSV a second line holds them with `units_row`. `marked`: with the column `interpolated`,
     1 for rows within a step.
     """
@@ -46,9 +46,10 @@ class TableWriter:
         units: Sequence[str],
         marked: bool = False,
         units_row: bool = False,
+        kinds: Sequence[str] = (),
     ):
         self._target = Path(os.path.realpath(target))
-        self._names, self._units = list(names), list(units)
+        self._names, self._units, self._kinds = list(names), list(units), list(kinds)
         self._marked, self._units_row = marked, units_row
         self._format: Any = None
         self._partial: Path | None = None
@@ -91,7 +92,7 @@ class TableWriter:
             raise OSError(f"{self._target} cannot be written: {error}") from error
 
     def _schema(self) -> pa.Schema:
-        return schema(self._names, self._units, self._marked)
+        return schema(self._names, self._units, self._marked, self._kinds)
 
 
 class _CSV:

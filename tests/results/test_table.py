@@ -120,3 +120,45 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert lines[0].endswith("load.b.torque") and lines[1].startswith("s,rad/s,rad/s") and len(lines) == 5
     assert main([*call, "--every", "often"]) == 2
     assert "--every often: expected a number of rows (10) or a time (0.01s)" in capsys.readouterr().err
+
+
+def test_kinds_of_signals_go_with_them(result: Result, tmp_path: Path) -> None:
+    """Told by the declaration, kept in Parquet; a name says them where nothing else does, as in CSV."""
+    kinds = dict(zip(result.names, result.kinds, strict=True))
+    told = {
+        "w": "state",
+        "terminal.v": "input",
+        "terminal.i": "port",
+        "terminal.i_step": "mean",
+        "energy.stored": "energy",
+    }
+    assert told.items() <= kinds.items() and kinds["terminal.energy"] == "energy" and "" not in kinds.values()
+    again = open_result(result.save(tmp_path / "kinds.parquet"))
+    assert again.kinds == result.kinds
+    by_name = open_result(result.save(tmp_path / "kinds.csv"))
+    assert dict(zip(by_name.names, by_name.kinds, strict=True)) == {
+        n: k if k in ("port", "mean", "energy", "algebraic", "end") else "" for n, k in kinds.items()
+    }
+
+
+def test_a_file_without_kinds_is_read_by_names(result: Result, tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = result.to_arrow()
+    old = [f.with_metadata({b"unit": (f.metadata or {}).get(b"unit", b"")}) for f in table.schema]
+    pq.write_table(table.cast(pa.schema(old)), tmp_path / "old.parquet")
+    found = open_result(tmp_path / "old.parquet")
+    assert found.units == result.units
+    assert found.kinds[found.names.index("terminal.i_step")] == "mean" and found.kinds[found.names.index("w")] == ""
+
+
+def test_what_a_signal_is_does_not_hang_on_its_name(tmp_path: Path) -> None:
+    """A state that is called like a mean is drawn; by its name alone it is not."""
+    from phfmu.report.choice import usual
+    from phfmu.results.kinds import kinds_by_name
+
+    names = ["stride_step", "terminal.i_step", "my.energy"]
+    kinds = {"stride_step": "state", "terminal.i_step": "mean", "my.energy": "observable"}
+    assert usual(names, kinds) == ["stride_step", "my.energy"]
+    assert usual([*names, "x"], kinds_by_name([*names, "x"])) == ["x"]

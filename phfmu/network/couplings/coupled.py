@@ -28,6 +28,7 @@ from phfmu.network.couplings.unconverged import booked, plain
 from phfmu.network.couplings.works import Works
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.member import Member
+from phfmu.signals import SignalKind
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
@@ -115,6 +116,10 @@ class Coupled:
     @property
     def units(self) -> dict[str, str]:
         return dict.fromkeys(self._totals.names, "J") | self.joined.units | self._sums.units
+
+    @property
+    def kinds(self) -> dict[str, SignalKind]:
+        return {f"{m.name}.{n}": kind for m in self.joined.members for n, kind in m.kinds.items()}
 
     def inputs(self) -> dict[str, float]:
         """Free inputs of the members, which neither junctions nor signals feed, as they are now."""

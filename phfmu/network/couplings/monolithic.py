@@ -22,6 +22,7 @@ from phfmu.network.members.consistent import require_consistent
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs
 from phfmu.schemes.scheme import Scheme
+from phfmu.signals import SignalKind
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
@@ -52,6 +53,10 @@ class Monolithic:
     @property
     def units(self) -> dict[str, str]:
         return self._columns.units | self._inputs.units
+
+    @property
+    def kinds(self) -> dict[str, SignalKind]:
+        return self._columns.kinds
 
     def inputs(self) -> dict[str, float]:
         """Free inputs of ports and signals, as they are now."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
     from phfmu.engine.rest_changes import RestChange
     from phfmu.network.members.interpolant import Interpolant
+    from phfmu.signals import SignalKind
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,11 @@ class Stepper(Protocol):
     @property
     def units(self) -> dict[str, str]:
         """Of `names` and of the free inputs; "1" is none."""
+        ...
+
+    @property
+    def kinds(self) -> Mapping[str, SignalKind]:
+        """Of `names`, as far as they are told by more than their form."""
         ...
 
     def inputs(self) -> dict[str, float]:

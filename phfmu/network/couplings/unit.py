@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.members.fmu_member import FMUMember
+from phfmu.signals import SignalKind
 from phfmu.words import meant
 
 Array = NDArray[np.float64]
@@ -33,6 +34,10 @@ class FMUStepper:
     @property
     def units(self) -> dict[str, str]:
         return self.member.units
+
+    @property
+    def kinds(self) -> Mapping[str, SignalKind]:
+        return self.member.kinds
 
     def inputs(self) -> dict[str, float]:
         """Inputs of ports and others, as they are now."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.signals import Quantity, quantities
+from phfmu.signals import Quantity, SignalKind, quantities
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,10 @@ class Columns:
     @property
     def units(self) -> dict[str, str]:
         return {q.name: q.unit for q in self._chosen}
+
+    @property
+    def kinds(self) -> dict[str, SignalKind]:
+        return {q.name: q.kind for q in self._chosen}
 
     def pick(self, signals: Array) -> Array:
         """Rows of signals -> rows of columns."""

@@ -22,6 +22,7 @@ from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs, places
+from phfmu.signals import SignalKind
 
 Array = NDArray[np.float64]
 
@@ -69,6 +70,10 @@ class EngineMember:
     @property
     def units(self) -> dict[str, str]:
         return self._columns.units | self._inputs.units
+
+    @property
+    def kinds(self) -> dict[str, SignalKind]:
+        return self._columns.kinds
 
     @property
     def input_names(self) -> list[str]:

@@ -18,7 +18,7 @@ from phfmu.fmu.refusal import UnitFailure
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.inputs import places
 from phfmu.network.members.unit_happenings import UnitHappenings
-from phfmu.signals import ENERGY, port_energy
+from phfmu.signals import ENERGY, SignalKind, port_energy
 
 Array = NDArray[np.float64]
 
@@ -93,6 +93,11 @@ class FMUMember:
     def units(self) -> dict[str, str]:
         names = [*self.names, *self.input_names, *self.unit.other_inputs]
         return {n: self.unit.variable(n).unit for n in names}
+
+    @property
+    def kinds(self) -> dict[str, SignalKind]:
+        """A unit has no word for them."""
+        return {}
 
     @property
     def input_names(self) -> list[str]:

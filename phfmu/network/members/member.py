@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from phfmu.audit.booking import Booking
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.steps import StepEvent
+from phfmu.signals import SignalKind
 
 Array = NDArray[np.float64]
 
@@ -39,6 +40,11 @@ class Member(Protocol):
     @property
     def units(self) -> dict[str, str]:
         """Of `names`, of the inputs of ports and of the signals that it takes."""
+        ...
+
+    @property
+    def kinds(self) -> Mapping[str, SignalKind]:
+        """Of `names`, as far as they are told by more than their form."""
         ...
 
     @property

@@ -11,7 +11,7 @@ free motion is uniform.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.steps import StepEvent
 from phfmu.network.members.fmu_member import FMUMember
+from phfmu.signals import SignalKind
 
 Array = NDArray[np.float64]
 
@@ -103,6 +104,10 @@ class SteppedLast:
     @property
     def units(self) -> dict[str, str]:
         return self.inner.units
+
+    @property
+    def kinds(self) -> Mapping[str, SignalKind]:
+        return self.inner.kinds
 
     @property
     def input_names(self) -> list[str]:
