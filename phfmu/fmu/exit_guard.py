@@ -41,13 +41,13 @@ _armed: list[Any] = []  # what must not be collected while the C library may cal
 _before: dict[int, Any] = {}  # handlers of signals that ours took the place of
 
 
-def arm() -> None:
-    """Once a process; each part where the C library can do it."""
+def arm() -> bool:
+    """Once a process; each part where the C library can do it.  Whether it was done now."""
     if _armed:
-        return
+        return False
     _armed.append(None)
     if sys.platform == "win32":
-        return
+        return False
     library = ctypes.CDLL(None)
     if _can_take_back():
         handle = ctypes.c_char()
@@ -56,6 +56,7 @@ def arm() -> None:
         library.__cxa_atexit(handler, None, ctypes.byref(handle))
         atexit.register(lambda: library.__cxa_finalize(ctypes.byref(handle)))  # finds no call
     _arm_signals(library)
+    return True
 
 
 def leave_alone() -> None:
@@ -77,14 +78,14 @@ def _arm_signals(library: ctypes.CDLL) -> None:
     set_handler.restype, set_handler.argtypes = ctypes.c_void_p, (ctypes.c_int, ctypes.c_void_p)
 
     def fault(number: int) -> None:
-        if not _calls():  # not a unit's: what was there before takes it when the faulty instruction is run again
+        if not calls():  # not a unit's: what was there before takes it when the faulty instruction is run again
             set_handler(number, _before[number])
             if number == signal.SIGABRT:
                 signal.raise_signal(number)
             return
         signal.alarm(PATIENCE)
         name = signal.Signals(number).name
-        _leave(f"crashed in {_call()}", f"{name}: {_FAULTS[name]}")
+        leave(f"crashed in {under_way()}", f"{name}: {_FAULTS[name]}")
 
     handler = ctypes.CFUNCTYPE(None, ctypes.c_int)(fault)
     _armed.append(handler)
@@ -98,27 +99,27 @@ def _arm_signals(library: ctypes.CDLL) -> None:
 
 
 def _exits(_: object) -> None:
-    if _calls():
-        _leave(f"ended the process in {_call()}", "its library called exit")
+    if calls():
+        leave(f"ended the process in {under_way()}", "its library called exit")
 
 
-def _calls() -> list[Call]:
+def calls() -> list[Call]:
     """Those under way: more than one where several threads make them."""
     if current is None:
         return []
     return current() if callable(current) else [current]
 
 
-def _call() -> str:
+def under_way() -> str:
     """The function, and the time at which it is to begin a step."""
-    _, function, arguments = _calls()[0]
+    _, function, arguments = calls()[0]
     name = getattr(function, "__name__", str(function))
     return f"{name} at t = {arguments[0]:.9g} s" if name == "doStep" and arguments else name
 
 
-def _leave(what: str, how: str) -> None:
+def leave(what: str, how: str, code: int = CODE) -> None:
     """Says so in pieces that need no memory of the C library, which may be broken, and leaves."""
-    names = " or ".join(f"'{name}'" for name, *_ in _calls())
+    names = " or ".join(f"'{name}'" for name, *_ in calls())
     with suppress(OSError):
         os.write(2, f"phfmu: the unit {names} {what} ({how}).".encode())
         os.write(2, b" Next: --isolate gives it a process of its own, and keeps the rows and the audit until then;")
@@ -126,4 +127,4 @@ def _leave(what: str, how: str) -> None:
         if faulthandler.is_enabled():
             faulthandler.dump_traceback()
         sys.stdout.flush()
-    os._exit(CODE)
+    os._exit(code)

@@ -11,7 +11,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
-from phfmu.fmu import exit_guard
+from phfmu.fmu import exit_guard, hang_guard
 from phfmu.fmu.archive import Extracted
 from phfmu.fmu.refusal import UnitCallError, said
 from phfmu.fmu.unit_interface import Scalar
@@ -78,7 +78,8 @@ class Slave:
                 f"{archive.path}: '{name}' would be its second instance in this process, and it can have one "
                 "(canBeInstantiatedOnlyOncePerProcess); give each a process of its own (--isolate)"
             )
-        exit_guard.arm()
+        if exit_guard.arm():
+            hang_guard.arm()
         exit_guard.current = (name, "the start of its library", ())
         try:
             library = archive.folder / archive.library

@@ -1,0 +1,54 @@
+"""A library that never answers: the process can be ended all the same, and says which unit it waited for."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from tests.fmu import foreign
+
+#: a run that tells when a step of its unit has taken 0.3 s
+RUN = """
+import sys, threading, time
+from phfmu.cli import main
+from phfmu.fmu import exit_guard
+
+def tell():
+    call = None
+    while call is None or exit_guard.current is not call or getattr(call[1], "__name__", "") != "doStep":
+        call = exit_guard.current
+        time.sleep(0.3)
+    print("it hangs", file=sys.stderr, flush=True)
+
+threading.Thread(target=tell, daemon=True).start()
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
+def test_a_second_signal_ends_a_run_whose_unit_hangs(tmp_path: Path, number: signal.Signals, code: int) -> None:
+    path = foreign.mass(tmp_path / "pump.fmu", "3.0")
+    line = ["run", str(path), "--set", f"mode={foreign.HANG}", "-o", str(tmp_path / "rows.csv")]
+    run = subprocess.Popen([sys.executable, "-c", RUN, *line], stderr=subprocess.PIPE, text=True)
+    late = threading.Timer(60, run.kill)
+    late.start()
+    try:
+        assert run.stderr is not None
+        for awaited in ("it hangs", "waiting for the unit 'foreign', doStep at t = 0.3 s"):
+            while awaited not in (said := run.stderr.readline()):
+                assert said, f"it ended before: {awaited}"
+            run.send_signal(number)
+        assert run.wait(20) == code
+        assert "the unit 'foreign' does not answer in doStep at t = 0.3 s (a second signal)" in run.stderr.read()
+    finally:
+        late.cancel()
+        run.kill()
+        run.wait()
