@@ -105,10 +105,9 @@ def compare(name, k, n):
     assert name in idle or (used > 0.0).all()  # power through every port
 
 
-@pytest.mark.parametrize("steps", wide([20, 200], 20))
 @pytest.mark.parametrize("name", wide(NAMES, *QUICK))
-def test_engines_agree_and_ledgers_close(name, steps):
-    compare(name, 1, steps)
+def test_engines_agree_and_ledgers_close(name):
+    compare(name, 1, 20)
 
 
 @pytest.mark.parametrize("name", wide(HIGHER, "dc_motor", "synchronous_machine"))
@@ -124,10 +123,11 @@ def test_engines_agree_at_order_six(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 2, 3])
 @pytest.mark.parametrize("name", NAMES)
-def test_engines_agree_over_a_thousand_steps(name, k):
+def test_engines_agree_over_many_steps(name, k):
+    """A thousand at order two; of higher ones, which cost several times as much, a quarter of them."""
     if k > 1 and declaration(name).closed or k == 2 and declaration(name).constraints:
         pytest.skip("this order does not exist for this model")
-    compare(name, k, CHAOTIC.get(name, 1000))
+    compare(name, k, min(CHAOTIC.get(name, 1000), 1000 if k == 1 else 250))
 
 
 # -- state -----------------------------------------------------------------------------------------

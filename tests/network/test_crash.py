@@ -21,6 +21,8 @@ from phfmu.cli import main
 from phfmu.network.run import march
 from tests.wide import slow, wide
 
+#: s of work at which a run is killed: in its first rows, behind LOST, and when blocks have grown
+MOMENTS = ((0.0, 0.3), (0.7, 1.0), (1.6, 2.2))
 LOST = 0.6  # s of its own work, what a kill may cost a run; other processes' share of the machine is not counted
 
 # the command line, with the work (CPU time) in which the run had taken how many steps, before anything else sees them
@@ -166,9 +168,9 @@ def test_recover_tells_where_the_table_is(
 @pytest.mark.parametrize("kind", RUNS)
 def test_kill_at_any_time_loses_a_moment(started: Callable[[str], Started], kind: str, compiler: None) -> None:
     draw = random.Random(kind)
-    for _ in range(20):
+    for moment in MOMENTS:
         run = started(RUNS[kind])
-        run.wait_for(draw.uniform(0.0, 3.0))
+        run.wait_for(draw.uniform(*moment))
         _, spent, _ = run.end(signal.SIGKILL)
         assert lost(run, spent) <= LOST
 
