@@ -194,8 +194,9 @@ class NativeModes:
         landing.stop_before(np.ones(self._model.events.n, np.int8))
         state = np.frombuffer(fresh, np.uint8)
         handle = instance.handle
-        calls = (ctypes.c_void_p * len(CALLS.functions))(
-            *(ctypes.cast(getattr(handle.lib, n), ctypes.c_void_p).value for n in CALLS.functions)
+        names = CALLS.functions(CALLS.calls)
+        calls = (ctypes.c_void_p * len(names))(
+            *(ctypes.cast(getattr(handle.lib, n), ctypes.c_void_p).value for n in names)
         )
         self._keep += [state, calls]
         return _Mode(self._rows(0, on), ctypes.addressof(calls), handle.instance, landing.address, state.ctypes.data,
