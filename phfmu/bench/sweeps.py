@@ -19,7 +19,7 @@ SCENE, VARIED = "four_particle", "k13"
 TURNS = 3  # that the medians are of
 ALONE = 256  # runs that tell what steps take
 FEW, MANY = ("max(v[1])",), ("max(q)", "min(q)", "rms(v)", "peak(v)")
-AT_ENDS = ("max(energy.stored)",)
+AT_ENDS = ("max(lambda_end[1])",)
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ step: measures, ledger judged), both in CPU time; and by all cores, on the wall.
 cores had time for. `once`: what a sweep costs that does not grow with its runs, with code that was compiled before.
 
 Where it ends: runs of one step cost little but the own part, many measures cost theirs in every step, and a measure of a value
-at an instant (here stored energy) takes a solve there in every step. Memory grows by the row of each run.
+at an instant (here a multiplier) takes a solve there in every step. Memory grows by the row of each run.
 
     phfmu bench sweep -o docs/results/sweep.md
 

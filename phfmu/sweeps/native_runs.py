@@ -90,7 +90,7 @@ class NativeRuns:
         model, plan, layout, o = task.model, task.model.step, self._instance.layout, task.options
         memory, columns = self._memory, Columns(model, layout)
         measured = [(m.kind, *columns.place(m.signal)) for m in task.measures]
-        ends = layout["a_end"].start
+        ends, energies = layout["a_end"].start, layout["H"].start
         places, kinds = Places(model), list(KINDS)
         listed = {
             "place": [
@@ -103,15 +103,21 @@ class NativeRuns:
             LISTS[kind]: memory.array([memory.fill(f"ph_runs_{kind}", v) for v in rows])
             for kind, rows in listed.items()
         }
-        work = {"p": plan.np, "x": plan.nx, "u": plan.nu, "reach": plan.ncomp, "change": plan.ncomp}
+        work = {
+            "p": plan.np,
+            "x": plan.nx,
+            "u": plan.nu,
+            **dict.fromkeys(("reach", "change", "now", "carry"), plan.ncomp),
+        }
         work |= dict.fromkeys(("value", "held", "time"), len(measured))
         found = layout["observables"]
         return {
             "calls": memory.calls(self._instance.handle.lib), "in": self._instance.handle.instance,
             **{n: getattr(plan, n) for n in ("np", "nx", "nu", "nq", "ncomp")},
             **{f"n{kind}": len(rows) for kind, rows in listed.items()},
-            "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": layout["H"].start,
-            "refresh": any(first >= ends for _, first, _ in measured),
+            "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": energies,
+            "refresh": any(ends <= first < energies for _, first, _ in measured),
+            "stored": any(first >= energies for _, first, _ in measured),
             "t0": o.t0, "length": o.stop - o.t0, "rtol": o.audit_rtol,
             "p0": model.p0, "x0": model.x0, "u0": model.u0, "tolerance": CONSISTENCY * np.asarray(model.check_scale),
             "owner": plan.pair_owner, "row": [enums()["ph_row"].index(n) for n in ROWS],

@@ -17,17 +17,35 @@
 enum { FIRST, LAST, MIN, MAX, PEAK, MEAN, RMS, TMIN, TMAX };
 enum { PARAMETER, STATE, INPUT };
 
-static double sum(const double *values, const ph_runs_measure *m) {
-    double s = 0.0;
+/* Stored energies are the last of the signals; what their changes add up to is at hand, the signals take a
+ * solve. */
+static double sum(const ph_runs *s, const double *signals, const ph_runs_measure *m) {
+    const double *values = m->first < s->energy ? signals + m->first : s->now + (m->first - s->energy);
+    double total = 0.0;
     for (int i = 0; i < m->count; i++)
-        s += values[m->first + i];
-    return s;
+        total += values[i];
+    return total;
+}
+
+/* Stored energy from the signals: at the start, and where parameters changed it. */
+static void count_stored(const ph_runs *s) {
+    memcpy(s->now, s->calls->signals(s->in) + s->energy, sizeof(double) * (size_t)s->ncomp);
+    memset(s->carry, 0, sizeof(double) * (size_t)s->ncomp);
+}
+
+/* Its change over the last step, by a compensated sum. */
+static void add_stored(const ph_runs *s, const double *stored) {
+    for (int k = 0; k < s->ncomp; k++) {
+        double part = stored[k] + s->carry[k], total = s->now[k] + part;
+        s->carry[k] = part - (total - s->now[k]);
+        s->now[k] = total;
+    }
 }
 
 static void begin(const ph_runs *s, const double *signals, double t) {
     for (int i = 0; i < s->nmeasure; i++) {
         const ph_runs_measure *m = &s->measures[i];
-        double v = sum(signals, m), *o = &s->value[i];
+        double v = sum(s, signals, m), *o = &s->value[i];
         s->held[i] = v;
         *o = m->kind == MEAN || m->kind == RMS ? 0.0 : m->kind == PEAK ? fabs(v) : v;
         s->time[i] = t;
@@ -37,7 +55,7 @@ static void begin(const ph_runs *s, const double *signals, double t) {
 static void add(const ph_runs *s, const double *signals, double t, double h) {
     for (int i = 0; i < s->nmeasure; i++) {
         const ph_runs_measure *m = &s->measures[i];
-        double v = sum(signals, m), was = s->held[i], *o = &s->value[i];
+        double v = sum(s, signals, m), was = s->held[i], *o = &s->value[i];
         switch (m->kind) {
         case LAST:
             *o = v;
@@ -140,6 +158,11 @@ static int change(const ph_runs *s, const ph_runs_stretch *stretch) {
         status = s->calls->set_parameters(s->in, s->p);
     if (inputs && !status)
         status = s->calls->set_input(s->in, s->u);
+    if (parameters && s->stored && !status) {
+        status = s->calls->refresh(s->in);
+        if (!status)
+            count_stored(s);
+    }
     return status;
 }
 
@@ -161,12 +184,14 @@ static int one(const ph_runs *s, const double *row, double *out, double *facts) 
         const ph_runs_stretch *r = &s->stretches[i];
         status = change(s, r);
         if (i == 0 && !status) {
-            if (s->refresh || s->ncheck)
+            if (s->refresh || s->stored || s->ncheck)
                 status = c->refresh(s->in);
             if (!status && !consistent(s))
                 status = PH_RUNS_INCONSISTENT;
-            if (!status)
+            if (!status) {
+                count_stored(s);
                 begin(s, c->signals(s->in), s->t0);
+            }
         }
         for (int n = 0; n < r->n && !status; n++) {
             double missing;
@@ -176,6 +201,7 @@ static int one(const ph_runs *s, const double *row, double *out, double *facts) 
             if (status)
                 break;
             missing = owes(s, &status);
+            add_stored(s, c->ledger(s->in, s->row[0]));
             facts[0] += 1.0;
             facts[1] = missing <= facts[1] ? facts[1] : missing;
             add(s, c->signals(s->in), r->t + (double)(n + 1) * r->h, r->h);

@@ -64,7 +64,8 @@ typedef struct ph_runs {
     int ncheck;
     int check;   /* first of the checked signals */
     int energy;  /* first of the stored energies among the signals */
-    int refresh; /* whether values of the present time are measured */
+    int refresh; /* whether values of the present time are measured that take a solve in every step */
+    int stored;  /* whether stored energies are measured */
     double t0;
     double length;
     double rtol;
@@ -86,6 +87,8 @@ typedef struct ph_runs {
     double *time;   /* the time of the extreme */
     double *reach;  /* ncomp: most energy in play so far */
     double *change; /* ncomp: of the stored energy since the start */
+    double *now;    /* ncomp: stored energy, */
+    double *carry;  /* and what its sum has lost to rounding */
 } ph_runs;
 
 /* Runs of n rows of values; per run the measures, and the steps and the worst ratio of what the ledger misses
