@@ -13,7 +13,6 @@ reports no energy) lies outside the balance: what it takes from a junction leave
 
 import math
 from dataclasses import replace
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,10 +61,10 @@ class Ledger:
         return f"<Ledger: {counted(self._steps, 'step')}, {self._t_start:g} to {self._t_end:g} s>"
 
     def _repr_html_(self) -> str:
-        """For notebooks: the table that `phfmu run` prints."""
-        from .report import audit_table
+        """For notebooks: the tables that `phfmu run` prints."""
+        from .report import audit_html
 
-        return f"<pre>{escape(audit_table(self.summary()))}</pre>"
+        return audit_html(self.summary())
 
     def add(
         self,

@@ -5,6 +5,7 @@ import io
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from phfmu.html import ROWS, grid, paragraph
 from phfmu.words import counted, shown
 
 from .alarms import Alarms, alarms
@@ -61,6 +62,16 @@ def audit_table(
     return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()) + "\n"
 
 
+def audit_html(summary: LedgerSummary) -> str:
+    """The same for a notebook, energies in joule."""
+    tables = [
+        grid("", [c.header for c in sheet.columns], [_cells(sheet, row, JOULE) for row in sheet.rows])
+        for sheet in sheets(summary)
+    ]
+    said = [*map(str, summary.violations[:ROWS]), _happened(summary)]
+    return "".join([paragraph(_heading(summary, JOULE)), *tables, *map(paragraph, said)])
+
+
 def audit_csv(
     summary: LedgerSummary, kind: RowKind | str, scale: Scale = JOULE, events: Sequence[EventRow] = ()
 ) -> str:
@@ -93,14 +104,7 @@ def _parts(
     levels: Alarms | None,
     most: int | None,
 ) -> Iterator[Any]:
-    if not summary.steps:
-        yield "no steps: nothing was stored, dissipated or supplied"
-    else:
-        span = f"{counted(summary.steps, 'step')} from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"
-        unit = {"J": "joule"}.get(scale.unit, scale.unit)
-        if scale.whole is not None:
-            unit = f"percent of {scale.whole:.4g} J, which came in or was there"
-        yield f"Energy in {unit}, positive into the component; {span}"
+    yield _heading(summary, scale)
     chosen = [sheet for sheet in sheets(summary, events) if not by or sheet.title in by]
     yield from (_drawn(sheet if most is None else shortened(sheet, most), scale) for sheet in chosen)
     if by and summary.steps and not chosen:
@@ -115,7 +119,24 @@ def _parts(
     if levels is not None:
         yield from (shown(line) for line in alarms(summary, levels))
     if summary.events:
-        yield "events: " + ", ".join(f"{count} {shown(kind)}" for kind, count in summary.events.items())
+        yield _happened(summary)
+
+
+def _heading(summary: LedgerSummary, scale: Scale) -> str:
+    """Unit, direction and span of what follows."""
+    if not summary.steps:
+        return "no steps: nothing was stored, dissipated or supplied"
+    span = f"{counted(summary.steps, 'step')} from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"
+    unit = {"J": "joule"}.get(scale.unit, scale.unit)
+    if scale.whole is not None:
+        unit = f"percent of {scale.whole:.4g} J, which came in or was there"
+    return f"Energy in {unit}, positive into the component; {span}"
+
+
+def _happened(summary: LedgerSummary) -> str:
+    """How many events of each kind, "" for none."""
+    parts = ", ".join(f"{count} {shown(kind)}" for kind, count in summary.events.items())
+    return f"events: {parts}" if parts else ""
 
 
 def _drawn(sheet: Sheet, scale: Scale) -> "Table":
@@ -128,11 +149,15 @@ def _drawn(sheet: Sheet, scale: Scale) -> "Table":
             no_wrap=c.header not in ("junction", "message"),
         )
     for row in sheet.rows:
-        table.add_row(*(shown(_cell(c, v, scale)) for c, v in zip(sheet.columns, row, strict=True)))
+        table.add_row(*map(shown, _cells(sheet, row, scale)))
     return table
 
 
 _FORMAT = {CellKind.RATIO: ".1e", CellKind.TIME: ".6g"}
+
+
+def _cells(sheet: Sheet, row: Sequence[Any], scale: Scale) -> list[str]:
+    return [_cell(c, v, scale) for c, v in zip(sheet.columns, row, strict=True)]
 
 
 def _cell(column: Column, value: Any, scale: Scale) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
 
 from phfmu import Monolithic, Options, PythonInstance, build_model, run
 from phfmu.components.library import build
+from phfmu.html import grid
 
 
 class Text(HTMLParser):
@@ -48,4 +50,12 @@ def test_ledger_shows_its_table() -> None:
     model = build_model(build("dc_motor"))
     result = run(Monolithic(model, PythonInstance(model)), Options(stop=0.01, step=0.001))
     assert repr(result.ledger) == "<Ledger: 10 steps, 0 to 0.01 s>"
-    assert "closed" in Text(result.ledger._repr_html_()).text
+    page = result.ledger._repr_html_()
+    assert "closed" in Text(page).text and "10 steps" in page and page.count("<table>") == 3
+
+
+def test_numbers_stand_below_each_other_and_names_begin_at_the_left() -> None:
+    page = grid("", ("name", "value"), [("a", "1"), ("b", ""), ("c", "-2e-3")])
+    sides = re.findall(r"text-align:(\w+)", page)
+    assert sides == ["left", "right"] * 4 and "<p>" not in page
+    assert grid("empty", ("a",), []) == "<p><b>empty</b></p>"
