@@ -30,7 +30,7 @@ LONG = 0.01  # s, their step
 class Row:
     """CPU time of a step in us, medians over turns: composed, members apart compiled and in Python; median of the ratios.
 
-    own, units: what joining native members, and the same as FMUs, costs per member and step
+    own, units: where the time goes per member and step, of native members and of the same as FMUs
     """
 
     name: str
@@ -79,8 +79,7 @@ def measure(name: str, network: Network, h: float, k: int) -> Row:
     one, two, three = (c.times for c in clocks)
     ratio = median(b / a for a, b in zip(one, two, strict=True))
     trials, apart = clocks[1].trials, median(two)
-    own = own_time.native(members, h, apart, trials)
-    unit = own_time.units(network, k, h)
+    own, unit = own_time.native(network, k, h), own_time.units(network, k, h)
     return Row(name, 2 * k, len(members), median(one), apart, median(three), ratio, trials, own, unit)
 
 
@@ -169,9 +168,10 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
             cells = [r.name, r.order, r.members, f"{r.composed:.1f}", f"{r.compiled:.1f}", f"{r.python:.0f}",
                      f"{r.ratio:.2f}", f"{r.trials:.1f}"]  # fmt: skip
             lines.append("| " + " | ".join(map(str, cells)) + " |")
-            times = [r.own.calls, r.own.own, r.units.calls, r.units.own]
-            owns.append(f"| {r.name} | {r.order} | " + " | ".join(f"{x:.1f}" for x in times) + " |")
-    head = ["scene", "order", "native: its calls us", "own us", "FMU: its calls us", "own us"]
+            for kind, t in (("native", r.own), ("FMU", r.units)):
+                times = [t.steps, t.exchange, t.join, t.solve, t.columns, t.own]
+                owns.append(f"| {r.name} | {r.order} | {kind} | " + " | ".join(f"{x:.2f}" for x in times) + " |")
+    head = ["scene", "order", "members", "steps us", "exchange us", "join us", "solve us", "columns us", "own us"]
     lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head), *owns]
     head = ["network", "members", "plans", "plan s", "code s", "join s", "us per member and step"]
     lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
@@ -190,11 +190,12 @@ CPU time of a step with all its columns and ledger rows: of the composed model i
 `newton` in compiled code, and by the same loop in Python. Taken in turns on one machine, medians; `apart / composed`: median of
 the ratios of neighbours; `trials`: of each member per step.
 
-The second table divides a step apart by members: `calls` is spent in a member's own functions, `own` in what joins it, with
-loading, saving, rows and ledger. Native members apart go in compiled code: as many steps as there are trials and one
-sensitivity with respect to inputs each, timed alone (those with respect to impulses at
-[bare nodes](../understand/glossary.md#bare-node) count as own). FMUs go in
-Python: the functions of their libraries, timed one by one, and all else.
+The second table divides a step apart by members, native ones and the same as FMUs (FMI 3.0): time per member and step,
+of the shortest of 30 turns. A clock in the compiled loop tells it (with its readings, two for each call of a library; in a run
+it is off). `steps` is spent in steps and derivatives of the members, `exchange` in their functions that save, load, set and read,
+`join` in rows, matrix and records, `solve` in what solves the interface and, at
+[bare nodes](../understand/glossary.md#bare-node), the impulses; `columns` in Python, which makes the columns and ledger rows
+of 100 steps at once. `own` is all but `steps`.
 
 Below, masses and springs, order 2: the cost of a member does not grow with their number. Members that are alike share a plan
 and its code: CPU seconds for the plans, for all instances with their libraries (compiled before), and for what joins them, with

@@ -1,134 +1,88 @@
-"""What joining members costs beside their own calls: of native members, whose steps go in compiled code, and of FMUs."""
+"""Where the time of members apart goes: in their own functions, and in what joins them; told by the compiled loop itself."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
-from time import thread_time
-from typing import TYPE_CHECKING, Any
+from time import perf_counter
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
-    from phfmu.engine.native import NativeInstance
     from phfmu.fmu.reader import FMUInstance
-    from phfmu.network.couplings.stepper import Stepper
+    from phfmu.network.couplings.coupled import Coupled
     from phfmu.network.junctions.network import Network
-    from phfmu.network.members.engine_member import EngineMember
 
-ROUNDS = 9  # turns that a median is of
-CALLS, FEW = 500, 10  # of a member's step or sensitivity in a turn; steps from one state
-FMU_STEPS = 20  # of a turn
+ROUNDS = 30  # turns, of which the shortest counts: what else the machine does makes none shorter
+WARM, STEPS = 20, 100  # steps before, and of a turn
 
 
 @dataclass(frozen=True)
 class OwnTime:
-    """CPU time per member and step in us: `calls` in the members' own functions, `own` of all else that a step apart is."""
+    """Time per member and step in us.
 
-    calls: float
-    own: float
-
-
-def native(members: list[EngineMember], h: float, apart: float, trials: float) -> OwnTime:
-    """Of native members of which a step apart takes `apart` us: as many trials as it takes, and one sensitivity each.
-
-    Steps from where the members are, timed in compiled code, without records.
+    steps: in steps and derivatives of the members;  exchange: in their functions that save, load, set and read;
+    join: rows, matrix and records;  solve: of the interface and the impulses;  columns: in Python, of all rows together
     """
-    from phfmu.engine.native import NativeInstance
 
-    calls = 0.0
-    for m in members:
-        alone = NativeInstance(m.model)  # without impulses
-        state = m.get_state()[: alone.handle.state_size]
-        calls += trials * _median(partial(_steps, alone, state, h)) / CALLS + _sensitivity(alone, h)
-    return OwnTime(calls / len(members), (apart - calls) / len(members))
+    steps: float
+    exchange: float
+    join: float
+    solve: float
+    columns: float
 
-
-def _steps(instance: NativeInstance, state: bytes, h: float) -> None:
-    for _ in range(CALLS // FEW):
-        instance.set_state(state)
-        instance.run(instance.time, h, FEW, record=())
+    @property
+    def own(self) -> float:
+        """All that the members' steps and derivatives are not."""
+        return self.exchange + self.join + self.solve + self.columns
 
 
-def _sensitivity(instance: NativeInstance, h: float) -> float:
-    """dY/dU of a step (us), less what calling it from Python costs."""
-    import numpy as np
+def own_time(stepper: Coupled, h: float) -> OwnTime:
+    """Of members that are stepped in compiled code, by one thread; RuntimeError if they are not."""
+    from phfmu.network.couplings.master import PARTS
 
-    instance.do_step(instance.time, h)
-    handle, out = instance.handle, np.empty((instance.model.step.nu,) * 2)
-    spent = {}
-    for name, arguments in {
-        "ph_sensitivity": (handle.instance, out.ctypes.data),
-        "ph_solves": (handle.instance,),
-    }.items():
-        spent[name] = _median(partial(_repeated, getattr(handle.lib, name), arguments)) / CALLS
-    return max(spent["ph_sensitivity"] - spent["ph_solves"], 0.0)
-
-
-def _repeated(function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    for _ in range(CALLS):
-        function(*arguments)
-
-
-def _median(turn: Callable[[], None]) -> float:
-    """CPU time of a turn in us."""
-    times = []
-    for _ in range(ROUNDS):
-        before = thread_time()
-        turn()
-        times.append(1e6 * (thread_time() - before))
-    return median(times)
+    if stepper._master is None:
+        raise RuntimeError(f"members of {stepper.joined.network.name} are not stepped in compiled code")
+    spent, turns = stepper._master.timed(), list[tuple[float, list[float]]]()
+    stepper.check_start()
+    stepper.prepare(0.0, h)
+    stepper.advance(0.0, h, WARM)
+    for turn in range(ROUNDS):
+        spent[:] = 0.0
+        before = perf_counter()
+        stepper.advance(0.0, h, STEPS, WARM + turn * STEPS)
+        whole = perf_counter() - before
+        turns.append((whole, [*spent.tolist(), whole - float(spent.sum())]))
+    scale = 1e6 / (STEPS * len(stepper.joined.members))
+    return OwnTime(**{name: scale * value for name, value in zip((*PARTS, "columns"), min(turns)[1], strict=True)})
 
 
-class _Clock:
-    """CPU time in s that was spent in the functions of some libraries."""
+def native(network: Network, k: int, h: float) -> OwnTime:
+    """Of native members."""
+    from phfmu.bench.apart import instances, planned
+    from phfmu.network.couplings.coupled import Coupled
 
-    def __init__(self) -> None:
-        self.spent = 0.0
-
-    def watch(self, slave: Any) -> None:
-        """The functions of its library, for the bindings and for those who call them directly."""
-        slave._functions.clear()
-        for name, function in slave.fmu._functions.items():
-            timed = self._around(function)
-            slave.fmu._functions[name] = timed
-            setattr(slave.fmu.dll, name, timed)
-
-    def _around(self, function: Any) -> Any:
-
-        def timed(*arguments: Any) -> Any:
-            before = thread_time()
-            try:
-                return function(*arguments)
-            finally:
-                self.spent += thread_time() - before
-
-        timed.__name__, timed.restype = function.__name__, function.restype  # pyright: ignore
-        return timed
+    return own_time(Coupled(network, [*instances(planned(network, k))], threads=1), h)
 
 
-def units(network: Network, k: int, h: float) -> OwnTime:
+def units(network: Network, k: int, h: float, version: str = "3.0") -> OwnTime:
     """Of members exported as FMUs of order 2k, with inputs at nodes and impulses, where they take any."""
     from phfmu.network.couplings.coupled import Coupled
     from phfmu.network.members.fmu_member import FMUMember
 
     with TemporaryDirectory() as folder:
         declared = {n: replace(d, name=n) for n, d in network.declared.items()}
-        members = [FMUMember(n, _exported(d, Path(folder), k, h)) for n, d in declared.items()]
-        clock = _Clock()
-        for m in members:
-            clock.watch(m.unit._slave)
-        stepper = Coupled(network, [*members])
-        stepper.check_start()
-        stepper.prepare(0.0, h)
-        stepper.advance(0.0, h, FMU_STEPS)
-        return _timed(stepper, clock, len(members), h)
+        members = [FMUMember(n, exported(d, Path(folder), k, h, version)) for n, d in declared.items()]
+        try:
+            return own_time(Coupled(network, [*members], threads=1), h)
+        finally:
+            for m in members:
+                m.unit.close()
 
 
-def _exported(declaration: PHDAE, folder: Path, k: int, h: float) -> FMUInstance:
+def exported(declaration: PHDAE, folder: Path, k: int, h: float, version: str = "3.0") -> FMUInstance:
+    """A member as a unit with all that members apart take."""
     from phfmu.discretise.model import build_model
     from phfmu.fmu.export import export
     from phfmu.fmu.impulse_values import kernels_of
@@ -137,17 +91,5 @@ def _exported(declaration: PHDAE, folder: Path, k: int, h: float) -> FMUInstance
 
     model = build_model(declaration, Collocated(k))
     kicked = k > 1 and bool(kernels_of(model))
-    (path,) = export(model, folder, ("3.0",), step=h, node_inputs=k > 1, impulses=kicked)
+    (path,) = export(model, folder, (version,), step=h, node_inputs=k > 1, impulses=kicked)
     return FMUInstance(path)
-
-
-def _timed(stepper: Stepper, clock: _Clock, members: int, h: float) -> OwnTime:
-    calls, own = [], []
-    for turn in range(ROUNDS):
-        clock.spent, before = 0.0, thread_time()
-        stepper.advance(0.0, h, FMU_STEPS, (turn + 1) * FMU_STEPS)
-        whole = thread_time() - before
-        calls.append(clock.spent)
-        own.append(whole - clock.spent)
-    scale = 1e6 / (FMU_STEPS * members)
-    return OwnTime(scale * median(calls), scale * median(own))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from cProfile import Profile
 from pstats import Stats
+from time import perf_counter
 
 import numpy as np
 import pytest
 
-from phfmu.bench import coupling, crews
+from phfmu.bench import coupling, crews, own_time
 from phfmu.network.couplings.coupled import Coupled
 
 
@@ -24,11 +25,29 @@ def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [r[:3] for r in rows[1:4]] == [["oscillator", order, "3"] for order in ("2", "4", "6")]
     assert all(float(r[3]) > 0 and float(r[4]) > 0 and float(r[7]) == 2.0 for r in rows[1:4])
     assert all(float(r[5]) > float(r[4]) for r in rows[1:4]), "Python takes longer"
-    assert [r[:2] for r in rows[5:8]] == [["oscillator", order] for order in ("2", "4", "6")]
-    assert all(float(r[i]) > 0 for r in rows[5:8] for i in (2, 4, 5)), "time in calls, and what joins FMUs"
-    assert [r[:3] for r in rows[9:]] == [["ring", "6", "2"], ["star", "7", "2"]], "members of two kinds"
-    assert all(float(t) >= 0 for r in rows[9:] for t in r[3:6]) and all(float(r[6]) > 0 for r in rows[9:])
+    kinds = [["oscillator", order, kind] for order in ("2", "4", "6") for kind in ("native", "FMU")]
+    assert [r[:3] for r in rows[5:11]] == kinds
+    for r in rows[5:11]:
+        *parts, own = map(float, r[3:])
+        assert all(p > 0 for p in parts) and sum(parts[1:]) == pytest.approx(own, abs=0.03)
+    assert [r[:3] for r in rows[12:]] == [["ring", "6", "2"], ["star", "7", "2"]], "members of two kinds"
+    assert all(float(t) >= 0 for r in rows[12:] for t in r[3:6]) and all(float(r[6]) > 0 for r in rows[12:])
     assert lines[-1].rpartition("load ")[2]
+
+
+def test_the_clock_of_the_loop_tells_where_the_time_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its parts are less than the whole, in the order of their names; without being asked it stands still."""
+    monkeypatch.setattr(own_time, "ROUNDS", 2)
+    stepper = coupling.coupled(coupling.star(3), 1)
+    assert isinstance(stepper, Coupled) and stepper._master is not None
+    stepper.check_start()
+    stepper.advance(0.0, 1e-2, 10)
+    assert stepper._master._struct.clock is None
+    begun = perf_counter()
+    found = own_time.own_time(stepper, 1e-2)
+    spent = 1e6 * (perf_counter() - begun) / (own_time.STEPS * 7)
+    parts = [found.steps, found.exchange, found.join, found.solve, found.columns]
+    assert all(p > 0 for p in parts) and sum(parts) == pytest.approx(found.steps + found.own) and sum(parts) <= spent
 
 
 @pytest.mark.slow

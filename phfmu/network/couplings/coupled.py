@@ -228,6 +228,8 @@ class Coupled:
                 if (steps := self._compiled(t0, h, first + done, n - done)) is not None:
                     parts.append(steps)
                     done += len(steps.H)
+                if self._master is not None and self._master.failure:
+                    raise self._master.failure
                 if done == n:
                     break
                 parts.append(Steps.stacked([self._step(t0 + (first + done) * h, h)]))
@@ -244,7 +246,8 @@ class Coupled:
         steps, self.last = self._master.advance(self.last, self._sums, (t0, h, first), n)
         if not len(steps.H):
             return None
-        self._signals.stepped(h, xi_at_end(self._exchange, self.last))
+        if self._master.failure is None:
+            self._signals.stepped(h, xi_at_end(self._exchange, self.last))
         parts = None if steps.works is None else self._works.grouped(steps.works)
         return replace(steps, signals=self._totals.before(steps.signals), works=parts)
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.engine.structures import Structures
 from phfmu.gradients.quadrature import nodes
@@ -35,6 +36,8 @@ from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[Any]
 
+#: what `timed` tells of, as `ph_part` does
+PARTS = ("join", "steps", "exchange", "solve")
 #: words for ph_accepted
 ACCEPTED = np.array(["", "energy", "rounding floor"])
 LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
@@ -53,6 +56,8 @@ class Master:
         threads: int | None = None,
     ):
         self.joined, self.coupling, self.found, self._works = joined, coupling, found, works
+        #: after which members cannot be asked again
+        self.failure: StepFailure | None = None
         #: threads used last
         self.pace, self.threads = Pace(len(found.parts), threads), 1
         self._pattern, self._memory = Pattern(found), Structures(HEADER)
@@ -83,6 +88,14 @@ class Master:
             first, n = first + k, n - k if len(steps.H) == k else 0
         return Steps.joined(parts) if parts else Steps.stacked([]), last
 
+    def timed(self) -> Array:
+        """Seconds of PARTS, to which the loop adds from now on, where one thread runs it: two readings of a clock a call."""
+        spent = np.zeros(len(PARTS))
+        clock = self._memory.fill("ph_clock", {"spent": spent, "last": 0.0, "part": 0})
+        for struct in (self._struct, *self._array):
+            struct.clock = ctypes.addressof(clock)
+        return spent
+
     def _advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
         t0, h, first = grid
         e, s = self.found, self._struct
@@ -101,9 +114,8 @@ class Master:
         done, spent = self._run(grid, n, next_)
         self.taken += done
         self.pace.took(self.threads, done, trials, spent)
+        self.failure = next((f for own in self._own if (f := own.failure())), None)
         if done == 0:
-            for own in self._own:
-                own.refused()
             return Steps.stacked([]), last
         for own, rows in zip(self._own, members, strict=True):
             own.finish(t0 + (first + done - 1) * h, h, rows[done - 1])
@@ -149,6 +161,8 @@ class Master:
         return 0
 
     def _solution(self, xi: Array, trials: int, accepted_by: str, h: float) -> Solution:
+        if self.failure:  # nobody goes on from here
+            return Solution(xi, np.zeros(len(self.joined.free)), trials, accepted_by)
         for place, part in zip(self._inputs, self.found.parts, strict=True):
             if part.held:  # what it was given, for those who set a part of it
                 part.member.set_input(place)

@@ -12,6 +12,8 @@ from phfmu.engine.structures import Header
 from phfmu.network.couplings.acceptance import RULES
 
 RUNTIME = Path(__file__).parent / "runtime"
+#: prefixes of the versions of the standard whose functions it calls
+CALLED = ("fmi2", "fmi3")
 HEADERS = (RULES, *(RUNTIME / f"{name}.h" for name in ("clock", "native", "unit", "master")))
 STRUCTURES = ("ph_rules", "ph_progress", "ph_clock", "ph_native", "ph_scalars", "ph_unit", "ph_share", "ph_master")
 HEADER = Header(HEADERS, STRUCTURES, "ph_calls")
@@ -38,7 +40,7 @@ def library() -> ctypes.CDLL:
         [pointer, *[ctypes.c_double] * 2, integer, ctypes.c_longlong, integer],
     )
     lib.ph_crew_size.restype, lib.ph_crew_size.argtypes = ctypes.c_size_t, []
-    for name in ("ph_kind_native", "ph_kind_unit", "ph_unit_fmi2", "ph_unit_fmi3"):
+    for name in ("ph_kind_native", "ph_kind_unit", *(f"ph_unit_{prefix}" for prefix in CALLED)):
         getattr(lib, name).restype = pointer
     for name in ("ph_crew_init", "ph_crew_help", "ph_crew_end"):
         function = getattr(lib, name)

@@ -56,8 +56,8 @@ class NativeShare:
     def finish(self, t: float, h: float, row: Array) -> None:
         """The instance is where its last step ended: t + h."""
 
-    def refused(self) -> None:
-        """What it refuses is refused again."""
+    def failure(self) -> None:
+        """It can always be asked again."""
 
     def told(self, rows: Array, h: float) -> Told:
         """Fields of its rows."""

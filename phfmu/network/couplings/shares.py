@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from numpy.typing import NDArray
 
 from phfmu.engine.native import NativeInstance
+from phfmu.engine.status import StepFailure
 from phfmu.engine.structures import Structures
+from phfmu.network.couplings.master_library import CALLED
 from phfmu.network.couplings.master_pattern import Part, Told
 from phfmu.network.couplings.native_share import NativeShare
 from phfmu.network.members.engine_member import EngineMember
@@ -35,8 +37,8 @@ class Own(Protocol):
         """The last step that was taken, from t by h, has this row."""
         ...
 
-    def refused(self) -> None:
-        """After a step that was not taken: StepFailure where nothing can be asked again."""
+    def failure(self) -> StepFailure | None:
+        """Of the last step, if it cannot be asked again; else what refused one is left to the loop in Python."""
         ...
 
     def told(self, rows: Array, h: float) -> Told:
@@ -80,7 +82,7 @@ def _unit_share(member: Member) -> Make | None:
     from phfmu.network.members.fmu_member import FMUMember
 
     found = access(member.unit) if isinstance(member, FMUMember) else None
-    if found is None:
+    if found is None or found.prefix not in CALLED:
         return None
 
     def make(part: Part, memory: Structures, lib: ctypes.CDLL) -> UnitShare:

@@ -15,6 +15,7 @@ from phfmu.network.couplings.master_library import HEADER
 from phfmu.network.couplings.master_pattern import Part, Told
 
 if TYPE_CHECKING:
+    from phfmu.fmu.refusal import UnitFailure
     from phfmu.fmu.unit_interface import Scalar
     from phfmu.fmu.values import References
 
@@ -37,6 +38,8 @@ class UnitShare:
             np.zeros(len(self._member.told_of_events)),
         )
         self._row = self._recorded()
+        self._place = {n: i for i, n in enumerate(self._row)}
+        self._columns = [self._place[n] for n in self._member.names]
         #: which compiled code writes over, and the unit frees
         self._kept = self._member.get_state()
         self._struct = m.fill("ph_unit", self._fields(lib, ctypes.addressof(self._kept.handle)))
@@ -71,7 +74,7 @@ class UnitShare:
             "jump": self._scalars(v.jump.scalars, triangle, np.ones(len(triangle))) if part.kicks else None,
             "row": self._scalars(self._named(self._row), range(len(self._row)), np.ones(len(self._row))),
             "unknown": self._scalars(unknown, at, sign), "known": self._memory.array(self._known(kicked)),
-            "happened": [self._row.index(n) for n in self._member.told_of_events], "before": self._before,
+            "happened": [self._place[n] for n in self._member.told_of_events], "before": self._before,
             "nrow": len(self._row), "nhappened": len(self._before), "y": self._y, "now": self._now,
             "impulses": np.zeros(2 * part.kicks), "time": 0.0, "length": 0.0, "answer": 0, "call": None, "refused": None,
         }  # fmt: skip
@@ -161,11 +164,12 @@ class UnitShare:
         given = row[first : first + k * nu].reshape(k, nu)[:, : self._access.values.nu]
         self._access.stepped(t, h, given, self._part.held)
 
-    def refused(self) -> None:
-        """UnitFailure after a fatal error; what else it refused is asked again."""
-        if self._struct.answer == FATAL:
-            function = ctypes.string_at(self._struct.refused).decode()
-            raise self._access.failure(function, FATAL, self._struct.time, self._struct.length)
+    def failure(self) -> UnitFailure | None:
+        """Of a fatal error, after which the unit is dead."""
+        if self._struct.answer != FATAL:
+            return None
+        function = ctypes.string_at(self._struct.refused).decode()
+        return self._access.failure(function, FATAL, self._struct.time, self._struct.length)
 
     def under_way(self) -> tuple[str, str, tuple[float, ...]] | None:
         """The call of a function of the unit that is being made."""
@@ -194,7 +198,7 @@ class UnitShare:
         book = self._member.booked(zero | books.named(self._read(rows, books.step)) | {"pairs": pairs})
         ends = np.zeros((len(rows), self._member.nu))
         ends[:, : v.nu] = self._read(rows, v.y_end) * v.output_sign
-        return Told(rows[:, [self._row.index(n) for n in self._member.names]], H, ends, book)
+        return Told(rows[:, self._columns], H, ends, book)
 
     def _read(self, rows: Array, r: References) -> Array:
-        return rows[:, [self._row.index(s.name) for s in r.scalars]]
+        return rows[:, [self._place[s.name] for s in r.scalars]]
