@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from phfmu.checks.bounds import bounded, constants
+from phfmu.checks.closing import closing
 from phfmu.checks.dimensions import dimensions
 from phfmu.checks.energies import closed_pairs, energies
 from phfmu.checks.equations import equations, unused, velocities
@@ -66,7 +67,7 @@ def check(model: PHDAE, scheme: Scheme | None = None, *, strict: bool = False) -
 
 def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem]:
     found: list[Problem] = []
-    stepped = model
+    stepped, contacts = model, model.switches
     if model.switches:
         if found := _safely(switches, model):
             return found
@@ -104,6 +105,7 @@ def _problems(model: PHDAE, scheme: Scheme | None, strict: bool) -> list[Problem
         found += _safely(rule, entries)
     if not BLOCKING & {p.rule for p in found}:
         found += _safely(equations, stepped, scheme)
+        found += _safely(closing, stepped, contacts)
     if strict and all(p.severity == "warning" for p in found):
         for rule in WARNING_RULES:
             found += _safely(rule, entries, sample)
