@@ -39,7 +39,7 @@ from phfmu.components.electrical.breaker import breaker
 from phfmu.components.mechanical.translational import mass
 from phfmu.engine.event_failure import EventRefused
 from phfmu.network.couplings.shared_jumps import SharedJumps
-from tests.events.scenes import ENGINES
+from tests.engines import ENGINES
 from tests.wide import wide
 
 CASES = wide([(k, e) for k in (1, 2, 3) for e in ENGINES], (1, PythonInstance), (2, NativeInstance))
@@ -180,5 +180,8 @@ def test_a_unit_is_thrown_back_with_the_member_that_it_is_linked_to(k: int, vers
     whole = run(Monolithic(composed, NativeInstance(composed)), options)
     models = {n: build_model(d, Collocated(k)) for n, d in net.declared.items()}
     (path,) = export(models["b1"], tmp_path, (version,), step=0.1, node_inputs=True, impulses=True)
-    members: list[Any] = [EngineMember("b0", models["b0"], NativeInstance(models["b0"])), FMUMember("b1", FMUInstance(path))]
+    members: list[Any] = [
+        EngineMember("b0", models["b0"], NativeInstance(models["b0"])),
+        FMUMember("b1", FMUInstance(path)),
+    ]
     assert_same(net, whole, run(Coupled(net, members), options))
