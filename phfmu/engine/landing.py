@@ -85,7 +85,7 @@ class Landing:
         steps: list[Taken] = []
         try:
             for i in range(grid.n):
-                for found in self._grid_step(grid.start(i), grid.start(i + 1), grid.h, read, changed):
+                for found in self.within(grid.start(i), grid.start(i + 1), grid.h, read, changed):
                     if isinstance(found, Happened):
                         yield Landed.of(steps, found)
                         steps = []
@@ -99,10 +99,10 @@ class Landing:
         if steps:
             yield Landed.of(steps)
 
-    def _grid_step(
+    def within(
         self, t: float, end: float, h: float, read: Callable[[], dict[str, Array]], changed: bool
     ) -> Iterator[Taken | Happened]:
-        """The steps and events in [t, end]."""
+        """The steps and events in [t, end], of a grid of steps h; `over` is made of these."""
         events = 0
         self.begin()
         if changed and self.structure is not None and self.structure.unsettled:

@@ -24,6 +24,7 @@ from phfmu.terms.canonical import member
 
 if TYPE_CHECKING:
     from phfmu.engine.native_modes import NativeModes
+    from phfmu.engine.node_sensitivity import NodeSensitivity
 
 Array = NDArray[Any]
 
@@ -48,12 +49,11 @@ class SwitchedInstance(Signals):
         self._instances: dict[Mode, Any] = {self._mode: make(self._models[self._mode])}
         self._fresh = {self._mode: self.present.get_state()}
         self._asked = self._mode
-        self._started, self._step, self._last, self._held = False, 0.0, 0.0, True
+        self.typical_step = 0.0  #: what it was prepared for
+        self._started, self._last, self._held = False, 0.0, True
         self._merged: MergedStep | None = None
         #: state events of the last `do_step`
         self.happened: tuple[Happened, ...] = ()
-
-    # -- the present mode ----------------------------------------------------------------------------------------------
 
     @property
     def mode(self) -> Mode:
@@ -81,12 +81,7 @@ class SwitchedInstance(Signals):
 
     def prepare(self, h: float) -> None:
         """Steps will be about as long as h: modes are tried over a small part of it where nothing else says what is short."""
-        self._step = h
-
-    @property
-    def typical_step(self) -> float:
-        """What it was prepared for, 0 if it was not."""
-        return self._step
+        self.typical_step = h
 
     @property
     def sides(self) -> tuple[int, ...]:
@@ -120,7 +115,7 @@ class SwitchedInstance(Signals):
         """
         old, switches = self.present, self._models.modes.switches
         at = At(old.x, old.signal("a_end"), old.held_input, p, old.time)
-        found = decide(self.model.name, self._models.modes, self._mode, at, h or self._step)
+        found = decide(self.model.name, self._models.modes, self._mode, at, h or self.typical_step)
         changed = [j for j, m in enumerate(found.mode) if m != self._mode[j]]
         new = self._entered(found.mode)
         new.set_parameters(found.p)
@@ -134,6 +129,12 @@ class SwitchedInstance(Signals):
         if changed:
             lost[member(list(self.model.members), switches[changed[0]].owner)] = -energy.sum()
         return Change(energy, lost, tuple(f"{switches[j].name} {'on' if found.mode[j] else 'off'}" for j in changed))
+
+    def settle(self) -> None:
+        """Takes the modes that were set as they are: what they ask for was decided elsewhere, with the state."""
+        p = self.parameters
+        self._entered(self._asked).set_parameters(p)
+        self._mode, self._started, self._merged = self._asked, True, None
 
     def land(
         self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
@@ -172,8 +173,6 @@ class SwitchedInstance(Signals):
         self._merged, self.happened = None, ()
         self.present.step_exactly(t, h)
         self._last = h or self._last
-
-    # -- an instance ---------------------------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
@@ -238,7 +237,12 @@ class SwitchedInstance(Signals):
 
     def continue_from(self, other: SwitchedInstance) -> None:
         """Go on from another of the same declaration under another scheme, in its mode."""
-        self._asked, self._started, self._step, self._merged = other._asked, other._started, other._step, None
+        self._asked, self._started, self.typical_step, self._merged = (
+            other._asked,
+            other._started,
+            other.typical_step,
+            None,
+        )
         self._last, self._held = other._last, other._held
         self._mode = other._mode
         self.present.continue_from(other.present)
@@ -261,6 +265,10 @@ class SwitchedInstance(Signals):
         if self._merged is not None:
             raise StepFailure(Status.NO_SENSITIVITY, self.model.name, self.time, 0.0)
         return self.present.sensitivity()
+
+    def node_sensitivity(self, inputs: Sequence[int] | None, impulses: bool, end: bool) -> NodeSensitivity:
+        """Of the last step, taken exactly; see `Instance.node_sensitivity`."""
+        return self.present.node_sensitivity(inputs, impulses, end)
 
     def signals(self) -> dict[str, Array]:
         return {block: self._shown(block, values) for block, values in self.present.signals().items()}

@@ -29,10 +29,12 @@ from phfmu import (
 from phfmu.audit import AuditWriter
 from phfmu.cli import main
 from phfmu.components.electrical.switches import diode
+from phfmu.components.library import build
 from phfmu.components.mechanical.contacts import bumper
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.breaker_opening import breaker_opening
 from phfmu.engine.event_failure import EventRefused
+from phfmu.engine.switched import stepped
 from phfmu.fmu.variables import FMUError
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.newton import Newton
@@ -184,13 +186,18 @@ def test_run_by_command(capsys: Any) -> None:
 
 
 def test_ideal_switches_between_inputs_are_refused_by_name(tmp_path: Path) -> None:
-    """As members and as units: none of their modes could be left."""
+    """As units, and as members that step in turn: none of their modes could be left."""
     model = build_model(diode())
+    net = build("rectifier").system
+    members = [
+        EngineMember(n, m, stepped(m, PythonInstance))
+        for n, m in ((n, build_model(d)) for n, d in net.declared.items())
+    ]
     with pytest.raises(
         ValueError,
-        match="member 'd' has ideal switches .* between inputs.*; leave out --coupling, so that the network is composed",
+        match="member 'bridge' has ideal switches .* between inputs.*; leave out --coupling, so that the network is composed",
     ):
-        EngineMember("d", model, None)
+        Coupled(net, members, Newton())
     with pytest.raises(FMUError, match="has ideal switches .* between inputs"):
         export(model, tmp_path, ("3.0",), step=1e-3)
 

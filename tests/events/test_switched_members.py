@@ -33,6 +33,7 @@ from phfmu import (
     time,
 )
 from phfmu.cli import main
+from phfmu.components.control.relay import relay
 from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.apart import Apart
 from tests.engines import ENGINES
@@ -164,17 +165,24 @@ def test_a_step_with_a_change_of_mode_is_told_as_one_and_taken_back_bitwise(engi
 
 
 def test_what_members_with_switches_exchange_is_told() -> None:
-    apart = Apart(network())
+    """Where all land together they exchange what others do; beside signals, which are held, they land inside their steps."""
+    assert "with --coupling newton (k = order / 2 values" in Apart(network()).order() and not Apart(network()).held
+    net = network()
+    net.add("relay", relay(0.0, 1.0))
+    net.add("other", relay(0.0, 1.0))
+    net.signal("relay.command", "other.measured")
+    apart = Apart(net)
     assert "2 with --coupling newton: supply takes held inputs" in apart.order()
     assert "supply has ideal switches, whose modes change within its step" in apart.exchanged()["node"]
     assert apart.held == ["supply"]
 
 
 def test_a_bridge_between_currents_that_are_given_is_refused_as_a_member_by_name(capsys):
-    """Apart, both sides of its switches are inputs; composed it runs."""
-    assert main(["run", "rectifier", "--coupling", "newton", "--engine", "python"]) != 0
+    """Where members step in turn, both sides of its switches are inputs; composed and with newton it runs."""
+    assert main(["run", "rectifier", "--coupling", "gauss-seidel", "--engine", "python"]) == 2
     err = capsys.readouterr().err
     assert "bridge" in err and "leave out --coupling, so that the network is composed" in err
+    assert "or take --coupling newton" in err
 
 
 @pytest.mark.parametrize("engine", ENGINES)

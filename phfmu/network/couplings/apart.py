@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from phfmu.network.couplings.bare_columns import Bare, bare
 from phfmu.network.couplings.newton import Newton
+from phfmu.network.couplings.relations import bent
 from phfmu.network.junctions.interface import Interface, interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.wires import Wire
@@ -29,7 +30,9 @@ class Apart:
         self.network = network
         #: members that take one held value a step
         self.held = [n for n, u in network.units.items() if not u.k]
-        self.held += [n for n, d in network.declared.items() if d.switches]
+        switched = [n for n, d in network.declared.items() if d.switches]
+        if switched and (network.units or network.wires or bent(network, network.declared)):
+            self.held += switched
 
     @cached_property
     def wires(self) -> list[Wire]:
@@ -68,7 +71,7 @@ class Apart:
         """Members that exchange impulses; if the start is to be `projected`, all that take some."""
         if projected:
             declared = self.network.declared.items()
-            return {n for n, d in declared if n not in self.held and DeclaredOffer(n, d).kicked}
+            return {n for n, d in declared if n not in self.held and not d.switches and DeclaredOffer(n, d).kicked}
         face, found = self._bare
         return {e.member for j in self.network.junctions if face.sums[j.name].start in found.columns for e in j.ends}
 
@@ -94,7 +97,8 @@ class Apart:
         for o in offers.values():
             places.append(slice(at, at + o.nu))
             at += o.nu
-        taking = [None if n in self.held or not o.ports else o for n, o in offers.items()]
+        switched = {n for n, d in network.declared.items() if d.switches}
+        taking = [None if n in self.held or n in switched or not o.ports else o for n, o in offers.items()]
         return face, bare(network, face, places, taking)
 
 

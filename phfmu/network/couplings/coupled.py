@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
-from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
+from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.followed import Followed
 from phfmu.network.couplings.growth import Growth
@@ -21,7 +21,8 @@ from phfmu.network.couplings.held_signals import HeldSignals
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.jumps_apart import JumpsApart
-from phfmu.network.couplings.node_newton import NodeNewton, newton, xi_at_end
+from phfmu.network.couplings.landings import landings
+from phfmu.network.couplings.node_newton import newton, xi_at_end
 from phfmu.network.couplings.start_values import start_values
 from phfmu.network.couplings.totals import Totals
 from phfmu.network.couplings.unconverged import booked, plain
@@ -32,10 +33,8 @@ from phfmu.signals import SignalKind
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
-    from phfmu.network.couplings.exchange import Exchange
     from phfmu.network.couplings.master import Master
     from phfmu.network.couplings.stepper import Landing
-    from phfmu.network.couplings.together import Together
     from phfmu.network.members.interpolant import Interpolant
 
 Array = NDArray[Any]
@@ -63,14 +62,13 @@ class Coupled:
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
         closes = self.coupling.closes and not self.joined.put_off
         self._growth = None if closes else Growth(self.joined)
-        face = self.joined.face
+        face, inner = self.joined.face, plain(self.coupling)
         self.last = Solution(face.start.copy(), np.zeros(len(face.column)))
-        inner = plain(self.coupling)
-        self._exchange = inner.exchange if isinstance(inner, NodeNewton) else None
+        steps = AllSteps(self._all_step, lambda: (self.joined.states(), self.last), self._all_back)
+        self._exchange, self._lander, self._switching = landings(self.joined, inner, steps)
         self._works = Works(self.joined, self._exchange, inner.repeats)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
         self._signals = HeldSignals(self.joined, self._exchange.wires if self._exchange else ())
-        self._together = self._landing(self._exchange) if self._exchange else None
         self._sums = EndSums(self.joined)
         self._jumps = JumpsApart(self.joined, self._sums)
         #: junction unknowns of the instant before the first step
@@ -78,17 +76,6 @@ class Coupled:
         own = [*self.joined.names, *face.names, *self._sums.names]
         self._totals = Totals([m.name for m in members], own)
         self.names = [*self._totals.names, *own]
-
-    def _landing(self, exchange: Exchange) -> Together | None:
-        members = exchange.landing()
-        if not members:
-            return None
-        from phfmu.network.couplings.together import Together
-
-        return Together(self.joined, exchange.shared, members, self._all_step, self._where, self._all_back)
-
-    def _where(self) -> tuple[list[Any], Solution]:
-        return self.joined.states(), self.last
 
     def _all_step(self, t: float, h: float) -> bool:
         """Whether it went in one part."""
@@ -102,7 +89,7 @@ class Coupled:
     @property
     def lands(self) -> bool:
         """Whether steps end on the zeros of guards, all members together."""
-        return self._together is not None
+        return self._lander is not None
 
     @cached_property
     def _master(self) -> Master | None:
@@ -138,6 +125,8 @@ class Coupled:
 
     @followed.setter
     def followed(self, data: Interpolant | None) -> None:
+        if data and self._switching:
+            raise ValueError(self._switching.held_only)
         self.joined.followed = Followed(data, self.free_inputs) if data else None
 
     def settable(self) -> list[str]:
@@ -174,11 +163,14 @@ class Coupled:
             m.check_start()
         self.joined.apply(self.last.xi)
         self._signals.sample(self.last.xi)
-        self._sums.require_zero(self.last.xi)
+        if self._switching is None:  # else entering the first mode sees to that, and books it
+            self._sums.require_zero(self.last.xi)
         self.last = replace(self.last, y=self.joined.end_outputs())
 
-    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection:
+    def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
         """Rows of states at junctions made zero by an impulse; what has moved.  ValueError with the remedy."""
+        if self._switching:  # entering the first mode does so
+            return None
         from phfmu.network.couplings.impulsive_start import project_start
 
         found = project_start(self.joined, t0, kept)
@@ -192,6 +184,10 @@ class Coupled:
         """
         if self._growth is not None:
             self._growth.given(self.energies())
+        if self._switching is not None:
+            self._at_start = self._switching.begin(h)
+            self.last = Solution(self._at_start, self.last.y)
+            return
         if not self.coupling.repeats:
             self.last = Solution(Instant().solve(self.joined, self.last.xi, t0), self.last.y)
             self.joined.begin(self.last.xi)
@@ -273,21 +269,23 @@ class Coupled:
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
-        assert self._together is not None
-        self._at_start = None
+        lander = self._lander
+        assert lander is not None
         for k in range(first, first + n):
-            for t, taken, happened in self._together.over(t0 + k * h, t0 + (k + 1) * h, changed):
+            for t, taken, happened in lander.over(t0 + k * h, t0 + (k + 1) * h, changed):
+                self._at_start = None if taken or self._switching else self._at_start
                 if taken:
                     try:
                         steps = Steps.stacked([self._known(t, taken)])
                     except BaseException:
-                        self._together.back()
+                        lander.back()
                         raise
                     yield np.array([t]), np.array([taken]), steps, None
                     continue
                 self._sums.forget()
-                self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
-                self.joined.apply(self.last.xi)
+                xi = self._switching.xi if self._switching else self.last.xi
+                self.last = Solution(xi, self.last.y)  # what comes is not the continuation of the step before
+                self.joined.apply(xi)
                 assert happened is not None
                 yield np.zeros(0), np.zeros(0), None, (happened, self.read())
             changed = False

@@ -6,6 +6,7 @@ A coupling is one file with one class; `newton.py` is one.  It is given the memb
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -28,6 +29,15 @@ class Step:
     t: float
     h: float
     states: list[Any]
+
+
+@dataclass(frozen=True)
+class AllSteps:
+    """solve: takes a step (t, h) of all members, True if in one part;  save, restore: of where all are."""
+
+    solve: Callable[[float, float], bool]
+    save: Callable[[], Any]
+    restore: Callable[[Any], None]
 
 
 @dataclass(frozen=True)

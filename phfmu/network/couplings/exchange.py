@@ -11,6 +11,9 @@ A signal between members that take and give it at nodes is exchanged alike, with
     u = R xi + offset,     r_i = xi_i - factor (R* y)_i,
 
 and has no power: its weights in all energies are zero.
+
+Members that are ideal switches and nothing else have no steps of their own (`members/relation.py`): their unknowns a are columns
+too, and their rows, 0 = J a + B P xi and P^T B^T a in those of their junctions, stand in C, anew in each mode.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.bare_columns import bare
 from phfmu.network.couplings.clusters import Clusters
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.relations import Relations, all_together
 from phfmu.network.couplings.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
@@ -78,9 +82,12 @@ class Exchange:
 
     def __init__(self, joined: Joined):
         self.joined, face = joined, joined.face
+        #: whether events are those of the composed declaration, for which members with ideal switches land with all others
+        self.whole = all_together(joined)
         self.shared = SharedJumps(joined)
         parts = [node_values(m, self._lands(m)) for m in joined.members]
-        self._hold_at_bare_nodes(parts)
+        if not self.whole:
+            self._hold_at_bare_nodes(parts)
         k_of = {v.member.name: v.rule.k for v in parts}
         #: values per column of the interface
         self.k = columns_k(joined, k_of)
@@ -88,16 +95,23 @@ class Exchange:
         self.wires = self._at_nodes_both(parts)
         wires = [joined.network.wires[i] for i in self.wires]
         self._offset = np.array([w.offset for w in wires])
-        #: values per column, signals being columns of their own behind those of the interface
-        self.counts = np.array([*self.k, *(min(k_of[w.source], k_of[w.target]) for w in wires)], int)
-        self.names = [*face.names, *(f"{w.target}.{w.input}" for w in wires)]
+        self.relations = Relations(joined, len(self.k) + len(wires))
+        #: values per column, signals being columns of their own behind those of the interface, then unknowns of relations
+        self.counts = np.array(
+            [*self.k, *(min(k_of[w.source], k_of[w.target]) for w in wires), *self.relations.counts], int
+        )
+        self.names = [*face.names, *(f"{w.target}.{w.input}" for w in wires), *self.relations.names]
         self.columns = np.repeat(np.arange(len(self.counts)), self.counts)
         self._first = np.cumsum(self.counts) - self.counts
         self.at_node = np.concatenate([np.zeros(0, int), *(np.arange(k) for k in self.counts)])
         self._b = np.concatenate([np.zeros(0), *(nodes(int(k)).b for k in self.counts)])
-        self.weights = np.where(self.columns < len(self.k), self._b, 0.0)
-        self.C = self._at_nodes(csr_array(block_diag([face.C, eye_array(len(wires))])))
-        self.row_nominal = np.concatenate([face.row_nominal, np.ones(len(wires))])[self.columns]
+        signal = (self.columns >= len(self.k)) & (self.columns < self.relations.first)
+        self.weights = np.where(signal, 0.0, self._b)
+        self._plain = csr_array(block_diag([face.C, eye_array(len(wires))]))
+        self.join()
+        self.row_nominal = np.concatenate([face.row_nominal, np.ones(len(wires)), self.relations.row_nominal])[
+            self.columns
+        ]
         offers = [v.offer for v in parts]
         found = bare(joined.network, face, joined.places, offers)
         self.bare, self.offered = list(found.columns), list(found.offered)
@@ -112,9 +126,15 @@ class Exchange:
 
     def _lands(self, member: Member) -> bool:
         """Whether a member may land together with the others: of order 4 and 6, and where jumps act on other members."""
+        if self.whole:
+            return True
         if self.joined.network.wires or not has_events(member) or not member.guards_states:
             return False
         return member.model.step.k > 1 or member.name in self.shared.of
+
+    def join(self) -> None:
+        """C, with relations in their present modes."""
+        self.C = self._at_nodes(self.relations.added(self._plain))
 
     def _hold_at_bare_nodes(self, parts: list[NodeValues]) -> None:
         """Members with state events take no impulses: where they meet at bare nodes, they land inside and take held values."""
@@ -136,7 +156,8 @@ class Exchange:
 
     def spread(self, xi: Array) -> Array:
         """Values of the columns, the same at all nodes; of signals as they are now."""
-        return np.concatenate([xi, self.joined.sampled[self.wires] - self._offset])[self.columns]
+        signals = self.joined.sampled[self.wires] - self._offset
+        return np.concatenate([xi, signals, self.relations.values()])[self.columns]
 
     def mean(self, values: Array) -> Array:
         """sum_i b_i xi_i of each column."""
@@ -180,9 +201,15 @@ class Exchange:
 
     def _share(self, values: NodeValues, i: int, place: slice) -> Share:
         (columns, P), rule = self.joined.reach(i), values.rule
-        signals, into, out = self._signals(values.member.name, place)
-        all_, right, left = np.append(columns, signals), np.hstack([P, into]), np.hstack([P, out])
-        to, back = np.zeros((2, rule.k, len(P), int(self.counts[all_].sum())))
+        own_a = self.relations.of(i)
+        if len(own_a):  # what its rows leave is in C
+            all_, right = np.append(columns, own_a), block_diag([P, np.eye(len(own_a))]).toarray()
+            left = np.zeros_like(right)
+        else:
+            signals, into, out = self._signals(values.member.name, place)
+            all_, right, left = np.append(columns, signals), np.hstack([P, into]), np.hstack([P, out])
+        width = len(right)
+        to, back = np.zeros((2, rule.k, width, int(self.counts[all_].sum())))
         own, at = np.zeros(to.shape[2], int), 0
         for c, p, q in zip(all_, right.T, left.T, strict=True):
             k = int(self.counts[c])
@@ -190,10 +217,10 @@ class Exchange:
             to[:, :, at : at + k], back[:, :, at : at + k] = R[:, None, :] * p[:, None], R[:, None, :] * q[:, None]
             own[at : at + k] = self._first[c] + np.arange(k)
             at += k
-        to, back = to.reshape(rule.k * len(P), at), back.reshape(rule.k * len(P), at)
-        back = back.T * np.repeat(rule.b, len(P)) / self._b[own][:, None]
-        fed = np.flatnonzero(right.any(axis=1)).tolist()
-        rows = [node * len(P) + j for node in range(rule.k) for j in fed]
+        to, back = to.reshape(rule.k * width, at), back.reshape(rule.k * width, at)
+        back = back.T * np.repeat(rule.b, width) / self._b[own][:, None]
+        fed = [] if len(own_a) else np.flatnonzero(right.any(axis=1)).tolist()
+        rows = [node * width + j for node in range(rule.k) for j in fed]
         kicked = values.offer.kicked if self.bare and values.offer else []
         mine = self._bare[columns] >= 0
         ends = P[:, mine]

@@ -103,11 +103,15 @@ class NodeNewton:
     def __init__(self, exchange: Exchange):
         self.exchange = exchange
         self.order = 2 * int(exchange.counts.min(initial=exchange.counts.max(initial=1)))
-        self._C, self._abs_C = small(exchange.C), small(abs(exchange.C))
-        every = exchange.C.copy()
-        every.resize((len(exchange.columns) + 2 * len(exchange.bare),) * 2)
-        #: among rows of impulses too
-        self._between = small(every)
+        self.join()
+
+    def join(self) -> None:
+        """Takes C of the exchange, at the start and where it has changed."""
+        e = self.exchange
+        self._C, self._abs_C = small(e.C), small(abs(e.C))
+        every = e.C.copy()
+        every.resize((len(e.columns) + 2 * len(e.bare),) * 2)
+        self._between = small(every)  # among rows of impulses too
 
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """StepFailure (no convergence, singular, not finite) names the worst junction row."""
@@ -211,7 +215,8 @@ class NodeNewton:
         ends, end_size, S1 = np.zeros(len(e.bare)), np.zeros(len(e.bare)), e.clusters.blank()
         for s in e.shares:
             free = e.joined.free_at_nodes(s.place, s.values.rule.c, step.t, h)
-            U = (s.to @ z.xi[s.own]).reshape(s.values.rule.k, -1) + free
+            U = (s.to @ z.xi[s.own]).reshape(s.values.rule.k, -1)
+            U[:, : s.place.stop - s.place.start] += free
             Y = s.values.step(U, (s.Q @ m[s.bare], s.Q @ m1[s.bare]) if s.kicked else None, step.t, h)
             rows[s.own] += s.back @ Y.ravel()
             size[s.own] += s.abs_back @ np.abs(Y.ravel())
@@ -258,10 +263,9 @@ class NodeNewton:
         worst = int(np.argmax(scaled)) if scaled.size else 0
         n, column = len(e.columns), [*e.columns, *e.bare][worst]
         where = f" at node {e.at_node[worst] + 1}" if worst < n else " at the end of the step"
-        value = z.xi[worst] if worst < n else e.mean(z.xi)[column]
-        residual = abs(np.concatenate([trial.rows, trial.ends])[worst])
-        found = Worst(e.names[column] + where, float(value), float(residual))
-        return failure(status, e.joined, step, found, history)
+        value = float(z.xi[worst] if worst < n else e.mean(z.xi)[column])
+        residual = float(abs(np.concatenate([trial.rows, trial.ends])[worst]))
+        return failure(status, e.joined, step, Worst(e.names[column] + where, value, residual), history)
 
 
 def forecast(missed: Sequence[Array]) -> Array:
@@ -292,4 +296,4 @@ def _root(S0: Array, S1: Array) -> Array:
 def newton(joined: Joined) -> Coupling:
     """The coupling with the most that the members offer; where that is one held value each, `Newton`."""
     exchange = Exchange(joined)
-    return Newton() if exchange.held else NodeNewton(exchange)
+    return Newton() if exchange.held and not exchange.whole else NodeNewton(exchange)

@@ -33,12 +33,6 @@ class EngineMember:
     saves = True
 
     def __init__(self, name: str, model: Model, instance: Any, parts: int = 1):
-        if model.modes is not None and (bound := model.modes.modes.system.between_inputs):
-            raise ValueError(
-                f"member '{name}' has ideal switches ({', '.join(bound[:4])}) between inputs, which other members set, so that "
-                "none of its own values follows where they are closed; leave out --coupling, so that the network is composed, "
-                "or make one member of them and what is on one side"
-            )
         self.name, self.model, self.instance, self.parts = name, model, instance, parts
         self._inputs = Inputs(instance, model)
         d = model.declaration
@@ -66,6 +60,22 @@ class EngineMember:
         self._booked = booked(model)
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names
+
+    @property
+    def between_inputs(self) -> str:
+        """Why it has no steps of its own, which is told; "" if it has."""
+        bound = [] if self.model.modes is None else self.model.modes.modes.system.between_inputs
+        if not bound:
+            return ""
+        return (
+            f"member '{self.name}' has ideal switches ({', '.join(bound[:4])}) between inputs, which other members set, so that "
+            "none of its own values follows where they are closed; leave out --coupling, so that the network is composed, "
+            "or make one member of them and what is on one side"
+        )
+
+    def become(self, instance: Any) -> None:
+        """Is stepped by another instance of its model from now on."""
+        self.instance, self._inputs = instance, Inputs(instance, self.model)
 
     @property
     def units(self) -> dict[str, str]:

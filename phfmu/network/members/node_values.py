@@ -222,6 +222,8 @@ def node_values(member: Member, together: bool = True) -> NodeValues:
     """
     if isinstance(member, EngineMember) and member.model.events is not None and not together:
         return HeldNodes(member)
+    if isinstance(member, EngineMember) and member.model.modes is not None:
+        return InstanceNodes(member, member.model.scheme.nodes, None)
     if isinstance(member, EngineMember) and (scheme := member.model.scheme).node_values:
         offer = DeclaredOffer(member.name, member.model.declaration) if scheme.impulses else None
         return InstanceNodes(member, scheme.nodes, offer)

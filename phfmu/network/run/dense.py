@@ -19,9 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.discretise.onestep import step_layout
-from phfmu.events.polynomial import Polynomial
-from phfmu.terms.extract import extract
+from phfmu.discretise.within import polynomial_of
 
 Array = NDArray[np.float64]
 
@@ -30,13 +28,6 @@ INSTANT = ("x", "time", "a_end", "y_end", "observables", "H")
 SUMS = ("energy", "supplied", "dissipated", "residual")
 #: what the end of a step may differ from that of its polynomial: of the states, and of what they changed by
 ROUNDING, DIVIDED = 1e-12, 1e-3
-
-
-def polynomial_of(model: Model) -> Polynomial:
-    """The states within a step of a model."""
-    scheme = model.scheme
-    layout = step_layout(extract(model.declaration, joint=scheme.joint), scheme)
-    return Polynomial(layout, scheme.nodes, scheme.maps(layout))
 
 
 class Dense:

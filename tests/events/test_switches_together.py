@@ -1,0 +1,149 @@
+"""Members with ideal switches that land together with all others: the composed run, with the steps of members apart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from event_reference import LA, LD
+from event_reference import bridge as bridge_by_hand
+
+from phfmu import (
+    Collocated,
+    Coupled,
+    EngineMember,
+    Event,
+    Monolithic,
+    NativeInstance,
+    Network,
+    Options,
+    PythonInstance,
+    build_model,
+    run,
+)
+from phfmu.cli import main
+from phfmu.components.library import build
+from phfmu.components.scenes.buck import buck
+from phfmu.engine.switched import stepped
+from phfmu.network.couplings.apart import Apart
+from phfmu.network.couplings.gauss_seidel import GaussSeidel
+from phfmu.network.couplings.node_newton import newton
+from phfmu.network.members.interpolant import Interpolant
+from tests.events.scenes import ENGINES
+from tests.events.test_switched_members import network as charger
+from tests.wide import wide
+
+#: what of a column two runs that are the same may differ by
+ROUNDING = 1e-12
+
+
+def members(net: Network, engine: Any, orders: dict[str, int] | int) -> list[Any]:
+    k = orders if isinstance(orders, dict) else dict.fromkeys(net.declared, orders)
+    models = {n: build_model(d, Collocated(k[n])) for n, d in net.declared.items()}
+    return [EngineMember(n, m, stepped(m, engine)) for n, m in models.items()]
+
+
+def both(net: Network, engine: Any, k: int, options: Options) -> tuple[Any, Any]:
+    """The run apart and the composed one."""
+    model = build_model(net.compose(), Collocated(k))
+    apart = run(Coupled(net, members(net, engine, k)), options)
+    return apart, run(Monolithic(model, stepped(model, engine)), options)
+
+
+def require_same(apart: Any, composed: Any, events: int) -> None:
+    """Rows at the same times, before and after each event; modes, states, outputs and energies to rounding; closed."""
+    assert np.abs(apart.time - composed.time).max() <= 1e-16 and (np.diff(apart.time) == 0).sum() >= events - 1
+    names = [n for n in composed.names if n in apart.names and "residual" not in n]
+    assert len(names) >= 20
+    for name in names:
+        off, size = np.abs(apart.column(name) - composed.column(name)), np.abs(composed.column(name))
+        assert off.max() <= ROUNDING * max(1.0, size.max()), name
+    summary = apart.ledger.summary()
+    assert summary.closed and summary.events["state"] == composed.ledger.summary().events["state"] == events
+    assert [n.partition(", lost")[0] for n in apart.notes] == [n.partition(", lost")[0] for n in composed.notes]
+
+
+@pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (1, 2, 3)], (PythonInstance, 2)))
+def test_a_bridge_between_two_members_is_the_composed_one(engine: Any, k: int) -> None:
+    """Both sides of its switches are given by others: they have no steps of their own, but rows of the interface."""
+    require_same(*both(build("rectifier").system, engine, k, Options(stop=0.006, step=5e-4)), events=3)
+
+
+@pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (2, 3)], (PythonInstance, 2)))
+def test_three_phases_commutate_with_overlap_from_rest(engine: Any, k: int) -> None:
+    """In the first mode all diodes block and nothing determines the rails; the start closes two."""
+    require_same(*both(build("six_pulse").system, engine, k, Options(stop=0.004, step=2.5e-4)), events=3)
+
+
+@pytest.mark.parametrize("engine", wide(ENGINES, PythonInstance))
+def test_a_chopper_and_a_diode_change_together(engine: Any) -> None:
+    """Two members of the network change modes at one instant, by the clock of one of them."""
+    apart, composed = both(buck().system, engine, 2, Options(stop=1e-4, step=5e-6))
+    require_same(apart, composed, events=5)
+    assert any("chopper.switch off, diode.diode on" in n for n in apart.notes)
+
+
+@pytest.mark.parametrize("engine", wide(ENGINES, PythonInstance))
+def test_events_of_the_scene_reach_the_instants_too(engine: Any) -> None:
+    """A resistance of a member beside the bridge is set on the way: what guards read follows it."""
+    events = (Event(2.2e-3, "load.R", 15.0), Event(3.1e-3, "grid.R", 0.5))
+    options = Options(stop=0.006, step=5e-4, events=events)
+    apart, composed = both(build("rectifier").system, engine, 2, options)
+    require_same(apart, composed, events=3)
+    assert composed.ledger.summary().events["parameter"] == 2
+
+
+@pytest.mark.parametrize(("engine", "k"), wide([(e, k) for e in ENGINES for k in (2, 3)], (PythonInstance, 2)))
+def test_a_member_with_states_and_a_switch_steps_in_the_mode_of_all(engine: Any, k: int) -> None:
+    require_same(*both(charger(), engine, k, Options(stop=0.02, step=5e-4)), events=3)
+
+
+@pytest.mark.parametrize("k", wide([1, 2, 3], 2))
+def test_orders_apart_against_the_closed_form(k: int) -> None:
+    """Eleven commutations of the rectifier: slopes 2k of event times and of currents at the stop."""
+    times, ia, idc = bridge_by_hand()
+    late, off = [], []
+    for n in (50, 100):
+        net = build("rectifier").system
+        result = run(Coupled(net, members(net, NativeInstance, k)), Options(stop=0.05, step=0.05 / n))
+        found = result.time[np.flatnonzero(np.diff(result.time) == 0)]
+        late.append(np.abs(found - times).max())
+        flux = np.array([result.column(f"{m}.flux")[-1] for m in ("grid", "load")])
+        off.append(np.linalg.norm(flux / [LA * ia, LD * idc] - 1))
+    assert min(np.log2([late[0] / late[1], off[0] / off[1]])) >= 2 * k - 0.4
+    assert late[1] <= (2e-6, 1e-9, 1e-12)[k - 1]
+
+
+def test_where_switches_can_not_land_with_all_others_they_are_refused_by_name() -> None:
+    net = build("rectifier").system
+    with pytest.raises(
+        ValueError, match="member 'bridge' has ideal switches .* between inputs.*, or take --coupling newton"
+    ):
+        Coupled(net, members(net, PythonInstance, 1), GaussSeidel(("grid", "bridge", "load")))
+    with pytest.raises(
+        ValueError, match=r"between inputs.* \(members have different orders \(grid: 4, bridge: 4, load: 2\)"
+    ):
+        Coupled(net, members(net, PythonInstance, {"grid": 2, "bridge": 2, "load": 1}))
+    many = [EngineMember(m.name, m.model, m.instance, 2) for m in members(net, PythonInstance, 2)]
+    with pytest.raises(ValueError, match=r"between inputs.* \(grid takes no inputs at the nodes of its steps"):
+        Coupled(net, many)
+
+
+def test_inputs_that_follow_data_are_refused_beside_switches_that_land() -> None:
+    net = charger()
+    coupled = Coupled(net, members(net, PythonInstance, 2), newton)
+    with pytest.raises(ValueError, match="charger: inputs .* do not follow data.*; leave out --coupling"):
+        coupled.followed = Interpolant(["x"], np.array([0.0, 1.0]), np.zeros((2, 1)), "linear")
+
+
+def test_what_such_members_exchange_is_told() -> None:
+    apart = Apart(build("rectifier").system)
+    assert apart.order() == "--order, composed and with --coupling newton (k = order / 2 values per step)"
+    assert set(apart.exchanged().values()) == {"k values, order 2k"}
+
+
+def test_the_command_line_steps_the_rectifier_apart(capsys: Any) -> None:
+    args = ["--coupling", "newton", "--order", "4", "--engine", "python", "--stop", "0.002"]
+    assert main(["run", "rectifier", *args]) == 0
+    assert "closed" in capsys.readouterr().out
