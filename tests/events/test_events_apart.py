@@ -189,7 +189,7 @@ def test_ideal_switches_between_inputs_are_refused_by_name(tmp_path: Path) -> No
     """As units, and as members that step in turn: none of their modes could be left."""
     model = build_model(diode())
     net = build("rectifier").system
-    members = [
+    members: list[Any] = [
         EngineMember(n, m, stepped(m, PythonInstance))
         for n, m in ((n, build_model(d)) for n, d in net.declared.items())
     ]

@@ -24,13 +24,12 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.components.scenes.buck import buck
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.apart import Apart
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.members.interpolant import Interpolant
-from tests.events.scenes import ENGINES
+from tests.engines import ENGINES
 from tests.events.test_switched_members import network as charger
 from tests.wide import wide
 
@@ -79,7 +78,7 @@ def test_three_phases_commutate_with_overlap_from_rest(engine: Any, k: int) -> N
 @pytest.mark.parametrize("engine", wide(ENGINES, PythonInstance))
 def test_a_chopper_and_a_diode_change_together(engine: Any) -> None:
     """Two members of the network change modes at one instant, by the clock of one of them."""
-    apart, composed = both(buck().system, engine, 2, Options(stop=1e-4, step=5e-6))
+    apart, composed = both(build("buck").system, engine, 2, Options(stop=1e-4, step=5e-6))
     require_same(apart, composed, events=5)
     assert any("chopper.switch off, diode.diode on" in n for n in apart.notes)
 
@@ -125,7 +124,7 @@ def test_where_switches_can_not_land_with_all_others_they_are_refused_by_name() 
         ValueError, match=r"between inputs.* \(members have different orders \(grid: 4, bridge: 4, load: 2\)"
     ):
         Coupled(net, members(net, PythonInstance, {"grid": 2, "bridge": 2, "load": 1}))
-    many = [EngineMember(m.name, m.model, m.instance, 2) for m in members(net, PythonInstance, 2)]
+    many: list[Any] = [EngineMember(m.name, m.model, m.instance, 2) for m in members(net, PythonInstance, 2)]
     with pytest.raises(ValueError, match=r"between inputs.* \(grid takes no inputs at the nodes of its steps"):
         Coupled(net, many)
 
