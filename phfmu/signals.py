@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from phfmu.declare.port import conjugate
 from phfmu.declare.variable_kind import VariableKind
 
 if TYPE_CHECKING:
@@ -199,8 +200,7 @@ def _ports(model: Model) -> Iterator[Quantity]:
         if port.signal:
             yield from _taken(model, port, first)
             continue
-        flow, effort = port.domain.flow, port.domain.effort
-        given, found = (effort, flow) if port.given == "effort" else (flow, effort)
+        given, found = port.domain.word(port.given), port.domain.word(conjugate(port.given))
         text = f"of port {port.name}" + (f" ({port.description})" if port.description else "")
         causality: Causality = "output" if port.external else "local"
         if port.external:

@@ -132,7 +132,7 @@ def _print_declaration(d: PHDAE, target: str) -> None:
     for p in d.ports:
         how = "given" if p.external else "from inside" if p.source is not None else "joined"
         size = f"[1..{p.size}]" if p.size else ""
-        names = f"{p.name}.{p.domain.effort if p.given == 'effort' else p.domain.flow}{size}"
+        names = f"{p.name}.{p.domain.word(p.given)}{size}"
         print(f"  {p.name:<28} {p.domain.name:<14} input {names} [{p.input_unit}] ({how}), output [{p.output_unit}]")
     if d.constraints:
         print(_rank(d, target))

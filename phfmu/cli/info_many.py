@@ -38,7 +38,7 @@ def print_many(network: Network) -> None:
     for j in network.junctions:
         ends = Counter(f"{kind_of[e.member]}.{e.port}" for e in j.ends)
         joined = ", ".join(f"{n} x {end}" if n > 1 else end for end, n in ends.items())
-        common = "common effort" if j.kind == "0" else "common flow"
+        common = f"common {j.shared}"
         groups.setdefault((joined, common, words[j.name]), []).append(j.name)
     print(f"junctions: {len(network.junctions)} of {counted(len(groups), 'kind')}")
     for (joined, common, exchange), names in groups.items():

@@ -54,6 +54,11 @@ class Jump:
     owner: str = ""
     law: Law = "free"
 
+    @property
+    def unilateral(self) -> bool:
+        """A contact that pushes only."""
+        return self.law == "unilateral"
+
 
 @dataclass(frozen=True, eq=False)
 class StateEvent:

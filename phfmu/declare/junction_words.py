@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.port import Port
+from phfmu.declare.port import Port, conjugate
 
 
 def junction_words(declaration: PHDAE, unknown: str, value: float) -> str:
@@ -28,7 +28,7 @@ def junction_words(declaration: PHDAE, unknown: str, value: float) -> str:
 
 def spread_words(port: Port, ends: tuple[str, ...], value: float) -> str:
     """The common variable that the ports `ends`, of which one is `port`, give differently."""
-    common = port.domain.flow if port.given == "effort" else port.domain.effort
+    common = port.domain.word(conjugate(port.given))
     return f"{common} of {listed(ends)} differ by {abs(value):.6g} {_unit(port, common)}"
 
 

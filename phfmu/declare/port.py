@@ -16,6 +16,11 @@ from phfmu.declare.variable import Number, Variable, _values
 Given = Literal["effort", "flow"]
 
 
+def conjugate(member: Given) -> Given:
+    """The other one of a pair."""
+    return "flow" if member == "effort" else "effort"
+
+
 @dataclass(frozen=True)
 class Domain:
     """A physical domain: names and units of effort and flow; their product is a power in watt."""
@@ -27,6 +32,19 @@ class Domain:
     flow_unit: str
     #: What ports share where they meet: "effort" (0-junction: a bus) or "flow" (1-junction: a rigid joint).
     common: Given
+
+    @property
+    def summed(self) -> Given:
+        """What sums to zero where ports meet."""
+        return conjugate(self.common)
+
+    def word(self, member: Given) -> str:
+        """What the domain calls a member of the pair, e.g. `velocity`."""
+        return self.effort if member == "effort" else self.flow
+
+    def unit(self, member: Given) -> str:
+        """Of that member."""
+        return self.effort_unit if member == "effort" else self.flow_unit
 
 
 ELECTRICAL = Domain("electrical", "v", "V", "i", "A", "effort")
@@ -123,7 +141,7 @@ class Port:
 
     def input_names(self) -> list[str]:
         """Names of the scalar inputs u, e.g. `terminal.v[1]`."""
-        return self._names(self.domain.effort if self.given == "effort" else self.domain.flow)
+        return self._names(self.domain.word(self.given))
 
     def input_starts(self) -> tuple[float, ...]:
         """Values of the scalar inputs before anyone sets them; DeclarationError for what fits no port of this size."""
@@ -131,7 +149,7 @@ class Port:
 
     def output_names(self, suffix: str = "") -> list[str]:
         """Names of the scalar outputs y, e.g. `terminal.i[1]` or with suffix `_step`."""
-        return self._names((self.domain.flow if self.given == "effort" else self.domain.effort) + suffix)
+        return self._names(self.domain.word(conjugate(self.given)) + suffix)
 
     def _indexed(self, member: str, n: int) -> list[list[str]]:
         """Per pair n names: the second index, of a scalar port the only one, counts them."""
@@ -142,23 +160,23 @@ class Port:
 
     def node_input_names(self, k: int) -> list[list[str]]:
         """Per pair the names of its input at the k nodes of a step, e.g. `terminal.v_node[1,2]`, `shaft.torque_node[2]`."""
-        return self._indexed((self.domain.effort if self.given == "effort" else self.domain.flow) + "_node", k)
+        return self._indexed(self.domain.word(self.given) + "_node", k)
 
     def node_output_names(self, k: int) -> list[list[str]]:
         """Per pair the names of its output at the k nodes of a step, e.g. `terminal.i_node[1,2]`."""
-        return self._indexed((self.domain.flow if self.given == "effort" else self.domain.effort) + "_node", k)
+        return self._indexed(self.domain.word(conjugate(self.given)) + "_node", k)
 
     def impulse_names(self) -> list[list[str]]:
         """Per pair the names of its impulses at both ends of a step: `terminal.v_impulse[1,2]`, `shaft.torque_impulse[1]`."""
-        return self._indexed((self.domain.effort if self.given == "effort" else self.domain.flow) + "_impulse", 2)
+        return self._indexed(self.domain.word(self.given) + "_impulse", 2)
 
     @property
     def input_unit(self) -> str:
-        return self.domain.effort_unit if self.given == "effort" else self.domain.flow_unit
+        return self.domain.unit(self.given)
 
     @property
     def output_unit(self) -> str:
-        return self.domain.flow_unit if self.given == "effort" else self.domain.effort_unit
+        return self.domain.unit(conjugate(self.given))
 
 
 def drive(name: str, *, description: str = "work of a moving constraint", owner: str = "") -> Port:

@@ -57,6 +57,11 @@ class Switch:
         return self.mode.names()[0]
 
     @property
+    def unilateral(self) -> bool:
+        """It opens and closes by itself."""
+        return self.law == "unilateral"
+
+    @property
     def scale(self) -> float:
         """c over mu, from what is typical of both."""
         return self.nominal / self.multiplier.nominal[0]
@@ -67,7 +72,7 @@ class Switch:
 
     def events(self, effort: Callable[[Variable | Port], ca.SX]) -> tuple[StateEvent, ...]:
         """Where a unilateral switch opens and closes."""
-        if self.law == "free":
+        if not self.unilateral:
             return ()
         mu, mode = self.multiplier, self.mode_name
         c = self.rate(effort) if self.gap is None else ca.SX(_sx(self.gap))

@@ -45,7 +45,7 @@ def select(modes: Modes, at: At, h: float, wanted: Wanted) -> Mode | None:
 
 
 def _candidates(modes: Modes, at: At, wanted: Wanted) -> Iterator[Mode]:
-    asked = [j for j, s in enumerate(modes.switches) if s.law == "unilateral" and j not in wanted.fixed]
+    asked = [j for j, s in enumerate(modes.switches) if s.unilateral and j not in wanted.fixed]
     values = _values(modes, at.p)
     for many in range(len(asked) + 1):
         for flipped in combinations(asked, many):
@@ -69,7 +69,7 @@ def complies(modes: Modes, at: At, step: float, mode: Mode, wanted: Wanted) -> b
         return False
     mu, c, gap = found
     for j, s in enumerate(modes.switches):
-        if s.law == "free" or j in wanted.fixed:
+        if not s.unilateral or j in wanted.fixed:
             continue
         if mode[j]:
             if mu[j] < -MU * s.multiplier.nominal[0]:

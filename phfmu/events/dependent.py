@@ -29,7 +29,7 @@ class Shared:
 
 def could_hold(modes: Modes, present: Mode, proposal: Mode, a: Array) -> Shared | None:
     """The first unilateral switch that the proposal opens, of the multipliers in `a` (na), and that others could relieve."""
-    opens = [j for j, s in enumerate(modes.switches) if present[j] and not proposal[j] and s.law == "unilateral"]
+    opens = [j for j, s in enumerate(modes.switches) if present[j] and not proposal[j] and s.unilateral]
     for j in opens:
         most = most_held(modes, present, a, j)
         if most > 0.0:
@@ -47,7 +47,7 @@ def most_held(modes: Modes, present: Mode, a: Array, j: int) -> float:
     mine = system.multipliers[j]
     if np.abs(a[mine]) > ZERO * system.nominal[mine] or not np.abs(D[mine]).max() > ZERO * system.nominal[mine]:
         return 0.0
-    at = np.array([system.multipliers[i] for i, s in enumerate(switches) if present[i] and s.law == "unilateral"])
+    at = np.array([system.multipliers[i] for i, s in enumerate(switches) if present[i] and s.unilateral])
     size = system.nominal[at]
     most = _most(D[mine] / system.nominal[mine], D[at] / size[:, None], np.maximum(a[at] / size, 0.0))
     return most * float(system.nominal[mine]) if most > ZERO else 0.0

@@ -91,6 +91,6 @@ def jump_tables(terms: Terms, events: Sequence[StateEvent]) -> JumpTables | None
         np.array(found.components, np.int32),
         found.held,
         np.array([j.most for j in jumps if j is not None], float),
-        np.array([j.law == "unilateral" for j in jumps if j is not None], np.int8),
+        np.array([j.unilateral for j in jumps if j is not None], np.int8),
         group,
     )

@@ -71,7 +71,7 @@ def switch_tables(modes: Modes, plan: Plan, events: EventPlan, observables: int)
         len(switches), events.n, plan.nx, plan.na, plan.nu, plan.np, plan.ncomp,
         a_end, a_end + plan.na + plan.nq + observables, size, (rates, energy),
         np.array(system.places, np.int32), np.array(system.multipliers, np.int32), np.array(system.owners, np.int32),
-        np.array([s.law == "unilateral" for s in switches], np.int8), np.array([s.gap is not None for s in switches], np.int8),
+        np.array([s.unilateral for s in switches], np.int8), np.array([s.gap is not None for s in switches], np.int8),
         np.array([s.nominal for s in switches], float), np.array([s.most for s in switches], float), system.size, system.nominal,
         np.cumsum([0, *(len(s.when) for s in switches)]).astype(np.int32),
         np.array([place[n] for s in switches for n in s.when], np.int32),

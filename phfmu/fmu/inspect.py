@@ -9,7 +9,6 @@ import fmpy
 
 from phfmu.fmu.archive import Archive, open_archive
 from phfmu.fmu.manifest import PortMap
-from phfmu.fmu.outward import summed
 from phfmu.fmu.port_tables import ENDING
 from phfmu.fmu.port_units import domain_of, unit_of
 from phfmu.fmu.unit_file import UnitFile, unit_file
@@ -74,7 +73,7 @@ def port_lines(ports: Sequence[PortMap]) -> list[str]:
     """The ports with their pairs."""
     lines = ["ports (power positive into the component):"] if ports else []
     for p in ports:
-        sense = f"; {getattr(p.domain, summed(p.domain))} positive out of the component" if p.sign < 0 else ""
+        sense = f"; {p.domain.word(p.domain.summed)} positive out of the component" if p.sign < 0 else ""
         pairs = f"input {', '.join(p.inputs)}; output {', '.join(p.outputs)}"
         work = "" if p.step_outputs else f"; work by {', '.join(p.displacements) or 'the trapezoidal rule'}"
         lines.append(f"  {p.name:<24} {p.domain.name:<14} {pairs}{sense}{work}")

@@ -12,7 +12,6 @@ from phfmu.declare.port import Domain, Given, Port
 from phfmu.fmu import limits
 from phfmu.fmu.description import Unit
 from phfmu.fmu.impulse_values import JUMP
-from phfmu.fmu.outward import summed
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
 from phfmu.signals import JUMPED, LEDGER, MEAN, STEP_LEDGER, pair_energies, port_energy, total
@@ -104,17 +103,17 @@ class PortMap:
     @property
     def input_sign(self) -> float:
         """Of the inputs into the component, in units of the domain."""
-        return self.input_factor * (self.sign if self.given == summed(self.domain) else 1.0)
+        return self.input_factor * (self.sign if self.given == self.domain.summed else 1.0)
 
     @property
     def output_sign(self) -> float:
         """Of the outputs into the component, in units of the domain."""
-        return self.output_factor * (self.sign if self.given != summed(self.domain) else 1.0)
+        return self.output_factor * (self.sign if self.given != self.domain.summed else 1.0)
 
     @property
     def displacement_sign(self) -> float:
         """Of the displacements, as of the outputs."""
-        return self.displacement_factor * (self.sign if self.given != summed(self.domain) else 1.0)
+        return self.displacement_factor * (self.sign if self.given != self.domain.summed else 1.0)
 
 
 def manifest(unit: Unit) -> bytes:

@@ -11,19 +11,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.port import Domain, Given, Port
+from phfmu.declare.port import Port
 from phfmu.fmu.variables import FMUError, FMUVariable
 from phfmu.words import meant
 
 
-def summed(domain: Domain) -> Given:
-    """Which of the pair sums to zero where ports of the domain meet."""
-    return "flow" if domain.common == "effort" else "effort"
-
-
 def summed_word(port: Port) -> str:
     """Name of that variable in the port: current i, force."""
-    return getattr(port.domain, summed(port.domain))
+    return port.domain.word(port.domain.summed)
 
 
 def require_ports(declaration: PHDAE, outward: Sequence[str]) -> None:

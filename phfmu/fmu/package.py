@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 
 from phfmu.fmu.description import Unit, generation_tool
-from phfmu.fmu.outward import summed, summed_word
+from phfmu.fmu.outward import summed_word
 from phfmu.fmu.words import plain
 
 #: a date every zip tool can read; SOURCE_DATE_EPOCH replaces it
@@ -119,7 +119,7 @@ def _signs(unit: Unit) -> str:
         return ""
     lines = []
     for p in ports:
-        shared = p.domain.flow if summed(p.domain) == "effort" else p.domain.effort
+        shared = p.domain.word(p.domain.common)
         what = f"{p.name}: {p.name}.{shared} is equal on both sides of a connection, {p.name}.{summed_word(p)} "
         lines.append(
             what + "is positive out of this unit: connect it plainly to a unit that counts it inward"

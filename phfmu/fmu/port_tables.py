@@ -16,7 +16,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from phfmu.declare.port import DOMAINS, Domain, Given
+from phfmu.declare.port import DOMAINS, Domain, Given, conjugate
 from phfmu.declare.units import Unit, UnitError, is_power, parse_unit
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_units import domain_of, factor_to, unit_of
@@ -68,7 +68,7 @@ class _Table:
     def port(self) -> PortMap:
         members = {m: self._variables(m) for m in ("effort", "flow")}
         given = self._given(members)
-        inputs, outputs = members[given], members["flow" if given == "effort" else "effort"]
+        inputs, outputs = members[given], members[conjugate(given)]
         if len(inputs) != len(outputs):
             raise FMUError(f"{self.where}: {len(inputs)} inputs but {len(outputs)} outputs; give pairs")
         domain = self._domain(members)
@@ -77,13 +77,12 @@ class _Table:
             raise FMUError(
                 f"{self.where}: {len(displacements)} displacements for {len(outputs)} outputs; give one for each"
             )
-        units = {"effort": domain.effort_unit, "flow": domain.flow_unit}
-        other = "flow" if given == "effort" else "effort"
+        other = conjugate(given)
         return PortMap(
             self.name, domain, given, inputs, outputs, sign=self._sign(domain), vector=self._vector(),
-            displacements=displacements, input_factor=self._factor(given, inputs, units[given]),
-            output_factor=self._factor(other, outputs, units[other]),
-            displacement_factor=self._factor("displacement", displacements, f"s.{units[other]}"),
+            displacements=displacements, input_factor=self._factor(given, inputs, domain.unit(given)),
+            output_factor=self._factor(other, outputs, domain.unit(other)),
+            displacement_factor=self._factor("displacement", displacements, f"s.{domain.unit(other)}"),
         )  # fmt: skip
 
     def _factor(self, key: str, names: tuple[str, ...], wanted: str) -> float:
@@ -156,7 +155,7 @@ class _Table:
         return Domain(**told)
 
     def _sign(self, domain: Domain) -> float:
-        sign, summed = self.table.get("sign"), domain.flow if domain.common == "effort" else domain.effort
+        sign, summed = self.table.get("sign"), domain.word(domain.summed)
         if sign not in (1, -1):
             told = f"sign = {sign!r}" if "sign" in self.table else "no sign"
             raise FMUError(

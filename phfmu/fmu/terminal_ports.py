@@ -57,7 +57,7 @@ def _ports(name: str, terminal: Element, interface: UnitInterface) -> tuple[Port
     domain = next((d for d in DOMAINS.values() if _fits(d, shared[0], summed[0], interface)), None)
     if domain is None:
         raise FMUError(f"{what}: the units of {shared[0]} and {summed[0]} tell no domain")
-    pair = {domain.common: shared, "flow" if domain.common == "effort" else "effort": summed}
+    pair = {domain.common: shared, domain.summed: summed}
     told = {k: v[0] if len(v) == 1 else v for k, v in pair.items()}
     return port_maps({re.sub(r"\W", "_", name): {**told, "sign": signs.pop(), "domain": domain}}, interface, what)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from phfmu.declare.port import Port
 from phfmu.fmu.description import Unit
-from phfmu.fmu.outward import summed
 from phfmu.fmu.version import Version
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, text_of
@@ -42,7 +41,7 @@ def _terminal(parent: Element, port: Port, array: bool, kind: str) -> None:
         efforts, flows = ([names[0].rpartition("[")[0]] for names in (efforts, flows))
     if port.given == "flow":
         efforts, flows = flows, efforts
-    balance = flows if summed(port.domain) == "flow" else efforts
+    balance = flows if port.domain.summed == "flow" else efforts
     for names in zip(efforts, flows, strict=True):
         for name in names:
             member = etree.SubElement(terminal, "TerminalMemberVariable", variableName=name)

@@ -13,7 +13,6 @@ from math import isclose
 
 from phfmu.declare.port import Given
 from phfmu.fmu.manifest import PortMap
-from phfmu.fmu.outward import summed
 from phfmu.ssp.flat import Link
 from phfmu.ssp.structure import SSPError
 
@@ -121,7 +120,7 @@ def _powered(a: End, b: End, there: Link, back: Link, pa: PortMap, pb: PortMap, 
         )
     counts = ["out of it" if p.sign < 0 else "into it" for p in (pa, pb)]
     turns = -1 if counts[0] == counts[1] else 1
-    flow, common = (back, there) if pa.given == summed(pa.domain) else (there, back)
+    flow, common = (back, there) if pa.given == pa.domain.summed else (there, back)
     return (
         f"{there} and {back} create power: the flow of {_name(a)} counts {counts[0]}, that of {_name(b)} {counts[1]}. "
         f"{flow.output} -> {flow.input} needs the factor {turns} (LinearTransformation), "

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from phfmu.declare.port import Given
+from phfmu.declare.port import conjugate
 from phfmu.fmu.manifest import PortMap
 from phfmu.ssp.flat import Link
 
@@ -48,7 +48,7 @@ def _port(known: PortMap, there: Sequence[Link], back: Sequence[Link], taken: Se
     f1, f2 = factors.pop()
     if abs(f1) != 1.0 or abs(f2) != 1.0 or abs(known.input_sign) != 1.0 or abs(known.output_sign) != 1.0:
         return None
-    given: Given = "flow" if known.given == "effort" else "effort"
     name = known.name if known.name not in taken else f"{known.name}_{len(taken)}"
     inputs, outputs = tuple(k.input for k in there), tuple(k.output for k in back)
-    return PortMap(name, known.domain, given, inputs, outputs, sign=-1.0 / (f1 * f2 * known.sign), vector=known.vector)
+    given, sign = conjugate(known.given), -1.0 / (f1 * f2 * known.sign)
+    return PortMap(name, known.domain, given, inputs, outputs, sign=sign, vector=known.vector)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import asdict
 
+from phfmu.declare.port import Given, conjugate
 from phfmu.declare.units import UnitError, parse_unit, unit_text
 from phfmu.fmu.manifest import PortMap
 
@@ -31,10 +32,9 @@ def _table(p: PortMap) -> str:
     told = {"effort": effort, "flow": flow, "displacement": p.displacements}
     # text and lists of text are written alike in JSON and TOML; without a list a port is a scalar
     lines = [f"{k} = {json.dumps(v if p.vector or len(v) > 1 else ''.join(v))}" for k, v in told.items() if v]
-    units = {"effort": p.domain.effort_unit, "flow": p.domain.flow_unit}
-    factors = {p.given: p.input_factor, "flow" if p.given == "effort" else "effort": p.output_factor}
+    factors: dict[Given, float] = {p.given: p.input_factor, conjugate(p.given): p.output_factor}
     for member, factor in factors.items():
-        if factor != 1.0 and (text := _scaled(units[member], factor)):
+        if factor != 1.0 and (text := _scaled(p.domain.unit(member), factor)):
             lines.append(f"{member}_unit = {json.dumps(text)}")
     domain = ", ".join(f"{k} = {json.dumps(v)}" for k, v in asdict(p.domain).items())
     return "\n".join([f"[{p.name}]", *lines, f"sign = {int(p.sign)}", f"domain = {{ {domain} }}", ""])

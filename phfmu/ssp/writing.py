@@ -141,7 +141,7 @@ def _links(network: Network, junction: Junction) -> Iterator[Wire]:
         return
     (a, pa), (b, pb) = ((e.member, _map(network, e.member, e.port)) for e in junction.ends)
     for one, p, other, q in ((a, pa, b, pb), (b, pb, a, pa)):
-        turns = (q.given == "flow") if junction.kind == "0" else (q.given == "effort")
+        turns = q.given != junction.shared
         factor = (-1.0 if turns else 1.0) * p.output_sign / q.input_sign
         for out, into in zip(p.outputs, q.inputs, strict=True):
             converted = _converted(network.units[one], out, network.units[other], into)

@@ -42,7 +42,6 @@ def choose(network: Network, apart: bool = False, stuck: Mapping[str, str] | Non
 def _given_by_outputs(network: Network) -> bool:
     """Whether at each junction one output gives the common variable, and the other ports take it."""
     for j in network.junctions:
-        shared = "effort" if j.kind == "0" else "flow"
-        if sum(network.port_of(e).given != shared for e in j.ends) != 1:
+        if sum(network.port_of(e).given != j.shared for e in j.ends) != 1:
             return False
     return True

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from phfmu.declare.junction_words import spread_words
+from phfmu.declare.port import conjugate
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.matrices import DENSE
 from phfmu.network.junctions.hidden import hidden_part
@@ -49,7 +50,7 @@ class EndSums:
                 junction_unknowns(network.members, j).common,
                 next(iter(j.ports(network.members).values())).domain,
             )
-            unit = domain.flow_unit if j.kind == "0" else domain.effort_unit
+            unit = domain.unit(conjugate(j.shared))
             told |= {SUM + n: unit for n in common.names()}
         return told
 
@@ -116,7 +117,6 @@ class EndSums:
         return tuple(m.toarray() for m in maps) if Q.shape[0] <= DENSE else tuple(map(csr_array, maps))  # pyright: ignore
 
     def _differ(self, junction: Junction, value: float) -> str:
-        shared = "effort" if junction.kind == "0" else "flow"
         ports = junction.ports(self.joined.network.members)
-        givers = {str(e): p for e, p in ports.items() if p.given != shared}
+        givers = {str(e): p for e, p in ports.items() if p.given != junction.shared}
         return spread_words(next(iter(givers.values())), tuple(givers), value)

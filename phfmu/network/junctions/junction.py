@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from phfmu.declare.error import Refusal
-from phfmu.declare.port import Port
+from phfmu.declare.port import Given, Port
 
 Kind = Literal["0", "1"]
+SHARED: dict[Kind, Given] = {"0": "effort", "1": "flow"}
+#: the kind of a junction whose ports share this
+KIND: dict[Given, Kind] = {shared: kind for kind, shared in SHARED.items()}
 
 
 class ConnectionError(Refusal):
@@ -40,6 +43,11 @@ class Junction:
     name: str
     kind: Kind
     ends: tuple[End, ...]
+
+    @property
+    def shared(self) -> Given:
+        """What all its ports have in common."""
+        return SHARED[self.kind]
 
     def ports(self, members: Mapping[str, WithPorts]) -> dict[End, Port]:
         """The ports that meet, in the order of the ends."""

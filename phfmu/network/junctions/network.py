@@ -17,7 +17,7 @@ from phfmu.declare.port import Port
 from phfmu.declare.units import parse_unit
 from phfmu.html import grid
 from phfmu.network.junctions.compose import compose
-from phfmu.network.junctions.junction import ConnectionError, End, Junction, Kind
+from phfmu.network.junctions.junction import KIND, SHARED, ConnectionError, End, Junction, Kind
 from phfmu.network.junctions.signal_ports import separate
 from phfmu.network.junctions.wires import Wire, in_order, wires_between
 from phfmu.words import counted, meant
@@ -89,7 +89,7 @@ class Network:
             raise ConnectionError(a, "is joined to itself", "name the port of another element as the other end")
         self._check_fit(ends)
         if pa.given == pb.given:
-            other = "0-junction" if pa.given == "effort" else "1-junction"
+            other = f"{KIND[pa.given]}-junction"
             raise ConnectionError(
                 f"{a} - {b}",
                 f"both take the {pa.given} as input, so neither can give it to the other on a plain bond",
@@ -245,7 +245,7 @@ class Network:
         return self.members[end.member].port(end.port)
 
     def _default_kind(self, port: Port) -> Kind:
-        return "0" if port.domain.common == "effort" else "1"
+        return KIND[port.domain.common]
 
     def _check_fit(self, ends: tuple[End, ...]) -> None:
         first = self._port(ends[0])
@@ -257,8 +257,8 @@ class Network:
                     f"{ends[0]} has {first.n} scalar pairs, {end} has {port.n}",
                     "join ports of equal size",
                 )
-            for what in ("effort", "flow"):
-                mine, other = getattr(first.domain, f"{what}_unit"), getattr(port.domain, f"{what}_unit")
+            for what in SHARED.values():
+                mine, other = first.domain.unit(what), port.domain.unit(what)
                 a, b = parse_unit(mine), parse_unit(other)
                 if a.without_angle() != b.without_angle() or abs(a.factor / b.factor - 1) > 1e-12:
                     raise ConnectionError(

@@ -29,9 +29,8 @@ def junction_unknowns(members: Mapping[str, WithPorts], junction: Junction) -> U
     """The algebraic variables of `junction`; named `<junction>.v[..]` and `<member>.<port>.i[..]` (domain names)."""
     ports = junction.ports(members)
     first = next(iter(ports.values()))
-    shared = "effort" if junction.kind == "0" else "flow"
-    name, unit = (first.domain.effort, first.domain.effort_unit) if shared == "effort" else (
-        first.domain.flow, first.domain.flow_unit)  # fmt: skip
+    shared = junction.shared
+    name, unit = first.domain.word(shared), first.domain.unit(shared)
     givers = [p for p in ports.values() if p.given == shared]
     common = algebraic(f"{junction.name}.{name}", first.size, unit=unit, nominal=_size(givers), start=_start(givers),
                        description=f"common {shared} of {', '.join(map(str, junction.ends))}")  # fmt: skip
