@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
-from phfmu.declare.event import Guard, Law, StateEvent
+from phfmu.declare.error import DeclarationError
+from phfmu.declare.event import Guard, Jump, Law, StateEvent
 from phfmu.declare.variable import Variable, _sx
+from phfmu.declare.variable_kind import VariableKind
 
 if TYPE_CHECKING:
     from phfmu.declare.port import Port
@@ -34,6 +36,8 @@ class Switch:
     when:       scalar parameter -> value: a unilateral switch closes only while all have these values (gate of a thyristor)
     gap:        function whose rate is c, of a contact: off, it closes where this falls to zero, and c jumps to 0; None: where
                 c does
+    restitution: e in [0, 1], a number or an expression of parameters, of a contact with a gap that stands on states: where the
+                gap closes c+ = -e c- and it stays off; it is on where it comes to rest (`StateEvent.rest`).  0: on at once
     most:       the largest |mu| that being opened may cut where states must jump for it (chopping current); more is refused
     nominal:    typical magnitude of c;  unit: of c, or of the gap
     owner:      member that what jumps lose is booked at
@@ -46,6 +50,7 @@ class Switch:
     law: Law = "unilateral"
     when: Mapping[str, float] = field(default_factory=dict)
     gap: Any = None
+    restitution: Any = 0.0
     most: float = 0.0
     nominal: float = 1.0
     unit: str = "1"
@@ -78,9 +83,29 @@ class Switch:
         c = self.rate(effort) if self.gap is None else ca.SX(_sx(self.gap))
         opens = Guard(f"{self.name}.opens", mu.sx, -1, mu.nominal[0], mu.unit)
         closes = Guard(f"{self.name}.closes", c, -1, self.nominal, self.unit)
-        return (
-            StateEvent(opens, when={mode: 1.0}, sets={mode: 0.0}),
-            StateEvent(closes, when={mode: 0.0, **self.when}, sets={mode: 1.0}),
+        met, on = {mode: 0.0, **self.when}, {mode: 1.0}
+        comes = (
+            StateEvent(closes, when=met, jump=self._throws(), rest=on) if self.bounces else StateEvent(closes, met, on)
+        )
+        return StateEvent(opens, when={mode: 1.0}, sets={mode: 0.0}), comes
+
+    @property
+    def bounces(self) -> bool:
+        """Whether it has a restitution."""
+        return not ca.SX(_sx(self.restitution)).is_zero()
+
+    def _throws(self) -> Jump:
+        """The jump where its gap closes; DeclarationError where no impulse acts along its column."""
+        ports = [v.name for v in self.on if not isinstance(v, Variable) or v.kind is not VariableKind.STATE]
+        if not ports and self.gap is not None:
+            on = {v: column for v, column in self.on.items() if isinstance(v, Variable)}
+            return Jump(on, self.restitution, owner=self.owner, law="unilateral")
+        what = f"it stands on {', '.join(ports)}, on which no impulse acts" if ports else "it has no gap that closes"
+        remedy = (
+            "let it stand on the states of the bodies, in one declaration with them, or" if ports else "give `gap`, or"
+        )
+        raise DeclarationError(
+            f"switch '{self.name}'", f"has a restitution, but {what}", f"{remedy} leave it out", "switch"
         )
 
 

@@ -149,7 +149,8 @@ def test_a_pole_that_is_forced_open_stops_branches_of_other_members(k: int, engi
 def test_a_jump_that_is_refused_leaves_all_members_where_the_step_ended() -> None:
     """It names the network, the event and what it allows; no member has moved."""
     net = linked(ball(2.0, 0.5, 0.33, most=0.1), mass(1.0, d=0.4, v=-1.0))
-    members = [EngineMember(n, m, PythonInstance(m)) for n, m in ((n, build_model(d)) for n, d in net.declared.items())]
+    models = {n: build_model(d) for n, d in net.declared.items()}
+    members: list[Any] = [EngineMember(n, m, PythonInstance(m)) for n, m in models.items()]
     with pytest.raises(EventRefused, match=r"linked at t = 0.33.*'hits' would jump with .* more than its most = 0.1"):
         run(Coupled(net, members), Options(stop=0.7, step=0.1))
     x = [m.instance.x for m in members]

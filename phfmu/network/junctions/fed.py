@@ -49,7 +49,8 @@ def fed(model: PHDAE, values: Mapping[str, ca.SX]) -> PHDAE:
         return replace(e, guard=replace(e.guard, expr=put(e.guard.expr)), jump=jump)
 
     def switch(s: Switch) -> Switch:
-        return replace(s, on={v: put(m) for v, m in s.on.items()}, gap=None if s.gap is None else put(s.gap))
+        gap, on = None if s.gap is None else put(s.gap), {v: put(m) for v, m in s.on.items()}
+        return replace(s, on=on, gap=gap, restitution=put(s.restitution))
 
     return replace(
         model,
