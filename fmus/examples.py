@@ -1,7 +1,7 @@
 """Units with reference solutions, for tests of other tools: `python fmus/examples.py -o DIR`.
 
 Each unit of examples.toml gets a folder for each FMI version with the files that the FMI project asks exporting tools for:
-NAME.fmu, NAME_ref.csv (reference solution), NAME_in.csv (inputs, where it has some), NAME_ref.opt (times, tolerance), Readme.txt.
+NAME.fmu, NAME_ref.csv (reference solution), NAME_in.csv (inputs, where it has some), NAME_ref.opt (times, tolerance), README.txt.
 Source: github.com/modelica/fmi-standard.org, CONTRIBUTING.md, "Compatibility information".
 
 The reference comes from the native engine, not from the unit.  Before anything is kept, FMPy validates each unit and runs it
@@ -161,7 +161,7 @@ def write(folder: Path, e: Example, version: str, wanted: np.ndarray, platforms:
         columns = [np.interp(times, *np.array(points).T) for points in e.inputs.values()]
         write_csv(folder / f"{e.name}_in.csv", ["time", *e.inputs], np.column_stack([times, *columns]))
     write_options(folder / f"{e.name}_ref.opt", e)
-    (folder / "Readme.txt").write_text(readme(e, version), encoding="utf-8")
+    (folder / "README.txt").write_text(readme(e, version), encoding="utf-8")
     return check(folder, e, wanted)
 
 

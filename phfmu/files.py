@@ -65,3 +65,14 @@ def require_writable(target: Path, shown: str) -> None:
         beside(target).unlink()
     except OSError as error:
         raise ValueError(f"{shown}: cannot write in the folder '{folder}': {error.strerror}") from error
+
+
+def require_folder(folder: Path, shown: str, what: str) -> None:
+    """ValueError unless files can be put into `folder`, which may have to be made; `what`: the files, in words."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{shown} is a file; name a folder for {what}")
+    above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    try:
+        beside(above / "x").unlink()
+    except OSError as error:
+        raise ValueError(f"{shown}: cannot write in the folder '{above}': {error.strerror}") from error

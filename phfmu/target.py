@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,9 +35,9 @@ def load(target: str) -> Any:
         return load_ssp(target)
     from phfmu.components.library import LIBRARY, build
 
-    if target not in LIBRARY and (Path(target).exists() or Path(target).suffix):
+    if target not in LIBRARY and (not target or Path(target).exists() or Path(target).suffix):
         raise TargetError(
-            f"{target} is no target; that is a name of the library, file.py:function, X.fmu, X.ssp or X.ssd"
+            f"{target or repr(target)} is no target; that is a name of the library, file.py:function, X.fmu, X.ssp or X.ssd"
         )
     file = Path(f"{target}.py")
     if target not in LIBRARY and file.is_file():
@@ -45,6 +45,23 @@ def load(target: str) -> Any:
             f"no component or scene '{target}' in the library; for the file beside you say {_choices(file)}"
         )
     return build(target)
+
+
+def require_known(target: str, words: Iterable[str]) -> None:
+    """TargetError, with what was meant, for a word that is neither of the library nor one of a verb's own `words`."""
+    from phfmu.components.library import LIBRARY
+    from phfmu.words import meant
+
+    own = list(words)
+    if (
+        not target.replace("-", "_").isidentifier()
+        or target in LIBRARY
+        or target in own
+        or Path(f"{target}.py").exists()
+    ):
+        return
+    close = meant(target, [*own, *LIBRARY], f"beside what phfmu list tells there are: {', '.join(own)}")
+    raise TargetError(f"no component or scene '{target}' in the library; {close}")
 
 
 def scene(target: str) -> Scene:
@@ -60,7 +77,10 @@ def scene(target: str) -> Scene:
     if isinstance(item, PHDAE | Network):
         stop, step = RUNS.get(target, (1.0, 1e-3))
         return Scene(item.name, item, stop, step, description=item.description)
-    raise TargetError(f"{target} gives a {type(item).__name__}; expected a PHDAE, a Network or a Scene")
+    kind = type(item).__name__
+    raise TargetError(
+        f"{target} gives {'an' if kind[0] in 'aeiou' else 'a'} {kind}; expected a PHDAE, a Network or a Scene"
+    )
 
 
 def functions(path: Path) -> list[str]:
@@ -75,6 +95,23 @@ def functions(path: Path) -> list[str]:
     names = [f.name for f in functions if len(f.args.posonlyargs + f.args.args) == len(f.args.defaults)
              and all(f.args.kw_defaults)]  # fmt: skip
     return names
+
+
+def _only(path: Path) -> str:
+    """The function of a file that has one, "" where several could be meant; TargetError for none."""
+    import ast
+
+    try:
+        ast.parse(path.read_text(encoding="utf-8"))
+    except (SyntaxError, ValueError) as error:
+        raise TargetError(f"{path}: {type(error).__name__}: {error}") from error
+    found = functions(path)
+    if not found:
+        raise TargetError(
+            f"{path} has no function that builds a model; write one that returns a component, network or scene, or begin "
+            "with: phfmu new component NAME"
+        )
+    return found[0] if len(found) == 1 else ""
 
 
 def _choices(path: Path) -> str:
@@ -92,8 +129,8 @@ def _from_file(target: str) -> Any:
     path = Path(path_text)
     if not path.is_file():
         raise TargetError(f"no file '{path_text}'")
-    if not function and len(only := functions(path)) == 1:
-        function = only[0]
+    if not function:
+        function = _only(path)
     if not function:
         raise TargetError(f"say which function of {path.name} builds the model: {_choices(path)}")
     # a name of its own: a file called json.py or numpy.py must not take the place of that module

@@ -5,17 +5,19 @@ Exit codes: `codes.py`.
 
 from __future__ import annotations
 
-import argparse
 import io
 import os
 import signal
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from phfmu.cli.codes import FINE, NO_CONVERGENCE, USAGE
+from phfmu.cli.parser import Parser, parsed
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> tuple[Parser, Any]:
+    """The parser, and those of the verbs."""
     from phfmu import __version__
     from phfmu.cli import (
         audit,
@@ -34,7 +36,7 @@ def _parser() -> argparse.ArgumentParser:
         sweep,
     )
 
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="phfmu", description="Port-Hamiltonian DAEs as co-simulation components with exact energy balance."
     )
     parser.add_argument("--version", action="version", version=f"phfmu {__version__}")
@@ -57,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     ):
         module.add_parser(verbs)
     completion.complete(parser, verbs)
-    return parser
+    return parser, verbs
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -65,12 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names and descriptions that the terminal has no letters for
             stream.reconfigure(errors="backslashreplace")
-    parser, words = _parser(), sys.argv[1:] if arguments is None else list(arguments)
+    (parser, verbs), words = _parser(), sys.argv[1:] if arguments is None else list(arguments)
     if not words:
         parser.print_help(sys.stderr)
         print("\nphfmu: required: VERB; start with `phfmu list`", file=sys.stderr)
         return USAGE
-    args = parser.parse_args(words)
+    args = parsed(parser, verbs, words)
     if os.environ.get("PHFMU_TRACEBACK"):
         return args.call(args)
     try:

@@ -51,18 +51,21 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
     from phfmu.bench.machine import one_thread
+    from phfmu.files import require_folder, require_writable
+    from phfmu.target import require_known
 
     one_thread()
-    if args.target == "orders":
-        return _orders(args)
-    if args.target == "leave-out":
-        return _leave_out(args)
-    if args.target == "coupling":
-        return _coupling(args)
-    if args.target == "sweep":
-        return _sweep(args)
+    tables = {"orders": _orders, "leave-out": _leave_out, "coupling": _coupling, "sweep": _sweep}
+    require_known(args.target, [*tables, "scaling"])
+    if args.target in tables:
+        if args.output:
+            require_writable(Path(args.output), f"-o {args.output}")
+        return tables[args.target](args)
     args.output = args.output or "bench"
+    require_folder(Path(args.output), f"-o {args.output}", "pages and pictures")
     if args.target == "scaling":
         return _scaling(args)
     return _paper(args) if args.paper else _compare(args)

@@ -22,7 +22,9 @@ def add_parser(verbs: Any) -> None:
         parser.add_argument(
             name, metavar=name.upper(), help="result table (.csv, .parquet) or audit (.parquet) of phfmu run"
         )
-    parser.add_argument("signals", metavar="SIGNAL", nargs="*", help="names or patterns; default: all that both have")
+    parser.add_argument(
+        "signals", metavar="SIGNAL", nargs="*", default=[], help="names or patterns; default: all that both have"
+    )
     parser.add_argument("--rtol", type=float, default=1e-9,
                         help="allowed difference relative to the largest magnitude of the signal, of energies to that of "
                         "all (default 1e-9)")  # fmt: skip

@@ -116,7 +116,7 @@ def _require_places(args: argparse.Namespace, s: Scene) -> float:
     step = args.step if args.step is not None else s.step
     if not step > 0:
         raise ValueError(f"--step {step} s must be positive")
-    from phfmu.files import beside
+    from phfmu.files import require_folder
 
     folder = Path(args.output)
     if folder.suffix in (".fmu", ".ssp"):
@@ -124,13 +124,7 @@ def _require_places(args: argparse.Namespace, s: Scene) -> float:
         raise ValueError(
             f"-o {folder} is a folder, files in it are named by the model; say{package} -o {folder.parent}"
         )
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"-o {folder} is a file; name a folder for the FMUs")
-    above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    try:
-        beside(above / "x").unlink()
-    except OSError as error:
-        raise ValueError(f"-o {folder}: cannot write in the folder '{above}': {error.strerror}") from error
+    require_folder(folder, f"-o {folder}", "the FMUs")
     return step
 
 

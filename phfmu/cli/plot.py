@@ -12,7 +12,7 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument(
         "file", metavar="RUN|AUDIT", help="result table (.csv, .parquet) or audit (.parquet) of phfmu run"
     )
-    parser.add_argument("signals", metavar="SIGNAL", nargs="*",
+    parser.add_argument("signals", metavar="SIGNAL", nargs="*", default=[],
                         help="names or patterns ('gen.*', '*.I[1]'); default: all but means, ends and books")  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE", required=True, help="X.png or X.html")
     parser.add_argument("--events", metavar="AUDIT", help="audit whose events are marked, for a result table")

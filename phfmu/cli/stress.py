@@ -17,8 +17,11 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
     from phfmu.cli.codes import FINE, PROBLEMS
     from phfmu.cli.progress import Line
+    from phfmu.files import require_folder
     from phfmu.stress.case import Verdict, answer
     from phfmu.stress.matrix import cases
     from phfmu.stress.report import short, tally, write
@@ -26,8 +29,11 @@ def call(args: argparse.Namespace) -> int:
 
     if args.target and is_fmu(args.target):
         raise TargetError(f"{args.target} is an FMU; its step cannot go back or be zero. Give the declaration")
+    if args.output:
+        require_folder(Path(args.output), f"-o {args.output}", "stress.md")
+    found = cases(args.target)
     lines = []
-    for case in cases(args.target):
+    for case in found:
         if case.long and not args.long:
             continue
         with Line() as at_work:

@@ -13,6 +13,8 @@ from phfmu.report.result_table import ResultTable
 def is_audit(path: str | os.PathLike[str]) -> bool:
     """Whether the file is an audit log. Errors: FileNotFoundError; ValueError for another ending or what cannot be read."""
     place = Path(path)
+    if place.is_dir():
+        raise ValueError(f"{place} is a folder; name a file in it that phfmu run wrote: X.csv or X.parquet")
     if not place.suffix or ".py" in place.suffixes or place.name.partition(".")[2].startswith("py:"):
         run = f"phfmu run {place} -o RUN.csv"
         raise ValueError(f"{place} is no file of a run; run it first, and give the file that this writes: {run}")

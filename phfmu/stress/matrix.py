@@ -11,7 +11,7 @@ STEPPED = ("smib", "four_particle", "dc_motor")
 
 def cases(target: str | None) -> list[Case]:
     """All cases, or those about one target: its steps, and the cases with its name."""
-    from phfmu.target import scene
+    from phfmu.target import require_known, scene
 
     own = [
         c
@@ -26,4 +26,5 @@ def cases(target: str | None) -> list[Case]:
             return [*mine, *steps.cases(target, scene(target))]
         except KeyError:  # a system of the matrix that is not in the library
             return mine
+    require_known(target, sorted({c.target for c in own}))
     return list(steps.cases(target, scene(target)))

@@ -81,6 +81,8 @@ def table(path: str) -> Design:
     read = {".csv": csv.read_csv, ".parquet": parquet.read_table}.get(Path(path).suffix)
     if read is None:
         raise ValueError(f"--table {path}: expected a .csv or .parquet file")
+    if not Path(path).is_file():
+        raise ValueError(f"--table {path}: there is no such file; write one with a run a row, its columns the names")
     try:
         found = read(path)
     except ArrowInvalid as error:

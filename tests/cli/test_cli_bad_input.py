@@ -68,7 +68,7 @@ def test_a_table_and_an_audit_are_not_compared(refused: Cli) -> None:
         ("run none.py:f", "no file 'none.py'"),
         ("run bad.py:f", "bad.py: SyntaxError line 1"),
         ("run empty.py:f", "empty.py has no function 'f'; it has: none"),
-        ("run models.py:number", "gives a int; expected a PHDAE, a Network or a Scene"),
+        ("run models.py:number", "gives an int; expected a PHDAE, a Network or a Scene"),
         ("run models.py:divides", "models.py, line 39, divides: ZeroDivisionError: division by zero"),
         ("info models.py:misses", "line 40, misses: KeyError: key"),
         ("run models.py:leaves", "line 41, leaves: SystemExit: 0"),

@@ -25,7 +25,7 @@ def made(folder: Path, name: str) -> list[Path]:
 
 def test_folder_has_what_importers_need(compiler: None, tmp_path: Path) -> None:
     for folder in made(tmp_path, "dc_motor"):
-        names = {"dc_motor.fmu", "dc_motor_ref.csv", "dc_motor_in.csv", "dc_motor_ref.opt", "Readme.txt"}
+        names = {"dc_motor.fmu", "dc_motor_ref.csv", "dc_motor_in.csv", "dc_motor_ref.opt", "README.txt"}
         assert {p.name for p in folder.iterdir()} == names
         told = dict(line.split(", ") for line in (folder / "dc_motor_ref.opt").read_text().splitlines())
         text = (folder / "dc_motor_ref.csv").read_text().splitlines()
