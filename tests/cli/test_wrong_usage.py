@@ -60,7 +60,7 @@ WRONG = [
     ("export fourparticle", f"{NONE} 'fourparticle' did you mean four_particle?"),
     ("export mass --fmi 4", "--fmi: invalid choice: choose from"),
     ("export mass -o empty.csv", "-o empty.csv is a file; name a folder for the FMUs"),
-    ("export mass --tunable mm", "no parameter 'mm' to be tunable; there are: m"),
+    ("export mass --tunable mm", "no parameter 'mm' to be tunable; did you mean m?"),
 ]
 
 
