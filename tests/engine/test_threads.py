@@ -26,7 +26,7 @@ FOUND = 66
 #: what instances, and members of the master, do all the time
 CALLS = {
     "eval.c": "void ph_eval(ph_system *s, int slots, int late) {",
-    "share.c": "static int step(const ph_share *s, double t, double h) {",
+    "native.c": "static int step(const ph_share *s, double t, double h) {",
 }
 MODELS = {
     "chain": lambda: build_model(chain(5, port=True), Collocated(1)),

@@ -35,3 +35,40 @@ for k in (1, 2):
 def test_nothing_is_out_of_bounds(tmp_path: Path, scene: str) -> None:
     """Held values and node values, impulses (smib), signals (speed_control), an event, and steps that are left to Python."""
     assert output(CODE % (scene, scene), tmp_path) == ["steps", "8"] * 2
+
+
+UNITS = """
+import sys
+from dataclasses import replace
+from itertools import cycle
+import numpy as np
+from phfmu import Collocated, Coupled, EngineMember, FMUInstance, FMUMember, NativeInstance, PythonInstance, build_model, export
+from phfmu.components.scenes.smib import smib
+net = smib().system
+for k in (1, 2):
+    members = []
+    for (name, d), kind in zip(net.separate().items(), cycle(["3.0", "2.0", ""])):
+        model = build_model(d, Collocated(k))
+        if kind:
+            kicked = any(p.kind != "none" for p in PythonInstance(model).impulse_ports)
+            (path,) = export(model, f"{sys.argv[1]}/{name}{k}", (kind,), step=1e-3, node_inputs=k > 1, impulses=kicked)
+            members.append(FMUMember(name, FMUInstance(path, name=name, start=0.0)))
+        else:
+            members.append(EngineMember(name, model, NativeInstance(model)))
+    stepper = Coupled(net, members)
+    stepper.check_start()
+    stepper.prepare(0.0, 1e-3)
+    rows = stepper.advance(0.0, 1e-3, 8)
+    assert stepper._master.taken == 8 and np.isfinite(rows.signals).all()
+    stepper._master.rules.iterations = 1
+    stepper.advance(0.0, 1e-3, 2, 8)
+    assert stepper._master.taken == 8
+    print("steps", len(rows.H))
+"""
+
+
+@pytest.mark.slow
+def test_nothing_of_units_is_out_of_bounds(tmp_path: Path) -> None:
+    """Held values and node values, impulses, both versions and a native member, and steps that are left to Python."""
+    code = UNITS.replace("sys.argv[1]", repr(str(tmp_path)))
+    assert output(code, tmp_path) == ["steps", "8"] * 2
