@@ -78,6 +78,11 @@ def call(args: argparse.Namespace) -> int:
 
         _require_places(args, s)
         return export_package(args, s)
+    if s.units:
+        raise ValueError(
+            f"{args.target}: {', '.join(s.units)} cannot be taken into a unit, being FMUs themselves; --ssp writes a package "
+            "of all members, or put declarations in their place"
+        )
     given = settings(args.set)
     events, notes = started(s.events, given, s.declaration().settable_names())
     begun = {e.name: e.value for e in events if e.t <= 0.0}

@@ -86,3 +86,23 @@ def test_units_of_single_precision_and_sizes_of_arrays_are_told(
     told = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["single", "bar,", "Float32", "0.5"] in told
     assert ["n", "UInt64", "2"] in told
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("export alone.py", "pump cannot be taken into a unit, being FMUs themselves; --ssp writes a package"),
+        ("run alone.py --dense 2", "or put declarations in the place of pump: an FMU cannot be composed"),
+    ],
+)
+def test_what_scenes_with_units_cannot_do_has_a_remedy_that_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    foreign.mass(tmp_path / "pump.fmu", "2.0")
+    (tmp_path / "pump.ports.toml").write_text(SIDECAR)
+    (tmp_path / "alone.py").write_text(SCENE)
+    monkeypatch.chdir(tmp_path)
+    assert main(line.split()) == 2
+    assert said in capsys.readouterr().err
+    if line.startswith("export"):
+        assert main([*line.split(), "--ssp"]) == 0 and Path("alone.ssp").is_file()

@@ -47,7 +47,7 @@ class Coupled:
     between them, None: as many as pay; results do not depend on it.
     """
 
-    what, instead = "members stepped apart", "leave out --coupling newton, which composes them"
+    what = "members stepped apart"
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class Coupled:
         compiled: bool = True,
         threads: int | None = None,
     ):
-        self._may_compile, self._threads = compiled, threads
+        self._may_compile, self._threads, self.instead = compiled, threads, network.to_compose
         self.joined = Joined(network, members)
         self.coupling = coupling(self.joined) if callable(coupling) else coupling
         closes = self.coupling.closes and not self.joined.put_off

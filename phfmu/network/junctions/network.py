@@ -184,6 +184,13 @@ class Network:
             m.states or m.algebraics or m.structure or m.dissipation for m in self.declared.values()
         )
 
+    @property
+    def to_compose(self) -> str:
+        """How to get one composed model, in words."""
+        if self.units:
+            return f"put declarations in the place of {', '.join(self.units)}: an FMU cannot be composed"
+        return "leave out --coupling, --member and --parts, which step them apart"
+
     def port_of(self, end: End) -> Port:
         """The port an end of a junction refers to."""
         return self._port(end)
