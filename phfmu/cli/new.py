@@ -18,6 +18,8 @@ def add_parser(verbs: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
+    from importlib.util import find_spec
+
     from phfmu.cli.codes import FINE
 
     _require_name(args.name)
@@ -31,7 +33,8 @@ def call(args: argparse.Namespace) -> int:
         path.write_text(_text(starter).replace("NAME", args.name), encoding="utf-8")
     part, test = made
     print(f"{part}: a {args.kind} that runs, with comments on what to change\n{test}: its test\n")
-    for line in (f"phfmu check {part}", f"phfmu run {part} --plot {part.with_suffix('.png')}", f"pytest {test}"):
+    extra = "" if find_spec("pytest") else "    (after: pip install pytest)"
+    for line in (f"phfmu check {part}", f"phfmu run {part} --plot {part.with_suffix('.png')}", f"pytest {test}{extra}"):
         print(f"  {line}")
     return FINE
 

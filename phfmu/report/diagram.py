@@ -11,6 +11,8 @@ from phfmu.report.prefix import engineering
 #: pixels: box and bar, room between layers, room of an external port, of an edge's end, and of a line at the most
 BOX, BAR, GAP, PORT, END, WIDEST = 116, 8, 190, 96, 24, 13.0
 ARROW, MARGIN, STRAIGHT = 48, 14, 120
+#: width below which a page scrolls a diagram instead of making it smaller
+READABLE = 600
 #: room below a bar with its name
 NAMED = 34
 _LINE, _OUTSIDE = "#0072B2", "#009E73"
@@ -63,6 +65,7 @@ def one_line(members: Sequence[str], ports: Sequence[Passed], below: Mapping[str
     height = max(p.y + p.height / 2 for p in places.values()) + MARGIN + 18
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}" role="img" '
+        f'style="min-width:{min(width, READABLE):.0f}px" '
         f'font-family="sans-serif" font-size="11"><title>one-line diagram</title>{"".join(parts)}</svg>'
     )
 

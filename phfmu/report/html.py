@@ -30,7 +30,7 @@ td, th {{ padding: .15rem .8rem .15rem 0; text-align: left; }} td.n, th.n {{ tex
 th {{ border-bottom: 1px solid #999; font-weight: 600; }} .bad {{ color: #b00020; font-weight: 600; }}
 .facts th {{ border: 0; padding-right: 1.2rem; color: #555; }}
 .wide {{ overflow-x: auto; }}
-.wide svg {{ max-width: 100%; min-width: 600px; height: auto; }}
+.wide svg {{ max-width: 100%; height: auto; }}
 """
 
 
