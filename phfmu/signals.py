@@ -25,9 +25,8 @@ Causality = Literal["independent", "parameter", "input", "output", "local"]
 
 #: endings of names: mean of the last step, value at the present time, energy through a port
 MEAN, END, ENERGY = "_step", "_end", ".energy"
-#: residuals of hidden constraints, and of the sums at junctions of members that are stepped apart
+#: residuals of hidden constraints
 CONSTRAINT = "constraint."
-SUM = CONSTRAINT + "sum."
 
 
 #: what a signal is: a port's value at the present time, its mean over the last step, an algebraic variable as the step has it and
@@ -150,7 +149,20 @@ def total(quantity: str, member: str = "") -> str:
 
 def check_names(model: Model) -> list[str]:
     """constraint.velocity.lambda[1], constraint.position.lambda[1], ... in the order of the checks."""
-    return [f"{CONSTRAINT}{check.level}.{check.name}" for check in model.checks]
+    return [check_name(check.level, check.name) for check in model.checks]
+
+
+def check_name(level: str, name: str) -> str:
+    """velocity, lambda[1] -> constraint.velocity.lambda[1]."""
+    return f"{CONSTRAINT}{level}.{name}"
+
+
+def of_member(member: str, name: str) -> str:
+    """How the whole calls what a member calls `name`: gen.I[1], constraint.velocity.arm.lambda[1]."""
+    if not name.startswith(CONSTRAINT):
+        return f"{member}.{name}"
+    level, _, own = name.removeprefix(CONSTRAINT).partition(".")
+    return check_name(level, f"{member}.{own}")
 
 
 def entries(value: Number, n: int) -> list[float]:

@@ -9,12 +9,10 @@ import phfmu
 from phfmu import Monolithic, PythonInstance, build_model
 from phfmu.components.library import build
 from phfmu.fmu.variables import variables
-from phfmu.signals import CONSTRAINT, END, ENERGY, LEDGER, MEAN, STEP_LEDGER, SUM, quantities, total
+from phfmu.signals import CONSTRAINT, END, ENERGY, LEDGER, MEAN, STEP_LEDGER, quantities, total
 
 ROOT = Path(phfmu.__file__).parent
-PARTS = {MEAN, END, ENERGY, CONSTRAINT, SUM, "energy.", ".energy."} | {
-    total(name) for name, _, _ in (*LEDGER, *STEP_LEDGER)
-}
+PARTS = {MEAN, END, ENERGY, CONSTRAINT, "energy.", ".energy."} | {total(name) for name, _, _ in (*LEDGER, *STEP_LEDGER)}
 
 
 def written(text: str) -> list[str]:

@@ -42,7 +42,7 @@ from phfmu.network.couplings.node_newton import NodeNewton, Unknowns
 from phfmu.schemes.midpoint import Midpoint
 from phfmu.schemes.radau import Radau
 from phfmu.schemes.two_level import TwoLevel
-from phfmu.signals import SUM
+from phfmu.signals import CONSTRAINT
 from tests.engines import ENGINES
 from tests.wide import wide
 
@@ -107,7 +107,7 @@ def test_members_are_the_composed_model(make: Any, k: int, engine: Any) -> None:
     scene, h, stop = make()
     one, two = both(scene, h, stop, k, engine)
     assert states_differ(scene, one, two) <= 1e-12
-    assert max(v for n, v in two.worst.items() if n.startswith(SUM + "bus1")) <= 1e-9
+    assert max(v for n, v in two.worst.items() if n.startswith(CONSTRAINT + "velocity.bus1")) <= 1e-9
     assert two.ledger.summary().closed
     assert two.iterations <= 6 * two.steps
 

@@ -43,7 +43,7 @@ from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.node_values import InstanceNodes, node_values
-from phfmu.signals import SUM
+from phfmu.signals import CONSTRAINT
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
 from tests.network.test_coupled_units import states_differ
@@ -76,7 +76,7 @@ def errors(k: int, h: float) -> tuple[float, float, float]:
     columns = {n: rows[:, i] for i, n in enumerate(apart.names)}
     I = [columns[f"gen.I[{j}]"][-1] for j in (1, 2, 3)]
     v = [columns[f"bus1.v[{j}]"][-1] for j in (1, 2, 3)]
-    left = max(np.max(np.abs(columns[n])) for n in apart.names if n.startswith(SUM + "bus1"))
+    left = max(np.max(np.abs(columns[n])) for n in apart.names if n.startswith(CONSTRAINT + "velocity.bus1"))
     reference = lumped()[0](STOP)  # type: ignore[operator]
     return float(np.max(np.abs(I - reference)) / RATED), float(np.max(np.abs(v - mean_voltage(h)))), float(left)
 
@@ -99,7 +99,7 @@ def test_two_machines_have_order_2k_through_fault_and_clearing(k: int, steps: tu
     for h in steps:
         net: Any = scene.system
         r = run(couple(net, k), Options(stop=0.1, step=h, events=scene.events))
-        assert max(v for n, v in r.worst.items() if n.startswith(SUM + "bus1")) <= 1e-9
+        assert max(v for n, v in r.worst.items() if n.startswith(CONSTRAINT + "velocity.bus1")) <= 1e-9
         assert r.ledger.summary().closed
         on = [s for s in t if abs(s / h - round(s / h)) < 1e-6]
         rows = [int(np.argmin(np.abs(r.time - s))) for s in on]
@@ -145,7 +145,7 @@ def test_an_event_at_a_node_of_states_moves_them_as_the_composed_model_does(engi
     for result in (one, two):
         assert result.ledger.summary().closed and result.ledger.summary().events == {"parameter": 1, "reprojection": 1}
         assert "left hidden constraints violated; energy changed by -7" in result.notes[0]
-    assert max(v for n, v in two.worst.items() if n.startswith(SUM + "bus1")) <= 1e-8
+    assert max(v for n, v in two.worst.items() if n.startswith(CONSTRAINT + "velocity.bus1")) <= 1e-8
     jump = [float(r.notes[0].partition("changed by ")[2].partition(" J")[0]) for r in (one, two)]
     assert jump[0] == pytest.approx(jump[1], rel=1e-8)
 
@@ -232,7 +232,7 @@ def test_saturated_branches_exchange_values_only_and_say_why() -> None:
         assert Exchange(apart.joined).bare == []
         r = run(apart, Options(stop=1.0, step=h, events=[drive], project=True))
         assert r.ledger.summary().closed and max(abs(v) for v in r.projection.after.values()) <= 1e-14
-        sums.append(max(v for n, v in r.worst.items() if n.startswith(SUM)))
+        sums.append(max(v for n, v in r.worst.items() if n.startswith(CONSTRAINT)))
     assert sums[1] < sums[0] / 3
 
 

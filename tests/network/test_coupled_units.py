@@ -38,7 +38,7 @@ from phfmu.components.scenes.two_machine import two_machine
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
-from phfmu.signals import SUM
+from phfmu.signals import CONSTRAINT
 from tests.engines import BY_NAME
 from tests.network.test_node_exchange import damped, loaded, quartic_on_cosh
 from tests.wide import slow, wide
@@ -195,7 +195,7 @@ def test_members_are_the_composed_model(coupled: Any, name: str, kinds: str, k: 
     floor = states_differ(whole, one, run(Monolithic(model, PythonInstance(model)), options)) if case.floor else 0.0
     assert states_differ(whole, one, two) <= max(1e-12, 10 * floor)
     for bus in case.kirchhoff:
-        assert max(v for n, v in two.worst.items() if n.startswith(SUM + bus)) <= 1e-9
+        assert max(v for n, v in two.worst.items() if n.startswith(f"{CONSTRAINT}velocity.{bus}")) <= 1e-9
     books = two.ledger.summary()
     if case.floor:  # of energies of the machines, the lines hardly have any
         assert max(abs(j.residual) for j in books.junctions) <= 1e-15 * sum(c.H_start for c in books.components)
@@ -328,7 +328,7 @@ def test_an_event_at_a_node_of_units_moves_them_as_the_composed_model(coupled: A
     assert two.ledger.summary().closed and two.ledger.summary().events == {"parameter": 1, "reprojection": 1}
     jump = [float(r.notes[0].partition("changed by ")[2].partition(" J")[0]) for r in (one, two)]
     assert jump[0] == pytest.approx(jump[1], rel=1e-8) and abs(jump[0]) > 1.0
-    assert max(v for n, v in two.worst.items() if n.startswith(SUM + "bus1")) <= 1e-8
+    assert max(v for n, v in two.worst.items() if n.startswith(CONSTRAINT + "velocity.bus1")) <= 1e-8
 
 
 @pytest.mark.usefixtures("compiler")

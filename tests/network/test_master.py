@@ -39,7 +39,7 @@ from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import Halving
-from phfmu.signals import SUM
+from phfmu.signals import CONSTRAINT
 from tests.network.both_loops import SAME, members
 from tests.wide import slow, wide
 
@@ -144,7 +144,7 @@ def test_currents_at_ends_of_steps_sum_to_rounding(engine: Any, compiled: bool) 
     net: Any = scene.system
     stepper = Coupled(net, members(net, 2, engine), compiled=compiled)
     result = run(stepper, Options(stop=2e-3, step=2e-4, events=scene.events))
-    assert max(v for n, v in result.worst.items() if n.startswith(SUM + "bus1")) <= 1e-10
+    assert max(v for n, v in result.worst.items() if n.startswith(CONSTRAINT + "velocity.bus1")) <= 1e-10
     summary = result.ledger.summary()
     assert summary.closed and result.iterations <= 30
 

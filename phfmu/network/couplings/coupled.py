@@ -24,8 +24,8 @@ from phfmu.network.couplings.jumps_apart import JumpsApart
 from phfmu.network.couplings.landings import landings
 from phfmu.network.couplings.node_newton import newton, xi_at_end
 from phfmu.network.couplings.start_values import start_values
-from phfmu.network.couplings.totals import Totals
 from phfmu.network.couplings.unconverged import booked, plain
+from phfmu.network.couplings.whole_columns import WholeColumns
 from phfmu.network.couplings.works import Works
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.member import Member
@@ -74,8 +74,8 @@ class Coupled:
         #: junction unknowns of the instant before the first step
         self._at_start: Array | None = None
         own = [*self.joined.names, *face.names, *self._sums.names]
-        self._totals = Totals([m.name for m in members], own)
-        self.names = [*self._totals.names, *own]
+        self._columns = WholeColumns(network, [m.name for m in members], own)
+        self.names = self._columns.names
 
     def _all_step(self, t: float, h: float) -> bool:
         """Whether it went in one part."""
@@ -102,7 +102,7 @@ class Coupled:
 
     @property
     def units(self) -> dict[str, str]:
-        return dict.fromkeys(self._totals.names, "J") | self.joined.units | self._sums.units
+        return dict.fromkeys(self._columns.totals, "J") | self.joined.units | self._sums.units
 
     @property
     def kinds(self) -> dict[str, SignalKind]:
@@ -148,8 +148,10 @@ class Coupled:
 
     def read(self) -> Array:
         """Values of `names` now."""
-        xi = self.last.xi if self._at_start is None else self._at_start
-        return self._totals.before(np.concatenate([self.joined.read(), xi, self._sums.values(xi)]))
+        xi = end = self._at_start
+        if xi is None or end is None:
+            xi, end = self.last.xi, xi_at_end(self._exchange, self.last)
+        return self._columns.rows(np.concatenate([self.joined.read(), xi, self._sums.values(end)]))
 
     def energies(self) -> Array:
         return self.joined.energies()
@@ -245,7 +247,7 @@ class Coupled:
         if self._master.failure is None:
             self._signals.stepped(h, xi_at_end(self._exchange, self.last))
         parts = None if steps.works is None else self._works.grouped(steps.works)
-        return replace(steps, signals=self._totals.before(steps.signals), works=parts)
+        return replace(steps, signals=self._columns.rows(steps.signals), works=parts)
 
     def _step(self, t: float, h: float) -> dict[str, Any]:
         """One step, and what is known of it: the fields of `Steps`.

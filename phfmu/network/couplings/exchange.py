@@ -165,10 +165,10 @@ class Exchange:
 
     def at_end(self, values: Array) -> Array:
         """Of each column of the interface the polynomial at the end of the step."""
-        return np.bincount(self.columns, self._at_ends * values, len(self.counts))[: len(self.k)].astype(float)
+        return np.bincount(self.columns, self.at_ends * values, len(self.counts))[: len(self.k)].astype(float)
 
     @cached_property
-    def _at_ends(self) -> Array:
+    def at_ends(self) -> Array:
         """The basis of each value at the end of a step."""
         return np.concatenate([np.zeros(0), *(nodes(int(k)).value(1.0) for k in self.counts)])
 

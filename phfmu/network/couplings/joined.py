@@ -25,6 +25,7 @@ from phfmu.network.junctions.unknowns import junction_unknowns
 from phfmu.network.members.differences import instant_sensitivity
 from phfmu.network.members.member import Member
 from phfmu.network.members.stepped_last import SteppedLast
+from phfmu.signals import of_member
 from phfmu.words import meant
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ class Joined:
         #: members whose steps are put off until `finish`
         self.put_off = [m for m in members if isinstance(m, SteppedLast)]
         self.booking = _booking(network, members)
-        self.names = [f"{m.name}.{n}" for m in members for n in m.names]
+        self.names = [of_member(m.name, n) for m in members for n in m.names]
         ends = np.cumsum([0, *(m.nu for m in members)]).tolist()
         #: where the inputs of each member are among all
         self.places = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
@@ -165,7 +166,7 @@ class Joined:
     @property
     def units(self) -> dict[str, str]:
         """Of the members' names and inputs, and of the junction unknowns."""
-        own = {f"{m.name}.{n}": unit for m in self.members for n, unit in m.units.items()}
+        own = {of_member(m.name, n): unit for m in self.members for n, unit in m.units.items()}
         for j in self.network.junctions:
             unknown = junction_unknowns(self.network.members, j)
             own |= {n: v.unit for v in (unknown.common, *unknown.dual.values()) for n in v.names()}

@@ -105,7 +105,7 @@ class Master:
         for struct, rows, followed in zip(self._array, members, given, strict=True):
             struct.record = rows.ctypes.data
             struct.given = None if followed is None else followed.ctypes.data
-        xi = np.empty((n, e.columns))
+        xi = np.empty((n, 2 * e.columns))
         trials, accepted = np.zeros(n, np.int32), np.zeros(n, np.int32)
         works = np.empty((n, e.size)) if self._works else None
         s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
@@ -119,8 +119,9 @@ class Master:
             return Steps.stacked([]), last
         for own, rows in zip(self._own, members, strict=True):
             own.finish(t0 + (first + done - 1) * h, h, rows[done - 1])
-        xi = xi[:done, : len(self.joined.face.names)]  # signals are no columns
-        rows = self._steps([own.told(m[:done], h) for own, m in zip(self._own, members, strict=True)], xi, sums)
+        names = len(self.joined.face.names)  # signals are no columns
+        xi, end = xi[:done, :names], xi[:done, e.columns : e.columns + names]
+        rows = self._steps([own.told(m[:done], h) for own, m in zip(self._own, members, strict=True)], xi, end, sums)
         if works is not None:
             rows["works"] = works[:done, e.unpacked]
         solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
@@ -174,9 +175,9 @@ class Master:
         missed = tuple(unpack(m) for m in self._missed[: self._struct.known])
         return NodeSolution(xi, y, trials, accepted_by, found=found, h=h, missed=missed)
 
-    def _steps(self, members: list[Told], xi: Array, sums: EndSums) -> dict[str, Any]:
+    def _steps(self, members: list[Told], xi: Array, end: Array, sums: EndSums) -> dict[str, Any]:
         """Fields of `Steps` from what was recorded."""
-        signals = [*(m.columns for m in members), xi, sums.of_rows(xi, np.hstack([m.ends for m in members]))]
+        signals = [*(m.columns for m in members), xi, sums.of_rows(end, np.hstack([m.ends for m in members]))]
         rows = {"signals": np.hstack(signals), "H": np.hstack([m.H for m in members])}
         return rows | {name: np.hstack([m.books[name] for m in members]) for name in LEDGER}
 
@@ -220,7 +221,7 @@ class Master:
             "ncluster": len(e.cluster) - 1, "nahead": len(e.ahead), "nnz": len(p.rowind), "capacity": p.capacity,
             "nwire": len(e.wires), "factor": e.factors,
             **{f"wire_{name}": e.wires[:, i].copy() for i, name in enumerate(("source", "output", "target", "input"))},
-            "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "column": e.column,
+            "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "at_end": e.at_ends, "column": e.column,
             "bare_column": e.bare, "skew_row": e.skew_row, "skew_col": e.skew_col, "skew_entry": p.skew, "skew": e.skew,
             "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,

@@ -68,6 +68,7 @@ class Exchanged:
     parts: list[Part]
     columns: int
     weights: Array
+    at_ends: Array
     column: Ints
     bare: Ints
     place: Ints
@@ -114,7 +115,7 @@ def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
     if isinstance(coupling, NodeNewton):
         e = coupling.exchange
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
-        clusters, nominal = e.clusters, e.row_nominal
+        clusters, nominal, at_ends = e.clusters, e.row_nominal, e.at_ends
     else:
         n = len(joined.face.names)
         k, columns = np.ones(n, int), np.arange(n)
@@ -122,7 +123,7 @@ def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
         shares = [
             _held(m, p, *joined.reach(i)) for i, (m, p) in enumerate(zip(joined.members, joined.places, strict=True))
         ]
-        clusters, nominal = Clusters([], 0), joined.face.row_nominal
+        clusters, nominal, at_ends = Clusters([], 0), joined.face.row_nominal, weights
     place = np.concatenate([*clusters.of, np.zeros(0, int)]).astype(np.int32)
     cluster = np.cumsum([0, *map(len, clusters.of)]).astype(np.int32)
     skew, where = coo_array(C), np.argsort(place)
@@ -131,7 +132,7 @@ def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
     to, from_, values = _ahead(k)
     return Exchanged(
         [_part(s, where, len(columns)) for s in shares],
-        len(k), weights, columns.astype(np.int32), bare, place,
+        len(k), weights, at_ends, columns.astype(np.int32), bare, place,
         skew.row.astype(np.int32), skew.col.astype(np.int32), skew.data,
         least, cluster, np.append(0, np.cumsum(np.diff(cluster) ** 2)).astype(np.int32),
         (-1.0) ** k[bare],

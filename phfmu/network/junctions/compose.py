@@ -37,7 +37,7 @@ def compose(
     """One PHDAE with all states, terms and free ports of the members, and the junction equations."""
     require_members(name, members)
     if wires:
-        members = _wired(members, wires)
+        members = wired(members, wires)
     unknowns = [junction_unknowns(members, j) for j in junctions]
     feed = {end: u for u in unknowns for end in u.junction.ends}
     parts = [_prefixed(member, model, feed) for member, model in members.items()]
@@ -67,7 +67,7 @@ def compose(
     )
 
 
-def _wired(members: Mapping[str, PHDAE], wires: Sequence[Wire]) -> dict[str, PHDAE]:
+def wired(members: Mapping[str, PHDAE], wires: Sequence[Wire]) -> dict[str, PHDAE]:
     """Members whose signal inputs are the outputs that feed them; `wires` are in order."""
     symbols, exprs = ca.SX(0, 1), ca.SX(0, 1)
     values: dict[str, dict[str, ca.SX]] = {}

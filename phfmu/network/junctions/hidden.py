@@ -9,6 +9,8 @@ M falls into blocks, of one junction each where outputs at an instant do not fol
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,14 +21,40 @@ from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
+#: rows, columns and entries of a part of a matrix
+Part = tuple[Ints, Ints, Array]
 
 SINGULAR = 1e-9  # singular value of M, relative to the largest of its block, that counts as zero
 LARGE = 64  # rows of a block whose regularity is asked of its factors first
 REGULAR = 1e-6  # a block with a larger inverse condition number (1-norm, estimated) has no such value
 
 
+@dataclass(frozen=True)
+class Parted:
+    """The rows r of junctions at one instant, M xi = -r, parted.
+
+    hidden:  projector Q: Q r is what no xi can change (n x n)
+    """
+
+    hidden: csr_array
+    _small: csr_array
+    _large: list[tuple[Ints, Ints, Any]]
+
+    def answer(self, r: Array) -> Array:
+        """The smallest xi with M xi = -(1 - Q) r, for rows r (steps x n)."""
+        xi = -(r @ self._small.T)
+        for rows, columns, solve in self._large:
+            xi[:, columns] -= solve(r[:, rows])
+        return xi
+
+
 def hidden_part(M: Any, nominal: Array) -> csr_array:
     """Projector Q: Q r is the part of the junction rows r that no xi can change (n x n).  M: array or sparse."""
+    return parted(M, nominal).hidden
+
+
+def parted(M: Any, nominal: Array) -> Parted:
+    """M: array or sparse (n x n);  nominal: of the junction unknowns xi."""
     n = len(nominal)
     entries: Any = coo_array(M)
     entries.eliminate_zeros()
@@ -35,16 +63,28 @@ def hidden_part(M: Any, nominal: Array) -> csr_array:
     np.maximum.at(biggest, entries.row, np.abs(values))
     d = 1.0 / np.where(biggest > 0, biggest, 1.0)
     scaled: Any = csr_array((values * d[entries.row], (entries.row, entries.col)), shape=(n, n))
-    rows, columns, parts = list[Ints](), list[Ints](), list[Array]()
+    hidden, small, large = list[Part](), list[Part](), []
     for own, its in _blocks(scaled):
-        N = _left_null(scaled[own][:, its])
+        block = scaled[own][:, its]
+        if len(own) == len(its) > LARGE and _inverse_condition(csc_array(block)) > REGULAR:
+            large.append((own, its, _solver(splu(csc_array(block)), d[own], nominal[its])))
+            continue
+        N, inverse = _null_and_inverse(block)
         if N.shape[1]:
-            rows.append(np.repeat(own, len(own)))
-            columns.append(np.tile(own, len(own)))
-            parts.append(((N @ N.T) * d[own] / d[own, None]).ravel())
+            hidden.append((own, own, (N @ N.T) * d[own] / d[own, None]))
+        small.append((its, own, inverse * d[own] * nominal[its, None]))
+    return Parted(_assembled(n, hidden), _assembled(n, small), large)
+
+
+def _solver(factors: Any, d: Array, nominal: Array) -> Callable[[Array], Array]:
+    return lambda r: factors.solve((r * d).T).T * nominal
+
+
+def _assembled(n: int, parts: list[Part]) -> csr_array:
     none = [np.zeros(0)]
-    where = np.concatenate(rows or none).astype(int), np.concatenate(columns or none).astype(int)
-    return csr_array((np.concatenate(parts or none), where), shape=(n, n))
+    rows = np.concatenate([np.repeat(r, len(c)) for r, c, _ in parts] or none).astype(int)
+    columns = np.concatenate([np.tile(c, len(r)) for r, c, _ in parts] or none).astype(int)
+    return csr_array((np.concatenate([e.ravel() for *_, e in parts] or none), (rows, columns)), shape=(n, n))
 
 
 def _blocks(M: Any) -> list[tuple[Ints, Ints]]:
@@ -58,16 +98,14 @@ def _blocks(M: Any) -> list[tuple[Ints, Ints]]:
     return [(g[g < n], g[g >= n] - n) for g in groups if (g < n).any()]
 
 
-def _left_null(block: Any) -> Array:
-    """Orthonormal N (rows x ..) with N^T block = 0."""
+def _null_and_inverse(block: Any) -> tuple[Array, Array]:
+    """Orthonormal N (rows x ..) with N^T block = 0, and the pseudo-inverse of the block."""
     rows, columns = block.shape
     if columns == 0:
-        return np.eye(rows)
-    if rows == columns > LARGE and _inverse_condition(csc_array(block)) > REGULAR:
-        return np.zeros((rows, 0))
-    left, s, _ = np.linalg.svd(block.toarray())
+        return np.eye(rows), np.zeros((0, rows))
+    left, s, right = np.linalg.svd(block.toarray())
     rank = int((s > SINGULAR * s[0]).sum())
-    return left[:, rank:]
+    return left[:, rank:], (right[:rank].T / s[:rank]) @ left[:, :rank].T
 
 
 def _inverse_condition(A: Any) -> float:

@@ -165,7 +165,8 @@ class Network:
             and (w.source not in there or w.output in there[w.source].sent)
             and (w.target not in there or w.input in there[w.target].taken)
         ]
-        return {n: replace(d, name=n) for n, d in separate(self.declared, wires).items()}
+        left = [w for w in self.wires if w not in wires]
+        return {n: replace(d, name=n) for n, d in separate(self.declared, wires, left).items()}
 
     @property
     def declared(self) -> dict[str, PHDAE]:

@@ -45,6 +45,13 @@ def exchanging(model: PHDAE, left: Collection[str] = ()) -> PHDAE:
     return with_signal_ports(model, taken, [o.name for o in model.observables if o.signal])
 
 
+def holding(model: PHDAE, held: Collection[str]) -> PHDAE:
+    """`model`, whose ports tell what they do in composed networks where the signal inputs `held` (bare names) are fed."""
+    inputs = [v for v in model.parameters if v.signal and v.name in held]
+    own = {n: s for v in inputs for n, s in zip(v.names(), ca.vertsplit(v.sx), strict=True)}
+    return replace(fed(model, own), parameters=model.parameters) if own else model
+
+
 def _port(
     name: str, given: Given, size: int | None, unit: str, start: Sequence[float] = (0.0,), description: str = ""
 ) -> Port:
@@ -67,11 +74,13 @@ def _size(name: str, output: Output) -> int | None:
     return None if output.names == [name] else len(output.names)
 
 
-def separate(members: Mapping[str, PHDAE], wires: Collection[Wire]) -> dict[str, PHDAE]:
-    """`members` with ports for those ends of these wires that they are."""
+def separate(members: Mapping[str, PHDAE], wires: Collection[Wire], held: Collection[Wire] = ()) -> dict[str, PHDAE]:
+    """`members` with ports for those ends of these wires that they are; parameters stay what `held` wires feed."""
     ends = {name: (dict[str, None](), dict[str, None]()) for name in members}
     for w in wires:
         for end, side, name in ((w.target, 0, w.input), (w.source, 1, w.output)):
             if end in ends:
                 ends[end][side][name.partition("[")[0]] = None
-    return {n: with_signal_ports(m, *ends[n]) if any(ends[n]) else m for n, m in members.items()}
+    kept = {n: {w.input.partition("[")[0] for w in held if w.target == n} for n in members}
+    own = {n: holding(m, kept[n]) if kept[n] else m for n, m in members.items()}
+    return {n: with_signal_ports(m, *ends[n]) if any(ends[n]) else m for n, m in own.items()}

@@ -37,6 +37,7 @@ def finite_differences(member: Member, u: Array, t: float, h: float, state: Any,
 
 def instant_sensitivity(member: Member, u: Array) -> Array:
     """G = dy/dU (nu x nu) of a member at the present time; its inputs are u again afterwards."""
+    member.set_input(u)  # what it tells may still be of others
     base = np.array(member.end_output())
     G = np.zeros((len(u), len(u)))
     for j in range(len(u)):

@@ -39,10 +39,12 @@ static int solve(ph_master *m, double t, double h, int *trials, int *by) {
 }
 
 static void record(ph_master *m, double h, int row) {
-    double *xi = m->xi + (ptrdiff_t)row * m->ncolumn;
-    ph_clear(xi, m->ncolumn);
-    for (int i = 0; i < m->nxi; i++)
+    double *xi = m->xi + (ptrdiff_t)row * 2 * m->ncolumn, *end = xi + m->ncolumn;
+    ph_clear(xi, 2 * m->ncolumn);
+    for (int i = 0; i < m->nxi; i++) {
         xi[m->column[i]] += m->weights[i] * m->z[i];
+        end[m->column[i]] += m->at_end[i] * m->z[i];
+    }
     for (int b = 0; b < m->nbare; b++)
         xi[m->bare_column[b]] += (m->z[m->nxi + b] + m->z[m->nxi + m->nbare + b]) / h;
 }

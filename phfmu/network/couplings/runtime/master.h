@@ -103,6 +103,7 @@ typedef struct ph_master {
     int points;             /* of the rule for the root of impulses */
     const double *cosines;  /* points: cos^2 t_l */
     const double *weights;  /* nxi */
+    const double *at_end;   /* nxi: the basis of each unknown at the end of the step */
     const int *column;      /* nxi: common variable of each unknown */
     const int *bare_column; /* nbare */
     const int *skew_row;    /* nskew: rows at nodes += value * unknown */
@@ -144,7 +145,7 @@ typedef struct ph_master {
     double *moved;   /* nbare: T m */
     double *sums;    /* nbare: of outputs before the step */
     void *lu;        /* ph_lu with room for its parts behind it */
-    double *xi;      /* a row a step: means of the common variables, ncolumn */
+    double *xi;      /* a row a step, 2*ncolumn: common variables, means, then at the end */
     double *work;    /* a row a step: energy of each unknown at its junction, nz; NULL: not wanted */
     ph_crew *crew;   /* threads that help, or NULL */
     int *status;     /* nshare: of the parts of members */
