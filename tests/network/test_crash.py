@@ -328,7 +328,15 @@ def test_a_full_disk_keeps_whole_rows(
 # -- blocks --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("line", ["drive --engine native --step 1e-4", slow("oscillator --engine python --step 3e-4")])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "drive --engine native --step 1e-4",
+        "oscillator --coupling newton --step 1e-3",
+        slow("oscillator --coupling newton --engine fmu --step 1e-3"),
+        slow("oscillator --engine python --step 3e-4"),
+    ],
+)
 def test_results_do_not_depend_on_the_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str) -> None:
     """Blocks are cut by wall time; every number, the time included, is the same bits however they are cut."""
     found = []

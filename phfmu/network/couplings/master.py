@@ -67,6 +67,8 @@ class Master:
         shares = [self._share(i, own) for i, own in enumerate(self._own)]
         self._z, self._last = np.zeros(found.size), np.zeros(found.size)
         self._missed = np.zeros((KNOWN, found.size))
+        #: the solution and length of the last step that was taken here, which the memory of the loop goes on from
+        self._left: tuple[Solution, float] | None = None
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
         self.taken, self.rules = 0, self._memory.fill("ph_rules", self._rules())
         self._array = self._memory.array(shares)
@@ -125,6 +127,7 @@ class Master:
         if works is not None:
             rows["works"] = works[:done, e.unpacked]
         solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
+        self._left = solution, h
         return Steps(**rows, iterations=trials[:done], accepted_by=ACCEPTED[accepted[:done]]), solution
 
     def _run(self, grid: tuple[float, float, int], n: int, next_: int) -> tuple[int, float]:
@@ -147,8 +150,13 @@ class Master:
         return followed.at_nodes(self.joined.free[place], place, nodes(self.found.parts[i].k).c, grid, n)
 
     def _begin(self, last: Solution, h: float) -> int:
-        """Where the first step starts from; 1: the continuation of the step before, which is made there."""
+        """Where the first step starts from; 1: the continuation of the step before, which is made there.
+
+        Time decides where calls end, so it must not matter: what one has left, the next goes on from.
+        """
         e = self.found
+        if self._left is not None and self._left[0] is last and self._left[1] == h:
+            return 1
         if not isinstance(self.coupling, NodeNewton):
             self._z[:] = last.xi
             return 0
