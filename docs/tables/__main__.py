@@ -36,7 +36,7 @@ MAKERS = {
     "stepping": ("restart", "tolerance", "between"),
     "audit_cost": ("audit_cost",),
     "library": ("orders",),
-    "events": ("event_orders", "event_losses"),
+    "events": ("event_orders", "event_losses", "apart_orders"),
     "event_peers": ("event_peers", "event_peers_equal"),
     "event_picture": ("event_picture",),
     "singular_mass": ("mass_spring_orders",),

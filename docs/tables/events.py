@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pages import Array, Made, independent, slopes, table
 
-from phfmu import Collocated, Event, NativeInstance, Options, build_model
+from phfmu import Collocated, Coupled, EngineMember, Event, NativeInstance, Options, build_model
 from phfmu.components.library import build, builder
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.monolithic import Monolithic
@@ -100,6 +100,47 @@ def event_orders() -> Made:
             ]
     head = ["scene", "order", "steps", "event times, s", "slope", "states", "slope", "closure / H", "solves an event"]
     return table(head, rows)
+
+
+def apart_orders() -> Made:
+    """The rectifier as three members stepped apart: errors against the closed form, and how far from the composed run."""
+    exact, rows = known()["rectifier"], []
+    for k in (1, 2, 3):
+        found = [_apart(k, exact.stop / n) for n in exact.steps[k]]
+        steps = [exact.stop / n for n in exact.steps[k]]
+        late = [float(np.max(np.abs(_times(one) - exact.times))) for one, _ in found]
+        ends = [np.array([one.column(n)[-1] for n in exact.names]) for one, _ in found]
+        off = [float(np.linalg.norm((x - exact.values) / exact.values)) for x in ends]
+        shown = zip(exact.steps[k], found, late, slopes(late, steps), off, slopes(off, steps), strict=True)
+        for n, (one, whole), t, p, e, q in shown:
+            beside = max(float(np.max(np.abs(one.column(s) / whole.column(s).max() - whole.column(s) / whole.column(s).max())))
+                         for s in exact.names)  # fmt: skip
+            apart = float(np.max(np.abs(_times(one) - _times(whole))))
+            rows.append([2 * k, n, t, p, e, q, apart, beside])
+    head = [
+        "order",
+        "steps",
+        "event times, s",
+        "slope",
+        "states",
+        "slope",
+        "times, to the composed run, s",
+        "states, to it",
+    ]
+    return table(head, rows)
+
+
+def _apart(k: int, step: float) -> tuple[Any, Any]:
+    """The rectifier apart, and composed."""
+    scene = build("rectifier")
+    models = {n: build_model(d, Collocated(k)) for n, d in scene.system.declared.items()}
+    members: list[Any] = [EngineMember(n, m, stepped(m, NativeInstance)) for n, m in models.items()]
+    return run(Coupled(scene.system, members), Options(stop=scene.stop, step=step)), ran(scene, k, step)
+
+
+def _times(result: Any) -> Array:
+    """Of the events, each of which has a row before and one after it."""
+    return result.time[np.flatnonzero(np.diff(result.time) == 0)]
 
 
 def ran(scene: Any, k: int, step: float, stop: float | None = None) -> Any:

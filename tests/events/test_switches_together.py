@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from event_reference import LA, LD
@@ -21,8 +22,12 @@ from phfmu import (
     PythonInstance,
     build_model,
     run,
+    time,
 )
 from phfmu.cli import main
+from phfmu.components.electrical.branches import rl_branch
+from phfmu.components.electrical.sources import voltage_source
+from phfmu.components.electrical.switches import ideal_switch
 from phfmu.components.library import build
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.apart import Apart
@@ -146,3 +151,25 @@ def test_the_command_line_steps_the_rectifier_apart(capsys: Any) -> None:
     args = ["--coupling", "newton", "--order", "4", "--engine", "python", "--stop", "0.002"]
     assert main(["run", "rectifier", *args]) == 0
     assert "closed" in capsys.readouterr().out
+
+
+def test_a_node_that_nothing_conducts_to_floats_through_steps() -> None:
+    """Between two open switches no row determines the voltage: it is least in norm, until one of them closes."""
+    net = Network("floating")
+    net.add("source", voltage_source(24.0 * ca.cos(100.0 * time), v=24.0))
+    net.add("first", ideal_switch(conducts=False, v=24.0))
+    net.add("second", ideal_switch(conducts=False, v=24.0))
+    net.add("load", rl_branch(2.0, 0.01, v=24.0))
+    net.junction("supply", ["source.terminal", "first.a"])
+    net.junction("between", ["first.b", "second.a"])
+    net.junction("end", ["second.b", "load.terminal"])
+    events = (Event(2e-3, "first.conducts", 1.0), Event(3e-3, "second.conducts", 1.0))
+    apart, composed = both(net, PythonInstance, 2, Options(stop=5e-3, step=5e-4, events=events))
+    require_same(apart, composed, events=2)
+    voltage, current = apart.column("between.v"), apart.column("load.current")
+    assert not voltage[apart.time < 2e-3].any() and voltage[-1] == pytest.approx(24.0 * np.cos(0.475), rel=1e-3)
+
+    def forced(t: float) -> float:
+        return float((24.0 * np.exp(100j * t) / (2.0 + 1j)).real)
+
+    assert current[-1] == pytest.approx(forced(5e-3) - forced(3e-3) * np.exp(-2e-3 / 5e-3), rel=1e-5)
