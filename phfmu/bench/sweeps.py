@@ -157,7 +157,7 @@ step: measures, ledger judged), both in CPU time; and by all cores, on the wall.
 cores had time for. `once`: what a sweep costs that does not grow with its runs, with code that was compiled before.
 
 Where it ends: runs of one step cost little but the own part, many measures cost theirs in every step, and a measure of a value
-at an instant (here a multiplier) takes a solve there in every step. Memory grows by the row of each run.
+at an instant takes a solve there in every step (last row). Memory grows by the row of each run.
 
     phfmu bench sweep -o docs/results/sweep.md
 

@@ -20,6 +20,7 @@ from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.scene import Event
+from phfmu.signals import SignalKind
 from tests.engines import ENGINES
 from tests.wide import wide
 
@@ -104,6 +105,7 @@ class Unit:
 
     lands = False
     units: dict[str, str] = {}
+    kinds: dict[str, SignalKind] = {}
 
     def __init__(self, pairs: Sequence[float], supplied: float, estimated: bool = False):
         self.names: list[str] = []

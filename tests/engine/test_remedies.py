@@ -116,7 +116,11 @@ def test_what_needs_one_model_says_what_it_has(capsys, option: str) -> None:
         option,
         "1" if option != "--rtol" else "1e-3",
     )
-    assert code == 2 and f"leave out {option}, or leave out --coupling, --member and --parts" in text and "--engine fmu" not in text
+    assert (
+        code == 2
+        and f"leave out {option}, or leave out --coupling, --member and --parts" in text
+        and "--engine fmu" not in text
+    )
 
 
 def test_adaptive_runs_refuse_restarts_that_let_constraints_drift(capsys) -> None:
