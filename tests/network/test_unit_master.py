@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import replace
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +10,8 @@ import numpy as np
 import pytest
 
 from phfmu import (
-    Collocated,
     Coupled,
-    EngineMember,
-    FMUInstance,
-    NativeInstance,
-    PythonInstance,
     StepFailure,
-    build_model,
-    export,
 )
 from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.oscillator import oscillator
@@ -33,39 +20,18 @@ from phfmu.components.scenes.speed_control import speed_control
 from phfmu.components.scenes.stops import buffer
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.engine.steps import Steps
-from phfmu.fmu.access import Access
 from phfmu.network.members.fmu_member import FMUMember
 from tests.network.both_loops import SAME
 from tests.network.test_master import BOOKS, pulled
+from tests.network.unit_members import MIXED, unit_members
 from tests.wide import slow
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
-UNITS = {"fmi2": "2.0", "fmi3": "3.0"}
-MIXED = "fmi3 native fmi2"
-
 
 @pytest.fixture
 def made(tmp_path: Path) -> Iterator[Callable[..., Coupled]]:
-    """(network, kinds in turn, k, step) -> members stepped apart."""
-    with ExitStack() as stack:
-        paths: dict[Any, Path] = {}
-
-        def make(net: Any, kinds: str, k: int, h: float, isolate: float | None = None, **how: Any) -> Coupled:
-            members: list[Any] = []
-            for (name, d), kind in zip(net.separate().items(), cycle(kinds.split()), strict=False):
-                model = build_model(replace(d, name=name), Collocated(k))
-                if kind not in UNITS:
-                    members.append(EngineMember(name, model, NativeInstance(model)))
-                    continue
-                if (name, kind) not in paths:
-                    kicked = model.events is None and any(p.kind != "none" for p in PythonInstance(model).impulse_ports)
-                    folder, version = tmp_path / f"{name}{k}", (UNITS[kind],)
-                    (paths[name, kind],) = export(model, folder, version, step=h, node_inputs=k > 1, impulses=kicked)
-                unit = stack.enter_context(FMUInstance(paths[name, kind], start=0.0, name=name, isolate=isolate))
-                members.append(FMUMember(name, unit))
-            return Coupled(net, members, **how)
-
+    with unit_members(tmp_path) as make:
         yield make
 
 
@@ -108,6 +74,25 @@ def test_rows_and_books_are_those_of_the_loop_in_python(made: Any, make: Any, ki
     assert np.abs(c.H - d.H).max() <= SAME * scale
 
 
+@pytest.mark.parametrize(
+    ("make", "port", "k"), [(smib, "terminal", 2), (oscillator, "flange", 2), slow((oscillator, "flange", 1))]
+)
+def test_ports_that_count_outward_and_arrays(made: Any, make: Any, port: str, k: int) -> None:
+    """Currents of the machine, given forces of the mass: energies are those of units that count inward, bit for bit."""
+    found = []
+    for written in ({}, {"arrays": True, "outward": [port]}):
+        stepper = made(make().system, "fmi3 native native", k, SCENES[make], written=written)
+        stepper.check_start()
+        stepper.prepare(0.0, SCENES[make])
+        found.append(stepper.advance(0.0, SCENES[make], 6))
+        values = stepper.joined.members[0].unit._values
+        assert stepper._master.taken == 6 and np.append(values.input_sign, values.output_sign).min() == (
+            -1 if written else 1
+        )
+        assert any(v.size for v in values.interface.variables.values()) is (bool(written) and make is smib)
+    assert all(np.array_equal(getattr(found[0], n), getattr(found[1], n)) for n in ("H", "iterations", *BOOKS))
+
+
 @pytest.mark.parametrize("kinds", ["fmi2", "fmi3"])
 def test_a_step_that_fails_leaves_units_where_they_were(made: Any, kinds: str) -> None:
     """With the error of the loop in Python and the words of the unit; then a shorter step is taken."""
@@ -147,116 +132,6 @@ def test_units_in_processes_of_their_own_stay_in_python(made: Any) -> None:
     stepper = made(oscillator().system, MIXED, 1, 1e-2, isolate=60.0)
     stepper.check_start()
     assert len(stepper.advance(0.0, 1e-2, 2).H) == 2 and stepper._master is None
-
-
-# -- what a unit answers ------------------------------------------------------------------------------------------------
-
-DO_STEP = ctypes.CFUNCTYPE(
-    ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_bool, *[ctypes.c_void_p] * 4
-)
-
-
-def answering(monkeypatch: pytest.MonkeyPatch, status: int, late: float) -> list[float]:
-    """The second mass answers steps from `late` on with this status instead of doing them; times of its steps."""
-    functions, kept, times = Access.functions, [], list[float]()
-
-    def of(self: Access, names: Any) -> list[Any]:
-        found = functions(self, names)
-        if self.values.name != "mass2":
-            return found
-        real: Any = ctypes.cast(found[2], DO_STEP)
-
-        def do_step(instance: Any, t: float, h: float, *rest: Any) -> int:
-            times.append(t)
-            done = real(instance, t, h, *rest)
-            return max(done, status) if t > late else done
-
-        kept.append(DO_STEP(do_step))
-        found[2] = kept[-1]
-        return found
-
-    monkeypatch.setattr(Access, "functions", of)
-    return times
-
-
-def test_a_warning_is_no_refusal(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    times = answering(monkeypatch, 1, 0.0)
-    stepper = made(oscillator().system, "fmi3", 1, 1e-2)
-    stepper.check_start()
-    stepper.advance(0.0, 1e-2, 5)
-    assert stepper._master.taken == 5 and len(times) >= 10
-
-
-@pytest.mark.parametrize("status", [2, 3, 5])
-def test_what_is_not_answered_with_ok_is_asked_again_in_python(
-    made: Any, monkeypatch: pytest.MonkeyPatch, status: int
-) -> None:
-    """There the unit does it, as a member that refuses once does: the rows are those of the loop in Python."""
-    answering(monkeypatch, status, 0.025)
-    found = []
-    for compiled in (True, False):
-        stepper = made(oscillator().system, "fmi3", 1, 1e-2, compiled=compiled)
-        stepper.check_start()
-        found.append(stepper.advance(0.0, 1e-2, 6))
-        assert not compiled or stepper._master.taken == 3
-    assert np.abs(found[0].H - found[1].H).max() <= SAME * np.abs(found[1].H).sum()
-    assert np.array_equal(found[0].iterations, found[1].iterations)
-
-
-def test_after_a_fatal_error_nothing_is_called(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The run ends with the unit, the call and the time, and keeps the steps before; other members are back."""
-    times = answering(monkeypatch, 4, 0.025)
-    stepper = made(oscillator().system, "fmi3", 1, 1e-2)
-    stepper.check_start()
-    with pytest.raises(StepFailure, match=r"mass2 at t = 0.03 s, h = 0.01 s: fmi3DoStep answers 'fatal'") as caught:
-        stepper.advance(0.0, 1e-2, 6)
-    assert caught.value.recorded and len(caught.value.recorded["steps"].H) == 3
-    assert times.count(0.03) == 1 and times[-1] == 0.03
-    one, dead, *_ = sorted(
-        (m.unit for m in stepper.joined.members), key=lambda u: u.name != "mass1" and u.name != "mass2"
-    )
-    assert dead.name == "mass2" and dead.dead and not one.dead and one.get(["energy.stored"]).size == 1
-    assert one.time == pytest.approx(0.03)
-
-
-CRASH = """
-import ctypes, sys
-from phfmu import Coupled, FMUInstance
-from phfmu.engine.steps import Steps
-from phfmu.fmu.access import Access
-from phfmu.network.members.fmu_member import FMUMember
-from phfmu.components.scenes.oscillator import oscillator
-functions = Access.functions
-def of(self, names):
-    found = functions(self, names)
-    if self.values.name == "mass2":
-        found[names.index(sys.argv[1])] = {how}
-    return found
-Access.functions = of
-net = oscillator().system
-stepper = Coupled(net, [FMUMember(n, FMUInstance(p, name=n, start=0.0)) for n, p in zip(net.members, sys.argv[2:])])
-stepper.check_start()
-stepper.advance(0.0, 0.01, 3)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
-@pytest.mark.parametrize(
-    ("how", "call", "said"),
-    [
-        ("ctypes.c_void_p(8)", "DoStep", "crashed in doStep at t = 0 s (SIGSEGV"),
-        slow(("ctypes.CDLL(None).abort", "GetFMUState", "crashed in fmi3GetFMUState (SIGABRT")),
-        slow(("ctypes.CDLL(None).exit", "DoStep", "ended the process in doStep at t = 0 s")),
-    ],
-)
-def test_a_unit_that_crashes_is_named(tmp_path: Path, how: str, call: str, said: str) -> None:
-    net: Any = oscillator().system
-    paths = [
-        export(build_model(replace(d, name=n)), tmp_path, ("3.0",), step=1e-2)[0] for n, d in net.separate().items()
-    ]
-    run = [sys.executable, "-c", CRASH.replace("{how}", how), call, *map(str, paths)]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=100)
-    assert done.returncode == 3 and f"the unit 'mass2' {said}" in done.stderr and "--isolate" in done.stderr
 
 
 # -- events ---------------------------------------------------------------------------------------------------------------
