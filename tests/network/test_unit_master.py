@@ -13,6 +13,7 @@ from phfmu import (
     Coupled,
     StepFailure,
 )
+from phfmu.components.mechanical.contacts import bumper
 from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
@@ -21,6 +22,7 @@ from phfmu.components.scenes.stops import buffer
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.engine.steps import Steps
 from phfmu.network.members.fmu_member import FMUMember
+from phfmu.signals import SUM
 from tests.network.both_loops import SAME
 from tests.network.test_master import BOOKS, pulled
 from tests.network.unit_members import MIXED, unit_members
@@ -155,3 +157,27 @@ def test_steps_with_state_events_in_a_unit_are_told_by_the_loop_in_python(made: 
     assert np.abs(one.H - two.H).max() <= 1e-9 * np.abs(two.H).max()  # impacts make rounding grow
     (a, b) = ([e for e in s.events or ()] for s in found)
     assert 2 <= len(a) == len(b)
+
+
+def test_events_of_a_unit_that_nothing_is_joined_to_are_told(made: Any) -> None:
+    """Its steps need no derivative, which would be refused: what it books of events is looked at after each of them."""
+    net: Any = oscillator().system
+    net.add("ball", bumper(1.0, gap=0.055, v=-1.0))
+    stepper = made(net, "native native native fmi3", 1, 1e-2)
+    stepper.check_start()
+    stepper.prepare(0.0, 1e-2)
+    steps = stepper.advance(0.0, 1e-2, 10)
+    assert stepper._master.taken == 9 and [k for k, _ in steps.events] == [5]
+    (_, told), *_ = steps.events
+    assert told.lost.sum() == pytest.approx(0.75 * 0.5, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_currents_of_units_at_ends_of_steps_sum_to_rounding(made: Any) -> None:
+    """One more impulse, for which a unit takes the step again: 1.5e-11 A of 100 kA, without it 5e-10 A."""
+    stepper = made(two_machine().system, "fmi3", 2, 2e-4)
+    stepper.check_start()
+    stepper.prepare(0.0, 2e-4)
+    steps = stepper.advance(0.0, 2e-4, 20)
+    sums = [i for i, n in enumerate(stepper.names) if n.startswith(SUM + "bus1")]
+    assert stepper._master.taken == 20 and np.abs(steps.signals[:, sums]).max() <= 1e-10
