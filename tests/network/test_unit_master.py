@@ -22,7 +22,7 @@ from phfmu.components.scenes.stops import buffer
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.engine.steps import Steps
 from phfmu.network.members.fmu_member import FMUMember
-from phfmu.signals import SUM
+from phfmu.signals import CONSTRAINT
 from tests.network.both_loops import SAME
 from tests.network.test_master import BOOKS, pulled
 from tests.network.unit_members import MIXED, unit_members
@@ -179,5 +179,5 @@ def test_currents_of_units_at_ends_of_steps_sum_to_rounding(made: Any) -> None:
     stepper.check_start()
     stepper.prepare(0.0, 2e-4)
     steps = stepper.advance(0.0, 2e-4, 20)
-    sums = [i for i, n in enumerate(stepper.names) if n.startswith(SUM + "bus1")]
+    sums = [i for i, n in enumerate(stepper.names) if n.startswith(CONSTRAINT + "velocity.bus1")]
     assert stepper._master.taken == 20 and np.abs(steps.signals[:, sums]).max() <= 1e-10
