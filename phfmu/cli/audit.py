@@ -25,9 +25,7 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--by", choices=KINDS, help="one table only; event: all events, one by one")
     parser.add_argument("--all", action="store_true",
                         help=f"all rows; else, without --by, {ROWS} of a table, the last the sum of all others")  # fmt: skip
-    parser.add_argument(
-        "--unit", default="J", choices=(*UNITS, "auto"), help="of the energies (default J; auto: what fits)"
-    )
+    parser.add_argument("--unit", choices=(*UNITS, "auto"), help="of the energies (default J; auto: what fits)")
     parser.add_argument("--percent", action="store_true", help="energies as parts of what came in, or was there")
     parser.add_argument("--export", choices=("csv",), help="the table of --by as CSV, with all digits, instead of text")
     parser.add_argument("--alarm", type=float, default=0.1, metavar="PART",
@@ -60,9 +58,13 @@ def call(args: argparse.Namespace) -> int:
         raise ValueError(
             f"--export {args.export} writes one table; say which with --by component, port, junction or event"
         )
+    if args.unit and args.percent:
+        raise ValueError(
+            f"--percent writes energies as parts of the whole, --unit {args.unit} in {args.unit}: leave one of them out"
+        )
     window, levels, path = _window(args.window), Alarms(args.alarm, args.alarm_junction), _existing(args.file[0])
     summary = summarise(path, args.rtol, window)
-    unit = fitting(summary) if args.unit == "auto" else args.unit
+    unit = fitting(summary) if args.unit == "auto" else args.unit or "J"
     scale = Scale(unit, (whole(summary) or None) if args.percent else None)
     events = list(event_rows(str(path), window)) if args.by == "event" else []
     if args.export:

@@ -39,14 +39,14 @@ def apart(
     step = s.step if args.step is None else args.step
     threads, notes = threads_asked(args), list(why)
 
-    some_fmu = "fmu" in map(stepping.engine_of, schemes)
-    with_impulses = Apart(network).kicked(args.project) if some_fmu and coupling.nodes else set()
-    held = {
-        n for n, d in network.declared.items()
-        if not (coupling.nodes and schemes[n].node_values)
-        or d.state_events
-        or (stepping.engine_of(n) == "fmu" and schemes[n].order == 2)
-    }  # fmt: skip
+    some_fmu, whole = "fmu" in map(stepping.engine_of, schemes), Apart(network)
+    with_impulses = whole.kicked(args.project) if some_fmu and coupling.nodes else set()
+
+    def at_nodes(name: str) -> bool:
+        in_unit = stepping.engine_of(name) == "fmu"
+        return coupling.nodes and (_node_inputs if in_unit else _node_values)(schemes[name])
+
+    held = whole.holding(at_nodes)
     separate = network.separate(held)
 
     def member(name: str, declaration: PHDAE | UnitFile) -> Member:
@@ -63,7 +63,7 @@ def apart(
         if stepping.engine_of(name) == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
 
-            extra = _exchanged(schemes[name], name in with_impulses)
+            extra = _node_inputs(schemes[name]), schemes[name].node_values and name in with_impulses
             return FMUMember(name, as_fmu(own, schemes[name], args.fmi, step / parts, *extra))
         model = build_model(own, schemes[name])
         return EngineMember(name, model, instance_of(model, stepping.engine_of(name)), parts)
@@ -83,9 +83,13 @@ def apart(
     return Job(s, head, False, build, notes)
 
 
-def _exchanged(scheme: Scheme, kicked: bool) -> tuple[bool, bool]:
-    """Whether the unit of a member needs inputs at nodes, and impulses where steps have one node."""
-    return scheme.node_values and scheme.order > 2, scheme.node_values and kicked
+def _node_values(scheme: Scheme) -> bool:
+    return scheme.node_values
+
+
+def _node_inputs(scheme: Scheme) -> bool:
+    """Whether the unit of a member is exported with inputs at nodes: where steps have more than one."""
+    return scheme.node_values and scheme.order > 2
 
 
 def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: bool) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phfmu.cli.options import audit_file
+from phfmu.fmu import exit_guard
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
@@ -100,9 +101,14 @@ class Outputs:
             self._drawn.mark(time, message)
 
     def __enter__(self) -> Outputs:
+        exit_guard.left = (
+            *(["rows are in the .partial file of -o"] if self._table_path else []),
+            *(["`phfmu audit recover` reads the audit"] if self._audit_path else []),
+        )
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        exit_guard.left = ()
         if error is None:
             self._end()
             return

@@ -29,6 +29,9 @@ Call = tuple[str, Any, tuple[Any, ...]]
 #: the call that is under way; of those that compiled code makes, what tells; between calls there is none
 current: Call | Callable[[], list[Call]] | None = None
 
+#: what there is of the run that it ends, in words
+left: tuple[str, ...] = ()
+
 _FAULTS = {
     "SIGSEGV": "it used memory that is not its own",
     "SIGBUS": "it used memory that is not there",
@@ -122,8 +125,8 @@ def leave(what: str, how: str, code: int = CODE) -> None:
     names = " or ".join(f"'{name}'" for name, *_ in calls())
     with suppress(OSError):
         os.write(2, f"phfmu: the unit {names} {what} ({how}).".encode())
-        os.write(2, b" Next: --isolate gives it a process of its own, and keeps the rows and the audit until then;")
-        os.write(2, b" of this run rows are in the .partial file of -o, `phfmu audit recover` reads an audit\n")
+        os.write(2, b" Next: --isolate gives it a process of its own, and keeps the rows and the audit until then")
+        os.write(2, f"{'; of this run ' if left else ''}{', '.join(left)}\n".encode())
         if faulthandler.is_enabled():
             faulthandler.dump_traceback()
         sys.stdout.flush()

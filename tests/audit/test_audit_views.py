@@ -130,6 +130,15 @@ def test_units_and_percent() -> None:
     assert Scale("MWh").of(3.6e9) == 1.0 and Scale(whole=4.0).of(1.0) == 25.0
 
 
+@pytest.mark.parametrize("unit", ["MJ", "J", "auto"])
+def test_a_unit_and_percent_are_refused_together(
+    unit: str, log: tuple[Path, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["audit", str(log[0]), "--unit", unit, "--percent"]) == 2
+    said = capsys.readouterr()
+    assert not said.out and f"--unit {unit}" in said.err and "leave one of them out" in said.err
+
+
 def test_alarms_come_before_violations(log: tuple[Path, Any]) -> None:
     summary = log[1].ledger.summary()
     assert list(alarms(summary, Alarms())) == []

@@ -143,12 +143,17 @@ def test_the_refusal_is_data(units: dict[str, Path]) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the C library cannot take handlers back")
 @pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
-def test_a_library_that_calls_exit_is_noticed(units: dict[str, Path], version: str) -> None:
+def test_a_library_that_calls_exit_is_noticed(units: dict[str, Path], version: str, tmp_path: Path) -> None:
+    """What is said to be left is there: nothing without -o and --audit."""
     run = [sys.executable, "-m", "phfmu.cli", "run", str(units[version]), "--set"]
     run[1:3] = ["-c", "import sys; from phfmu.cli import main; sys.exit(main(sys.argv[1:]))"]
     done = subprocess.run([*run, f"mode={LEAVE}"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 3
     assert "the unit 'foreign' ended the process in" in done.stderr and "doStep" in done.stderr
+    assert "until then\n" in done.stderr and "-o" not in done.stderr and "recover" not in done.stderr
+    table = ["-o", str(tmp_path / "run.csv")]
+    done = subprocess.run([*run, f"mode={LEAVE}", *table], capture_output=True, text=True, timeout=60)
+    assert "of this run rows are in the .partial file of -o\n" in done.stderr and "recover" not in done.stderr
     done = subprocess.run([*run, "mode=0"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and "ended the process" not in done.stderr, "an ordinary end is not one"
 

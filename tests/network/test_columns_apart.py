@@ -63,7 +63,7 @@ def both(net: Network, k: int, step: float, engine: Any = PythonInstance, **how:
 
 def same_names(one: Any, two: Any) -> None:
     n = len(one.names)
-    assert two.names[:n] == one.names and two.units[:n] == one.units
+    assert two.names[:n] == one.names and two.units[:n] == one.units and two.kinds[:n] == one.kinds
 
 
 def differing(one: Any, two: Any) -> set[str]:

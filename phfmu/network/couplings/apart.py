@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING
@@ -37,8 +37,12 @@ class Apart:
     @cached_property
     def wires(self) -> list[Wire]:
         """Signals that are held over a step."""
+        return held_wires(self.network, self.holding(lambda _: True))
+
+    def holding(self, at_nodes: Callable[[str], bool]) -> set[str]:
+        """Members whose signals are held over a step: with state events, held inputs, or not stepped `at_nodes`."""
         declared = self.network.declared.items()
-        return held_wires(self.network, [n for n, d in declared if d.state_events or n in self.held])
+        return {*self.held, *(n for n, d in declared if d.state_events or not at_nodes(n))}
 
     def order(self) -> str:
         """What `--order` is composed and apart."""

@@ -29,7 +29,7 @@ from phfmu.network.couplings.whole_columns import WholeColumns
 from phfmu.network.couplings.works import Works
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.member import Member
-from phfmu.signals import SignalKind
+from phfmu.signals import SignalKind, of_member
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
@@ -106,7 +106,7 @@ class Coupled:
 
     @property
     def kinds(self) -> dict[str, SignalKind]:
-        return {f"{m.name}.{n}": kind for m in self.joined.members for n, kind in m.kinds.items()}
+        return {of_member(m.name, n): kind for m in self.joined.members for n, kind in m.kinds.items()}
 
     def inputs(self) -> dict[str, float]:
         """Free inputs of the members, which neither junctions nor signals feed, as they are now."""
