@@ -150,7 +150,7 @@ def test_a_library_that_calls_exit_is_noticed(units: dict[str, Path], version: s
     done = subprocess.run([*run, f"mode={LEAVE}"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 3
     assert "the unit 'foreign' ended the process in" in done.stderr and "doStep" in done.stderr
-    assert "until then\n" in done.stderr and "-o" not in done.stderr and "recover" not in done.stderr
+    assert "until then\n" in done.stderr and ".partial" not in done.stderr and "recover" not in done.stderr
     table = ["-o", str(tmp_path / "run.csv")]
     done = subprocess.run([*run, f"mode={LEAVE}", *table], capture_output=True, text=True, timeout=60)
     assert "of this run rows are in the .partial file of -o\n" in done.stderr and "recover" not in done.stderr
