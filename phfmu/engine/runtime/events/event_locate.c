@@ -63,8 +63,7 @@ static void together(ph_landing *l, int i, double length) {
         l->nfired += l->fired[j];
     }
 }
-/* One accepted step from l->t, at most h long: its length (0: none was taken); the events at its end are in
- * l->fired. */
+
 int ph_locate(ph_landing *l, double h, double *length) {
     ph_instance *in = l->in;
     const ph_events *e = l->events;

@@ -92,7 +92,3 @@ int ph_land_on(ph_landing *l, ph_landed *out) {
         l->in->table[l->in->model->step->nx] = l->told_until;
     return status;
 }
-
-double ph_land_reached(const ph_landing *l) {
-    return l->t;
-}

@@ -68,7 +68,7 @@ static void fit(ph_landing *l, int i) {
     const ph_events *e = l->events;
     const int from = l->from_zero[i], n = e->npoint - from;
     const double *matrix = from ? e->fit_divided : e->fit_whole;
-    double *b = coefficients(l, i), sum = 0.0;
+    double *b = coefficients(l, i);
     for (int r = 0; r < n; r++) {
         b[r] = 0.0;
         for (int c = 0; c < n; c++) {
@@ -80,9 +80,7 @@ static void fit(ph_landing *l, int i) {
         b[0] = l->values[i];
         b[n - 1] = l->values[(n - 1) * e->n + i];
     }
-    for (int r = 0; r < n; r++)
-        sum += b[r] - b[r];
-    l->looked[i] = sum == 0.0;
+    l->looked[i] = (signed char)ph_finite(b, n);
 }
 
 /* The step of length l->h from l->t that was taken from l->start_x: what guards do over it. */

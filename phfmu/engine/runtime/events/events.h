@@ -98,7 +98,6 @@ PH_API int ph_land_begin(ph_landing *l, double t, double h, int n);
 /* On to the next event of it, which is written to out (events 1), or to its end (done); again goes on. After
  * a status other than PH_OK the instance is where the step began. */
 PH_API int ph_land_on(ph_landing *l, ph_landed *out);
-PH_API double ph_land_reached(const ph_landing *l); /* the time up to which it was solved */
 /* Events with 1 in `stops` (n; the caller's, which outlives the landing) happen elsewhere: ph_land ends
  * before them. */
 PH_API void ph_land_stops(ph_landing *l, const signed char *stops);

@@ -74,7 +74,7 @@ static int stopped(const ph_modes *m) {
     return m->present->calls->ph_land_stopped(m->present->landing, &t, &count) != NULL;
 }
 
-static void plan(ph_modes *m, double t0, double h, int first, int n, int changed) {
+void ph_modes_from(ph_modes *m, double t0, double h, int first, int n, int changed) {
     m->t0 = t0;
     m->grid = h;
     m->first = first;
@@ -83,12 +83,8 @@ static void plan(ph_modes *m, double t0, double h, int first, int n, int changed
     m->pending = 1;
 }
 
-void ph_modes_from(ph_modes *m, double t0, double h, int first, int n, int changed) {
-    plan(m, t0, h, first, n, changed);
-}
-
 void ph_modes_begin(ph_modes *m, double t, double h, int n) {
-    plan(m, t, h, 0, n, 1);
+    ph_modes_from(m, t, h, 0, n, 1);
 }
 
 /* Nothing is written yet; the mode that it is in. */
