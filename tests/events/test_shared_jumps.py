@@ -33,9 +33,11 @@ from phfmu import (
     run,
     skew,
     state,
+    time,
 )
 from phfmu.components.electrical.branches import rl_branch
 from phfmu.components.electrical.breaker import breaker
+from phfmu.components.mechanical.contacts import bumper
 from phfmu.components.mechanical.translational import mass
 from phfmu.engine.event_failure import EventRefused
 from phfmu.network.couplings.shared_jumps import SharedJumps
@@ -144,6 +146,27 @@ def test_a_pole_that_is_forced_open_stops_branches_of_other_members(k: int, engi
     event = (Event(0.013, "line.command", 2.0),)
     whole, apart = both(net, k, engine, Options(stop=0.02, step=2e-3, events=event))
     assert_same(net, whole, apart)
+
+
+@pytest.mark.parametrize(("k", "engine"), CASES)
+def test_a_bumper_comes_to_rest_with_what_is_linked_to_it_and_leaves(k: int, engine: Any) -> None:
+    """Its guard reads the force of the link: a push of 5 N that turns at 2 s; then 3 kg v' = 2.5 N/s (t - 2 s)."""
+    q, v = state("q", unit="m"), state("v", unit="m/s", start=-1.0)
+    flange, wind = (
+        Port(n, TRANSLATIONAL, "effort", {v: 1.0}, source=f) for n, f in (("flange", None), ("wind", 2.5 * time - 5.0))
+    )
+    body = PHDAE(
+        "body", states=(q, v), energies=(energy(v**2 / 2),), structure=(skew(q, v, 1.0),), ports=(flange, wind)
+    )
+    net = Network("linked")
+    net.add("hit", bumper(2.0, e=0.3, gap=0.2, v=-1.0))
+    net.add("body", body)
+    net.junction("link", ["hit.flange", "body.flange"], kind="1")
+    whole, apart = both(net, k, engine, Options(stop=2.6, step=0.1))
+    assert_same(net, whole, apart)
+    assert "comes to rest" in " ".join(apart.notes) and "leaves" in apart.notes[-1]
+    assert f"t = {float(apart.notes[-1].split()[2]):.6g}" == "t = 2"
+    assert apart.column("body.v")[-1] == pytest.approx(2.5 * 0.6**2 / 2 / 3.0, rel=1e-9 if k > 1 else 1e-3)
 
 
 def test_a_jump_that_is_refused_leaves_all_members_where_the_step_ended() -> None:

@@ -82,9 +82,9 @@ class Exchange:
 
     def __init__(self, joined: Joined):
         self.joined, face = joined, joined.face
-        #: whether events are those of the composed declaration, for which members with ideal switches land with all others
-        self.whole = all_together(joined)
         self.shared = SharedJumps(joined)
+        #: whether events are those of the composed declaration, by which all members land together
+        self.whole = all_together(joined, self.shared)
         parts = [node_values(m, self._lands(m)) for m in joined.members]
         if not self.whole:
             self._hold_at_bare_nodes(parts)

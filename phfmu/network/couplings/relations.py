@@ -12,6 +12,7 @@ from scipy.sparse import coo_array, csr_array
 from phfmu.declare.phdae import PHDAE
 from phfmu.events.switch_system import Undetermined
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.shared_jumps import SharedJumps
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.node_values import DeclaredOffer
@@ -22,20 +23,22 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 
-def all_together(joined: Joined) -> bool:
-    """Whether members with ideal switches land with all others, by the events of the composed declaration.
+def all_together(joined: Joined, shared: SharedJumps) -> bool:
+    """Whether members land with all others by the events of the composed declaration: some have ideal switches, or jumps that
+    act on other members and guards that read what these give.
 
     Their members that are nothing but switches are made relations then.  ValueError where that is the only way, and is barred.
     """
     switched = [m for m in joined.members if isinstance(m, EngineMember) and m.model.modes is not None]
-    if not switched:
+    reading = any(isinstance(m, EngineMember) and not m.guards_states and m.name in shared.of for m in joined.members)
+    if not switched and not reading:
         return False
     barred = _barred(joined)
     if barred and (bound := next((m.between_inputs for m in switched if m.between_inputs), "")):
         raise ValueError(f"{bound} ({barred})")
     fed = dict(zip(joined.members, (bool((joined.face.column[p] >= 0).all()) for p in joined.places), strict=True))
     relations = [m for m in switched if fed[m] and is_relation(m.model.modes.modes)]  # type: ignore[union-attr]
-    if barred or not (relations or all(m.model.step.k > 1 for m in switched)):
+    if barred or not (reading or relations or all(m.model.step.k > 1 for m in switched)):
         return False
     for m in relations:
         m.become(RelationInstance(m.model))

@@ -1,7 +1,8 @@
-"""Members with ideal switches that land together with all others: at an instant they are one, in steps they are apart.
+"""Members that land together as one composed declaration: at an instant they are one, in steps they are apart.
 
-Which mode follows, what jumps, and what guards read depends on all members at once.  All of that is asked of the composed
-declaration, whose state is that of the members.  Steps are the members' own, with the interface iteration of the coupling.
+So do those with ideal switches, and those whose jumps act on others while their guards read what others give.  Which mode
+follows, what jumps, and what guards read depends on all members at once.  All of that is asked of the composed declaration, whose
+state is that of the members.  Steps are the members' own, with the interface iteration of the coupling.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from numpy.typing import NDArray
 from phfmu.discretise.model import Model, build_model
 from phfmu.discretise.within import polynomial_of
 from phfmu.engine.landing import Change, Landing
-from phfmu.engine.python import PythonInstance
 from phfmu.engine.steps import StepEvent
 from phfmu.engine.switched import SwitchedInstance
 from phfmu.events.happened import Happened
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.one_mode import instance_of
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.relation import RelationInstance
@@ -137,7 +138,7 @@ class Switching:
         self._steps, self._in_parts, self._saved = steps, 0, steps.save()
         k = self.everyone.members[0].model.step.k
         model = build_model(joined.network.compose(), Collocated(k))
-        self._switched = SwitchedInstance(model, PythonInstance)
+        self._switched = instance_of(model)
         self._words = Happenings(model)
         self._stepped: dict[int, _Stepped] = {}
         self._landing = Landing(self.present, self)
@@ -186,7 +187,7 @@ class Switching:
     def held_only(self) -> str:
         """Why no input follows data, and what to do."""
         return (
-            f"{self.everyone.joined.network.name}: inputs of members with ideal switches that land together do not follow data, "
+            f"{self.everyone.joined.network.name}: inputs of members that land as one composed declaration do not follow data, "
             "which is not known at the instant of an event; leave out --coupling, so that the network is composed"
         )
 
@@ -241,8 +242,10 @@ class Switching:
 
     def _enter(self) -> None:
         """The rows of relations in the present modes."""
+        if self._switched.model.modes is None:
+            return
         places = {int(c): i for i, c in enumerate(self._columns)}
-        modes = self._switched.model.modes.modes  # type: ignore[union-attr]
+        modes = self._switched.model.modes.modes
         self._exchange.relations.undetermined = [
             replace(u, at=places[u.at], row=u.row[self._columns])
             for u in modes.system.undetermined(self._switched.mode) if u.at in places
