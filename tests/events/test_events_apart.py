@@ -124,7 +124,7 @@ def test_an_event_that_is_refused_leaves_all_members_at_the_last_step(network: A
     events = tuple(replace(e, jump=e.jump and replace(e.jump, most=1e-3)) for e in line.state_events)
     declared["line"] = replace(line, state_events=events)
     models = {n: build_model(d, Collocated(2)) for n, d in declared.items()}
-    members = [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]
+    members: list[Any] = [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]
     with pytest.raises(EventRefused, match="pole1.chop' would jump with"):
         run(Coupled(network, members), Options(stop=STOP, step=4e-4, events=EVENTS))
     assert len({m.instance.time for m in members}) == 1
@@ -211,8 +211,8 @@ def test_a_jump_that_a_rigid_link_shares_is_refused_by_name_where_a_member_lands
     composed = build_model(net.compose(), Collocated(2))
     result = run(Monolithic(composed, PythonInstance(composed)), Options(stop=0.4, step=0.1))
     assert -sum(c.jumps or 0.0 for c in result.ledger.summary().components) == pytest.approx(0.75 * 1.5, rel=1e-8)
-    models = {n: build_model(d) for n, d in net.members.items()}
-    members = [EngineMember(n, m, PythonInstance(m), parts=2) for n, m in models.items()]
+    models = {n: build_model(d) for n, d in net.declared.items()}
+    members: list[Any] = [EngineMember(n, m, PythonInstance(m), parts=2) for n, m in models.items()]
     apart = Coupled(net, members)
     with pytest.raises(EventRefused, match="hit at t = 0.2.* s: the jump of 'hits', .* junction ties to other members"):
         run(apart, Options(stop=0.7, step=0.2))

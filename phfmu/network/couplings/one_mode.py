@@ -32,7 +32,8 @@ class OneMode:
         """Takes the parameters p."""
         self.present.set_parameters(p)
         self.present.initialise()
-        return Change(*np.zeros((2, self.model.step.ncomp)), ())
+        energy, lost = np.zeros((2, self.model.step.ncomp))
+        return Change(energy, lost, ())
 
 
 def instance_of(model: Model) -> SwitchedInstance | OneMode:
