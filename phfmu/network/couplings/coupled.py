@@ -71,8 +71,7 @@ class Coupled:
         self._signals = HeldSignals(self.joined, self._exchange.wires if self._exchange else ())
         self._sums = EndSums(self.joined)
         self._jumps = JumpsApart(self.joined, self._sums)
-        #: junction unknowns of the instant before the first step
-        self._at_start: Array | None = None
+        self._at_start: Array | None = None  #: junction unknowns of the instant before the first step
         own = [*self.joined.names, *face.names, *self._sums.names]
         self._columns = WholeColumns(network, [m.name for m in members], own)
         self.names = self._columns.names
@@ -150,7 +149,7 @@ class Coupled:
         """Values of `names` now."""
         xi = end = self._at_start
         if xi is None or end is None:
-            xi, end = self.last.xi, xi_at_end(self._exchange, self.last)
+            xi, end = self.last.xi, self._switching.xi if self._switching else xi_at_end(self._exchange, self.last)
         return self._columns.rows(np.concatenate([self.joined.read(), xi, self._sums.values(end)]))
 
     def energies(self) -> Array:
@@ -175,9 +174,8 @@ class Coupled:
             return None
         from phfmu.network.couplings.impulsive_start import project_start
 
-        found = project_start(self.joined, t0, kept)
         self.last = Solution(self.last.xi, self.last.y)
-        return found
+        return project_start(self.joined, t0, kept)
 
     def prepare(self, t0: float, h: float) -> None:
         """Junction values before the first step: those of the instant, and for the iteration those of a trial step.
@@ -187,16 +185,15 @@ class Coupled:
         if self._growth is not None:
             self._growth.given(self.energies())
         if self._switching is not None:
-            self._at_start = self._switching.begin(h)
-            self.last = Solution(self._at_start, self.last.y)
+            self.last = Solution(self._switching.begin(h), self.last.y)
+            self._at_start = self.last.xi
             return
         if not self.coupling.repeats:
             self.last = Solution(Instant().solve(self.joined, self.last.xi, t0), self.last.y)
             self.joined.begin(self.last.xi)
             return
         found = self._tried(t0, h)
-        tried = partial(self._tried, t0)
-        xi = start_values(self.joined, self._sums, self._exchange, self.last.xi, tried, t0, h)
+        xi = start_values(self.joined, self._sums, self._exchange, self.last.xi, partial(self._tried, t0), t0, h)
         self.last = Solution(found.xi, found.y)
         self._at_start = found.xi if xi is None else xi
         self.joined.begin(self._at_start)
@@ -271,23 +268,22 @@ class Coupled:
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
         """As of `Monolithic`; for members of order 2k whose steps all end where a guard of one of them is zero."""
-        lander = self._lander
-        assert lander is not None
+        assert self._lander is not None
         for k in range(first, first + n):
-            for t, taken, happened in lander.over(t0 + k * h, t0 + (k + 1) * h, changed):
+            for t, taken, happened in self._lander.over(t0 + k * h, t0 + (k + 1) * h, changed):
                 self._at_start = None if taken or self._switching else self._at_start
                 if taken:
                     try:
-                        steps = Steps.stacked([self._known(t, taken)])
+                        known = Steps.stacked([self._known(t, taken)])
                     except BaseException:
-                        lander.back()
+                        self._lander.back()
                         raise
-                    yield np.array([t]), np.array([taken]), steps, None
+                    yield np.array([t]), np.array([taken]), known, None
                     continue
                 self._sums.forget()
-                xi = self._switching.xi if self._switching else self.last.xi
-                self.last = Solution(xi, self.last.y)  # what comes is not the continuation of the step before
-                self.joined.apply(xi)
+                # what comes is not the continuation of the step before
+                self.last = Solution(self._switching.xi if self._switching else self.last.xi, self.last.y)
+                self.joined.apply(self.last.xi)
                 assert happened is not None
                 yield np.zeros(0), np.zeros(0), None, (happened, self.read())
             changed = False
