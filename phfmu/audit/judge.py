@@ -134,7 +134,8 @@ class Judge:
 
         All junctions are solved for at once, so each has roundings of the energies in play in the whole network, however little
         passes through it: `played` [n,c].  Where all move at one speed, what is left is the force of a rounding times
-        the speed of another, rounding of rounding of `H` [n,c].
+        the speed of another, rounding of rounding of `H` [n,c].  A stiff member that is carried along passes the rounding of
+        its ends from one junction to the next: what all of them create together is rounding, each within rtol of `H`.
         """
         names = tuple(block.booking.junctions)
         if names:
@@ -144,9 +145,10 @@ class Judge:
             judged = np.full(len(names), not block.booking.loose)
             rounding = ULPS * EPS * rows(played) + (ULPS * EPS) ** 2 * rows(H)
             permitted = self.rtol * passed + FLOOR * EPS * reach + rounding[:, None]
-            self._mark(
-                ViolationKind.JUNCTION, names, block.junction_residual - self._lost(block), permitted, block, judged
-            )
+            created = block.junction_residual - self._lost(block)
+            passed_on = np.abs(rows(created)) <= rounding + ULPS * EPS * rows(np.abs(created))
+            permitted += np.where(passed_on, self.rtol * rows(H), 0.0)[:, None]
+            self._mark(ViolationKind.JUNCTION, names, created, permitted, block, judged)
             self._divided(block, permitted)
         permitted = (rows(allowed) + ULPS * EPS * rows(np.abs(block.steps.pairs)))[:, None]
         self._mark(ViolationKind.UNEXPLAINED, ("network",), block.network["unexplained"][:, None], permitted, block)

@@ -138,6 +138,28 @@ def test_what_moves_as_one_closes_to_rounding_of_rounding(
     assert (found.closed, taken) == (closes, closes)
 
 
+@pytest.mark.parametrize(
+    ("left", "right", "closes"),
+    [(1e-11, -1e-11, True), (1e-11, -1.5e-11, False), (1e-11, 1e-11, False), (1e-8, -1e-8, False)],
+)
+def test_what_a_stiff_member_passes_on_closes_where_junctions_cancel(
+    left: float, right: float, closes: bool, library: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two bodies of 100 J and a spring between them that is carried along; rtol of the energies is 2e-9 J."""
+    ports = (
+        PortKey("a", "p", None, "ja"),
+        PortKey("s", "a", None, "ja"),
+        PortKey("b", "p", None, "jb"),
+        PortKey("s", "b", None, "jb"),
+    )
+    pairs = np.tile([left, 0.0, right, 0.0], (5, 1))
+    stored = np.tile([left, right, 0.0], (5, 1))
+    H = [100.0, 100.0, 0.0] + np.cumsum(stored, axis=0)
+    steps = Steps(H, stored, np.zeros((5, 3)), stored, pairs, None, np.abs(stored))
+    found, _ = both(Booking(("a", "b", "s"), ports), steps, 5, monkeypatch)
+    assert found.closed is closes
+
+
 @pytest.mark.parametrize("column", ["H", "stored", "dissipated", "supplied", "numerical", "moved", "pairs", "works"])
 def test_what_is_not_ordinary_is_told_as_by_arrays(column: str, library: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the middle of a block, in each column; the blocks beside it are compiled code's."""

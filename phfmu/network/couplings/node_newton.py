@@ -144,7 +144,7 @@ class NodeNewton:
             progress.note(float(np.max(trial.scaled, initial=0.0)))
             best = min(best, (progress.history[-1], z), key=itemgetter(0))
             in_play = _in_play(joined, trial) if progress.decides else 0.0
-            if accepted_by := progress.accepted(partial(_at_floor, z, trial, matrix), trial.left, in_play):
+            if accepted_by := progress.accepted(partial(self._at_floor, z, trial, matrix), trial.left, in_play):
                 z, trial = self._settled(z, trial, step)
                 return self._solution(z, step.h, i + 1, accepted_by, self.works(z, before, trial, step.h))
             if progress.takes_matrix(trial.left, in_play):
@@ -159,6 +159,14 @@ class NodeNewton:
         given_up = self._failure(Status.NO_CONVERGENCE, step, z, trial, progress.history)
         works = self.works(best[1], before, self.trial(best[1], before, step), step.h)
         raise given_up.of(self._solution(best[1], step.h, ITERATIONS, "", works))
+
+    def _at_floor(self, z: Unknowns, trial: Trial, matrix: Any) -> bool:
+        """Whether rows are what a relative change of the unknowns by eps makes of them; of a column, of the largest."""
+        left, columns = np.abs(np.concatenate([trial.rows, trial.ends])), self.exchange.columns
+        size, largest = (abs(matrix) @ np.abs(z.flat))[: len(left)], np.zeros(len(left))
+        np.maximum.at(largest, columns, size[: len(columns)])
+        size[: len(columns)] = largest[columns]
+        return bool((left <= FLOOR * np.finfo(float).eps * size).all())
 
     def _settled(self, z: Unknowns, trial: Trial, step: Step) -> tuple[Unknowns, Trial]:
         """Of an accepted trial, with one more impulse where sums at the end are more than rounding; outputs are linear in it."""
@@ -277,13 +285,6 @@ def forecast(missed: Sequence[Array]) -> Array:
 def _in_play(joined: Joined, trial: Trial) -> float:
     """Energy in play [J] of the trial that the members have just made."""
     return max(float(np.abs(joined.energies()).sum()), trial.through)
-
-
-def _at_floor(z: Unknowns, trial: Trial, matrix: Any) -> bool:
-    """Whether rows are what a relative change of the unknowns by eps makes of them."""
-    left = np.abs(np.concatenate([trial.rows, trial.ends]))
-    size = (abs(matrix) @ np.abs(z.flat))[: len(left)]
-    return bool((left <= FLOOR * np.finfo(float).eps * size).all())
 
 
 def _root(S0: Array, S1: Array) -> Array:

@@ -82,15 +82,21 @@ int ph_matrix_update(ph_master *m) {
     return ph_all_finite(m->z, all) ? PH_OK : PH_NOT_FINITE;
 }
 
-/* Whether rows are what a relative change of the unknowns by eps makes of them, with the last matrix. */
+/* Whether rows are what a relative change of the unknowns by eps makes of them, with the last matrix. Members
+ * solve for all nodes of a step at once: rows of one column have the rounding of the largest. */
 int ph_matrix_at_floor(ph_master *m) {
     const int n = m->nxi + m->nbare, all = n + m->nbare;
     ph_clear(m->move, all);
     for (int j = 0; j < all; j++)
         for (int e = m->colptr[j]; e < m->colptr[j + 1]; e++)
             m->move[m->rowind[e]] += fabs(m->a[e]) * fabs(m->z[j]);
-    for (int i = 0; i < n; i++)
-        if (fabs(m->rows[i]) > PH_COUPLED_FLOOR * DBL_EPSILON * m->move[i])
-            return 0;
+    for (int i = 0, end; i < n; i = end) {
+        double size = m->move[i];
+        for (end = i + 1; end < m->nxi && m->column[end] == m->column[i]; end++)
+            size = m->move[end] > size ? m->move[end] : size;
+        for (int j = i; j < end; j++)
+            if (fabs(m->rows[j]) > PH_COUPLED_FLOOR * DBL_EPSILON * size)
+                return 0;
+    }
     return 1;
 }
