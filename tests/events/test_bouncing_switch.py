@@ -17,6 +17,7 @@ from phfmu import (
     Monolithic,
     NativeInstance,
     Options,
+    PythonInstance,
     Switch,
     algebraic,
     build_model,
@@ -52,9 +53,9 @@ def ball(e: Any = 0.5, **changes: Any) -> PHDAE:
     )
 
 
-def bounced(engine: Any, k: int, declaration: PHDAE, stop: float = 1.8) -> Any:
+def bounced(engine: Any, k: int, declaration: PHDAE, stop: float = 1.8, step: float = 0.02) -> Any:
     model = build_model(declaration, Collocated(k))
-    return run(Monolithic(model, stepped(model, engine)), Options(stop=stop, step=0.02))
+    return run(Monolithic(model, stepped(model, engine)), Options(stop=stop, step=step))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -90,6 +91,13 @@ def test_a_unit_bounces_as_the_native_engine_does(version: str, tmp_path: Path) 
         q, v, on, jumped = unit.get(["q", "v", "mode.touches", "energy.events"])
     assert [q, v] == pytest.approx([result.column("q")[-1], result.column("v")[-1]], abs=1e-13) and on == 1.0
     assert jumped == pytest.approx(-M * G * HEIGHT, rel=1e-12)
+
+
+def test_a_hundred_impacts_in_one_step_end_at_rest() -> None:
+    """e = 0.95: the hundredth still has 4e-5 of the first one's energy, and its contact takes it all."""
+    result = bounced(PythonInstance, 2, ball(0.95), 40.0, 40.0)
+    assert len([n for n in result.notes if "floor.closes" in n]) == 100 and "comes to rest" in result.notes[-1]
+    assert result.ledger.summary().components[0].jumps == pytest.approx(-M * G * HEIGHT, rel=1e-10)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
