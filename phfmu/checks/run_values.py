@@ -6,7 +6,7 @@ symmetric and semidefinite, E regular, all evaluated at once from one set of com
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -18,6 +18,7 @@ from phfmu.checks.names import units
 from phfmu.checks.pieces import continuous
 from phfmu.checks.ranges import ranges
 from phfmu.checks.sample import Sample, Setting
+from phfmu.declare.alike import first_alike
 from phfmu.declare.entries import Entries, Entry, normal_form
 from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
@@ -46,15 +47,33 @@ def check_values(
     """
     model = model.with_starts(values) if values else model
     found = [*starts(model), *units(model)]
-    if found:
-        return found
-    entries = Entries(model)
+    return found or _at(model, settings(model, events))
+
+
+def sound_members(members: Iterable[PHDAE]) -> bool:
+    """Whether `check_values` finds nothing in any of them.
+
+    Those that are alike and start in the same state are looked at once, with the parameters of each as settings of one model.
+    """
+    kinds: dict[tuple[PHDAE, bytes], tuple[PHDAE, dict[tuple[float, ...], None]]] = {}
+    for m in members:
+        if starts(m):
+            return False
+        at = [s for v in (*m.states, *m.algebraics) for s in v.start] + [s for p in m.ports for s in p.input_starts()]
+        one = kinds.setdefault((first_alike(m), np.array(at, float).tobytes()), (m, {}))
+        one[1][tuple(s for v in m.parameters for s in v.start)] = None
+    return not any(units(m) or _at(m, [Setting(p) for p in values]) for m, values in kinds.values())
+
+
+def _at(model: PHDAE, given: Sequence[Setting]) -> list[Problem]:
+    """Problems with parameters as given, one after the other."""
+    entries, found = Entries(model), list[Problem]()
     normal_form(entries)
     # numbers do not change with the run: looked at where others are added to them, or where they are not skew
     entries.sound = [
         e for e in entries.sound if e.what in (EntryKind.R, EntryKind.E) or ca.symvar(e.expr) or _not_skew(e)
     ]
-    sample = Sample(entries, settings(model, events))
+    sample = Sample(entries, given)
     for rule in (ranges, finite, skew_symmetry, symmetry, passivity, masses, continuous):
         found += rule(entries, sample)
     return found
