@@ -216,15 +216,10 @@ class Coupled:
             raise
 
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
-        parts: list[Steps] = []
-        done, self._at_start = 0, None
+        parts, done, self._at_start = list[Steps](), 0, None
         while done < n:
             try:
-                if (steps := self._compiled(t0, h, first + done, n - done)) is not None:
-                    parts.append(steps)
-                    done += len(steps.H)
-                if self._master is not None and self._master.failure:
-                    raise self._master.failure
+                done += self._compiled(parts, (t0, h, first + done), n - done)
                 if done == n:
                     break
                 parts.append(Steps.stacked([self._step(t0 + (first + done) * h, h)]))
@@ -234,17 +229,19 @@ class Coupled:
             done += 1
         return Steps.joined(parts)
 
-    def _compiled(self, t0: float, h: float, first: int, n: int) -> Steps | None:
-        """As many of n steps as go as usual without returning to Python, if all members can do that."""
+    def _compiled(self, parts: list[Steps], grid: tuple[float, float, int], n: int) -> int:
+        """Adds as many of n steps as go as usual without returning to Python, if all members can do that; their number."""
         if self._master is None or not self._sums.known:
-            return None
-        steps, self.last = self._master.advance(self.last, self._sums, (t0, h, first), n)
-        if not len(steps.H):
-            return None
-        if self._master.failure is None:
-            self._signals.stepped(h, xi_at_end(self._exchange, self.last))
-        parts = None if steps.works is None else self._works.grouped(steps.works)
-        return replace(steps, signals=self._columns.rows(steps.signals), works=parts)
+            return 0
+        steps, self.last = self._master.advance(self.last, self._sums, grid, n)
+        if done := len(steps.H):
+            works = None if steps.works is None else self._works.grouped(steps.works)
+            parts.append(replace(steps, signals=self._columns.rows(steps.signals), works=works))
+        if self._master.failure:
+            raise self._master.failure
+        if done:
+            self._signals.stepped(grid[1], xi_at_end(self._exchange, self.last))
+        return done
 
     def _step(self, t: float, h: float) -> dict[str, Any]:
         """One step, and what is known of it: the fields of `Steps`.
