@@ -17,7 +17,7 @@ import importlib.util
 find = importlib.util.find_spec
 importlib.util.find_spec = lambda name, *more: None if name == "ziglang" else find(name, *more)
 from phfmu.engine import compile as c
-c.FLAGS = (*(f for f in c.FLAGS if f != "-O2"), "-O1", "-g", *{SANITIZE})
+c.FLAGS = (*(f for f in c.FLAGS if f != "-O2"), "-O0", "-g1", *{SANITIZE})
 c.LINK = ("-shared", *{SANITIZE})
 """
 

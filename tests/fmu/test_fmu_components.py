@@ -12,7 +12,7 @@ from phfmu import FMUInstance, NativeInstance, Scene, build_model, export
 from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.network.members.columns import Columns
 
-STEPS = 1000
+STEPS = 250
 #: scenes bring their own step; components take one at which they move
 STEP = {"four_particle": 0.01, "mass": 0.01, "mass_spring": 0.01, "spring": 0.01, "damper": 0.01}
 
