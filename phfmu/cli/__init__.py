@@ -10,14 +10,12 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 from phfmu.cli.codes import FINE, NO_CONVERGENCE, USAGE
 from phfmu.cli.parser import Parser, parsed
 
 
-def _parser() -> tuple[Parser, Any]:
-    """The parser, and those of the verbs."""
+def _parser() -> Parser:
     from phfmu import __version__
     from phfmu.cli import (
         audit,
@@ -59,7 +57,8 @@ def _parser() -> tuple[Parser, Any]:
     ):
         module.add_parser(verbs)
     completion.complete(parser, verbs)
-    return parser, verbs
+    parser.verbs = verbs.choices
+    return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,12 +66,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names and descriptions that the terminal has no letters for
             stream.reconfigure(errors="backslashreplace")
-    (parser, verbs), words = _parser(), sys.argv[1:] if arguments is None else list(arguments)
+    parser, words = _parser(), sys.argv[1:] if arguments is None else list(arguments)
     if not words:
         parser.print_help(sys.stderr)
         print("\nphfmu: required: VERB; start with `phfmu list`", file=sys.stderr)
         return USAGE
-    args = parsed(parser, verbs, words)
+    args = parsed(parser, words)
     if os.environ.get("PHFMU_TRACEBACK"):
         return args.call(args)
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NoReturn
 
 from phfmu.cli.codes import USAGE
@@ -16,7 +16,12 @@ _CHOICE = re.compile(r"invalid choice: '?(?P<word>.*?)'? \(choose from (?P<known
 
 
 class Parser(argparse.ArgumentParser):
-    """`error` is argparse's place for this: its own is the usage, a screen of it for some verbs, before the line."""
+    """`error` is argparse's place for this: its own is the usage, a screen of it for some verbs, before the line.
+
+    verbs: name -> parser of a verb, once they are there
+    """
+
+    verbs: Mapping[str, argparse.ArgumentParser] = {}
 
     def error(self, message: str) -> NoReturn:
         """Say it in a line and leave with exit code 2."""
@@ -27,11 +32,11 @@ class Parser(argparse.ArgumentParser):
         sys.exit(USAGE)
 
 
-def parsed(parser: argparse.ArgumentParser, verbs: object, words: Sequence[str]) -> argparse.Namespace:
+def parsed(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """The arguments; what no option takes is told by the verb, with the option that was meant."""
     args, rest = parser.parse_known_args(words)
     if rest:
-        verb: argparse.ArgumentParser = verbs.choices[args.verb]  # pyright: ignore[reportAttributeAccessIssue]
+        verb = parser.verbs[args.verb]
         options = [word for action in verb._actions for word in action.option_strings]
         unknown = next((word for word in rest if word.startswith("-")), None)
         close = meant(unknown.partition("=")[0], options, " ") if unknown else " "
