@@ -53,6 +53,7 @@ def audit_table(
         highlight=False,
         markup=False,  # names may hold brackets
         emoji=False,
+        force_jupyter=False,  # it would show the text in the notebook and give back none
     )
     for part in _parts(summary, by, scale, events, levels, most):
         if not isinstance(part, str):

@@ -5,7 +5,10 @@ from __future__ import annotations
 import re
 from html.parser import HTMLParser
 
+import pytest
+
 from phfmu import Monolithic, Options, PythonInstance, build_model, run
+from phfmu.audit import audit_table
 from phfmu.components.library import build
 from phfmu.html import grid
 
@@ -59,3 +62,12 @@ def test_numbers_stand_below_each_other_and_names_begin_at_the_left() -> None:
     sides = re.findall(r"text-align:(\w+)", page)
     assert sides == ["left", "right"] * 4 and "<p>" not in page
     assert grid("empty", ("a",), []) == "<p><b>empty</b></p>"
+
+
+def test_the_table_is_text_in_a_notebook_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """rich shows what it prints as soon as it finds itself in a notebook."""
+    model = build_model(build("dc_motor"))
+    summary = run(Monolithic(model, PythonInstance(model)), Options(stop=0.01, step=0.001)).ledger.summary()
+    expected = audit_table(summary)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert audit_table(summary) == expected and "dc_motor" in expected
