@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import stat
 import tempfile
 import zipfile
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from io import BufferedReader, FileIO
 from pathlib import Path, PurePosixPath
-from weakref import WeakValueDictionary
+from weakref import WeakValueDictionary, finalize
 
 import fmpy
 
@@ -82,8 +83,8 @@ class Archive:
     def folder(self) -> Path:
         """What running it needs, extracted; the folder lives as long as this object."""
         wanted = [n for n in self._names if _needed(n, self.library)]
-        self._folder = tempfile.TemporaryDirectory(prefix="phfmu-")
-        folder = Path(self._folder.name)
+        folder = Path(tempfile.mkdtemp(prefix="phfmu-"))
+        finalize(self, shutil.rmtree, folder, ignore_errors=True)
         (folder / "resources").mkdir()
         with opened(self.path) as archive:
             for name in wanted:
