@@ -34,7 +34,8 @@ def following(stepper: Stepper, options: Options, inputs: Any, interpolate: str)
         if not isinstance(stepper, Follows):
             raise ValueError(
                 f"--interpolate {interpolate} needs one composed model, or members that are stepped apart; here it is "
-                f"{stepper.what}; {stepper.instead}, or leave it out: rows are held, each until the next one"
+                f"{stepper.what}; {stepper.instead}, or a network with it as its member (Network.add), or leave "
+                "--interpolate out: rows are held, each until the next one"
             )
         _require_fit(stepper, options)
         starts = {n: v for n, v in stepper.inputs().items() if n in stepper.free_inputs}
