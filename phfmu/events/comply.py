@@ -7,7 +7,7 @@ Source: Camlibel, Heemels, van der Schaft, Schumacher, IEEE TCAS-I 50 (2003).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
 
@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.events.modes import Mode, Modes
-from phfmu.events.switch_system import At, Rates
+from phfmu.events.switch_system import At, Rates, Undetermined
 
 Array = NDArray[np.float64]
 
 #: length of the short step, as a part of the step of the run
 SHORT = 1e-6
-#: rounding of mu and of c, as parts of their typical magnitudes
+#: rounding of mu, and of c and rows, as parts of their typical magnitudes
 MU, C = 1e-9, 1e-11
 #: modes that are tried
 MOST_TRIED = 4096
@@ -86,7 +86,7 @@ def _values(modes: Modes, p: Array) -> dict[str, float]:
 
 
 def _stepped(modes: Modes, at: At, step: float, mode: Mode) -> tuple[Array, Array, Array] | None:
-    """mu, c and gaps after the short step; None if the equations have no one solution."""
+    """mu, c and gaps after the short step; None if the equations have none or no one solution."""
     system = modes.system
     r: Rates = system.rates(replace(at, t=at.t + step))
     ga, g = r.ga.copy(), r.g.copy()
@@ -111,5 +111,20 @@ def _stepped(modes: Modes, at: At, step: float, mode: Mode) -> tuple[Array, Arra
         return None
     if not np.isfinite(y).all():
         return None
-    dx, da = y[:n1], y[n1:]
-    return (at.a + da)[system.multipliers], r.c + r.cx @ dx + r.ca @ da, r.gap
+    dx, a = y[:n1], at.a + y[n1:]
+    if not _agree(r.ga, system.undetermined(mode), a, system.nominal):
+        return None
+    return a[system.multipliers], r.c + r.cx @ dx + r.ca @ y[n1:], r.gap
+
+
+def _agree(ga: Array, free: Sequence[Undetermined], a: Array, nominal: Array) -> bool:
+    """Whether the row g in whose place another stands holds for the variables a, to rounding.
+
+    What no row determines is zero then.  Otherwise the rows contradict each other (sources in a ring of closed switches), and
+    a variable that the added row makes finite only seems to solve them.
+    """
+    for d in free:
+        size = np.abs(ga[d.at]) @ np.abs(a) + np.abs(d.row) @ (np.abs(a) + nominal)
+        if not abs(d.row @ a) <= C * size:
+            return False
+    return True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import acos, pi
 
+import casadi as ca
 import numpy as np
 import pytest
 from event_reference import bridge
@@ -14,15 +15,20 @@ from scipy.special import ellipkinc
 
 from phfmu import (
     Collocated,
+    Event,
     Monolithic,
     NativeInstance,
+    Network,
     Options,
+    StepFailure,
     SwitchedInstance,
     build_model,
     check,
     run,
 )
 from phfmu.cli import main
+from phfmu.components.electrical.sources import voltage_source
+from phfmu.components.electrical.switches import ideal_switch
 from phfmu.components.library import SWITCHED, build
 from phfmu.components.scenes.buck import buck
 from tests.engines import ENGINES
@@ -174,6 +180,39 @@ def test_a_buck_converter_equals_its_piecewise_solution(engine, R, periods):
     assert result.ledger.summary().closed
     gone = [float(n.split("t = ")[1].split(" s")[0]) for n in result.notes if "diode.opens" in n]
     assert gone == pytest.approx(stops, abs=1e-12) and (stops or R < 100)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_diode_with_much_current_stops_where_the_chopper_begins(engine):
+    """Both in a ring with the sources contradict each other, however large the coil's current that they could share."""
+    scene, f, when = buck(0.4, later=None), 20e3, 6e-5
+    model = build_model(scene.declaration(), Collocated(3))
+    events = (Event(when, "chopper.duty", 0.6),)
+    options = Options(stop=4 / f, step=5e-6, events=events)
+    result = run(Monolithic(model, SwitchedInstance(model, engine)), options)
+    x = np.zeros(2)
+    for duty in (0.4, 0.6, 0.6, 0.6):
+        x = filter_step(filter_step(x, 24.0, 4.0, duty / f), -0.1, 4.0, (1 - duty) / f)
+    assert result.column("coil.current")[-1] == pytest.approx(x[0], abs=1e-10)
+    assert result.column("load.voltage")[-1] == pytest.approx(x[1], abs=1e-10)
+    assert result.ledger.summary().closed
+    on = np.column_stack([result.column(f"{n}.conducts") for n in ("chopper", "diode")])
+    assert (on.sum(axis=1)[1:] == 1).all()
+
+
+@pytest.mark.parametrize("engine", wide(ENGINES, NativeInstance))
+def test_a_switch_between_sources_that_differ_is_not_closed(engine):
+    """24 V on one side, 23 V on the other: no mode, and one line says at which switch."""
+    net = Network("short")
+    for side, volts in (("a", 24.0), ("b", 23.0)):
+        net.add(side, voltage_source(ca.SX(volts), v=24.0, i=3.0))
+    net.add("switch", ideal_switch(conducts=False, i=3.0, v=24.0))
+    for side in "ab":
+        net.junction(f"at_{side}", [f"{side}.terminal", f"switch.{side}"])
+    model = build_model(net.compose(), Collocated(2))
+    events = (Event(0.5, "switch.conducts", 1.0),)
+    with pytest.raises(StepFailure, match=r"after 'switch.switch' no mode of the switches obeys their laws"):
+        run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=1.0, step=0.1, events=events))
 
 
 def test_a_duty_signal_sets_the_mean_voltage():

@@ -76,6 +76,26 @@ static int solve(ph_modes *m) {
     return 1;
 }
 
+/* Whether the rows in whose places others stand hold for the variables after the step, to rounding.  If not,
+ * the rows contradict each other (sources in a ring of closed switches), and a variable that the added row
+ * makes finite only seems to solve them.
+ */
+static int agree(const ph_modes *m, const ph_rates *r, const ph_mode_rows *mode) {
+    const int nx = m->sw->nx, na = m->sw->na;
+    for (int d = 0; d < mode->nfree; d++) {
+        const double *along = mode->free_row + d * na;
+        double left = 0.0, size = 0.0;
+        for (int j = 0; j < na; j++) {
+            const double a = m->a[j] + m->found[nx + j];
+            left += along[j] * a;
+            size += fabs(r->ga[j * na + mode->free_at[d]] * a) + fabs(along[j]) * (fabs(a) + m->sw->scale[j]);
+        }
+        if (!(fabs(left) <= PH_C * size))
+            return 0;
+    }
+    return 1;
+}
+
 /* Whether the switches that are asked obey their law a short step after the states x in m->tried, whose
  * parameters are in m->p. */
 static int complies(ph_modes *m, const double *x, double step) {
@@ -86,7 +106,7 @@ static int complies(ph_modes *m, const double *x, double step) {
     if (!mode)
         return 0;
     r = ph_mode_rates(m, x, m->p, m->t + step);
-    if (!short_step(m, &r, mode, step) || !solve(m))
+    if (!short_step(m, &r, mode, step) || !solve(m) || !agree(m, &r, mode))
         return 0;
     for (int j = 0; j < sw->n; j++) {
         double c = r.c[j];

@@ -8,8 +8,8 @@
  * rounding.
  */
 #define PH_PASSES 3
-/* events/comply.py: length of the short step, as a part of the step of the run; rounding of mu and of c, as
- * parts of their typical magnitudes; modes that are tried. */
+/* events/comply.py: length of the short step, as a part of the step of the run; rounding of mu, and of c
+ * and rows, as parts of their typical magnitudes; modes that are tried. */
 #define PH_SHORT 1e-6
 #define PH_MU 1e-9
 #define PH_C 1e-11
