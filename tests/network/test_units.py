@@ -402,7 +402,7 @@ def test_info_and_check_know_scenes_with_units(folder: Path, capsys: pytest.Capt
     assert main(["check", str(path)]) == 1
     assert "cart: " in (said := capsys.readouterr().out) and "-2" in said
     assert main(["export", str(path)]) == 2
-    assert "mixed: pump is an FMU, which cannot be composed" in capsys.readouterr().err
+    assert "a unit holds no FMU, as pump would be; --ssp writes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("stiffness", ["1e4", "1e6"])
@@ -432,17 +432,18 @@ def test_predictions_that_run_away_end_the_run_with_advice(
 
 
 def test_members_that_hold_a_value_are_told_with_the_reason(tmp_path: Path) -> None:
-    """A unit of this package without inputs at nodes, and ideal switches."""
+    """A unit of this package without inputs at nodes, and ideal switches beside it."""
     from phfmu.components.scenes.rectifier import rectifier
     from phfmu.network.couplings.apart import Apart
 
     (plain,) = export(build_model(replace(mass(1.0), name="plain")), tmp_path, ("3.0",), step=0.01)
-    net = Network("held")
+    net = rectifier().system
+    assert isinstance(net, Network)
+    assert Apart(net).exchanged()["dc"] == "k values, order 2k"
     net.add("plain", plain)
     net.add("cart", mass(2.0))
     net.junction("b", ["plain.flange", "cart.flange"])
-    told = Apart(net).exchanged()["b"]
-    assert told.startswith("one held value")
-    assert told.endswith("; plain was exported without inputs at nodes (--node-inputs, --order 4)")
-    told = Apart(rectifier().system).exchanged()["dc"]
-    assert "; bridge has ideal switches, whose modes change within its step" in told
+    told = Apart(net).exchanged()
+    assert told["b"].startswith("one held value")
+    assert told["b"].endswith("; plain was exported without inputs at nodes (--node-inputs, --order 4)")
+    assert "; bridge has ideal switches, whose modes change within its step" in told["dc"]
