@@ -168,6 +168,10 @@ class Coupled:
             self._sums.require_zero(self.last.xi)
         self.last = replace(self.last, y=self.joined.end_outputs())
 
+    def check_changed(self) -> None:
+        """As `check_start`."""
+        self.check_start()
+
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
         """Rows of states at junctions made zero by an impulse; what has moved.  ValueError with the remedy."""
         if self._switching:  # entering the first mode does so

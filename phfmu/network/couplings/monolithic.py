@@ -85,16 +85,26 @@ class Monolithic:
     def rest_changes(self) -> dict[str, list[RestChange]]:
         return {"": self.instance.rest_changes}
 
+    def _settled(self) -> Any:
+        """Whose constraints the state keeps: those of the mode of its switches, unless the next landing has yet to find it."""
+        switched = self.model.modes is not None and not self.instance.unsettled
+        return self.instance.present if switched else self.instance
+
     def check_start(self) -> None:
         require_consistent(self.model, self.instance)
 
+    def check_changed(self) -> None:
+        where = self._settled()
+        require_consistent(where.model, where)
+
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
         """Move the state onto its hidden constraints, but not the states `kept`; None if it has none."""
-        if not self.model.checks:
+        where = self._settled()
+        if not where.model.checks:
             return None
         from phfmu.discretise.start import project_start
 
-        found = project_start(self.model, self.instance.x, p=self.instance.parameters, t=t0, keep=kept)
+        found = project_start(where.model, self.instance.x, p=self.instance.parameters, t=t0, keep=kept)
         self.instance.set_x(t0, found.x)
         self.instance.initialise()
         return found

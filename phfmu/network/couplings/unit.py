@@ -72,6 +72,9 @@ class FMUStepper:
     def rest_changes(self) -> dict[str, list[RestChange]]:
         return {"": self.member.rest_changes()}
 
+    def check_changed(self) -> None:
+        self.check_start()
+
     def check_start(self) -> None:
         self.member.check_start()
 

@@ -84,10 +84,10 @@ class Book:
     def _keep_consistent(self, e: Event) -> None:
         """A parameter that enters a hidden constraint (an inductance at a node) makes the state jump as by an impulse."""
         try:
-            self.stepper.check_start()
+            self.stepper.check_changed()
         except InconsistentState:
             found = self.project(e.t, (), self._owner(e.name))
-            self.stepper.check_start()
+            self.stepper.check_changed()
             self._H = self.stepper.energies()
             if found is not None:
                 self.notes.append(

@@ -1,0 +1,30 @@
+"""Parameters that events change while switches conduct: the constraints of the present mode hold after them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phfmu import Collocated, Event, Monolithic, Options, SwitchedInstance, build_model, run
+from phfmu.components.library import build
+from tests.engines import ENGINES
+
+LS, LL = 2e-3, 20e-3
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_inductance_that_changes_while_diodes_conduct_keeps_the_currents_of_the_mode(engine):
+    """One current in both: i = (sum of fluxes)/(sum of inductances) after it, and one until the diodes commutate."""
+    scene, when = build("rectifier"), 0.0215
+    model = build_model(scene.declaration(), Collocated(2))
+    events = (Event(when, "grid.L", 2 * LS),)
+    result = run(Monolithic(model, SwitchedInstance(model, engine)), Options(stop=0.0235, step=5e-4, events=events))
+    grid, load = result.column("grid.current"), result.column("load.current")
+    before, after = np.flatnonzero(np.isclose(result.time, when, rtol=0, atol=1e-12))[0], slice(-2, None)
+    assert np.abs(np.abs(grid[after]) - load[after]).max() < 1e-9
+    assert result.ledger.summary().closed
+    (note,) = (n for n in result.notes if n.startswith("projected at"))
+    i, flux = load[before], (LS + LL) * load[before]
+    j = flux / (2 * LS + LL)
+    lost = ((LS / 2 + LL) * i**2 - (2 * LS + LL) * j**2) / 2
+    assert float(note.split("changed by ")[1].split(" J")[0]) == pytest.approx(-lost, rel=1e-8)
