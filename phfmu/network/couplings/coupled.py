@@ -169,22 +169,22 @@ class Coupled:
         self.last = replace(self.last, y=self.joined.end_outputs())
 
     def check_changed(self) -> None:
-        """As `check_start`."""
+        if self._switching is not None:
+            self._switching.check_changed()
         self.check_start()
 
     def project_start(self, t0: float, kept: Sequence[str] = ()) -> Projection | None:
         """Rows of states at junctions made zero by an impulse; what has moved.  ValueError with the remedy."""
-        if self._switching:  # entering the first mode does so
-            return None
+        if self._switching is not None:
+            return self._switching.project(t0, kept)
         from phfmu.network.couplings.impulsive_start import project_start
 
         self.last = Solution(self.last.xi, self.last.y)
         return project_start(self.joined, t0, kept)
 
     def prepare(self, t0: float, h: float) -> None:
-        """Junction values before the first step: those of the instant, and for the iteration those of a trial step.
-
-        Where steps are not repeated, those that the outputs at the start give.
+        """Junction values before the first step: those of the instant, and for the iteration those of a trial step;
+        where steps are not repeated, those that the outputs at the start give.
         """
         if self._growth is not None:
             self._growth.given(self.energies())

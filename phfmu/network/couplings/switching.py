@@ -7,10 +7,10 @@ state is that of the members.  Steps are the members' own, with the interface it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,15 @@ from phfmu.events.happened import Happened
 from phfmu.network.couplings.coupling import AllSteps
 from phfmu.network.couplings.exchange import Exchange
 from phfmu.network.couplings.joined import Joined
+from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.one_mode import instance_of
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.relation import RelationInstance
 from phfmu.schemes.collocated import Collocated
+
+if TYPE_CHECKING:
+    from phfmu.discretise.start import Projection
 
 Array = NDArray[Any]
 
@@ -139,6 +143,7 @@ class Switching:
         k = self.everyone.members[0].model.step.k
         model = build_model(joined.network.compose(), Collocated(k))
         self._switched = instance_of(model)
+        self._composed = Monolithic(model, self._switched)
         self._words = Happenings(model)
         self._stepped: dict[int, _Stepped] = {}
         self._landing = Landing(self.present, self)
@@ -190,6 +195,19 @@ class Switching:
             f"{self.everyone.joined.network.name}: inputs of members that land as one composed declaration do not follow data, "
             "which is not known at the instant of an event; leave out --coupling, so that the network is composed"
         )
+
+    def check_changed(self) -> None:
+        """InconsistentState if what was set at a member leaves the composed state off the constraints of the present mode."""
+        self._gather()
+        self._composed.check_changed()
+
+    def project(self, t: float, kept: Sequence[str]) -> Projection | None:
+        """Moves the members' states onto these, if the switches have landed before; the first landing does so else."""
+        if self.unsettled:
+            return None
+        found = self._composed.project_start(t, kept)
+        self.everyone.take(t, self._switched.x, self._switched.parameters)
+        return found
 
     # -- steps of the members ---------------------------------------------------------------------------------------------
 
