@@ -120,7 +120,9 @@ def test_rows_and_books_are_those_of_the_loop_in_python(make: Callable[[], Scene
         assert [x.stored, x.dissipated, x.supplied] == pytest.approx(
             [y.stored, y.dissipated, y.supplied], abs=SAME * energy
         )
-    assert one.iterations <= two.iterations + n // 4
+    # where rows end at rounding a step may take one trial more by the roundings of another machine; without the
+    # continuation of the steps before each takes more
+    assert one.iterations <= two.iterations + n // 2
 
 
 def size_of(result: Any, stepper: Coupled, name: str) -> float:
