@@ -49,6 +49,10 @@ def call(args: argparse.Namespace) -> int:
         print(f"report: {pages[run.name]}")
         for note in written.notes:
             print(f"  {note}")
+        if run.audit is None:
+            print(
+                f"  signals only; with the audit of the run also energies, events, verdict: phfmu report {run.table} AUDIT ..."
+            )
         if not written.closed:
             print(f"phfmu: ledger violated: {run.name}", file=sys.stderr)
     return FINE if closed else LEDGER

@@ -285,6 +285,11 @@ def test_several_runs_are_pages_in_a_folder(place: Path, tmp_path: Path, capsys:
     assert "2 runs (drive, rest) need a folder that exists" in capsys.readouterr().err
     assert main(["report", *files, "-o", str(tmp_path)]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["drive.html", "rest.html"]
+    assert "signals only" not in capsys.readouterr().out
+    assert main(["report", files[1], "-o", str(tmp_path)]) == 0
+    assert f"signals only; with the audit of the run also energies, events, verdict: phfmu report {files[1]} AUDIT" in (
+        capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(
