@@ -11,6 +11,8 @@ import signal
 import socket
 import threading
 from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
 
 from phfmu.fmu import exit_guard
 
@@ -36,16 +38,29 @@ def arm() -> None:
 
 
 def _listen(heard: socket.socket) -> None:
-    first: list[exit_guard.Call] = []  # what was under way when a signal came
+    first: _Waited | None = None  # what was under way when a signal came
     while number := heard.recv(1):
         if number[0] not in _ENDS or not (calls := exit_guard.calls()):
             continue
+        waited = _Waited(exit_guard.current, calls)
         threading.Event().wait(GRACE)
-        if exit_guard.calls() != calls:  # it answered
+        if not waited.goes_on():  # it answered
             continue
-        if first == calls:
+        if first is not None and first.goes_on():
             exit_guard.leave(f"does not answer in {exit_guard.under_way()}", "a second signal", 128 + number[0])
-        first = calls
+        first = waited
         with suppress(OSError):
             text = f"phfmu: waiting for the unit '{calls[0][0]}', {exit_guard.under_way()}; a second signal ends it there\n"
             os.write(2, text.encode())
+
+
+@dataclass(frozen=True)
+class _Waited:
+    """`exit_guard.current` and the calls that it told of at some time."""
+
+    current: Any
+    calls: list[exit_guard.Call]
+
+    def goes_on(self) -> bool:
+        """Whether they are under way still; arguments of one call are arrays, which are not compared."""
+        return exit_guard.current is self.current and (not callable(self.current) or exit_guard.calls() == self.calls)
