@@ -14,7 +14,8 @@ from tests.fmu import foreign
 
 #: a run that tells when the step of its unit that hangs has taken 0.3 s
 RUN = """
-import sys, threading, time
+import signal, sys, threading, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a script's processes in the background are to ignore
 from phfmu.cli import main
 from phfmu.fmu import exit_guard
 
