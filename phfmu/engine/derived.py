@@ -111,9 +111,14 @@ def update_runs(plan: Plan) -> dict[str, Any]:
 
 def group_values(g: Group, nw: int, index: Callable[[Kernel], int]) -> dict[str, Any]:
     k = g.kernel
-    late = g.stage == 1 and bool(np.all(np.asarray(g.oi) >= nw))
+    after = np.asarray(g.oi) >= nw
+    row = g.stage == 1
     sizes = {name: getattr(k, name) for name in ("nx", "ny", "np", "no", "nj")}
-    return sizes | {"late": int(late), "kernel": index(k)}
+    return sizes | {
+        "late": int(row and bool(np.all(after))),
+        "reports": int(row and bool(np.any(after))),
+        "kernel": index(k),
+    }
 
 
 def hold_values(plan: Plan) -> dict[str, Any]:

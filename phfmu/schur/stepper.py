@@ -196,12 +196,12 @@ class _Builder:
 
     def _flow(self, term: Term) -> None:
         outputs = [j for j, r in enumerate(term.rows) if r.kind is not Row.OUTPUT]
+        _require(all(z in self.dof_v for z in term.indices(Value.COSTATE)))
         if not outputs:
             return
         _require(all(term.rows[j].kind is Row.BALANCE and term.rows[j].index in self.dof_v for j in outputs))
         _require(term.local.keys() <= {Value.STATE, Value.COSTATE, Value.INPUT, Value.PARAMETER})
         _require(all(x in self.dof for x in term.indices(Value.STATE)))
-        _require(all(z in self.dof_v for z in term.indices(Value.COSTATE)))
         self._add(
             self._once(term, lambda: lanes.flow(term, outputs)), term,
             x=[self.dof[x] for x in term.indices(Value.STATE)], z=[self.dof_v[z] for z in term.indices(Value.COSTATE)],

@@ -13,14 +13,6 @@
 
 enum { RESIDUALS, OUTPUTS }; /* which rows are wanted */
 
-/* Whether the group has a part in the outputs. */
-static int has_outputs(const ph_group *g, int nw) {
-    for (int i = 0; i < g->n * g->no; i++)
-        if (g->oi[i] >= nw)
-            return 1;
-    return 0;
-}
-
 /* target += the tangents of one group along dx and chain.dy; an instance along which nothing moves has none.
  */
 static void group_along(ph_instance *in, const ph_system *s, const ph_group *g, const double *dx,
@@ -74,7 +66,7 @@ static void along(ph_instance *in, const ph_system *s, const double *dx, int wan
     for (int l = 0; l < p->nconst; l++)
         c->dr[p->const_row[l]] += s->constants[l] * c->dy[p->const_src[l]];
     for (; i < p->ngroup; i++)
-        if (wanted == RESIDUALS ? !p->groups[i].late : has_outputs(&p->groups[i], p->nw))
+        if (wanted == RESIDUALS ? !p->groups[i].late : p->groups[i].reports)
             group_along(in, s, &p->groups[i], dx, c->dr);
     for (int h = 0; h < p->nhold; h++)
         for (int l = p->hold_ptr[h]; s->rests[h] == PH_RESTS && l < p->hold_ptr[h + 1]; l++)

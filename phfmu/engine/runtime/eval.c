@@ -57,14 +57,16 @@ void ph_eval(ph_system *s, int slots, int late) {
         ph_rest_residual(s);
 }
 
-/* The rows after the residual, at a w and a Z found elsewhere. */
+/* The rows after the residual, at a w and a Z found elsewhere. A kernel may give rows of both kinds at once,
+ * as that of a port whose column depends on the state does: its force and its output. What is added to
+ * residual rows is not looked at; the next evaluation clears them. */
 void ph_eval_late(ph_system *s) {
     const ph_plan *p = s->plan;
     const ph_point at = {s->x, s->y, s->p, s->hp};
     memset(s->r + p->nw, 0, sizeof(double) * (size_t)(p->nrow - p->nw));
     for (int i = 0; i < p->ngroup; i++) {
         const ph_group *g = &p->groups[i];
-        if (g->late)
+        if (g->reports)
             ph_kernels[g->kernel].value(g, &at, s->r);
     }
     for (int l = p->nconst_early; l < p->nconst; l++)

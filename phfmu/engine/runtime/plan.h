@@ -22,6 +22,7 @@ typedef struct ph_group {
     int n;                    /* instances */
     int stage;                /* 0: outputs go to Z, 1: outputs go to rows */
     int late;                 /* 1: touches no residual row, skipped during the iteration */
+    int reports;              /* 1: touches a row after the residual: a pair output or an observable */
     int slot;                 /* first Jacobian entry in V */
     int kernel;               /* index into ph_kernels */
     int nx, ny, np, no, nj;   /* local sizes, checked against the kernel table */
