@@ -91,3 +91,14 @@ def test_both_engines_take_the_same() -> None:
             own, theirs = ([str(p) for p in inspect.signature(m).parameters.values()] for m in (method, other))
             theirs = [p.replace("PythonInstance", "NativeInstance") for p in theirs]
             assert own == theirs, name
+
+
+def test_a_family_of_components_gives_the_functions_that_the_library_lists() -> None:
+    """`from phfmu.components.control import relay` is the function, as for every other name of the list."""
+    from phfmu.components.library import LIBRARY, builder
+
+    for name, (_, module, _) in LIBRARY.items():
+        family = import_module(module.rpartition(".")[0])
+        assert getattr(family, name) is builder(name), name
+        assert name in family.__all__
+        assert family.__all__ == sorted(family.__all__)

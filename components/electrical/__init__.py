@@ -1,33 +1,49 @@
 """Electrical components: machines, lines, loads, sources, switches; currents count into the component."""
 
+from phfmu.components.electrical.branches import rc_node, rl_branch, rl_link
+from phfmu.components.electrical.breaker import breaker, clearing_fault, ideal_diode
 from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.machine_data import MachineData, MachineDataError, machine_names, machine_set
 from phfmu.components.electrical.machine_init import OperatingPoint, operating_point, steady_state
+from phfmu.components.electrical.rectifiers import rectifier_bridge, six_pulse_bridge
 from phfmu.components.electrical.resistor import resistor, transformer
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import current_source, voltage_source
 from phfmu.components.electrical.switch import fault_resistor
+from phfmu.components.electrical.switches import chopper, diode, ideal_switch, thyristor
 from phfmu.components.electrical.synchronous_machine import machine_at_bus, synchronous_machine
 
 __all__ = [
     "MachineData",
     "MachineDataError",
     "OperatingPoint",
+    "breaker",
+    "chopper",
+    "clearing_fault",
     "current_source",
     "dc_motor",
+    "diode",
     "fault_resistor",
+    "ideal_diode",
+    "ideal_switch",
     "infinite_bus",
     "machine_at_bus",
     "machine_names",
     "machine_set",
     "operating_point",
+    "rc_node",
+    "rectifier_bridge",
     "resistor",
+    "rl_branch",
     "rl_line",
+    "rl_link",
     "rlc_load",
+    "six_pulse_bridge",
     "steady_state",
     "synchronous_machine",
+    "thyristor",
     "transformer",
     "voltage_source",
 ]

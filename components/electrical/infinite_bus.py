@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from math import pi
 
@@ -10,9 +11,12 @@ import casadi as ca
 from phfmu import PHDAE, parameter, time
 from phfmu.components.electrical.sources import voltage_source
 
+#: frequencies of grids in Hz, of which rad/s are 2 pi times as many; how near such a number is one of them
+GRIDS, NEAR = (50.0, 60.0), 1e-3
+
 
 def infinite_bus(amplitude: float, frequency: float = 60.0, phase: float = 0.0, *, i: float = 1.0) -> PHDAE:
-    """Stiff balanced grid: v_x = amplitude cos(2 pi frequency t + phase - alpha_x).
+    """Stiff balanced grid: v_x = amplitude cos(omega t + phase - alpha_x),  omega = 2 pi frequency.
 
     0 = v - e(t),  0 = -i + terminal.i,  alpha = (0, 2 pi/3, -2 pi/3)
 
@@ -21,8 +25,13 @@ def infinite_bus(amplitude: float, frequency: float = 60.0, phase: float = 0.0, 
     ports:       terminal: currents INTO the bus given, voltages out; source: fed from inside, source.energy
                  is the work that the grid puts in (negative if it takes power)
     parameters:  amplitude [V] (peak, phase to ground), omega [rad/s], phase [rad]
-    `i`: typical current [A].
+    frequency [Hz]: 50 or 60, not 314 or 377; the parameter omega that a run may set is in rad/s.  `i`: typical current [A].
+    Warns (UserWarning) where the frequency is 2 pi times 50 or 60: most likely rad/s were given.
     """
+    for hertz in GRIDS:
+        if abs(frequency - 2.0 * pi * hertz) <= NEAR * frequency:
+            remedy = f"most likely rad/s; it is in Hz, give frequency={hertz:g}"
+            warnings.warn(f"infinite_bus: frequency = {frequency:g} is 2 pi {hertz:g}, {remedy}", stacklevel=2)
     a = parameter("amplitude", amplitude, unit="V", description="peak phase voltage")
     w = parameter("omega", 2.0 * pi * frequency, unit="rad/s", description="angular frequency")
     phi = parameter("phase", phase, unit="rad", description="phase of v_a at t = 0")

@@ -115,7 +115,7 @@ class Multibody:
         self.spring(a, b, lambda s: 0.5 * k * (s - length**2) ** 2)
 
     def potential(self, energy_of: Callable[[Places], ca.SX]) -> None:
-        """Any energy [J] of positions; `energy_of` gets a function that maps a point to its position."""
+        """Any energy [J] of positions; `energy_of` gets a function `at` of points, see `constraint`."""
         self.parts.potentials.append(energy_of)
 
     def damper(self, a: Point, b: Point, value: Scalar | Any, *, axial: bool = False) -> None:
@@ -150,8 +150,10 @@ class Multibody:
         )
 
     def constraint(self, g: Callable[[Places], Any], name: str = "", *, drive: str = "") -> None:
-        """Holonomic constraints g = 0 (one, or a column); `g` gets a function that maps a point to its position.
+        """Holonomic constraints g = 0 (one, or a column) of positions: `constraint(lambda at: at(piston)[1])` keeps y = 0.
 
+        `g` gets a function `at`: at(piston) is the position [m] of a point as a column of `dim` entries, which count from 0 as
+        everywhere in Python: [0] is x, [1] is y, [2] is z.  Names in results count from 1: q[1] is x of the first particle.
         g may use `phfmu.time` and moving supports; then its work is booked at the port `drive` (default: the name of the
         moving support, else `drive`).
         """

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import casadi as ca
 
@@ -30,6 +31,7 @@ from phfmu.components.mechanical.multibody_parts import (
     MovingSupport,
     Particle,
     Parts,
+    Places,
     Point,
     Support,
 )
@@ -55,7 +57,12 @@ class Declaration:
         self.f = {p: algebraic(f"{p.name}.f", dim, unit="N", description=f"force on {p.name}") for p in damped}
 
     def at(self, point: Point) -> ca.SX:
-        """Its position."""
+        """Its position (dim x 1). Errors: ValueError for what is no point."""
+        if not isinstance(point, Particle | Support | MovingSupport | DrivenPoint):
+            raise ValueError(
+                f"{self.parts.name}: at({point!r}): that is no point; give what particle(), support(), moving_support() or "
+                "driven_point() returned"
+            )
         if isinstance(point, Support):
             return ca.SX(ca.DM(list(point.position)))
         if isinstance(point, MovingSupport):
@@ -102,7 +109,7 @@ class Declaration:
         for s in parts.springs:
             yield strain_energy(ca.sumsqr(self.at(s.b) - self.at(s.a)), s.potential)
         for made in parts.potentials:
-            yield energy(made(self.at))
+            yield energy(self.of_positions("a potential", made))
 
     def dissipation(self) -> Iterator[Block]:
         for d in self.parts.dampers:
@@ -123,7 +130,7 @@ class Declaration:
 
     def constraints(self) -> tuple[tuple[Holonomic, ...], tuple[Variable, ...]]:
         """Constraints and the multiplier variable they share by parts."""
-        items = [(c, ca.SX(c.g(self.at))) for c in (*self.parts.bars, *self.parts.constraints)]
+        items = [(c, ca.SX(self.of_positions(c.label, c.g))) for c in (*self.parts.bars, *self.parts.constraints)]
         if not items:
             return (), ()
         total = sum(g.numel() for _, g in items)
@@ -138,6 +145,17 @@ class Declaration:
             out.append(Holonomic(lam.part(first, g.numel()), ca.vec(g), drive=port, label=c.label))
             first += g.numel()
         return tuple(out), (lam,)
+
+    def of_positions(self, label: str, made: Callable[[Places], Any]) -> Any:
+        """A function of positions, made; ValueError says how positions are indexed where CasADi refuses what it does."""
+        try:
+            return made(self.at)
+        except RuntimeError as error:
+            axes = ", ".join(f"[{i}] is {axis}" for i, axis in enumerate("xyz"[: self.parts.dim]))
+            raise ValueError(
+                f"{self.parts.name}: {label}: {str(error).splitlines()[-1]}; at(point) is a column of {self.parts.dim} "
+                f"entries that count from 0: {axes}"
+            ) from error
 
     def drive_name(self, c: Constraint, g: ca.SX) -> str:
         """Where the work of a moving constraint is booked."""

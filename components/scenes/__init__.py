@@ -1,1 +1,38 @@
 """Scenes: networks with their step, stop time and events."""
+
+from phfmu.components.scenes.bead import bead
+from phfmu.components.scenes.bouncing_ball import bouncing_ball
+from phfmu.components.scenes.breaker_opening import breaker_opening
+from phfmu.components.scenes.buck import buck
+from phfmu.components.scenes.clutch_engagement import clutch_engagement
+from phfmu.components.scenes.drive import drive
+from phfmu.components.scenes.ladder import ladder
+from phfmu.components.scenes.oscillator import oscillator
+from phfmu.components.scenes.rectifier import rectifier, six_pulse
+from phfmu.components.scenes.smib import smib, smib_breaker, smib_folded, smib_hydro
+from phfmu.components.scenes.speed_control import speed_control
+from phfmu.components.scenes.stops import buffer, hard_stop
+from phfmu.components.scenes.two_machine import two_machine
+from phfmu.components.scenes.two_point_control import two_point_control
+
+__all__ = [
+    "bead",
+    "bouncing_ball",
+    "breaker_opening",
+    "buck",
+    "buffer",
+    "clutch_engagement",
+    "drive",
+    "hard_stop",
+    "ladder",
+    "oscillator",
+    "rectifier",
+    "six_pulse",
+    "smib",
+    "smib_breaker",
+    "smib_folded",
+    "smib_hydro",
+    "speed_control",
+    "two_machine",
+    "two_point_control",
+]

@@ -40,7 +40,17 @@ def block(variables: Sequence[Variable | Port], matrix: Any, *, owner: str = "")
 
 
 def skew(rows: Variable | Port, cols: Variable | Port, matrix: Any, *, owner: str = "") -> Block:
-    """The block of J with J[rows, cols] = matrix and J[cols, rows] = -matrix^T."""
+    """The block of J with J[rows, cols] = matrix and J[cols, rows] = -matrix^T: it carries energy between them, and keeps it.
+
+        rows' = ... + matrix z_cols,    cols' = ... - matrix^T z_rows
+
+    skew(q, p, 1) is q' = z_p, p' = -z_q: velocity in the row of the position, minus the force in that of the momentum.
+    skew(a, b, n) with a number n > 0 and H = (a^2 + b^2)/2 turns the point (a, b) with the rate n from the axis of b to that
+    of a: clockwise where a points right and b up.  skew(b, a, n) = skew(a, b, -n) turns it the other way.
+
+    matrix:  rows.n x cols.n, may depend on x, z, parameters, inputs and time; a number on variables of equal size is that
+             multiple of the identity
+    """
     g = ca.SX(_sx(matrix))
     if g.numel() == 1 and rows.n == cols.n > 1:
         g = g * ca.SX.eye(rows.n)

@@ -129,9 +129,10 @@ class Entries:
         self.complete &= what not in (EntryKind.H, EntryKind.E)
 
     def add(
-        self, what: EntryKind, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None
-    ) -> bool:
-        """File an expression; True if its shape, rows and symbols are right."""
+        self, what: EntryKind, label: str, expr: Any, shape: tuple[int, int] | None, rows=(), origin: Any = None,
+        remedy: str = "make it as large as the variables and ports it connects",
+    ) -> bool:  # fmt: skip
+        """File an expression; True if its shape, rows and symbols are right; `remedy` of a wrong shape."""
         matrix = as_matrix(expr, shape if what in (EntryKind.E, EntryKind.B) else None)
         ok = self._rows(what, label, rows)
         if matrix is None:
@@ -144,8 +145,7 @@ class Entries:
             ok = False
         elif shape is not None and matrix.shape != shape:
             self._problem(
-                "shape", label, f"is {matrix.shape[0]} x {matrix.shape[1]}, expected {shape[0]} x {shape[1]}",
-                "make it as large as the variables and ports it connects",
+                "shape", label, f"is {matrix.shape[0]} x {matrix.shape[1]}, expected {shape[0]} x {shape[1]}", remedy,
             )  # fmt: skip
             ok = False
         elif not self.symbols(what, label, matrix):
@@ -267,13 +267,23 @@ def normal_form(e: Entries) -> None:
 def _ports(e: Entries) -> None:
     for p in e.model.ports:
         for v, coefficient in p.on.items():
-            e.add(EntryKind.B, f"port '{p.name}': B on '{v.name}'", coefficient, (v.n, p.n), (v,), p)
+            e.add(EntryKind.B, f"port '{p.name}': B on '{v.name}'", coefficient, (v.n, p.n), (v,), p, _columns(p, v))
         if p.u.shape != (p.n, 1):
             e._problem("shape", f"port '{p.name}'", f"u has {p.u.numel()} entries, expected {p.n}", "leave u out")
         if p.source is not None:
             e.add(EntryKind.SOURCE, f"source of '{p.name}'", p.source, (p.n, 1), origin=p)
         if p.bound is not None:
             e.add(EntryKind.BOUND, f"port '{p.name}': bound", ca.vertcat(*p.bound), (p.n, 1), origin=p)
+
+
+def _columns(p: Port, v: Variable) -> str:
+    """What makes the coefficients of a port on a variable fit: its size, or other coefficients."""
+    if p.size is None and v.n > 1:
+        return (
+            f"give the port size={v.n} (a pair for each entry of '{v.name}'), or a column of {v.n} numbers (one pair)"
+        )
+    pairs = f"{p.n} pairs (size={p.n})" if p.size else "one pair (no size)"
+    return f"the port has {pairs} and '{v.name}' {v.n} entries: give a row for each entry, a column for each pair"
 
 
 def _closed(e: Entries, pair: ClosedPair, label: str) -> None:

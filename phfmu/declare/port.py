@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
+from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import Number, Variable, _values
 
 Given = Literal["effort", "flow"]
@@ -66,9 +67,13 @@ class Port:
     A port may also stand among the variables of a block of J or R, where it has the row -y and the costate u; see
     `Block` for what this makes of feedthrough.
 
-    on:      variable -> coefficient matrix (len(variable) x size), may depend on x and parameters; {} = feedthrough only
     given:   which member of the pair is the input u ("effort" or "flow")
-    size:    number of scalar pairs; None = a scalar port
+    on:      its columns of B: variable -> coefficients (len(variable) x size), may depend on x and parameters; a number is
+             that multiple of the identity; {} = feedthrough only.  Port("terminal", ELECTRICAL, "effort", {flux: 1.0})
+             puts 1.0 v on the row of flux and reads i = flux.z
+    size:    number of scalar pairs that the port bundles, as the 3 phases of a terminal: u and y have `size` entries, called
+             terminal.v[1] .. terminal.v[3], and their powers add up.  None: one pair without an index, terminal.v;
+             1: a vector with one entry, terminal.v[1]
     source:  expression (size x 1) of `time` and parameters: the port is fed from inside the model and its
              work is booked here; None = the input is free
     bound:   algebraic variable that feeds the port from inside a composed network; None = free
@@ -78,7 +83,7 @@ class Port:
     name: str
     domain: Domain
     given: Given
-    on: Mapping[Variable, Any]
+    on: Mapping[Variable, Any] = None  # type: ignore[assignment]  # asked for below, with an example
     size: int | None = None
     source: Any = None
     bound: tuple[ca.SX, ...] | None = None
@@ -89,8 +94,27 @@ class Port:
     u: ca.SX = field(default=None, repr=False)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
+        self._require_sound()
         if self.u is None:
             object.__setattr__(self, "u", ca.SX.sym("u." + self.name, self.n))
+
+    def _require_sound(self) -> None:
+        """DeclarationError for a domain, a given member or columns that are none; what they hold is for `check`."""
+        entry, example = f"port '{self.name}'", f'Port("{self.name}", ELECTRICAL, "effort", {{flux: 1.0}})'
+        domain, remedy = self.domain, f"e.g. {example}"
+        if not isinstance(domain, Domain):
+            raise DeclarationError(
+                entry, f"domain = {domain!r} is no Domain", f"give one such as ELECTRICAL, {remedy}", "port"
+            )
+        if self.given not in ("effort", "flow"):
+            own = f"of {domain.name} ports 'effort' is {domain.effort}, 'flow' is {domain.flow}"
+            raise DeclarationError(entry, f"given = {self.given!r} is neither 'effort' nor 'flow'", own, "port")
+        if self.on is None:
+            remedy = f"say on which variables its input acts, and how much, {remedy}; {{}} is for feedthrough only"
+            raise DeclarationError(entry, "its columns of B are missing", remedy, "port")
+        if not isinstance(self.on, Mapping):
+            reason = f"its columns of B are a {type(self.on).__name__}, not a mapping from variables to coefficients"
+            raise DeclarationError(entry, reason, remedy, "port")
 
     @property
     def n(self) -> int:

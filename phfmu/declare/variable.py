@@ -225,7 +225,12 @@ def state(
     nominal: Number = 1.0,
     description: str = "",
 ) -> Variable:
-    """A differential variable, part of x1.  `nominal`: typical magnitude, scales the stopping test."""
+    """A differential variable, part of x1.
+
+    size:     number of entries of a vector, called name[1], name[2], ..; None: a scalar, called name
+    unit:     of all entries;  start, nominal: one number, or one for each entry
+    nominal:  typical magnitude, scales the stopping test
+    """
     return make_variable(VariableKind.STATE, name, size, unit, start, nominal, description)
 
 
@@ -238,7 +243,7 @@ def algebraic(
     nominal: Number = 1.0,
     description: str = "",
 ) -> Variable:
-    """An algebraic variable, part of x2 = z2 (multiplier, node voltage, source current)."""
+    """An algebraic variable, part of x2 = z2 (multiplier, node voltage, source current); arguments as for `state`."""
     return make_variable(VariableKind.ALGEBRAIC, name, size, unit, start, nominal, description)
 
 
@@ -255,6 +260,7 @@ def parameter(
 ) -> Variable:
     """A constant that may be changed before (and by events during) a run.
 
+    `value`: one number, or one for each entry;  `size`: number of entries of a vector, None: a scalar.
     `min`, `max`: limits, allowed themselves;  `positive`: above 0.  Without `min` it is derived where the declaration
     proves it (a resistance, a mass: see `phfmu.declare.parameter_limits`); `min=-inf` says that there is none.
     """

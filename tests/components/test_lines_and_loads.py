@@ -172,3 +172,17 @@ def test_entries_of_a_machine_that_would_be_ignored_are_refused() -> None:
         machine_set("kundur555")
     moved = machine_set("kundur555_1q", Laa0=3.5e-3, Laa2=0.0, Lab0=1.5e-3)  # instead of the set's own
     assert moved.Ld == pytest.approx(5e-3)
+
+
+@pytest.mark.parametrize(("frequency", "hertz"), [(377.0, 60), (2 * np.pi * 50, 50)])
+def test_a_frequency_that_looks_like_an_angular_one_is_told(frequency, hertz):
+    with pytest.warns(
+        UserWarning, match=f"frequency = .* is 2 pi {hertz}, most likely rad/s; .* give frequency={hertz}"
+    ):
+        infinite_bus(100.0, frequency)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("frequency", [0.0, 16.7, 50.0, 60.0, 400.0])
+def test_frequencies_of_grids_pass_without_a_word(frequency):
+    assert infinite_bus(100.0, frequency).parameters[1].start == (2 * np.pi * frequency,)

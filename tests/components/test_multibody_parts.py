@@ -124,3 +124,19 @@ def test_declaration_time_grows_linearly():
 
     seconds(5)
     assert seconds(80) <= 8.0 * min(seconds(20) for _ in range(3))  # 4 if linear, 16 if quadratic
+
+
+@pytest.mark.parametrize(
+    ("g", "words"),
+    [
+        (lambda at, p: at(p)[2], r"crank: rail: .*out of bounds.*; at\(point\) is a column of 2 entries that count from 0: "
+         r"\[0\] is x, \[1\] is y"),
+        (lambda at, p: at(1)[1], r"crank: at\(1\): that is no point; give what particle\(\)"),
+    ],
+)  # fmt: skip
+def test_positions_in_a_constraint_are_indexed_from_zero(g, words):
+    body = Multibody("crank", dim=2)
+    piston = body.particle(1.0, (2.0, 0.0))
+    body.constraint(lambda at: g(at, piston), "rail")
+    with pytest.raises(ValueError, match=words):
+        body.build()

@@ -256,3 +256,46 @@ def test_entries_that_a_variable_does_not_have():
         lambda: state("v", 2, start=(1.0, 2.0, 3.0)), "v: start has 3 entries, the variable has 2", "for each entry"
     )
     refused(lambda: state("v", 2).part(1, 2), "v: has 2 entries, not 2 .. 3", "within them")
+
+
+# -- ports: columns, size, which of the pair is given ---------------------------------------------------------------------
+
+
+def vector() -> PHDAE:
+    """Three equal coils and no port."""
+    flux = state("flux", 3)
+    return PHDAE("m", states=(flux,), energies=(energy(ca.sumsqr(flux.sx) / 2),))
+
+
+def test_a_port_without_its_columns_is_told_with_an_example() -> None:
+    port: Any = Port
+    refused(lambda: port("terminal", ELECTRICAL, "effort"), "port 'terminal'", '"effort", {flux: 1.0})', "{} is for")
+    for columns in (state("flux"), [(state("flux"), 1.0)], 1.0):
+        refused(lambda c=columns: port("terminal", ELECTRICAL, "effort", c), type(columns).__name__, "{flux: 1.0}")
+    refused(lambda: port("terminal", ELECTRICAL, "v", {}), "given = 'v'", "'effort' is v, 'flow' is i")
+    refused(lambda: port("terminal", "electrical", "effort", {}), "'electrical' is no Domain", "ELECTRICAL")
+
+
+@pytest.mark.parametrize(
+    ("columns", "size", "words"),
+    [
+        (1.0, None, "is 1 x 1, expected 3 x 1; give the port size=3 (a pair for each entry of 'flux')"),
+        ([1.0, 1.0], None, "is 2 x 1, expected 3 x 1; give the port size=3"),
+        ([1.0, 1.0, 1.0], 3, "is 3 x 1, expected 3 x 3; the port has 3 pairs (size=3) and 'flux' 3 entries"),
+    ],
+)
+def test_columns_that_do_not_fit_the_size_of_a_port(columns: Any, size: int | None, words: str) -> None:
+    m = vector()
+    ports = (Port("terminal", ELECTRICAL, "effort", {m.states[0]: columns}, size=size),)
+    (problem,) = (p for p in check(replace(m, ports=ports)) if p.rule == "shape")
+    assert words in str(problem)
+
+
+def test_skew_turns_from_its_second_variable_to_its_first() -> None:
+    """a' = n b, b' = -n a: clockwise where a points right and b up, with the rate n."""
+    a, b = state("a"), state("b", start=1.0)
+    energies = (energy((a**2 + b**2) / 2),)
+    unit = PythonInstance(build_model(PHDAE("m", states=(a, b), energies=energies, structure=(skew(a, b, 0.5),))))
+    for k in range(1000):
+        unit.do_step(k * 1e-3, 1e-3)
+    assert unit.x == pytest.approx([math.sin(0.5), math.cos(0.5)], abs=1e-6)
