@@ -111,6 +111,6 @@ def builder(name: str) -> Callable[..., Any]:
     return getattr(import_module(LIBRARY[name][1]), name)
 
 
-def build(name: str) -> Any:
-    """The component (PHDAE) or scene (Scene) `name` with its default or example arguments."""
-    return builder(name)(**EXAMPLES.get(name, {}))
+def build(name: str, **values: Any) -> Any:
+    """The component (PHDAE) or scene (Scene) `name` with `values`, its default or example arguments where there are none."""
+    return builder(name)(**(EXAMPLES.get(name, {}) | values))

@@ -1,4 +1,7 @@
-"""What a TARGET means: the name of a component or scene of the library, a function of a file, or a package of SSP."""
+"""What a TARGET means: the name of a component or scene of the library, a function of a file, or a package of SSP.
+
+A name and a function may be called with arguments: `chain(n=20)`, `coil.py:coil(R=2.0)`.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from phfmu.arguments import TargetError, parsed
+
 if TYPE_CHECKING:
     from phfmu.network.scene import Scene
 
-
-class TargetError(ValueError):
-    """The target cannot be found or built."""
+__all__ = ["TargetError", "function_name", "functions", "is_fmu", "is_ssp", "load", "require_known", "scene"]
 
 
 def is_fmu(target: str) -> bool:
@@ -33,8 +36,11 @@ def load(target: str) -> Any:
         from phfmu.ssp.loading import load as load_ssp
 
         return load_ssp(target)
-    from phfmu.components.library import LIBRARY, build
+    from phfmu.components.library import LIBRARY, build, builder
 
+    call = parsed(target, target)
+    if call.name in LIBRARY:
+        return build(call.name, **call.of(builder(call.name), target))
     if target not in LIBRARY and (not target or Path(target).exists() or Path(target).suffix):
         raise TargetError(
             f"{target or repr(target)} is no target; that is a name of the library, file.py:function, X.fmu, X.ssp or X.ssd"
@@ -44,7 +50,7 @@ def load(target: str) -> Any:
         raise TargetError(
             f"no component or scene '{target}' in the library; for the file beside you say {_choices(file)}"
         )
-    return build(target)
+    return build(call.name)
 
 
 def require_known(target: str, words: Iterable[str]) -> None:
@@ -75,7 +81,7 @@ def scene(target: str) -> Scene:
     if isinstance(item, Scene):
         return item
     if isinstance(item, PHDAE | Network):
-        stop, step = RUNS.get(target, (1.0, 1e-3))
+        stop, step = RUNS.get(target.partition("(")[0], (1.0, 1e-3))
         return Scene(item.name, item, stop, step, description=item.description)
     kind = type(item).__name__
     raise TargetError(
@@ -95,6 +101,17 @@ def functions(path: Path) -> list[str]:
     names = [f.name for f in functions if len(f.args.posonlyargs + f.args.args) == len(f.args.defaults)
              and all(f.args.kw_defaults)]  # fmt: skip
     return names
+
+
+def function_name(target: str) -> str:
+    """The function that a target names, "" for a file without one: `chain` of `chain(n=20)`, `coil` of `coil.py:coil(R=2)`."""
+    return _split(target)[2].partition("(")[0] if ".py" in target else target.partition("(")[0]
+
+
+def _split(target: str) -> tuple[str, str, str]:
+    """File, colon, function with its arguments, in which colons may stand."""
+    file, mark, function = target.partition(".py:")
+    return (f"{file}.py", ":", function) if mark else (target, "", "")
 
 
 def _only(path: Path) -> str:
@@ -125,8 +142,9 @@ def _from_file(target: str) -> Any:
 
     from phfmu.files import seen_from
 
-    path_text, _, function = target.rpartition(":") if ":" in target else (target, "", "")
-    path = Path(path_text)
+    path_text, _, text = _split(target)
+    call = parsed(text, target)
+    path, function = Path(path_text), call.name
     if not path.is_file():
         raise TargetError(f"no file '{path_text}'")
     if not function:
@@ -144,6 +162,7 @@ def _from_file(target: str) -> Any:
     except (Exception, SystemExit) as error:
         raise TargetError(f"{_place(path, error)}: {_said(error)}") from error
     found = getattr(module, function, None)
+    values = call.of(found, target) if callable(found) else {}
     if found is None:
         names = [n for n, v in vars(module).items() if callable(v) and getattr(v, "__module__", "") == module.__name__]
         raise TargetError(f"{path_text} has no function '{function}'; it has: {', '.join(names) or 'none'}")
@@ -151,7 +170,7 @@ def _from_file(target: str) -> Any:
         return found
     try:
         with seen_from(path.parent), modules_beside(path):
-            return found()
+            return found(**values)
     except (Exception, SystemExit) as error:
         raise TargetError(f"{_place(path, error)}, {function}: {_said(error)}") from error
 

@@ -18,7 +18,7 @@ ROOMS = (
     "words", "files", "processors", "html", "pick", "declare", "terms", "gradients", "plan", "schemes", "schur",
     "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu",
     "network.junctions", "network.scene",
-    "network.members", "network.couplings", "network.run", "network.check_scene", "ssp", "components", "target", "report",
+    "network.members", "network.couplings", "network.run", "network.check_scene", "ssp", "components", "arguments", "target", "report",
     "sweeps", "stress", "bench", "cli",
 )  # fmt: skip
 

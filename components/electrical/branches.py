@@ -19,7 +19,8 @@ def rl_branch(
     ports:       terminal: voltage given, current INTO the branch out;  source: fed from inside, its energy is the source's work
     parameters:  R [ohm], L [H]
     observables: current
-    `source`: expression of `time`;  `size`: phases;  `i0`: start current [A];  `i`, `v`: typical current and voltage.
+    `source`: expression of `time`;  `size`: phases;  `i0`: start current [A];
+    `i`: typical current [A];  `v`: typical voltage [V].
     """
     inductance = parameter("L", L, unit="H", positive=True, description="inductance")
     resistance = parameter("R", R, unit="ohm", description="resistance")
@@ -58,7 +59,7 @@ def rl_link(R: float, L: float, *, i0: float = 0.0, i: float = 1.0, v: float = 1
 
     H:  flux^2 / (2 L);  R: R;  states: flux [Wb];  ports: a, b: voltages given, currents INTO the branch out
     parameters:  R [ohm], L [H];  observables: current, from a to b
-    `i0`: start current [A];  `i`, `v`: typical current and voltage.
+    `i0`: start current [A];  `i`: typical current [A];  `v`: typical voltage [V].
     """
     inductance = parameter("L", L, unit="H", positive=True, description="inductance")
     resistance = parameter("R", R, unit="ohm", description="resistance")
@@ -83,7 +84,7 @@ def rc_node(R: float, C: float, *, v0: float = 0.0, i: float = 1.0, v: float = 1
 
     H:  charge^2 / (2 C);  R: 1/R;  states: charge [C];  ports: terminal: current INTO the node given, voltage out
     parameters:  R [ohm], C [F];  observables: voltage
-    `v0`: start voltage [V];  `i`, `v`: typical current and voltage.
+    `v0`: start voltage [V];  `i`: typical current [A];  `v`: typical voltage [V].
     """
     capacitance = parameter("C", C, unit="F", positive=True, description="capacitance")
     resistance = parameter("R", R, unit="ohm", positive=True, description="resistance")

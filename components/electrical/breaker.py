@@ -52,7 +52,7 @@ def breaker(
     any current.
     `arc`: voltage [V] against the current of a pole that is told to open, until a zero; the pole is open where it carries no
     current, and conducts again, over its arc, where |v_a - v_b| exceeds `withstand` [V] (at least `arc`).
-    `i`, `v`: typical current and voltage; `start` (phases): currents at the start [A], none by default.
+    `i`: typical current [A];  `v`: typical voltage [V]; `start` (phases): currents at the start [A], none by default.
     ValueError for an arc with `chop`, and for a `withstand` below `arc`.
     Source: switches that modulate the interconnection, Escobar, van der Schaft, Ortega, Automatica 35 (1999).
     """
@@ -76,7 +76,7 @@ def clearing_fault(
     parameters:  R [ohm], L [H] per phase; command: 1 the fault comes, 0 each phase clears at its current zero, 2 at once
     modes:       closed (phases): s, 1 or 0
     observables: i (phases); u (phases), the voltage where a phase is clear
-    `there`: at the start;  `i`, `v`: typical current and voltage.
+    `there`: at the start;  `i`: typical current [A];  `v`: typical voltage [V].
     """
     poles = _Poles(R, L, phases, i, v, (), grounded=True, told=float(there))
     return replace(
@@ -217,7 +217,7 @@ def ideal_diode(R: float, L: float, *, conducts: bool = False, i: float = 1.0, v
     parameters:  R [ohm], L [H]
     modes:       conducts: s
     observables: i, the current from a to b
-    `conducts`: at the start;  `i`, `v`: typical current and voltage.
+    `conducts`: at the start;  `i`: typical current [A];  `v`: typical voltage [V].
     """
     inductance = parameter("L", L, unit="H", positive=True, description="inductance")
     resistance = parameter("R", R, unit="ohm", description="resistance")

@@ -17,7 +17,7 @@ def rectifier_bridge(*, i: float = 1.0, v: float = 1.0) -> PHDAE:
     H:  0;  algebraic: u (2) [V]
     ports:  ac: current INTO the bridge given, voltage out;  dc: current INTO the bridge given (-i_dc), voltage out
     modes:  blocks (2): 1 where a pair blocks
-    `i`, `v`: typical current and voltage.
+    `i`: typical current [A];  `v`: typical voltage [V].
     """
     u = algebraic("u", 2, unit="V", nominal=v, description="voltages that the two pairs block")
     blocks = parameter("blocks", 0.0, 2, min=0.0, max=1.0, description="pairs: 1 blocks, 0 conducts")
@@ -47,7 +47,7 @@ def six_pulse_bridge(*, i: float = 1.0, v: float = 1.0) -> PHDAE:
     ports:       ac: voltages (3) given, currents INTO the bridge out;  dc: current INTO the bridge given (-i_dc), voltage out
     modes:       conducts (6)
     observables: v, the DC voltage
-    `i`, `v`: typical current and voltage.
+    `i`: typical current [A];  `v`: typical voltage [V].
     """
     current = algebraic("i", 6, unit="A", nominal=i, description="currents of the diodes")
     rail = algebraic("rail", 2, unit="V", nominal=v, description="potentials of the rails, + and -")

@@ -13,7 +13,7 @@ def resistor(R: float = 1.0, *, size: int | None = None, given: Given = "effort"
     H:  0;  R: 1/R or R on the port
     ports:       terminal: voltage given, current INTO the resistor out, or the reverse
     parameters:  R [ohm]
-    `nominal`: typical size of the input.  ValueError for R that is not positive.
+    `nominal`: typical input, [V] or [A].  ValueError for R that is not positive.
     """
     if not R > 0:
         raise ValueError(f"resistor: R = {R} ohm must be positive")
@@ -36,7 +36,7 @@ def transformer(n: float = 1.0, *, size: int | None = None, v: float = 1.0, i: f
     H:  0;  J: Gamma[a, b] = n (skew)
     ports:       a: voltage given, current INTO the transformer out; b: current INTO it given, voltage out
     parameters:  n [1]
-    `v`, `i`: typical voltage of a and current of b.
+    `v` [V], `i` [A]: typical voltage of a and current of b.
     """
     ratio = parameter("n", n, unit="1", description="ratio v_b / v_a")
     a = Port("a", ELECTRICAL, "effort", {}, size=size, nominal=v, description="side a to ground")

@@ -64,7 +64,7 @@ def diode(*, conducts: bool = False, i: float = 1.0, v: float = 1.0) -> PHDAE:
     ports:       a, b: voltages given, currents INTO the diode out
     modes:       conducts: 1 or 0
     observables: u, the voltage from a to b [V]
-    `conducts`: at the start;  `i`, `v`: typical current and voltage.
+    `conducts`: at the start;  `i`: typical current [A];  `v`: typical voltage [V].
     Source: Camlibel, Heemels, van der Schaft, Schumacher, IEEE TCAS-I 50 (2003).
     """
     return _between("diode", "unilateral", conducts, i, v, "ideal diode")
@@ -73,7 +73,7 @@ def diode(*, conducts: bool = False, i: float = 1.0, v: float = 1.0) -> PHDAE:
 def thyristor(*, conducts: bool = False, gate: float = 0.0, i: float = 1.0, v: float = 1.0) -> PHDAE:
     """Ideal thyristor from `a` to `b`: blocks both ways until `gate` = 1 and v_a > v_b, then conducts until i falls to zero.
 
-    As `diode`, with the parameter `gate` (1 or 0), which events set.
+    As `diode`, with the parameter `gate` (1 or 0), which events set.  `v` [V]: typical voltage.
     """
     fired = parameter("gate", gate, min=0.0, max=1.0, description="1: may begin to conduct")
     return _between("thyristor", "unilateral", conducts, i, v, "ideal thyristor", fired)
@@ -85,7 +85,7 @@ def ideal_switch(*, conducts: bool = True, force: bool = False, i: float = 1.0, 
     0 = v_a - v_b while it conducts, 0 = i while it does not
 
     Closing it between capacitors loses C1 C2/(2 (C1 + C2)) dv^2, booked.  Opening it where its current has nowhere to go is
-    refused, with `force` it loses L i^2/2, booked.  Ports and modes as of `diode`.
+    refused, with `force` it loses L i^2/2, booked.  Ports and modes as of `diode`.  `v` [V]: typical voltage.
     """
     return _between("switch", "free", conducts, i, v, "ideal switch", most=inf if force else 0.0)
 
@@ -95,7 +95,8 @@ def chopper(f: float, *, duty: float = 0.5, i: float = 1.0, v: float = 1.0) -> P
 
         conducts while h < 0,   h = cos(pi d) - cos(2 pi f t - pi d),   which is zero at f t = n and f t = n + d
 
-    As `ideal_switch`; signal input: duty d (0 to 1, beyond as at these), which may change at any time;  parameters: f [Hz]
+    As `ideal_switch`; signal input: duty d (0 to 1, beyond as at these), which may change at any time;  parameters: f [Hz];
+    `v` [V]: typical voltage
     """
     base = ideal_switch(conducts=False, i=i, v=v)
     frequency = parameter("f", f, unit="Hz", positive=True, description="switching frequency")

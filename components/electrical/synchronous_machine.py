@@ -85,8 +85,8 @@ def machine_at_bus(
     machine and line, where only inductors meet (index 2), is gone, and all states have the order of the scheme.
     states, ports, observables: those of the machine; psi and flux include the line; terminal: the far end
     parameters:  those of the machine, R_line [ohm], L_line [H] per phase
-    R, L: of the line (default: 0.02 and 0.3 of the base impedance).  `start`: of the machine at its own terminals, which
-    the start value of the terminal voltage turns into the far end's for a balanced steady state.
+    R [ohm], L [H]: of the line (default: 0.02 and 0.3 of the base impedance).  `start`: of the machine at its own terminals,
+    which the start value of the terminal voltage turns into the far end's for a balanced steady state.
     """
     data = machine_set(machine)
     base = data.Vn_rms_ll**2 / data.Sn

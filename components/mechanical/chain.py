@@ -26,7 +26,7 @@ def chain(
         0 = (|q_i+1 - q_i|^2 - length^2)/2,   dampers on the relative velocity of neighbours
 
     Arguments:   n links;  dim 2 or 3, gravity along the last axis;  length [m];  mass [kg] of the first particle, growing
-                 to `last` times it at the last;  damping [N.s/m];  bending [N/m3];  speed [m/s] across the links at the start
+                 to `last` [1] times it at the last;  damping [N.s/m];  bending [N/m3];  speed [m/s] across the links at the start
                  (second axis), growing along the chain;  port: force given at the last particle, `tip`
     States:      q [m], v [m/s] (n dim each);  multipliers lambda [N/m] (n)
     Parameters:  m [kg] (n); bending, damping where given

@@ -17,7 +17,7 @@ def clutch(*, engaged: bool = False, torque: float = 1.0, w: float = 1.0) -> PHD
     ports:       a, b: speeds given, torques out
     modes:       engaged: 1 or 0
     observables: slip, w_a - w_b [rad/s]
-    `engaged`: at the start;  `torque`, `w`: typical torque and speed.
+    `engaged`: at the start;  `torque` [N.m], `w` [rad/s]: typical torque and speed.
     """
     tau = algebraic("tau", unit="N.m", nominal=torque, description="torque from a to b")
     mode = parameter("engaged", float(engaged), min=0.0, max=1.0, description="1 engaged, 0 released")

@@ -29,7 +29,7 @@ def end_stop(gap: float = 1.0, *, nominal: float = 1.0, v: float = 1.0, f: float
     H:  0;  states: gap [m];  algebraic: F [N]
     ports:  a, b: velocities given, forces out
     modes:  touches: 1 or 0
-    `gap`: at the start;  `nominal`, `v`, `f`: typical gap, velocity, force.
+    `gap`: at the start;  typical values: `nominal` [m] of the gap, `v` [m/s], `f` [N].
     Source: Brogliato, Nonsmooth Mechanics (2016): Signorini's condition, plastic impact.
     """
     distance = state("gap", unit="m", start=gap, nominal=nominal, description="from a to b")
@@ -62,7 +62,7 @@ def bumper(
     Ports:       flange (force given, velocity out)
     Parameters:  m [kg], e (restitution, 0 to 1)
     Modes:       free: s, 1 before the wall, 0 at rest on it
-    `gap`, `v`: position and velocity at the start;  `nominal`, `f`: typical distance and force.
+    `gap` [m], `v` [m/s]: at the start;  `nominal` [m], `f` [N]: typical distance and force.
     Source: Newton's law of restitution.
     """
     q = state("q", unit="m", start=gap, nominal=nominal, description="distance from the wall")
@@ -106,7 +106,7 @@ def impact_pair(
     Ports:       a, b (force given, velocity out)
     Parameters:  m_a, m_b [kg], e (restitution, 0 to 1)
     Modes:       apart: s, 1 or 0
-    `gap`, `v_a`, `v_b`: at the start;  `nominal`, `f`: typical distance and force.
+    `gap`, `v_a`, `v_b`: at the start;  `nominal` [m], `f` [N]: typical distance and force.
     Source: Newton's law of restitution; Brogliato, Nonsmooth Mechanics (2016), section 1.3.
     """
     distance = state("gap", unit="m", start=gap, nominal=nominal, description="from a to b")

@@ -26,8 +26,8 @@ def heavy_top(
 
         H = m |c'|^2/2 + E (|d_1'|^2 + |d_2'|^2)/2 + m g c_z,   c = stem d_3,   d_i . d_j = delta_ij
 
-    Arguments:   mass [kg], radius and stem [m];  spin [rad/s] about d_3;  tilt [rad] from the vertical;  precession
-                 [rad/s] about the vertical
+    Arguments:   mass [kg], radius and stem [m];  spin [rad/s] about d_3;  tilt [rad] from the vertical;
+                 precession [rad/s] about the vertical
     States:      q, v (12 each);  multipliers lambda (9)
     Source:      P. Betsch, P. Steinmann, Int. J. Numer. Meth. Engng. 50 (2001), for rigid bodies in directors
     """

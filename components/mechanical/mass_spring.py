@@ -47,6 +47,7 @@ def mass_spring(
     `reduced=False`: the form above, which can be transformed but not stepped, with states q, v and multiplier lambda.
 
     States:      q [m] (3), v.differential [m/s] (2);  algebraic: lambda [N], v.algebraic [m/s];  v is reported
+    At start:    `elongations` [m] (2), `speeds` [m/s] (2)
     Ports:       tip (force on mass 2 given, its velocity out)
     Parameters:  m1, m2 [kg]; k1, k2 [N/m]; d1, d2 [N.s/m]; l10 (length of spring 1 at rest), w [m]
     Source:      Kinon, Morandin, Schulze, Appl. Numer. Math. 2026, Example 7 and appendix E (dampers and port added)

@@ -12,7 +12,7 @@ def net(n: int = 8, *, k: float = 1000.0, mass: float = 0.1, spacing: float = 0.
         H = sum 1/2 m |v_i|^2 + m g z_i + sum over neighbours 1/2 k (|q_j - q_i| - l)^2,   l = spacing / tension
 
     n:        particles along an edge (from 2);  k [N/m], mass [kg] of a particle, spacing [m] at the start
-    tension:  ratio of the start spacing to the natural length: slightly stretched, so that no spring is slack
+    tension [1]:  ratio of the start spacing to the natural length: slightly stretched, so that no spring is slack
     Errors:   ValueError for n below 2.
     """
     if n < 2:

@@ -12,7 +12,7 @@ def rotational_inertia(J: float = 1.0, *, d: float = 0.0, speed: float = 0.0, an
 
     States:      phi [rad], w [rad/s]
     Ports:       a, b (torque given, speed out)
-    Parameters:  J [kg.m2], d [N.m.s/rad]
+    Parameters:  J [kg.m2], d [N.m.s/rad];  at the start: `speed` [rad/s], `angle` [rad]
     """
     phi, w = state("phi", unit="rad", start=angle), state("w", unit="rad/s", start=speed)
     Js, ds = parameter("J", J, unit="kg.m2"), parameter("d", d, unit="N.m.s/rad")

@@ -13,7 +13,7 @@ def torque_source(torque: float = 0.0, *, nominal: float = 1.0) -> PHDAE:
     H:  0;  J: J[tau, w] = -1 (skew);  R: 0
     Algebraic:     tau [N.m], torque into the source; w [rad/s], speed of its shaft
     Ports:         shaft (speed given, torque INTO the source out: -torque); source: fed from inside, the work of the actuator
-    Signal input:  torque [N.m]
+    Signal input:  torque [N.m];  `nominal` [N.m]: typical torque
     """
     command = signal_input("torque", torque, unit="N.m", description="torque on the shaft it is joined to")
     tau = algebraic("tau", unit="N.m", nominal=nominal, description="torque into the source")

@@ -43,7 +43,7 @@ def spring(k: float = 1.0, *, d: float | None = None, elongation: float = 0.0) -
 
         H = 1/2 k e^2,   e' = v_b - v_a,   F_b = k e + d e',   F_a = -F_b   (forces on the spring)
 
-    States:      e [m] (elongation)
+    States:      e [m]; `elongation` [m] is its start
     Ports:       a, b (velocity given, force out)
     Parameters:  k [N/m]; d [N.s/m] where given
     """

@@ -14,6 +14,7 @@ def bead(speed: float = 0.5, *, r: float = 1.0, m: float = 0.2, g: float = 9.81)
 
     It leaves at the height r (2/3 + speed^2/(3 g r)) and falls in a parabola.  The radius is kept exactly while it slides.
 
+    Arguments:  speed [m/s] at the start, radius r [m]
     States:     q (2) [m], from the axis; p (2) [kg.m/s];  algebraic: N [N]
     Parameters: m [kg], g [m/s2], slides (mode: 1 on the cylinder, 0 in the air)
     """

@@ -13,8 +13,9 @@ def bouncing_ball(m: float = 1.0, *, e: float = 0.8, height: float = 1.0, g: flo
     The bounces end at t = sqrt(2 height/g) (1 + e)/(1 - e).  Where they follow each other within 1e-6 of the step, the ball
     comes to rest: e = 0 and flight = 0.
 
+    `height` [m]: at the start
     States:      q [m] (height of its lowest point), p [kg.m/s]
-    Parameters:  m [kg], g [m/s2], e (restitution, 0 to 1), flight (mode: 1 in flight, 0 at rest)
+    Parameters:  m [kg], g [m/s2], e [1] (restitution, 0 to 1), flight (mode: 1 in flight, 0 at rest)
     """
     q = state("q", unit="m", start=height, description="height")
     p = state("p", unit="kg.m/s", description="momentum")

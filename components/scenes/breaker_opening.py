@@ -9,7 +9,7 @@ from phfmu.components.electrical.rlc_load import rlc_load
 
 
 def breaker_opening(t_open: float = 0.02, *, chop: float = 0.0, forced: bool = False) -> Scene:
-    """50 Hz grid, line 0.5 ohm and 10 mH with a breaker, load 40 ohm and 50 uF; told to open at `t_open`.
+    """50 Hz grid, line 0.5 ohm and 10 mH with a breaker, load 40 ohm and 50 uF; told to open at `t_open` [s].
 
     Each pole opens at its next current zero, with `chop` [A] below that current already, or `forced` at once.
     """

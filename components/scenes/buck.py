@@ -15,6 +15,7 @@ def buck(duty: float = 0.4, *, R: float = 4.0, f: float = 20e3, later: float | N
 
     The diode takes the current over where the chopper cuts it, and blocks where it falls to zero: with a large R the
     conduction is discontinuous.  On average v = duty (24 V + drop) - drop with the drop of the diode, ideally 0.1 V.
+    Arguments: duty and later [1], R [ohm], f [Hz] of the switching
     """
     net = Network("buck", description="step-down converter: chopper, diode, filter")
     net.add("source", voltage_source(ca.SX(24.0), v=24.0, i=3.0))

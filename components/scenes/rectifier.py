@@ -15,6 +15,7 @@ def rectifier(amplitude: float = 100.0, f: float = 50.0, *, phase: float = 0.4, 
     """Single-phase bridge: source with 0.05 ohm and 2 mH, load with 5 ohm and 20 mH that starts with `i0`.
 
     Two diodes conduct, or all four while the current of the source turns round: both pairs change at once.
+    Arguments: amplitude [V], f [Hz], phase [rad] of the source; i0 [A]
     """
     net = Network("rectifier", description="single-phase diode bridge with overlap")
     voltage = amplitude * ca.cos(2 * pi * f * time + phase)
@@ -30,6 +31,7 @@ def six_pulse(amplitude: float = 100.0, f: float = 50.0, *, phase: float = 0.4) 
     """Three-phase bridge: source with 0.05 ohm and 2 mH a phase, load with 5 ohm and 20 mH, from rest.
 
     Two diodes conduct, three while one phase takes over from another.
+    Arguments: amplitude [V], f [Hz], phase [rad] of the source
     """
     net = Network("six_pulse", description="three-phase diode bridge with overlap")
     voltage = amplitude * ca.vertcat(*(ca.cos(2 * pi * f * time + phase - k * 2 * pi / 3) for k in range(3)))

@@ -76,8 +76,9 @@ def smib_breaker(
 ) -> Scene:
     """`smib` with two equal lines: a fault on one of them, a breaker at the machine opens it, the fault clears.
 
-    Each line has twice the R and X of `smib`; the fault, 1 mohm and 10 uH per phase to ground, is at 0.2 of the second one.
-    From `t_open` on each pole of the breaker and each phase of the fault opens at its next current zero, with `chop` [A] the
+    Each line has twice the R and X of `smib`; the fault at `t_fault` [s],
+    1 mohm and 10 uH per phase to ground, is at 0.2 of the second one.
+    From `t_open` [s] on each pole of the breaker and each phase of the fault opens at its next current zero, with `chop` [A] the
     breaker below that current already, or `forced` at once.  Both nodes, at the machine and at the fault, have no capacitor.
     """
     data, start, R, L, grid = circuit(machine)

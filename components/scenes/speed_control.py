@@ -11,6 +11,8 @@ from phfmu.components.mechanical.torque_source import torque_source
 def speed_control(kp: float = 0.8, ki: float = 8.0) -> Scene:
     """A rotor (0.05 kg.m2, 0.01 N.m.s/rad) at 100 rad/s, loaded with 5 N.m at 0.1 s; a controller holds its speed.
 
+    Arguments: kp [N.m.s/rad], ki [N.m/rad]
+
     The measured speed goes to a PI controller, its command to an actuator on the shaft: signals, which carry no power. Linear:
     J w'' + (d + kp) w' + ki w = 0 around the reference, damping ratio (d + kp) / (2 sqrt(ki J)).
     """

@@ -15,6 +15,7 @@ def buffer(e: float = 0.5) -> Scene:
 
     Between impacts q + 0.05 m = A cos(w t + phi), w = sqrt(k/m) = 10/s.  At rest the spring presses with 10 N; its other end
     moves by 0.1 m/s from 1 s on, so that the body leaves the wall at 1.5 s, q = 0.1 m/s (t - sin(w t)/w).
+    `e` [1]: restitution of its impacts
     """
     net = Network("buffer", description="body on a spring with a bumper: impacts, rest, release")
     net.add("body", bumper(M, e=e, gap=START, nominal=START, f=K * START))

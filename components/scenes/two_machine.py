@@ -38,7 +38,8 @@ def two_machine(
 
     Bus 2: 24 kV, load 600 MW, 150 Mvar, -60 Mvar (capacitor) as parallel R, L, C per phase; machine 2 delivers 240 MW,
     60 Mvar, machine 1 the rest over R = 10.4 mohm, L = 0.551 mH.  Bus 1 has no capacitor (index 2).
-    Fault: 0.05 ohm per phase to ground on [t_fault, t_clear).  Field voltages and torques stay constant.
+    Fault: 0.05 ohm per phase to ground from t_fault [s] until t_clear [s]; stop [s]: end of the run.
+    Field voltages and torques stay constant.
     """
     V = 24e3
     one = machine_set("kundur555_1q", d=50.0)

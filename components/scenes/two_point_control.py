@@ -11,6 +11,8 @@ from phfmu.components.mechanical.torque_source import torque_source
 def two_point_control(lower: float = 95.0, upper: float = 105.0) -> Scene:
     """A rotor (0.05 kg.m2, 0.02 N.m.s/rad) from 80 rad/s; a relay drives it with 4 N.m until `upper`, then not until `lower`.
 
+    Arguments: lower, upper [rad/s]
+
     Exact: w = w0 + (w(t0) - w0) exp(-d (t - t0)/J), w0 = 200 rad/s driven and 0 not.
     """
     net = Network("two_point_control", description="rotor that a relay with hysteresis keeps between two speeds")

@@ -36,16 +36,17 @@ def call(args: argparse.Namespace) -> int:
         print(fmu_info(args.target), end="")
         return 0
     s = scene(args.target)
+    told = _arguments(args.target)
     if isinstance(s.system, Network) and len(s.system.members) > FEW and not args.all:
-        _print_run(s, s.name, s.description or s.system.description)
+        _print_run(s, s.name, s.description or s.system.description, told)
         print_many(s.system)
         print(f"all names: phfmu info {args.target} --all")
         return 0
     if s.units and isinstance(s.system, Network):
-        _print_apart(s, s.system)
+        _print_apart(s, s.system, told)
         return 0
     d = s.declaration()
-    _print_run(s, d.name, s.description or d.description)
+    _print_run(s, d.name, s.description or d.description, told)
     if d.members != ("",):
         print(f"members: {', '.join(d.members)}")
     words = {}
@@ -68,19 +69,40 @@ def call(args: argparse.Namespace) -> int:
     return 0
 
 
-def _print_run(s: Scene, name: str, description: str) -> None:
+def _print_run(s: Scene, name: str, description: str, arguments: list[str]) -> None:
     print(f"{name}: {description}".rstrip(": "))
     print(f"run: stop {s.stop:g} s, step {s.step:g} s, {len(s.events)} event{'s' if len(s.events) != 1 else ''}")
     for e in s.events:
         print(f"  t = {e.t:g} s: {e.name} = {e.value:g}")
+    for line in arguments:
+        print(line)
 
 
-def _print_apart(s: Scene, network: Network) -> None:
+def _arguments(target: str) -> list[str]:
+    """The arguments of the function that builds the target, and how to give them; none for other targets."""
+    from functools import partial
+
+    from phfmu.arguments import arguments, parsed
+    from phfmu.components.library import EXAMPLES, LIBRARY, build, builder
+    from phfmu.target import function_name, is_ssp
+
+    name = function_name(target)
+    if is_ssp(target) or name not in LIBRARY or ".py" in target:
+        return []
+    given = EXAMPLES.get(name, {}) | parsed(target, target).of(builder(name), target)
+    found = arguments(builder(name), partial(build, name), given)
+    family = LIBRARY[name][1].rpartition(".")[0]
+    rows = [f"  {a.name:<28} {a.unit:<12} {a.value:<40} {a.about}".rstrip() for a in found]
+    shell = f"phfmu run '{name}({found[0].name}=..)'; " if found else "none; "
+    return [f"arguments ({shell}in Python: from {family} import {name}):", *rows]
+
+
+def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
     """A network with units, which is no one model."""
     from phfmu.fmu.inspect import port_lines
     from phfmu.network.couplings.apart import Apart
 
-    _print_run(s, s.name, s.description or network.description)
+    _print_run(s, s.name, s.description or network.description, arguments)
     print(f"members: {', '.join(network.members)}")
     apart = Apart(network)
     print(f"order: {apart.order()}")

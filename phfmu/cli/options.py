@@ -50,8 +50,9 @@ def audit_file(args: argparse.Namespace) -> str | None:
         return None
     if args.audit != "full":
         return args.audit
-    path, _, function = args.target.partition(":")
-    return f"{function or Path(path).stem}.audit.parquet"
+    from phfmu.target import function_name
+
+    return f"{function_name(args.target) or Path(args.target.partition(':')[0]).stem}.audit.parquet"
 
 
 def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
