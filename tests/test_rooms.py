@@ -18,8 +18,8 @@ ROOMS = (
     "words", "files", "processors", "html", "pick", "declare", "terms", "gradients", "plan", "schemes", "schur",
     "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu",
     "network.junctions", "network.scene",
-    "network.members", "network.couplings", "network.run", "network.check_scene", "ssp", "components", "arguments", "target", "report",
-    "sweeps", "stress", "bench", "cli",
+    "network.members", "network.couplings", "network.run", "network.check_scene", "ssp", "components", "arguments", "target",
+    "report", "sweeps", "stress", "bench", "cli",
 )  # fmt: skip
 
 

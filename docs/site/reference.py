@@ -5,6 +5,8 @@
     .. library:: component            the library's components, or its scenes
     .. verbs::                        what `phfmu VERB --help` prints
 
+Above all stands a table of the names, a line each; with each name stands the line that imports it.
+
 Docstrings are plain text with aligned lists of equations, units and arguments: prose is set as text, the rest as it stands.
 """
 
@@ -12,9 +14,9 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, get_origin
 
 from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
@@ -45,8 +47,39 @@ def escaped(line: str) -> str:
     return "".join(words)
 
 
+#: full name of what a page describes -> the module that users import it from
+SHOWN: dict[str, str] = {}
+
+
 def set_docstring(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     lines[:] = rendered(lines)
+    if name in SHOWN:
+        lines[:0] = [".. code-block:: python", "", f"    from {SHOWN[name]} import {name.rpartition('.')[2]}", ""]
+
+
+def page(names: Mapping[str, str], public: Mapping[str, str]) -> list[str]:
+    """A table of names and their directives; names: name -> module that defines it, public: name -> module to import it from."""
+    text = [".. list-table::", "   :widths: 25 75", ""]
+    for name in sorted(names, key=str.lower):
+        full, thing = f"{names[name]}.{name}", getattr(import_module(names[name]), name)
+        SHOWN[full] = public[name]
+        text += [f"   * - :py:obj:`{name} <{full}>`", f"     - {escaped(summary(thing))}"]
+    text.append("")
+    for name in sorted(names, key=str.lower):
+        text += described(f"{names[name]}.{name}", getattr(import_module(names[name]), name))
+    return text
+
+
+def summary(thing: Any) -> str:
+    """The first sentence of what it says of itself; of a constant its type and, where it has one, its name."""
+    if not (inspect.isclass(thing) or inspect.isroutine(thing)):
+        if get_origin(thing) is not None:
+            return str(thing).replace("typing.", "")
+        return " ".join(
+            (type(thing).__name__, *([thing.name] if isinstance(getattr(thing, "name", None), str) else []))
+        )
+    first = (inspect.getdoc(thing) or "").partition("\n\n")[0].replace("\n", " ")
+    return re.split(r"(?<=\w[.;])\s{1,2}(?=[A-Z`])|\s{2,}", first)[0].rstrip(":;")
 
 
 def described(name: str, thing: Any) -> list[str]:
@@ -64,14 +97,14 @@ class Reference(SphinxDirective):
     final_argument_whitespace = True
 
     def run(self) -> list[nodes.Node]:
-        text: list[str] = []
+        names, public = dict[str, str](), dict[str, str]()
         for where in self.arguments[0].split():
             found = self.of_module(where) if "." in where else self.of_room(where)
             if not found:
                 raise self.error(f"no public name is defined in {where}")
-            for name in sorted(found, key=str.lower):
-                text += described(f"{found[name]}.{name}", getattr(import_module(found[name]), name))
-        return self.parse_text_to_nodes("\n".join(text))
+            names |= found
+            public |= dict.fromkeys(found, where if "." in where else "phfmu")
+        return self.parse_text_to_nodes("\n".join(page(names, public)))
 
     @staticmethod
     def of_room(room: str) -> dict[str, str]:
@@ -89,13 +122,13 @@ class Library(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        from phfmu.components.library import LIBRARY, builder
+        from phfmu.components.library import LIBRARY
 
-        names = [name for name, (kind, *_) in LIBRARY.items() if kind == self.arguments[0]]
+        names = {name: module for name, (kind, module, _) in LIBRARY.items() if kind == self.arguments[0]}
         if not names:
             raise self.error(f"the library has no {self.arguments[0]}")
-        text = [line for name in sorted(names) for line in described(f"{LIBRARY[name][1]}.{name}", builder(name))]
-        return self.parse_text_to_nodes("\n".join(text))
+        families = {name: module.rpartition(".")[0] for name, module in names.items()}
+        return self.parse_text_to_nodes("\n".join(page(names, families)))
 
 
 class Verbs(SphinxDirective):

@@ -21,7 +21,7 @@ from pages import ROOT, Made, write  # noqa: E402
 
 #: module -> what it makes; the docstring of each function says what is measured
 MAKERS = {
-    "pictures": ("smib_picture",),
+    "pictures": ("smib_picture", "skew_picture"),
     "gallery": ("gallery",),
     "one_circuit": ("one_step", "one_balance", "mental_model_picture"),
     "particles": ("four_particle_convergence", "four_particle_balance", "four_particle_large_steps"),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pages import DOCS, Made
 
-from phfmu import NativeInstance, Options, build_model, default_scheme
+from phfmu import PHDAE, NativeInstance, Options, PythonInstance, build_model, default_scheme, energy, skew, state
 from phfmu.audit import AuditWriter, read
 from phfmu.components.library import build
 from phfmu.network.couplings.monolithic import Monolithic
@@ -118,5 +118,49 @@ def _draw_smib() -> Sequence[Path]:
 
     path = IMAGES / "smib.png"
     figure.savefig(path, dpi=150)
+    plt.close(figure)
+    return (path,)
+
+
+def skew_picture() -> Made:
+    """docs/img/skew.png: which way `skew(a, b, 1)` turns the point (a, b), and `skew(b, a, 1)`."""
+    return Made(draw=_draw_skew)
+
+
+def turned(swapped: bool) -> np.ndarray:
+    """Rows (a, b) of H = (a^2 + b^2)/2 from (0.6, 0.8) for 5 s."""
+    a, b = state("a", start=0.6), state("b", start=0.8)
+    block = skew(b, a, 1.0) if swapped else skew(a, b, 1.0)
+    model = build_model(PHDAE("turn", states=(a, b), energies=(energy((a**2 + b**2) / 2),), structure=(block,)))
+    rows = PythonInstance(model).run(0.0, 0.01, 500, ("x",))["x"]
+    return np.vstack([[0.6, 0.8], rows])
+
+
+def _draw_skew() -> Sequence[Path]:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update({"font.size": 10})
+    figure, axes = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
+    cases = (
+        ("skew(a, b, 1):  a' = z_b,  b' = −z_a", False, "gen"),
+        ("skew(b, a, 1):  a' = −z_b,  b' = z_a", True, "line"),
+    )
+    for ax, (title, swapped, name) in zip(axes, cases, strict=True):
+        x = turned(swapped)
+        ax.plot(*x.T, COLOURS[name], lw=1.8)
+        ax.plot(*x[0], "o", color=COLOURS[name])
+        ax.annotate("start", x[0], (6, 6), textcoords="offset points", color="0.3")
+        for k in (150, 300, 499):
+            ax.annotate(
+                "", x[k + 1], x[k - 9], arrowprops={"arrowstyle": "-|>", "color": COLOURS[name], "mutation_scale": 22}
+            )
+        ax.axhline(0.0, color="0.8", lw=0.8, zorder=0)
+        ax.axvline(0.0, color="0.8", lw=0.8, zorder=0)
+        ax.set(title=title, xlabel="a", ylabel="b", xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), aspect="equal")
+    path = IMAGES / "skew.png"
+    figure.savefig(path, dpi=120)
     plt.close(figure)
     return (path,)
