@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 WAITING_ROWS = 1 << 22
 
 _STEPPED = (RowKind.COMPONENT, RowKind.PORT, RowKind.JUNCTION, RowKind.PART)
-_OPTIONAL = ("numerical", "moved")
+_OPTIONAL = ("numerical", "moved", "varying")
 
 
 def verdict(source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_RTOL) -> list[Violation]:
@@ -188,15 +188,16 @@ class _Reader:
             if rows is None or not rows.numbers[name][1][:c].any():
                 return None
             values, there = rows.numbers[name]
-            default = np.maximum(np.abs(rows.values("H0")), np.abs(rows.values("H1"))) if name == "moved" else 0.0
-            return np.where(there, values, default).reshape(n, c)
+            most = np.maximum(np.abs(rows.values("H0")), np.abs(rows.values("H1")))
+            return np.where(there, values, most if name in ("moved", "varying") else 0.0).reshape(n, c)
 
         H0, H1, stored = (required(rows, name, c) for name in ("H0", "H1", "dH"))
         lost, gained = (required(rows, name, c, 0.0) for name in ("dissipated", "supplied"))
         pairs, damped, moved = required(ports, "supplied", q), optional("numerical"), optional("moved")
         works = required(parts, "residual", divided) if booking.parts else None
         steps = Steps(H1, stored, lost, gained, pairs, damped, moved, works=works)
-        block = book_steps(booking, network.step, network.values("t0"), network.values("h"), steps, H0)
+        t0, h, varying = network.values("t0"), network.values("h"), optional("varying")
+        block = book_steps(booking, network.step, t0, h, steps, H0, varying=varying)
         self._contradictions.hold(self.ledger.take(block), tables)
 
     def _booking(self, tables: Mapping[RowKind, tuple[LogRows, int]]) -> Booking:

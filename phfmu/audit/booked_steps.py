@@ -15,9 +15,9 @@ from .sums import Floats, Ints, across, across_each, plain
 class BookedSteps:
     """n steps with what follows from them: [n] per step, [n,c] per component, [n,junctions] per junction; energies in joule.
 
-    `in_play` is what a residual is measured against: the energies that moved within the component (`moved`, or else
-    max(|H0|, |H1|)), |supplied|, |dissipated|, |numerical| and |energy| of each port pair. `network` holds the columns of
-    the network's row, each [n]. Made by `book_steps`.
+    `in_play` is what a residual is measured against: the energies `inside` that moved within the component (`moved`, or
+    else `varying`), |supplied|, |dissipated|, |numerical| and |energy| of each port pair. `varying`: max(|H0|, |H1|) without
+    what of H is constant. `network` holds the columns of the network's row, each [n]. Made by `book_steps`.
     """
 
     booking: Booking
@@ -27,6 +27,8 @@ class BookedSteps:
     H0: Floats
     steps: Steps
     residual: Floats
+    varying: Floats
+    inside: Floats
     in_play: Floats
     junction_residual: Floats
     junction_exchanged: Floats
@@ -35,11 +37,19 @@ class BookedSteps:
 
 
 def book_steps(
-    booking: Booking, step: ArrayLike, t0: ArrayLike, h: ArrayLike, steps: Steps, H0: ArrayLike | None = None
+    booking: Booking,
+    step: ArrayLike,
+    t0: ArrayLike,
+    h: ArrayLike,
+    steps: Steps,
+    H0: ArrayLike | None = None,
+    *,
+    varying: ArrayLike | None = None,
 ) -> BookedSteps:
     """Copy n steps into a block and derive residuals, junctions and the network balance.
 
-    Shapes: step (number), t0 [n], h [n] or scalar; H0 [n,c], at the starts of the steps; default H - stored.
+    Shapes: step (number), t0 [n], h [n] or scalar; H0 [n,c], at the starts of the steps; default H - stored;
+    varying [n,c]: as it was recorded, by default it follows from the booking.
     Errors: ValueError naming the array and both shapes.
     """
     numbers = np.array(step, np.int64, ndmin=1)
@@ -48,8 +58,10 @@ def book_steps(
     with np.errstate(invalid="ignore", over="ignore"):
         starts = s.H - s.stored if H0 is None else _table("H0", H0, (n, c))
         gone = 0.0 if s.numerical is None else s.numerical
-        inside = np.maximum(np.abs(starts), np.abs(s.H)) if s.moved is None else np.abs(s.moved)
-        in_play = np.maximum(inside, np.abs(s.stored)) + np.abs(s.supplied) + np.abs(s.dissipated) + np.abs(gone)
+        most = varying_energy(booking, starts, s.H)
+        most = most if varying is None else np.minimum(_table("varying", varying, (n, c)), most)
+        inside = np.maximum(most if s.moved is None else np.abs(s.moved), np.abs(s.stored))
+        in_play = inside + np.abs(s.supplied) + np.abs(s.dissipated) + np.abs(gone)
         size, members = np.abs(s.pairs), list(booking.junctions.values())
         if q:
             in_play += plain(size, booking.owned)
@@ -57,8 +69,17 @@ def book_steps(
         residual = balance(s.stored, s.dissipated, s.supplied, gone)
         return BookedSteps(
             booking, numbers, _table("t0", t0, (n,)), np.broadcast_to(np.array(h, float), (n,)), starts, s, residual,
-            in_play, created, exchanged, _network(booking, s, created),
+            most, inside, in_play, created, exchanged, _network(booking, s, created),
         )  # fmt: skip
+
+
+def varying_energy(booking: Booking, H0: Floats, H1: Floats) -> Floats:
+    """max(|H|, ..) of both ends [n,c]; of a component with a constant in H, of H without it if that is less."""
+    most = np.maximum(np.abs(H0), np.abs(H1))
+    if not booking.constants:
+        return most
+    c = np.array(booking.constants)
+    return np.minimum(most, np.maximum(np.abs(H0 - c), np.abs(H1 - c)))
 
 
 def _checked(s: Steps, n: int, c: int, q: int, parts: int) -> Steps:

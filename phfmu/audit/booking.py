@@ -37,6 +37,7 @@ class Booking:
     `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
     `loose`: the coupling does not claim that junctions create no energy.
     `parts`: of junctions that have more than one, what their energy is the sum of.
+    `constants`: by component what of its H no state enters [J], () where that is nothing.
     """
 
     components: tuple[str, ...]
@@ -44,6 +45,7 @@ class Booking:
     silent: frozenset[str] = frozenset()
     loose: bool = False
     parts: tuple[PartKey, ...] = ()
+    constants: tuple[float, ...] = ()
 
     @cached_property
     def junctions(self) -> dict[str, list[int]]:

@@ -39,7 +39,8 @@ COLUMNS: dict[str, ColumnType] = {
     "external": ColumnType.F64,  # [J] supplied through ports without a junction
     "residual": ColumnType.F64,  # [J] component: as in `ledger.py`; junction: sum of supplied; part: its share
     "residual_rel": ColumnType.F64,  # r |residual| / (what r = 1e-11 allows), whatever --audit-rtol: closed at r if not above r
-    "moved": ColumnType.F64,  # [J] sum over the component's energies of |change|; where null, max(|H0|, |H1|) counts
+    "moved": ColumnType.F64,  # [J] sum over the component's energies of |change|; where null, varying counts
+    "varying": ColumnType.F64,  # [J] max(|H0|, |H1|) without what of H is constant; where null, max(|H0|, |H1|) counts
     "exchanged": ColumnType.F64,  # [J] junction: half the sum of |supplied|
     "junction_residual": ColumnType.F64,  # [J] network: sum over the junctions
     "unexplained": ColumnType.F64,  # [J] network: balance - junction_residual
@@ -66,7 +67,7 @@ DTYPES = {
 FIELDS: dict[RowKind, tuple[str, ...]] = {
     RowKind.COMPONENT: (
         *("component", "H0", "H1", "dH", "dissipated", "supplied", "numerical", "residual", "moved", "quality"),
-        "residual_rel",
+        *("varying", "residual_rel"),
     ),
     RowKind.PORT: ("component", "port", "index", "junction", "quality", "supplied"),
     RowKind.JUNCTION: ("junction", "quality", "residual", "exchanged"),
@@ -122,6 +123,7 @@ def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:
         "residual": block.residual,
         "residual_rel": block.relative,
         "moved": s.moved,
+        "varying": block.varying if booking.constants else None,
     }
     sections = [_repeat(block, RowKind.COMPONENT, names, values, encode)]
     if booking.ports:

@@ -2,20 +2,24 @@
 
 A step is measured against the energies in play in it and, as rounding, against those that were in play so far,
 
-    |residual| <= allowed = rtol P + FLOOR eps max(P, |sum dH|) + ULPS eps max(|H0|, |H1|),
-    P = (moved or max(|H0|, |H1|)) + |dissipated| + |numerical| + |supplied| + sum |port energies|,
+    |residual| <= allowed = rtol P + FLOOR eps max(P, |sum dH|) + ULPS eps V,
+    P = (moved or V) + |dissipated| + |numerical| + |supplied| + sum |port energies|,
 
-with the maximum over the run up to the step; a component that never stored energy is allowed ULPS eps of the sum of max P
-over all components besides.  `moved` is the sum over the component's energies of |change|: a constant in
-H is in these only by its rounding, which a closed-form pair leaves in a difference of large energies.
+with the maximum over the run up to the step.  `moved` is the sum over the component's energies of |change|; V = max(|H0|, |H1|)
+without what of H is constant, to which energies that pass between the states of a term have their rounding.  A component
+of which no energy has moved yet is allowed ULPS eps of the sum of max P over all components besides.  What the steps of a
+run miss together may be RUN times the root of the sum of the squares of what they are allowed.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from phfmu.engine.limits import defined
 
 from .booked_steps import BookedSteps
 from .booking import PROJECTION, Booking
@@ -25,11 +29,8 @@ from .violation import Violation, ViolationKind
 
 DEFAULT_RTOL = 1e-11
 EPS = float(np.finfo(float).eps)
-#: roundings of the largest energy in play so far that a residual may be: constraint forces do work of their own that
-#: cancels; measured: 4 in networks of machines, 2e3 in the fast heavy top, whose first term covers it 20 times
-FLOOR = 1024.0
-#: roundings of |H| with which H is known, and of what is summed twice
-ULPS = 64.0
+HEADER = Path(__file__).parent / "runtime" / "judge.h"
+FLOOR, ULPS, RUN = (defined(HEADER)[name] for name in ("FLOOR", "ULPS", "RUN"))
 
 
 @dataclass(slots=True)
@@ -41,13 +42,20 @@ class Account:
     quality: Quality = Quality.EXACT
     reach: float = 0.0  # most energy in play so far
     largest: float = 0.0  # |H|
+    moved: float = 0.0  # most that moved within it in a step
     jumps: float = 0.0  # booked by events since the last step
     gap: CompensatedSum = field(default_factory=CompensatedSum)
-    allowed: CompensatedSum = field(default_factory=CompensatedSum)  # sum over the steps
+    missed: CompensatedSum = field(default_factory=CompensatedSum)  # residuals
+    squares: CompensatedSum = field(default_factory=CompensatedSum)  # of what is allowed in the steps
     worst_ratio: float = -1.0
     worst_residual: float = 0.0
     worst_step: int = 0
     worst_t0: float = math.nan
+
+    @property
+    def allowed(self) -> float:
+        """What the residuals of the run may add up to."""
+        return RUN * math.sqrt(max(self.squares.value, 0.0))
 
 
 class Judge:
@@ -57,6 +65,7 @@ class Judge:
         self.rtol = rtol
         self.accounts: dict[str, Account] = {}
         self.passed: dict[str, float] = {}  # most that passed through each junction in a step
+        self.squares = CompensatedSum()  # of what may be unexplained in the steps
         self._found: dict[tuple[ViolationKind, str], Violation] = {}
 
     def steps(self, block: BookedSteps, stored: Floats) -> Floats:
@@ -70,8 +79,9 @@ class Judge:
         in_play = _or(math.nan, block.in_play)
         reach = largest_so_far([a.reach for a in accounts], _larger_finite(in_play, np.abs(stored)))
         with np.errstate(invalid="ignore", over="ignore"):
-            H = _larger_finite(np.abs(block.H0), np.abs(block.steps.H))
-            rounding, of_H = FLOOR * EPS * reach, ULPS * EPS * (H + self._relations(accounts, H, reach))
+            H, varying = _larger_finite(np.abs(block.H0), np.abs(block.steps.H)), _or(0.0, block.varying)
+            relations = self._relations(accounts, _or(0.0, block.inside), reach)
+            rounding, of_H = FLOOR * EPS * reach, ULPS * EPS * (varying + relations)
             in_step = self.rtol * in_play + rounding
             allowed = in_step + of_H
             self._mark(ViolationKind.BALANCE, names, block.residual, allowed, block, judged)
@@ -81,9 +91,11 @@ class Judge:
             if names:
                 booked = block.steps.supplied - plain(block.steps.pairs, booking.owned)
                 self._mark(ViolationKind.PORTS, names, booked, allowed, block, judged)
-            self._changes(accounts, block, in_step, H)  # adds the rounding of H once, not in every step
+            self._changes(accounts, block, in_step, H)
+            add([account.missed for account in accounts], block.residual)
+            add([account.squares for account in accounts], allowed * allowed)
             missed = allowed if judged.all() else np.where(judged, allowed, np.abs(block.residual))
-            self._joined(block, missed, reach, H)
+            self._joined(block, missed, reach, varying)
         found = ratio(block.residual, allowed)
         for i, account in enumerate(accounts):
             account.reach = float(reach[-1, i])
@@ -92,17 +104,19 @@ class Judge:
             found = ratio(block.residual, DEFAULT_RTOL * in_play + rounding + of_H)
         return DEFAULT_RTOL * found
 
-    def _relations(self, accounts: list[Account], H: Floats, reach: Floats) -> Floats:
-        """Energies in play in the network [n,c] where a component never stored any, else 0.
+    def _relations(self, accounts: list[Account], inside: Floats, reach: Floats) -> Floats:
+        """Energies in play in the network [n,c] where none has moved `inside` a component yet, else 0.
 
         It is a relation, as a junction is, solved with all others at once: a stop that holds a body at rest passes no energy
         on, but the force on it and the rounding of a velocity.
         """
-        largest = np.array([a.largest for a in accounts])
-        if (largest > 0.0).all():
-            return np.zeros_like(H)
-        silent = np.maximum.accumulate(np.maximum(H, largest), axis=0) == 0.0
-        return np.where(silent, rows(reach)[:, None], 0.0)
+        moved = np.array([a.moved for a in accounts])
+        if (moved > 0.0).all():
+            return np.zeros_like(inside)
+        moved = np.maximum.accumulate(np.maximum(inside, moved), axis=0)
+        for account, most in zip(accounts, moved[-1].tolist(), strict=True):
+            account.moved = most
+        return np.where(moved == 0.0, rows(reach)[:, None], 0.0)
 
     def known(self, booking: Booking, H0: Floats) -> list[Account]:
         """The accounts of the components; those that are new begin with the first row of H0 [n,c]."""
@@ -125,17 +139,16 @@ class Judge:
         self._mark(ViolationKind.GAP, names, between, permitted, block)
         self._mark(ViolationKind.CHANGE, names, within, permitted, block)
         add([account.gap for account in accounts], between + within)
-        add([account.allowed for account in accounts], allowed)
         for i, account in enumerate(accounts):
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
 
-    def _joined(self, block: BookedSteps, allowed: Floats, played: Floats, H: Floats) -> None:
+    def _joined(self, block: BookedSteps, allowed: Floats, played: Floats, varying: Floats) -> None:
         """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for.
 
         All junctions are solved for at once, so each has roundings of the energies in play in the whole network, however little
         passes through it: `played` [n,c].  Where all move at one speed, what is left is the force of a rounding times
-        the speed of another, rounding of rounding of `H` [n,c].  A stiff member that is carried along passes the rounding of
-        its ends from one junction to the next: what all of them create together is rounding, each within rtol of `H`.
+        the speed of another, rounding of rounding of H: `varying` [n,c].  A stiff member that is carried along passes the
+        rounding of its ends from one junction to the next: what all of them create together is rounding, each within rtol of H.
         """
         names = tuple(block.booking.junctions)
         if names:
@@ -143,14 +156,15 @@ class Judge:
             reach = largest_so_far([self.passed.get(name, 0.0) for name in names], _or(0.0, passed).copy())
             self.passed.update(zip(names, reach[-1].tolist(), strict=True))
             judged = np.full(len(names), not block.booking.loose)
-            rounding = ULPS * EPS * rows(played) + (ULPS * EPS) ** 2 * rows(H)
+            rounding = ULPS * EPS * rows(played) + (ULPS * EPS) ** 2 * rows(varying)
             permitted = self.rtol * passed + FLOOR * EPS * reach + rounding[:, None]
             created = block.junction_residual - self._lost(block)
             passed_on = np.abs(rows(created)) <= rounding + ULPS * EPS * rows(np.abs(created))
-            permitted += np.where(passed_on, self.rtol * rows(H), 0.0)[:, None]
+            permitted += np.where(passed_on, self.rtol * rows(varying), 0.0)[:, None]
             self._mark(ViolationKind.JUNCTION, names, created, permitted, block, judged)
             self._divided(block, permitted)
         permitted = (rows(allowed) + ULPS * EPS * rows(np.abs(block.steps.pairs)))[:, None]
+        add([self.squares], permitted * permitted)
         self._mark(ViolationKind.UNEXPLAINED, ("network",), block.network["unexplained"][:, None], permitted, block)
 
     def _lost(self, block: BookedSteps) -> Floats:
@@ -226,17 +240,24 @@ class Judge:
         if component in self.accounts:  # what happens before its first step is its start
             self.accounts[component].jumps += energy
 
-    def violations(self) -> list[Violation]:
-        """All that does not close so far; of H also what is small in each step but not in the run."""
-        drifts = []
+    def violations(self, unexplained: float = 0.0) -> list[Violation]:
+        """All that does not close so far, also what is small in each step but not in the run; `unexplained`: in all of it."""
+        found = list(self._found.values())
         for name, a in self.accounts.items():
-            allowed = a.allowed.value + ULPS * EPS * a.largest
-            if (
-                not {(ViolationKind.GAP, name), (ViolationKind.CHANGE, name)} & self._found.keys()
-                and not abs(a.gap.value) <= allowed
-            ):
-                drifts.append(Violation(ViolationKind.DRIFT, name, 0, math.nan, math.nan, a.gap.value, allowed))
-        return [*self._found.values(), *drifts]
+            if a.quality is Quality.EXACT:
+                found += self._in_run(ViolationKind.RUN, name, a.missed.value, a.allowed, ViolationKind.BALANCE)
+            allowed, steps = a.allowed + ULPS * EPS * a.largest, (ViolationKind.GAP, ViolationKind.CHANGE)
+            found += self._in_run(ViolationKind.DRIFT, name, a.gap.value, allowed, *steps)
+        allowed, steps = RUN * math.sqrt(max(self.squares.value, 0.0)), ViolationKind.UNEXPLAINED
+        return [*found, *self._in_run(ViolationKind.UNEXPLAINED_RUN, "network", unexplained, allowed, steps)]
+
+    def _in_run(
+        self, kind: ViolationKind, name: str, size: float, allowed: float, *steps: ViolationKind
+    ) -> list[Violation]:
+        """A violation where the sum over the run exceeds `allowed`, and no kind of `steps` tells of single ones."""
+        if abs(size) <= allowed or any((single, name) in self._found for single in steps):
+            return []
+        return [Violation(kind, name, 0, math.nan, math.nan, size, allowed)]
 
 
 def _or(other: float, x: Floats) -> Floats:

@@ -29,8 +29,8 @@ from .kinds import Quality
 from .run_sums import RunSums
 from .sink import Sink
 from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
-from .sums import Floats, compiled, use_compiled
-from .violation import COMPONENT, JUNCTION, Violation, ViolationKind, word
+from .sums import Floats, compiled, ratio, use_compiled
+from .violation import COMPONENT, JUNCTION, NETWORK, Violation, word
 
 if TYPE_CHECKING:
     from .ordinary import Ordinary
@@ -162,7 +162,7 @@ class Ledger:
 
     def summary(self) -> LedgerSummary:
         """The sums so far and the verdict on them, as plain values."""
-        found = self._judge.violations()
+        found = self._judge.violations(self._sums.by.get("unexplained") or 0.0)
         return LedgerSummary(
             self._steps,
             self._t_start,
@@ -201,6 +201,7 @@ class Ledger:
             gap=account.gap.value,
             verdict=word(found, COMPONENT, name, account.quality),
             numerical=get("numerical", name),
+            run_ratio=float(ratio(account.missed.value, account.allowed)),
         )
 
     def _junction(self, name: str, worst: float, found: list[Violation]) -> JunctionSummary:
@@ -220,6 +221,6 @@ class Ledger:
             junction_residual=get("junction_residual"),
             unexplained=get("unexplained") or 0.0,
             worst_unexplained=self._sums.unexplained,
-            verdict=word(found, (ViolationKind.UNEXPLAINED,), "network", self._judge.quality),
+            verdict=word(found, NETWORK, "network", self._judge.quality),
             numerical=get("numerical"),
         )

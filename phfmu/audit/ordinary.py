@@ -11,17 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.engine.steps import Steps
 
+from .booked_steps import varying_energy
 from .booking import PROJECTION, Booking
-from .judge import EPS, FLOOR, ULPS, Account, Judge
+from .judge import Account, Judge
 from .run_sums import RunSums
 from .sums import CompensatedSum, Floats
 
 _SIZE, _REAL, _AT = ctypes.c_ssize_t, ctypes.c_double, ctypes.c_void_p
 #: sums of the ledger in compiled code, in its order
 _SUMS = (
-    *("dissipated", "supplied", "numerical", "stored", "gap", "allowed"),
+    *("dissipated", "supplied", "numerical", "stored", "gap", "missed", "squares"),
     *("port", "junction", "exchanged", "part"),
-    *("dissipation", "external", "residual", "unexplained", "dH", "loss"),
+    *("dissipation", "external", "residual", "unexplained", "dH", "loss", "left"),
 )
 
 
@@ -30,12 +31,13 @@ class _Ledger(ctypes.Structure):
 
     _fields_ = [
         *((name, _SIZE) for name in ("n", "c", "q", "junctions", "parts", "loose")),
-        *((name, _REAL) for name in ("rtol", "floor", "ulps")),
+        ("rtol", _REAL),
         *((name, _AT) for name in ("H0", "H", "stored", "dissipated", "supplied", "numerical", "moved", "pairs", "works")),
+        ("varying", _AT),
         *((name, _AT) for name in ("judged", "owner", "port", "junction", "outside", "part_junction", "projection")),
         ("before", _AT),
         *((f"{part}_{name}", _AT) for name in _SUMS for part in ("high", "low")),
-        *((name, _AT) for name in ("reach", "largest", "passed", "worst", "worst_residual", "worst_row")),
+        *((name, _AT) for name in ("reach", "largest", "stirred", "passed", "worst", "worst_residual", "worst_row")),
         *((name, _AT) for name in ("worst_junction", "worst_part")),
         ("worst_unexplained", _REAL),
         ("scratch", _AT),
@@ -52,15 +54,15 @@ class Ordinary:
         self._known: dict[bool, tuple[Sequence[Account], list[CompensatedSum]]] = {}
         sums.meet(booking)
         c, m = self._c, len(self._junctions)
-        widths = dict.fromkeys(_SUMS[:6], c) | {"port": len(booking.scalars), "junction": m, "exchanged": m}
-        widths |= {"part": len(self._parts)} | dict.fromkeys(_SUMS[10:], 1)
+        widths = dict.fromkeys(_SUMS[:7], c) | {"port": len(booking.scalars), "junction": m, "exchanged": m}
+        widths |= {"part": len(self._parts)} | dict.fromkeys(_SUMS[11:], 1)
         self._many = sum(widths.values())
-        most = dict.fromkeys(("before", "reach", "largest", "worst", "worst_residual"), c)
+        most = dict.fromkeys(("before", "reach", "largest", "stirred", "worst", "worst_residual"), c)
         most |= {"passed": m, "worst_junction": m, "worst_part": len(self._parts), "scratch": 7 * (c + m)}
         #: sums, high parts and then low ones, and what else goes in and comes out
         self._state = np.zeros(2 * self._many + sum(most.values()))
         self._rows = np.empty(c, np.intp)
-        self._own = _Ledger(0, c, self._q, m, len(self._parts), booking.loose, judge.rtol, FLOOR * EPS, ULPS * EPS)
+        self._own = _Ledger(0, c, self._q, m, len(self._parts), booking.loose, judge.rtol)
         begin = self._state.ctypes.data
         for part in ("high", "low"):
             for name, width in widths.items():
@@ -117,7 +119,10 @@ class Ordinary:
         found = {name: np.ascontiguousarray(x, np.float64) for name, x in asked.items()}
         n, width = len(found["H"]), {"pairs": self._q, "works": len(self._parts)}
         right = all(x.shape == (n, width.get(name, self._c)) for name, x in found.items())
-        return found if n and right and ("works" in found) == bool(self._parts) else None
+        if not (n and right and ("works" in found) == bool(self._parts)):
+            return None
+        found["varying"] = varying_energy(self.booking, found["H0"], found["H"])
+        return found
 
     def _by_order(self, accounts: Sequence[Account], lost: bool) -> list[CompensatedSum]:
         """The sums in the order of compiled code; those of what the steps lack are for nothing."""
@@ -128,11 +133,13 @@ class Ordinary:
         return [
             *(by[key] if lost or key[0] != "numerical" else CompensatedSum() for key in keys),
             *(a.gap for a in accounts),
-            *(a.allowed for a in accounts),
+            *(a.missed for a in accounts),
+            *(a.squares for a in accounts),
             *(by[("port", *key)] for key in b.scalars),
             *(by[key, name] for key in ("junction", "exchanged") for name in junctions),
             *(by["part", key.junction, key.part] for key in self._parts),
             *(by[(key,)] if there else CompensatedSum() for key, there in network.items()),
+            self._judge.squares,
         ]
 
     def _begin(self, accounts: Sequence[Account], sums: Sequence[CompensatedSum]) -> None:
@@ -144,6 +151,7 @@ class Ordinary:
             *(a.H_end + a.jumps for a in accounts),
             *(a.reach for a in accounts),
             *(a.largest for a in accounts),
+            *(a.moved for a in accounts),
             *(a.worst_ratio for a in accounts),
             *(a.worst_residual for a in accounts),
             *(passed.get(name, 0.0) for name in self._junctions),
@@ -160,12 +168,12 @@ class Ordinary:
         for each, high, low in zip(sums, state, state[self._many :], strict=False):
             each.high, each.low = high, low
         c, m, at = self._c, len(self._junctions), 2 * self._many + self._c
-        reach, largest, worst, residual = (state[at + k * c : at + (k + 1) * c] for k in range(4))
+        reach, largest, stirred, worst, residual = (state[at + k * c : at + (k + 1) * c] for k in range(5))
         for i, (account, end) in enumerate(zip(accounts, H[-1].tolist(), strict=True)):
-            account.reach, account.largest = reach[i], largest[i]
+            account.reach, account.largest, account.moved = reach[i], largest[i], stirred[i]
             account.worst_ratio, account.worst_residual = worst[i], residual[i]
             account.H_end, account.jumps = end, 0.0
-        at += 4 * c
+        at += 5 * c
         self._judge.passed.update(zip(self._junctions, state[at:], strict=False))
         self._sums.junctions.update(zip(self._junctions, state[at + m :], strict=False))
         self._sums.parts.update(zip(self._parts, state[at + 2 * m :], strict=False))

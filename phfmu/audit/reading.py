@@ -94,7 +94,7 @@ class LogRows:
 _NEEDED: dict[RowKind, tuple[str, ...]] = {
     RowKind.COMPONENT: (
         *("H0", "H1", "dH", "dissipated", "supplied", "numerical", "moved", "residual", "residual_rel"),
-        *("component", "quality"),
+        *("varying", "component", "quality"),
     ),
     RowKind.PORT: ("supplied", "index", "component", "port", "junction", "quality"),
     RowKind.JUNCTION: ("junction", "quality", "residual", "exchanged"),

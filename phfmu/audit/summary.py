@@ -5,15 +5,16 @@ from dataclasses import dataclass, field
 
 from .judge import DEFAULT_RTOL
 from .kinds import LedgerVerdict, Quality
-from .violation import Violation
+from .violation import COMPONENT, Violation
 
 
 @dataclass
 class ComponentSummary:
     """A component over the run.
 
-    `worst_ratio` is the largest |residual| / allowed of a step; `gap` is H_end - H_start - stored - jumps between its
-    steps: energy that changed and was not booked. verdict: closed | VIOLATED | estimated | none.
+    `worst_ratio` is the largest |residual| / allowed of a step, `run_ratio` that of the sum over the run; `gap` is
+    H_end - H_start - stored - jumps between its steps: energy that changed and was not booked.
+    verdict: closed | VIOLATED | estimated | none.
     """
 
     component: str
@@ -31,6 +32,7 @@ class ComponentSummary:
     gap: float
     verdict: LedgerVerdict
     numerical: float | None = None
+    run_ratio: float = 0.0
 
 
 @dataclass
@@ -102,6 +104,13 @@ class LedgerSummary:
     def closed(self) -> bool:
         """Whether nothing contradicts that all energy is accounted for."""
         return not self.violations
+
+    @property
+    def share(self) -> float:
+        """What a component misses in a step or in the run, at most, as a share of what is allowed; above 1: it is violated."""
+        judged = [c for c in self.components if c.verdict in (LedgerVerdict.CLOSED, LedgerVerdict.VIOLATED)]
+        missed = [max(c.worst_ratio, c.run_ratio) for c in judged]
+        return max([*missed, *(v.ratio for v in self.violations if v.kind in COMPONENT)], default=0.0)
 
     @property
     def worst(self) -> Violation | None:

@@ -19,12 +19,14 @@ class ViolationKind(StrEnum):
     PORTS = "ports"
     GAP = "gap"
     CHANGE = "change"
+    RUN = "run"
     DRIFT = "drift"
     # of a junction
     JUNCTION = "junction"
     PARTS = "parts"
     # of the network
     UNEXPLAINED = "unexplained"
+    UNEXPLAINED_RUN = "unexplained run"
     # rows of a log that contradict each other
     FILE = "file"
 
@@ -36,10 +38,13 @@ COMPONENT = (
     ViolationKind.PORTS,
     ViolationKind.GAP,
     ViolationKind.CHANGE,
+    ViolationKind.RUN,
     ViolationKind.DRIFT,
 )
 #: and of a junction
 JUNCTION = (ViolationKind.JUNCTION, ViolationKind.PARTS)
+#: and of the network
+NETWORK = (ViolationKind.UNEXPLAINED, ViolationKind.UNEXPLAINED_RUN)
 
 _TEXT = {
     ViolationKind.BALANCE: "{name}: step {step} at t = {t0:.9g} s misses {size:.3e} J",
@@ -49,10 +54,12 @@ _TEXT = {
     ViolationKind.GAP: "{name}: H changed by {size:.3e} J between its steps, before step {step} at t = {t0:.9g} s; "
     "no event books it",
     ViolationKind.CHANGE: "{name}: step {step} at t = {t0:.9g} s changes H by {size:.3e} J more than it books as stored",
+    ViolationKind.RUN: "{name}: the steps of the run miss {size:.3e} J together",
     ViolationKind.DRIFT: "{name}: H changed by {size:.3e} J more than the steps and events of the run book",
     ViolationKind.PARTS: "{name}: step {step} at t = {t0:.9g} s: the parts of the junction's energy miss {size:.3e} J of it",
     ViolationKind.JUNCTION: "{name}: step {step} at t = {t0:.9g} s creates {size:.3e} J at the junction",
     ViolationKind.UNEXPLAINED: "{name}: step {step} at t = {t0:.9g} s leaves {size:.3e} J unexplained",
+    ViolationKind.UNEXPLAINED_RUN: "{name}: the steps of the run leave {size:.3e} J unexplained",
     ViolationKind.FILE: "{note}",
 }
 

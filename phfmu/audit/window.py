@@ -38,7 +38,7 @@ class Window:
             for name, (values, there) in kept.numbers.items():
                 if name.startswith("cum_") or name == "residual_rel":
                     kept.numbers[name] = values, np.zeros_like(there)
-                if name == "moved":  # is held against residual_rel, in the whole log
+                if name in ("moved", "varying"):  # are held against residual_rel, in the whole log
                     kept.numbers[name] = values, np.zeros_like(there)
             if kept.n:
                 found[kind] = kept

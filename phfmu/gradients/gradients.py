@@ -49,7 +49,17 @@ def nodal(h: ca.SX, x: ca.SX, d: ca.SX, nd: Nodes) -> Gradient:
     """Gradients at the nodes, uncorrected (Gauss collocation; k = 1 is the midpoint rule MP): dH is H(x') - H(x)."""
     grad = ca.gradient(h, x)
     w = [at(grad, x, x + ca.mtimes(d, ca.DM(nd.a[i]))) for i in range(nd.k)]
-    return ca.horzcat(*w), at(h, x, x + ca.mtimes(d, ca.DM(nd.b))) - h
+    return ca.horzcat(*w), difference(h, x, ca.mtimes(d, ca.DM(nd.b)))
+
+
+def difference(h: ca.SX, x: ca.SX, step: ca.SX) -> ca.SX:
+    """H(x + step) - H(x) without the cancellation: of a polynomial by its path integral, else summed by operations."""
+    smooth = secants(h, x, x, step)
+    if smooth.degree is None:
+        return smooth.back(smooth.change)[0]
+    slope = ca.gradient(smooth.expr, x)
+    along = ((at(slope, x, x + t * step), w) for t, w in zip(*gauss(max(1, -(-smooth.degree // 2))), strict=True))
+    return smooth.back(sum((w * ca.dot(g, step) for g, w in along), ca.SX(0)))[0]
 
 
 def numerical_loss(h: ca.SX, x: ca.SX, d: ca.SX, w: ca.SX, dh: ca.SX, nd: Nodes) -> ca.SX:

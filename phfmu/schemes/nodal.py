@@ -82,7 +82,7 @@ class NodeKernels:
         args, x, data = Arguments(term, 1), term.local[Value.STATE], term.data
         d = args.matrix(increment, x.numel())
         ebar, zbar = substituted([data["ebar"], data["zbar"]], [(term.local[Value.INCREMENT], d)])
-        dh = gradients.at(data["H"], x, x + d) - data["H"]
+        dh = gradients.difference(data["H"], x, d)
         places = range(x.numel())
         costates = Spec(0, args.x, args.p, args.y, [(Address(gradient, j), 0, zbar[j]) for j in places], stored=dh)
         return [costates, Spec(1, args.x, args.p, args.y, [(Address(row, j), 0, ebar[j]) for j in places])]

@@ -51,5 +51,5 @@ class GeneralRuns:
         if self._keep is not None:
             found.save(self._keep / f"{number:06d}.parquet")
         told = [m.of(found.time, found.column(m.signal)) for m in task.measures]
-        worst = max((abs(c.worst_ratio) for c in found.ledger.summary().components), default=0.0)
-        return Outcome(np.array([told]).reshape(1, -1), np.array([found.steps]), np.array([worst]), ("",))
+        share = found.ledger.summary().share
+        return Outcome(np.array([told]).reshape(1, -1), np.array([found.steps]), np.array([share]), ("",))

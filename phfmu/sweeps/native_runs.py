@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.judge import HEADER as HEADER_OF_JUDGE
 from phfmu.discretise.model import CONSISTENCY
 from phfmu.engine.compile import compile, host_flags
 from phfmu.engine.library import enums, runtime_sources
 from phfmu.engine.native import NativeInstance
 from phfmu.engine.status import StepFailure
 from phfmu.engine.structures import Header, Structures
+from phfmu.network.members.booking import Constants
 from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import InconsistentState, require_consistent
 from phfmu.network.run.loop import segments
@@ -29,6 +31,8 @@ RUNTIME = Path(__file__).parent / "runtime"
 #: kind of structure -> the field of `ph_runs` that lists them
 LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measure": "measures"}
 HEADER = Header((RUNTIME / "runs.h",), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"), "ph_runs_calls")
+#: of each component, what the judge remembers
+SUMS = ("constant", "reach", "change", "now", "carry", "play", "stirred", "missed", "missed_carry", "squares")
 #: rows of the ledger in the order of runs.c
 ROWS = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
 
@@ -43,10 +47,11 @@ def fits(task: Task) -> bool:
 def _library() -> ctypes.CDLL:
     """The same for every model; CompilerMissing, CompileError."""
     headers = {n: p for n, p in runtime_sources().items() if n.endswith(".h")}
-    lib = ctypes.CDLL(str(compile(headers | {p.name: p for p in RUNTIME.iterdir()}, flags=host_flags()).path))
+    sources = headers | {p.name: p for p in (HEADER_OF_JUDGE, *RUNTIME.iterdir())}
+    lib = ctypes.CDLL(str(compile(sources, flags=host_flags()).path))
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_runs_take.restype = integer
-    lib.ph_runs_take.argtypes = [pointer, pointer, integer, integer, pointer, pointer, ctypes.POINTER(integer)]
+    lib.ph_runs_take.argtypes = [pointer, pointer, integer, pointer, integer, pointer, pointer, ctypes.POINTER(integer)]
     return lib
 
 
@@ -58,6 +63,9 @@ class NativeRuns:
         self._instance = NativeInstance(task.model)
         self._memory = Structures(HEADER)
         self._lib = _library()
+        self._held, places = Constants(task.model), Places(task.model)
+        named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
+        self._parameters = [(p.index, j) for p, j in named if p.kind == PARAMETER]
         self._struct = self._memory.fill("ph_runs", self._values(task))
 
     def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
@@ -65,17 +73,26 @@ class NativeRuns:
         del first
         rows, n = np.ascontiguousarray(rows, float), len(rows)
         values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
-        begun, done = 0, ctypes.c_int()
+        begun, done, constants = 0, ctypes.c_int(), self._constants(rows)
         while begun < n:
             code = self._lib.ph_runs_take(
-                ctypes.addressof(self._struct), rows[begun:].ctypes.data, self._width, n - begun,
-                values[begun:].ctypes.data, facts[begun:].ctypes.data, done,
+                ctypes.addressof(self._struct), rows[begun:].ctypes.data, self._width, constants[begun:].ctypes.data,
+                n - begun, values[begun:].ctypes.data, facts[begun:].ctypes.data, done,
             )  # fmt: skip
             begun += done.value
             if code:
                 errors[begun] = self._why(code)
                 begun += 1
         return Outcome(values, facts[:, 0].astype(int), facts[:, 1].copy(), tuple(errors))
+
+    def _constants(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """What of H is constant in each run (n x components)."""
+        p, found = self._model.p0.copy(), np.zeros((len(rows), self._model.step.ncomp))
+        for row, own in zip(rows, found, strict=True):
+            for place, column in self._parameters:
+                p[place] = row[column]
+            own[:] = self._held.at(p) or 0.0
+        return found
 
     def _why(self, code: int) -> str:
         try:
@@ -107,7 +124,7 @@ class NativeRuns:
             "p": plan.np,
             "x": plan.nx,
             "u": plan.nu,
-            **dict.fromkeys(("reach", "change", "now", "carry"), plan.ncomp),
+            **dict.fromkeys(SUMS, plan.ncomp),
         }
         work |= dict.fromkeys(("value", "held", "time"), len(measured))
         found = layout["observables"]
@@ -117,7 +134,6 @@ class NativeRuns:
             **{f"n{kind}": len(rows) for kind, rows in listed.items()},
             "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": energies,
             "refresh": any(ends <= first < energies for _, first, _ in measured),
-            "stored": any(first >= energies for _, first, _ in measured),
             "t0": o.t0, "length": o.stop - o.t0, "rtol": o.audit_rtol,
             "p0": model.p0, "x0": model.x0, "u0": model.u0, "tolerance": CONSISTENCY * np.asarray(model.check_scale),
             "owner": plan.pair_owner, "row": [enums()["ph_row"].index(n) for n in ROWS],

@@ -3,9 +3,12 @@
  *
  * Only for ordinary rows: all numbers finite, all energies within what is allowed.  The first row that is not
  * ends the pass, and the caller takes the whole block by arrays, which know what to say of it. */
+#include "judge.h"
 #include "sums.h"
 
 typedef ptrdiff_t size;
+
+#define ULPS (PH_ULPS * DBL_EPSILON)
 
 /* Sums high + low of any number of terms. */
 typedef struct {
@@ -13,24 +16,25 @@ typedef struct {
 } ph_sums;
 
 /* n rows of c components, q port pairs, of junctions and parts of their energies.  [..] lengths; all owned by
- * the caller. In, by rows: H0 .. works; numerical, moved and works may be NULL.  In, of the booking: judged
+ * the caller. In, by rows: H0 .. varying; numerical, moved and works may be NULL.  In, of the booking: judged
  * [c] or 0; owner [q]: component, or -1; port [q]: of a pair; junction [q]: or -1; outside [q]: sign of what
  * enters the balance, or 0; part_junction [parts]; projection [parts]: it is a loss.  before [c]: H booked at
- * the start. In and out, up to the last row: the sums; reach, largest [c], passed [junctions]: most so far;
- * worst [c], with the row and residual of it, the row -1 for none of these; worst_junction [junctions],
- * worst_part [parts].  scratch [7c + 7 junctions]. */
+ * the start. In and out, up to the last row: the sums; reach, largest, stirred [c], passed [junctions]: most
+ * so far; worst [c], with the row and residual of it, the row -1 for none of these; worst_junction
+ * [junctions], worst_part [parts].  scratch [7c + 7 junctions]. */
 typedef struct {
     size n, c, q, junctions, parts, loose;
-    double rtol, floor, ulps;
+    double rtol;
     const double *H0, *H, *stored, *dissipated, *supplied, *numerical, *moved, *pairs, *works;
+    const double *varying;
     const size *judged, *owner, *port, *junction;
     const double *outside;
     const size *part_junction, *projection;
     const double *before;
-    ph_sums of_dissipated, of_supplied, of_numerical, of_stored, gap, allowed; /* [c] */
-    ph_sums of_port, of_junction, exchanged, of_part;               /* [ports], [junctions], [parts] */
-    ph_sums dissipation, external, residual, unexplained, dH, loss; /* [1] of the network */
-    double *reach, *largest, *passed;
+    ph_sums of_dissipated, of_supplied, of_numerical, of_stored, gap, missed, squares; /* [c] */
+    ph_sums of_port, of_junction, exchanged, of_part;                     /* [ports], [junctions], [parts] */
+    ph_sums dissipation, external, residual, unexplained, dH, loss, left; /* [1] of the network */
+    double *reach, *largest, *stirred, *passed;
     double *worst, *worst_residual;
     size *worst_row;
     double *worst_junction, *worst_part, worst_unexplained;
@@ -64,11 +68,6 @@ static void more(across *s, double x) {
 
 static double value(across s) {
     return s.high + s.low;
-}
-
-/* The larger; NaN where a is not a number. */
-static double most(double a, double b) {
-    return b > a ? b : a;
 }
 
 static ph_row begun(const ph_ledger *b) {
@@ -118,10 +117,11 @@ static void take_components(const ph_ledger *b, size i, ph_row *r) {
         const size at = i * b->c + k;
         const double stored = b->stored[at], dissipated = b->dissipated[at], supplied = b->supplied[at];
         const double gone = b->numerical ? b->numerical[at] : 0.0;
-        r->H[k] = most(fabs(b->H0[at]), fabs(b->H[at]));
+        r->H[k] = ph_most(fabs(b->H0[at]), fabs(b->H[at]));
         r->residual[k] = stored + dissipated + gone - supplied;
-        r->in_play[k] = most(b->moved ? fabs(b->moved[at]) : r->H[k], fabs(stored)) + fabs(supplied) +
-                        fabs(dissipated) + fabs(gone) + r->played[k];
+        const double inside = b->moved ? b->moved[at] : b->varying[at];
+        r->in_play[k] = ph_in_play(inside, stored, supplied, dissipated, gone, r->played[k]);
+        b->stirred[k] = ph_most(b->stirred[k], ph_most(fabs(inside), fabs(stored)));
         add(b->of_dissipated, k, dissipated);
         add(b->of_supplied, k, supplied);
         add(b->of_stored, k, stored);
@@ -132,10 +132,10 @@ static void take_components(const ph_ledger *b, size i, ph_row *r) {
             more(&r->numerical, gone);
         }
         const double sum = fabs(b->of_stored.high[k] + b->of_stored.low[k]);
-        b->reach[k] = most(b->reach[k], most(r->in_play[k], sum));
-        b->largest[k] = most(b->largest[k], r->H[k]);
+        b->reach[k] = ph_most(b->reach[k], ph_most(r->in_play[k], sum));
+        b->largest[k] = ph_most(b->largest[k], r->H[k]);
         r->reach += b->reach[k];
-        r->energy += r->H[k];
+        r->energy += b->varying[at];
     }
 }
 
@@ -146,24 +146,25 @@ static int judge_components(const ph_ledger *b, size i, const ph_row *r) {
         const size at = i * b->c + k;
         const double dissipated = b->dissipated[at], supplied = b->supplied[at],
                      residual = fabs(r->residual[k]);
-        const double in_step = b->rtol * r->in_play[k] + b->floor * b->reach[k];
-        const double silent = b->largest[k] == 0.0 ? r->reach : 0.0;
-        const double allowed = in_step + b->ulps * (r->H[k] + silent);
-        const double permitted = in_step + b->ulps * b->largest[k];
+        const double relation = b->stirred[k] == 0.0 ? r->reach : 0.0;
+        const double in_step = ph_allowed(b->rtol, r->in_play[k], b->reach[k], 0.0);
+        const double allowed = ph_allowed(b->rtol, r->in_play[k], b->reach[k], b->varying[at] + relation);
+        const double permitted = in_step + ULPS * b->largest[k];
         const double between = b->H0[at] - (i ? b->H[at - b->c] : b->before[k]);
         const double within = b->H[at] - b->H0[at] - b->stored[at];
         if (b->judged[k])
             fine &=
                 residual <= allowed && -dissipated <= allowed && fabs(supplied - r->through[k]) <= allowed;
         fine &= fabs(between) <= permitted && fabs(within) <= permitted && (allowed > 0.0 || residual == 0.0);
-        const double found = residual == 0.0 ? 0.0 : residual / allowed;
+        const double found = ph_share(residual, allowed);
         if (found > b->worst[k]) {
             b->worst[k] = found;
             b->worst_residual[k] = r->residual[k];
             b->worst_row[k] = i;
         }
         add(b->gap, k, between + within);
-        add(b->allowed, k, in_step);
+        add(b->missed, k, r->residual[k]);
+        add(b->squares, k, allowed * allowed);
         r->allowed[k] = b->judged[k] ? allowed : residual;
     }
     return fine;
@@ -174,7 +175,7 @@ static void take_parts(const ph_ledger *b, const double *works, const ph_row *r)
     for (size j = 0; j < b->parts; j++) {
         const size at = b->part_junction[j];
         add(b->of_part, j, works[j]);
-        b->worst_part[j] = most(b->worst_part[j], fabs(works[j]));
+        b->worst_part[j] = ph_most(b->worst_part[j], fabs(works[j]));
         r->divided[at] += works[j];
         if (b->projection[j] && works[j] < 0.0)
             r->lost[at] += works[j];
@@ -187,15 +188,15 @@ static int take_junctions(const ph_ledger *b, const ph_row *r, across *made) {
     for (size j = 0; j < b->junctions; j++) {
         const double created = r->made[j] + r->made_low[j];
         const double exchanged = 0.5 * (r->moved[j] + r->moved_low[j]), passed = 2.0 * exchanged;
-        b->passed[j] = most(b->passed[j], passed);
-        const double rounding = b->ulps * r->reach + b->ulps * b->ulps * r->energy;
-        const double permitted = b->rtol * passed + b->floor * b->passed[j] + rounding;
+        b->passed[j] = ph_most(b->passed[j], passed);
+        const double rounding = ULPS * r->reach + ULPS * ULPS * r->energy;
+        const double permitted = ph_allowed(b->rtol, passed, b->passed[j], 0.0) + rounding;
         fine &= b->loose || fabs(created - r->lost[j]) <= permitted;
         r->lost[j] = permitted;
         r->created[j] = created;
         add(b->of_junction, j, created);
         add(b->exchanged, j, exchanged);
-        b->worst_junction[j] = most(b->worst_junction[j], fabs(created));
+        b->worst_junction[j] = ph_most(b->worst_junction[j], fabs(created));
         more(made, created);
     }
     for (size j = 0; j < b->parts; j++) {
@@ -218,8 +219,10 @@ static int take_network(ph_ledger *b, const ph_row *r, across made) {
     add(b->external, 0, value(r->external));
     add(b->residual, 0, value(made));
     add(b->unexplained, 0, left);
-    b->worst_unexplained = most(b->worst_unexplained, fabs(left));
-    return fabs(left) <= missed + b->ulps * r->pairs;
+    const double permitted = missed + ULPS * r->pairs;
+    add(b->left, 0, permitted * permitted);
+    b->worst_unexplained = ph_most(b->worst_unexplained, fabs(left));
+    return fabs(left) <= permitted;
 }
 
 static int finite(ph_sums s, size n) {
@@ -243,7 +246,7 @@ PH_API int ph_ordinary(ph_ledger *b, size ports) {
     }
     return finite(b->of_dissipated, b->c) && finite(b->of_supplied, b->c) && finite(b->of_stored, b->c) &&
            (!b->numerical || finite(b->of_numerical, b->c)) && finite(b->gap, b->c) &&
-           finite(b->allowed, b->c) && finite(b->of_port, ports) && finite(b->exchanged, b->junctions) &&
-           finite(b->of_part, b->parts) && finite(b->unexplained, 1) && finite(b->dH, 1) &&
-           finite(b->dissipation, 1) && finite(b->external, 1);
+           finite(b->missed, b->c) && finite(b->squares, b->c) && finite(b->of_port, ports) &&
+           finite(b->exchanged, b->junctions) && finite(b->of_part, b->parts) && finite(b->unexplained, 1) &&
+           finite(b->left, 1) && finite(b->dH, 1) && finite(b->dissipation, 1) && finite(b->external, 1);
 }

@@ -253,4 +253,16 @@ def _booking(network: Network, members: list[Member]) -> Booking:
         for m in members
         for p in m.booking.ports
     )
-    return Booking(components, ports, frozenset(c for m in members for c in m.booking.silent))
+    return Booking(
+        components,
+        ports,
+        frozenset(c for m in members for c in m.booking.silent),
+        constants=_constants([m.booking for m in members]),
+    )
+
+
+def _constants(bookings: list[Booking]) -> tuple[float, ...]:
+    """By component, what is constant in H; () where nothing is."""
+    if not any(b.constants for b in bookings):
+        return ()
+    return tuple(c for b in bookings for c in b.constants or (0.0,) * len(b.components))

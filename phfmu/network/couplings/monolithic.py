@@ -41,7 +41,7 @@ class Monolithic:
     def __init__(self, model: Model, instance: Any):
         self.model, self.instance = model, instance
         self._projections = Projections(model)
-        self.booking = replace(booking(model), parts=self._projections.keys)
+        self.booking = replace(booking(model, instance.parameters), parts=self._projections.keys)
         self._inputs = Inputs(instance, model)
         self._columns = Columns(model, instance.layout)
         self.names = self._columns.names

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking, PortKey
 from phfmu.discretise.model import Model
 from phfmu.signals import ordered_ports
+from phfmu.terms.canonical import member
 
 
-def booking(model: Model) -> Booking:
-    """Audit names of a model's ledger: members (or the model itself) and port pairs with their junctions."""
+def booking(model: Model, parameters: NDArray[np.float64] | None = None) -> Booking:
+    """Audit names of a model's ledger with these parameters (default: those at the start): members (or the model itself)
+    and port pairs with their junctions."""
     d = model.declaration
     components = tuple(m or model.name for m in model.members)
     at = {end: name for name, ends in d.junctions for end in ends}
@@ -23,7 +26,30 @@ def booking(model: Model) -> Booking:
         for j in range(p.n):
             index = None if p.size is None else j + 1
             pairs.append(PortKey(p.owner or model.name, short, index, at.get(p.name)))
-    return Booking(components, tuple(pairs))
+    return Booking(
+        components, tuple(pairs), constants=Constants(model).at(model.p0 if parameters is None else parameters)
+    )
+
+
+class Constants:
+    """What of H is constant, by component: each summand with all states at zero, or at the start where it has no value there."""
+
+    def __init__(self, model: Model):
+        d = model.declaration
+        summands = [(e.owner, e.expr) for e in d.energies] + [(p.owner, p.hamiltonian) for p in d.closed]
+        x, p = (ca.vertcat(ca.SX(0, 1), *(v.sx for v in some)) for some in (d.states, d.parameters))
+        H = ca.vertcat(ca.SX(0, 1), *(e for _, e in summands))
+        starts = ca.DM(model.x0[: x.numel()])
+        self._values = ca.Function("H", [p], [ca.densify(ca.substitute(H, x, point)) for point in (0 * starts, starts)])
+        self._owner = np.array([member(model.members, owner) for owner, _ in summands], int)
+        self._count = len(model.members)
+
+    def at(self, p: NDArray[np.float64]) -> tuple[float, ...]:
+        """For these parameters [J]; () where nothing is."""
+        zero, start = (np.array(values).ravel() for values in self._values(p))
+        value = np.where(np.isfinite(zero), zero, np.where(np.isfinite(start), start, 0.0))
+        found = np.bincount(self._owner, value, self._count)
+        return tuple(found.tolist()) if found.any() else ()
 
 
 def booked(model: Model) -> NDArray[np.intp]:

@@ -51,11 +51,12 @@ class EngineMember:
         #: its steps look at no guard: all members land together
         self.together = False
         self._happenings = None if model.events is None else Happenings(model, name)
-        own = booking(model)
+        own = booking(model, instance.parameters)
         rename = {model.name: name}
         self.booking = Booking(
             tuple(rename.get(c, f"{name}.{c}") for c in own.components),
             tuple(replace(p, component=rename.get(p.component, f"{name}.{p.component}")) for p in own.ports),
+            constants=own.constants,
         )
         self._booked = booked(model)
         self._columns = Columns(model, instance.layout)

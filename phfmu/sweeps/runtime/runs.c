@@ -6,13 +6,10 @@
  */
 #include "runs.h"
 
-#include <float.h>
 #include <math.h>
 #include <string.h>
 
-/* What `owes` judges a step with: those of phfmu/audit/judge.py. */
-#define FLOOR 1024.0
-#define ULPS 64.0
+#include "judge.h"
 
 enum { FIRST, LAST, MIN, MAX, PEAK, MEAN, RMS, TMIN, TMAX };
 enum { PARAMETER, STATE, INPUT };
@@ -33,13 +30,11 @@ static void count_stored(const ph_runs *s) {
     memset(s->carry, 0, sizeof(double) * (size_t)s->ncomp);
 }
 
-/* Its change over the last step, by a compensated sum. */
-static void add_stored(const ph_runs *s, const double *stored) {
-    for (int k = 0; k < s->ncomp; k++) {
-        double part = stored[k] + s->carry[k], total = s->now[k] + part;
-        s->carry[k] = part - (total - s->now[k]);
-        s->now[k] = total;
-    }
+/* total += x, compensated by what the additions before have lost. */
+static void add_to(double *total, double *carry, double x) {
+    const double part = x + *carry, sum = *total + part;
+    *carry = part - (sum - *total);
+    *total = sum;
 }
 
 static void begin(const ph_runs *s, const double *signals, double t) {
@@ -99,33 +94,69 @@ static void tell(const ph_runs *s, double length, double *out) {
     }
 }
 
-/* How much of what is allowed the last step misses, at most over the components; *status of a solve for H. */
-static double owes(const ph_runs *s, int *status) {
-    const ph_runs_calls *c = s->calls;
-    const double *row[6], *pairs;
-    double worst = 0.0;
-    for (int i = 0; i < 6; i++)
-        row[i] = c->ledger(s->in, s->row[i]);
-    pairs = row[5];
+/* What of H [J] of component k varies, at the larger of both ends of a step. */
+static double varying(const ph_runs *s, int k, double before) {
+    const double now = s->now[k], c = s->constant[k];
+    return fmin(ph_most(fabs(before), fabs(now)), ph_most(fabs(before - c), fabs(now - c)));
+}
+
+/* Energies in play in the last step, and so far, with the sums of the changes of H; row: those of the ledger.
+ */
+static double play(const ph_runs *s, const double *const *row) {
+    double most = 0.0;
     for (int k = 0; k < s->ncomp; k++) {
-        const double stored = row[0][k], dissipated = row[1][k], supplied = row[2][k], numerical = row[3][k];
-        double play = row[4][k] + fabs(dissipated) + fabs(supplied) + fabs(numerical), allowed;
-        const double missing = fabs(stored + dissipated + numerical - supplied);
+        double pairs = 0.0;
         for (int j = 0; j < s->nq; j++)
-            play += s->owner[j] == k ? fabs(pairs[j]) : 0.0;
-        s->change[k] += stored;
-        s->reach[k] = fmax(s->reach[k], fmax(play, fabs(s->change[k])));
-        allowed = s->rtol * play + FLOOR * DBL_EPSILON * s->reach[k];
-        if (missing > allowed) { /* what rounding leaves of H counts too: it takes a solve to know H */
-            *status = c->refresh(s->in);
-            if (*status)
-                return worst;
-            allowed += ULPS * DBL_EPSILON * fabs(c->signals(s->in)[s->energy + k]);
-        }
-        if (!(missing <= worst * allowed))
-            worst = missing / allowed;
+            pairs += s->owner[j] == k ? fabs(row[5][j]) : 0.0;
+        s->play[k] = ph_in_play(row[4][k], row[0][k], row[2][k], row[1][k], row[3][k], pairs);
+        s->stirred[k] = ph_most(s->stirred[k], ph_most(fabs(row[4][k]), fabs(row[0][k])));
+        s->change[k] += row[0][k];
+        s->reach[k] = ph_most(s->reach[k], ph_most(s->play[k], fabs(s->change[k])));
+        most += s->reach[k];
+    }
+    return most;
+}
+
+/* How much of what is allowed the last step misses, or dissipates below zero, at most over the components. */
+static double owes(const ph_runs *s) {
+    const double *row[6];
+    double worst = 0.0, most;
+    for (int i = 0; i < 6; i++)
+        row[i] = s->calls->ledger(s->in, s->row[i]);
+    most = play(s, row);
+    for (int k = 0; k < s->ncomp; k++) {
+        const double missing = row[0][k] + row[1][k] + row[3][k] - row[2][k], before = s->now[k];
+        double allowed, found;
+        add_to(&s->now[k], &s->carry[k], row[0][k]);
+        allowed = varying(s, k, before) + (s->stirred[k] == 0.0 ? most : 0.0);
+        allowed = ph_allowed(s->rtol, s->play[k], s->reach[k], allowed);
+        add_to(&s->missed[k], &s->missed_carry[k], missing);
+        s->squares[k] += allowed * allowed;
+        found = ph_share(missing, allowed);
+        if (-row[1][k] > allowed)
+            found = ph_most(found, -row[1][k] / allowed);
+        if (!(found <= worst))
+            worst = found;
     }
     return worst;
+}
+
+/* The same of the sums over the run. */
+static double owes_in_run(const ph_runs *s) {
+    double worst = 0.0;
+    for (int k = 0; k < s->ncomp; k++) {
+        const double found = ph_share(s->missed[k], ph_allowed_in_run(s->squares[k]));
+        if (!(found <= worst))
+            worst = found;
+    }
+    return worst;
+}
+
+/* What is remembered of the components from step to step. */
+static void forget(const ph_runs *s) {
+    double *all[] = {s->reach, s->change, s->stirred, s->missed, s->missed_carry, s->squares};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
+        memset(all[i], 0, sizeof(double) * (size_t)s->ncomp);
 }
 
 static int start(const ph_runs *s, const double *row) {
@@ -158,7 +189,7 @@ static int change(const ph_runs *s, const ph_runs_stretch *stretch) {
         status = s->calls->set_parameters(s->in, s->p);
     if (inputs && !status)
         status = s->calls->set_input(s->in, s->u);
-    if (parameters && s->stored && !status) {
+    if (parameters && !status) {
         status = s->calls->refresh(s->in);
         if (!status)
             count_stored(s);
@@ -177,15 +208,13 @@ static int consistent(const ph_runs *s) {
 static int one(const ph_runs *s, const double *row, double *out, double *facts) {
     const ph_runs_calls *c = s->calls;
     int status = start(s, row);
-    memset(s->reach, 0, sizeof(double) * (size_t)s->ncomp);
-    memset(s->change, 0, sizeof(double) * (size_t)s->ncomp);
+    forget(s);
     facts[0] = facts[1] = 0.0;
     for (int i = 0; i < s->nstretch && !status; i++) {
         const ph_runs_stretch *r = &s->stretches[i];
         status = change(s, r);
         if (i == 0 && !status) {
-            if (s->refresh || s->stored || s->ncheck)
-                status = c->refresh(s->in);
+            status = c->refresh(s->in); /* for H */
             if (!status && !consistent(s))
                 status = PH_RUNS_INCONSISTENT;
             if (!status) {
@@ -200,23 +229,27 @@ static int one(const ph_runs *s, const double *row, double *out, double *facts) 
                 status = c->refresh(s->in);
             if (status)
                 break;
-            missing = owes(s, &status);
-            add_stored(s, c->ledger(s->in, s->row[0]));
+            missing = owes(s);
             facts[0] += 1.0;
             facts[1] = missing <= facts[1] ? facts[1] : missing;
             add(s, c->signals(s->in), r->t + (double)(n + 1) * r->h, r->h);
         }
     }
-    if (!status)
+    if (!status) {
+        const double missing = owes_in_run(s);
+        facts[1] = missing <= facts[1] ? facts[1] : missing;
         tell(s, s->length, out);
+    }
     return status;
 }
 
-int ph_runs_take(const ph_runs *s, const double *rows, int width, int n, double *out, double *facts,
-                 int *done) {
+int ph_runs_take(const ph_runs *s, const double *rows, int width, const double *constants, int n, double *out,
+                 double *facts, int *done) {
     int status = 0;
-    for (*done = 0; *done < n && !status; *done += !status)
-        status =
-            one(s, rows + (ptrdiff_t)*done * width, out + (ptrdiff_t)*done * s->nmeasure, facts + 2 * *done);
+    for (*done = 0; *done < n && !status; *done += !status) {
+        const ptrdiff_t i = *done;
+        memcpy(s->constant, constants + i * s->ncomp, sizeof(double) * (size_t)s->ncomp);
+        status = one(s, rows + i * width, out + i * s->nmeasure, facts + 2 * i);
+    }
     return status;
 }

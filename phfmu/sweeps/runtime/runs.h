@@ -65,7 +65,6 @@ typedef struct ph_runs {
     int check;   /* first of the checked signals */
     int energy;  /* first of the stored energies among the signals */
     int refresh; /* whether values of the present time are measured that take a solve in every step */
-    int stored;  /* whether stored energies are measured */
     double t0;
     double length;
     double rtol;
@@ -79,21 +78,29 @@ typedef struct ph_runs {
     const ph_runs_stretch *stretches;
     const ph_runs_change *changes;
     const ph_runs_measure *measures;
-    double *p;      /* np, what the instance has */
-    double *x;      /* nx */
-    double *u;      /* nu */
-    double *value;  /* nmeasure, as are the next two: sums and extremes, */
-    double *held;   /* the last value, */
-    double *time;   /* the time of the extreme */
-    double *reach;  /* ncomp: most energy in play so far */
-    double *change; /* ncomp: of the stored energy since the start */
-    double *now;    /* ncomp: stored energy, */
-    double *carry;  /* and what its sum has lost to rounding */
+    double *p;     /* np, what the instance has */
+    double *x;     /* nx */
+    double *u;     /* nu */
+    double *value; /* nmeasure, as are the next two: sums and extremes, */
+    double *held;  /* the last value, */
+    double *time;  /* the time of the extreme */
+    /* ncomp, as are all of the next: what of H is constant */
+    double *constant;
+    double *reach;        /* most energy in play so far */
+    double *change;       /* of the stored energy since the start */
+    double *now;          /* stored energy, */
+    double *carry;        /* and what its sum has lost to rounding */
+    double *play;         /* energies in play in the step */
+    double *stirred;      /* most that moved within the component in a step */
+    double *missed;       /* sum of the residuals, */
+    double *missed_carry; /* and what it has lost to rounding */
+    double *squares;      /* sum of the squares of what the steps are allowed */
 } ph_runs;
 
-/* Runs of n rows of values; per run the measures, and the steps and the worst ratio of what the ledger misses
- * to what is allowed. Ends at the first run that fails: its status, *done runs are told. */
-PH_API int ph_runs_take(const ph_runs *s, const double *rows, int width, int n, double *out, double *facts,
-                        int *done);
+/* Runs of n rows of values, with what of H is then constant [n*ncomp]; per run the measures, and the steps
+ * and the worst ratio of what the ledger misses to what is allowed. Ends at the first run that fails: its
+ * status, *done runs are told. */
+PH_API int ph_runs_take(const ph_runs *s, const double *rows, int width, const double *constants, int n,
+                        double *out, double *facts, int *done);
 
 #endif

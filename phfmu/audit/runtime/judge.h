@@ -1,0 +1,47 @@
+/* The rule by which a ledger judges, the same for a run, for the file of one and for a sweep: judge.py works
+ * with arrays what stands here for one number, and reads the constants from here. Energies in joule. */
+#ifndef PH_JUDGE_H
+#define PH_JUDGE_H
+
+#include <float.h>
+#include <math.h>
+
+/* Roundings of the largest energy in play so far that a residual may be: constraint forces do work of their
+ * own that cancels; measured: 4 in networks of machines, 2e3 in the fast heavy top, whose first term covers
+ * it 20 times. */
+#define PH_FLOOR 1024
+/* Roundings of what of H is not constant, and of what is summed twice. */
+#define PH_ULPS 64
+/* The sum over a run may be this many times the root of the sum of the squares of what its steps are allowed.
+ */
+#define PH_RUN 4
+
+/* The larger; NaN where a is not a number. */
+static inline double ph_most(double a, double b) {
+    return b > a ? b : a;
+}
+
+/* Energies in play in a step: `inside` the component, and `pairs`, the sum of |energy| through its port
+ * pairs. */
+static inline double ph_in_play(double inside, double stored, double supplied, double dissipated,
+                                double numerical, double pairs) {
+    return ph_most(fabs(inside), fabs(stored)) + fabs(supplied) + fabs(dissipated) + fabs(numerical) + pairs;
+}
+
+/* What a residual may be in a step; `reach`: the most in play so far, the sum of the changes of H included;
+ * `varying`: what of H is not constant, and of a relation what is in play in the network. */
+static inline double ph_allowed(double rtol, double in_play, double reach, double varying) {
+    return rtol * in_play + PH_FLOOR * DBL_EPSILON * reach + PH_ULPS * DBL_EPSILON * varying;
+}
+
+/* What the sum of the residuals may be; `squares`: the sum of the squares of what the steps are allowed. */
+static inline double ph_allowed_in_run(double squares) {
+    return PH_RUN * sqrt(squares);
+}
+
+/* |size| / allowed, 0 for 0/0. */
+static inline double ph_share(double size, double allowed) {
+    return size == 0.0 ? 0.0 : fabs(size) / allowed;
+}
+
+#endif
