@@ -16,7 +16,7 @@ from phfmu.engine.event_jump import AGAIN, PILE, SLIDES, Jumps
 from phfmu.engine.grid_step import grid_step
 from phfmu.engine.guards import Guards
 from phfmu.engine.limits import LIMITS
-from phfmu.engine.locate import EPS, Location
+from phfmu.engine.locate import EPS, Arrival, Location
 from phfmu.engine.record import Grid, recorded
 from phfmu.engine.status import StepFailure
 from phfmu.events.event_plan import Settings
@@ -67,6 +67,7 @@ class Landing:
 
     def __init__(self, instance: Any, structure: Structure | None = None):
         self.structure, self._parts = structure, dict[int, tuple[Location, Jumps]]()
+        self._arrival = Arrival(np.zeros(instance.model.events.n))
         self._adopt(instance)
         self._last = np.zeros(self.plan.n)  # when each event of the grid step happened last
 
@@ -74,7 +75,8 @@ class Landing:
         self.instance, self.plan = instance, instance.model.events
         if id(instance) not in self._parts:
             guards = Guards(self.plan)
-            self._parts[id(instance)] = Location(instance, self.plan, guards), Jumps(instance, self.plan, guards)
+            location = Location(instance, self.plan, guards, self._arrival)
+            self._parts[id(instance)] = location, Jumps(instance, self.plan, guards)
         self.location, self.jumps = self._parts[id(instance)]
 
     def over(self, grid: Grid, read: Callable[[], dict[str, Array]], changed: bool) -> Iterator[Landed]:
@@ -110,7 +112,7 @@ class Landing:
             if settled.switched:
                 events = 1
                 yield settled
-        fired = self.location.already(t) if changed else []
+        fired = self.location.begun(t, end - t) if changed else []
         for start, taken, happened in grid_step(self, t, end, h, fired, events):
             yield (start, taken, read()) if taken else happened
 

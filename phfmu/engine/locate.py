@@ -23,12 +23,23 @@ Array = NDArray[Any]
 EPS = float(np.finfo(float).eps)
 
 
+@dataclass
+class Arrival:
+    """How fast each guard moved where the present instant was reached: rates (n), |d guard / dt|.
+
+    A guard that was landed on is zero to rounding of the *time*, so what is left of it is that times its rate.  With ideal
+    switches each mode has a `Location` of its own; they share this.
+    """
+
+    rates: Array
+
+
 @dataclass(frozen=True)
 class Trial:
     """A step of length h from t.
 
     near, end (n): guards soon after its start and at its end;  fits: coefficients of each armed one;  from_zero: those that
-    were zero at its start
+    were zero at its start;  rates (n): largest mean rate of each guard between two points that were looked at
     """
 
     t: float
@@ -37,6 +48,7 @@ class Trial:
     end: Array
     fits: dict[int, Array]
     from_zero: set[int]
+    rates: Array
 
     def rate(self, i: int, tau: float) -> float:
         """d guard / dt at the fraction tau."""
@@ -46,8 +58,9 @@ class Trial:
 class Location:
     """Takes steps of an instance that end where guards are zero."""
 
-    def __init__(self, instance: Any, plan: EventPlan, guards: Guards):
+    def __init__(self, instance: Any, plan: EventPlan, guards: Guards, arrival: Arrival | None = None):
         self.instance, self.plan, self.guards = instance, plan, guards
+        self._arrival = Arrival(np.zeros(plan.n)) if arrival is None else arrival
         self._fit = fit(instance.model.step.k)
 
     def advance(self, t: float, h: float) -> tuple[float, list[int]]:
@@ -77,7 +90,8 @@ class Location:
                 h = self._tried(before, t, whole)
                 trial = self._trial(t, h, start, x)
                 break
-            if shorter == LIMITS["LEAVING_HALVINGS"]:
+            if shorter == LIMITS["LEAVING_HALVINGS"] or h / 2 <= LIMITS["GUARD_ARRIVED"] * EPS * abs(t):
+                self._arrival.rates = np.maximum(trial.rates, self._arrival.rates)
                 return 0.0, leaving
             h /= 2
         refused: set[int] = set()
@@ -85,11 +99,13 @@ class Location:
             i, at = found
             length = self._land(before, trial, i, at)
             if length is not None:
+                self._arrival.rates = trial.rates
                 return length, self._together(trial, i, length)
             refused.add(i)  # the step map has no such zero: the guard only touches it
         if refused:
             instance.restore(before)
             instance.step_exactly(t, h)
+        self._arrival.rates = trial.rates
         return h, [
             i for i in trial.fits if self._is_zero(trial, i, trial.end[i], 1.0) and self._fits(i, trial.rate(i, 1.0))
         ]
@@ -107,16 +123,20 @@ class Location:
     def _trial(self, t: float, h: float, start: Array, x: Array) -> Trial:
         armed = [i for i in range(self.plan.n) if self._armed(i)]
         if not armed:
-            return Trial(t, h, start, self._values(), {}, set())
+            return Trial(t, h, start, self._values(), {}, set(), np.zeros(self.plan.n))
         tau, inside = self._fit.tau, self._inside(t, h, x)
         values = np.vstack([start, inside, self._values()])
         zero = set()
         for i in armed:
             rate = abs(values[1, i] - values[0, i]) / (tau[1] * h)
-            if abs(values[0, i]) <= self._zero(i, t, rate):
+            if abs(values[0, i]) <= max(self._zero(i, t, rate), self._rounded(t, i)):
                 zero.add(i)
+        if h <= LIMITS["GUARD_CLOCK"] * EPS * abs(t):  # they stay zero: what they do is rounding
+            armed = [i for i in armed if i not in zero]
         fits = {i: self._fit.coefficients(values[:, i], i in zero) for i in armed}
-        return Trial(t, h, values[1], values[-1], {i: b for i, b in fits.items() if np.isfinite(b).all()}, zero)
+        fits = {i: b for i, b in fits.items() if np.isfinite(b).all()}
+        rates = np.fmax.reduce(np.abs(np.diff(values, axis=0)) / (np.diff(tau) * h)[:, None], axis=0, initial=0.0)
+        return Trial(t, h, values[1], values[-1], fits, zero, np.where(np.isfinite(rates), rates, 0.0))
 
     def _inside(self, t: float, h: float, x: Array) -> Array:
         """Guards on the polynomial of the step just taken, at the points between its ends."""
@@ -211,6 +231,10 @@ class Location:
     def _zero(self, i: int, t: float, rate: float) -> float:
         return max(LIMITS["GUARD_ZERO"] * self.plan.nominal[i], LIMITS["GUARD_CLOCK"] * EPS * abs(t) * rate)
 
+    def _rounded(self, t: float, i: int) -> float:
+        """What may be left of guard i if it was zero where this instant was reached."""
+        return float(LIMITS["GUARD_ARRIVED"] * EPS * abs(t) * self._arrival.rates[i])
+
     def _is_zero(self, trial: Trial, i: int, g: float, tau: float) -> bool:
         return abs(g) <= self._zero(i, trial.t + trial.h, abs(trial.rate(i, tau)))
 
@@ -218,12 +242,30 @@ class Location:
         return self.plan.direction[i] * rate > 0 or (self.plan.direction[i] == 0 and rate != 0)
 
     def already(self, t: float) -> list[int]:
-        """Events that set modes and whose guards are beyond zero, after something was set."""
+        """Events that set modes and whose guards are beyond zero, after an event."""
         values = self._values()
         return [
             i
             for i in range(self.plan.n)
             if self._armed(i)
             and len(self.plan.sets.p[self.plan.sets.of(i)])
-            and self.plan.direction[i] * values[i] > self._zero(i, t, 0.0)
+            and self.plan.direction[i] * values[i] > max(self._zero(i, t, 0.0), self._rounded(t, i))
         ]
+
+    def begun(self, t: float, h: float) -> list[int]:
+        """The same where a step of at most h begins after something was set.
+
+        The time itself is rounded there, so that a guard may be beyond zero by what it moves in that; a trial tells.
+        """
+        self._arrival.rates = np.zeros(self.plan.n)
+        found = self.already(t)
+        if not found or h == 0.0:
+            return found
+        before = self.instance.get_state()
+        try:
+            x, start = self.instance.x, self._values()
+            self._arrival.rates = self._trial(t, self._tried(before, t, h), start, x).rates
+        except StepFailure:
+            pass  # what it is beyond zero by is no rounding of a step that cannot be taken
+        self.instance.restore(before)
+        return self.already(t)

@@ -97,6 +97,7 @@ def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
         "ph_modes_from": (None, [pointer, real, real, integer, integer, integer]),
         "ph_modes_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows), pointer]),
         "ph_modes_refusal": (ctypes.POINTER(_Refusal), [pointer]),
+        "ph_modes_failed": (pointer, [pointer]),
     }
     return typed(lib, signatures)
 
@@ -155,11 +156,13 @@ class NativeModes:
             failure, self._failure = self._failure, None
             raise failure
         found = self._made.lib.ph_modes_refusal(self._in).contents
-        landing, check = self._switched.present.landing
         if tuple(Status)[status] is Status.EVENT and found.reason >= 0:
             flags = ctypes.string_at(found.which, self._n)
             names = [s.name for s, flag in zip(self._model.modes.modes.switches, flags, strict=True) if flag]
             raise EventRefused(self._model.name, found.t, found.reason, names, found.value, found.limit)
+        failed = self._made.lib.ph_modes_failed(self._in)
+        mode = next(m for m, entry in self._known.items() if ctypes.addressof(entry) == failed)
+        landing, check = self._switched.of(mode)[0].landing
         landing.refuse(status)
         check(status)
 

@@ -164,10 +164,10 @@ static int refuse_step(fmu *f, const char *function, double t, double h, int n, 
     if (f->early && early && why.solved > 0 && fmu_held(f, ph_input(f->in)) && !fmu_kicked(f) &&
         ph_step_parts(f->in, t, part, why.solved) == PH_OK) {
         *early = 1;
-        return fmu_step_refused(f, function, FMU_OK, &why);
+        return fmu_step_refused(f, function, FMU_OK, &why, f->mode);
     }
     f->solved = part;
-    return fmu_step_refused(f, function, FMU_DISCARD, &why);
+    return fmu_step_refused(f, function, FMU_DISCARD, &why, f->mode);
 }
 
 /* In a step too short to be one time moves, and impulses act, which make a state consistent. */

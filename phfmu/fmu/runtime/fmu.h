@@ -204,7 +204,9 @@ int fmu_log(fmu *f, const char *function, int on, size_t n, const char *const *c
 int fmu_allow(const fmu *f, const char *function, int modes);
 int fmu_given(const fmu *f, const char *function, int given); /* refuses a null pointer */
 int fmu_solver(const fmu *f, const char *what, int status);
-int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *why); /* in logs: answer */
+/* `mode`: the one in which `why` was written, NULL without ideal switches; answers `answer`, also in logs. */
+int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *why,
+                     const struct fmu_mode *mode);
 
 /* fmu.c. NULL if the token is another model's or there is no memory. */
 fmu *fmu_create(const char *name, const char *token, int logging, fmu_sink sink, void (*callback)(void),
@@ -251,6 +253,8 @@ int fmu_landing_create(fmu *f);
 void fmu_landing_release(fmu *f);
 int fmu_landing_step(fmu *f, double t, double h, int n, int *stopped);
 int fmu_landing_refused(const fmu *f, const char *function);
+struct ph_event_refusal;
+int fmu_landing_told(const fmu *f, const char *function, const struct ph_event_refusal *r); /* the same of r */
 struct ph_landed;
 struct ph_landed *fmu_landing_out(const fmu *f); /* what an event is written to */
 void fmu_landing_book(fmu *f,

@@ -79,6 +79,7 @@ int fmu_events_within(const fmu *f, double end) {
 
 int fmu_events_step(fmu *f, const char *function, double t, double h, double slack, int *early) {
     double reached = t;
+    const struct fmu_mode *mode;
     ph_report why;
     int status;
     if (!fmu_held(f, ph_input(f->in)) || fmu_kicked(f)) {
@@ -95,10 +96,11 @@ int fmu_events_step(fmu *f, const char *function, double t, double h, double sla
     if (status == PH_OK)
         return FMU_OK;
     why = *ph_last_report(f->in);
+    mode = f->mode;
     if (fmu_restore(f, function, f->before))
         return FMU_ERROR;
     f->solved = reached - t;
     if (status == PH_EVENT)
         return f->about->landing->refused(f, function);
-    return fmu_step_refused(f, function, FMU_DISCARD, &why);
+    return fmu_step_refused(f, function, FMU_DISCARD, &why, mode);
 }

@@ -101,7 +101,10 @@ static void reason(const ph_event_refusal *r, char *text, size_t size) {
 
 int fmu_landing_refused(const fmu *f, const char *function) {
     const landed *l = f->landed;
-    const ph_event_refusal *r = ph_land_refusal(l->landing);
+    return fmu_landing_told(f, function, ph_land_refusal(l->landing));
+}
+
+int fmu_landing_told(const fmu *f, const char *function, const ph_event_refusal *r) {
     char text[128], names[256] = "";
     size_t used = 0;
     for (int i = 0; i < f->about->landing->events->n && used < sizeof(names); i++)

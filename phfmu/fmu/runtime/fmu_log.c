@@ -80,10 +80,11 @@ int fmu_given(const fmu *f, const char *function, int given) {
 }
 
 /* A failure of the solver; the instance is at its last accepted step. */
-int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *r) {
-    const ph_plan *plan = r->instant ? f->about->model->instant : f->about->model->step;
-    const char *const *steps = f->mode ? f->mode->equations : f->about->equations;
-    const char *const *instants = f->mode ? f->mode->end_equations : f->about->end_equations;
+int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report *r, const fmu_mode *mode) {
+    const ph_model *model = mode ? mode->model : f->about->model;
+    const ph_plan *plan = r->instant ? model->instant : model->step;
+    const char *const *steps = mode ? mode->equations : f->about->equations;
+    const char *const *instants = mode ? mode->end_equations : f->about->end_equations;
     const char *const *names = r->instant ? instants : steps;
     int place = r->row >= 0 ? r->row : r->column;
     return fmu_say(
@@ -100,5 +101,5 @@ int fmu_step_refused(const fmu *f, const char *what, int answer, const ph_report
 int fmu_solver(const fmu *f, const char *what, int status) {
     if (status == PH_ABI || status == PH_ARGUMENT || status == PH_VALUE || status == PH_NO_SENSITIVITY)
         return fmu_refuse(f, "%s: %s", what, ph_status_text(status)); /* these come without a report */
-    return fmu_step_refused(f, what, FMU_ERROR, ph_last_report(f->in));
+    return fmu_step_refused(f, what, FMU_ERROR, ph_last_report(f->in), f->mode);
 }

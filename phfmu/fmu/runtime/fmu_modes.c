@@ -17,7 +17,8 @@ typedef struct world {
     signed char *sides;   /* 1+2n */
     signed char *changed; /* n */
     signed char *stops;   /* a state event each */
-    size_t largest;       /* of their states */
+    const ph_mode *failed; /* whose instance refused the last step */
+    size_t largest;        /* of their states */
 } world;
 
 static const ph_mode_calls calls = {
@@ -120,13 +121,17 @@ static int make(fmu *f, world *w, int i) {
     return 1;
 }
 
+static void take(fmu *f, const ph_mode *mode) {
+    const world *w = f->modes;
+    f->in = mode->in;
+    f->mode = &about(f)->modes[mode - w->whole];
+    ph_layout(f->mode->model, f->offset);
+}
+
 /* The unit has the instance of the present mode. */
 static void adopt(fmu *f) {
-    world *w = f->modes;
-    const ph_mode *present = ph_modes_present(w->modes);
-    f->in = present->in;
-    f->mode = &about(f)->modes[present - w->whole];
-    ph_layout(f->mode->model, f->offset);
+    const world *w = f->modes;
+    take(f, ph_modes_present(w->modes));
 }
 
 static void begin(world *w) {
@@ -186,6 +191,10 @@ int fmu_modes_step(fmu *f, double t, double h, int n, int *stopped) {
         }
     }
     out->done = 0;
+    if (status) { /* its report is what the importer is told, before it is taken back */
+        w->failed = ph_modes_failed(w->modes);
+        take(f, w->failed);
+    }
     return status;
 }
 
@@ -195,7 +204,7 @@ int fmu_modes_refused(const fmu *f, const char *function) {
     char names[256] = "", text[128];
     size_t used = 0;
     if (r->reason < 0)
-        return fmu_landing_refused(f, function);
+        return fmu_landing_told(f, function, ph_land_refusal(w->failed->landing));
     for (int i = 0; i < about(f)->switches->n && used < sizeof(names); i++)
         if (r->which[i])
             used += (size_t)snprintf(names + used, sizeof(names) - used, "%s'%s'", used ? ", " : "",

@@ -105,7 +105,7 @@ class Together:
         """(start, length, None) of each step taken in [t, end], (time, 0, what happened at members) of each event."""
         for landing in self._landings:
             landing.begin()
-        fired = self.location.already(t) if changed else []
+        fired = self.location.begun(t, end - t) if changed else []
         yield from grid_step(self, t, end, end - t, fired)
 
     @property

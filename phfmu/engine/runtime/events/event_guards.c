@@ -49,6 +49,14 @@ double ph_zero_below(const ph_landing *l, int i, double t, double rate) {
     return ph_larger(PH_GUARD_ZERO * l->events->nominal[i], PH_GUARD_CLOCK * DBL_EPSILON * fabs(t) * rate);
 }
 
+double ph_rounded(const ph_landing *l, int i) {
+    return PH_GUARD_ARRIVED * DBL_EPSILON * fabs(l->t) * l->rates[i];
+}
+
+void ph_arrive(ph_landing *l) {
+    memcpy(l->rates, l->moved, sizeof(double) * (size_t)l->events->n);
+}
+
 int ph_fits_direction(const ph_landing *l, int i, double rate) {
     const int direction = l->events->direction[i];
     return direction * rate > 0.0 || (direction == 0 && rate != 0.0);
@@ -60,8 +68,27 @@ int ph_already(ph_landing *l) {
     l->nfired = 0;
     for (int i = 0; i < e->n && status == PH_OK; i++) {
         l->fired[i] = ph_armed(l, i) && e->sets_ptr[i + 1] > e->sets_ptr[i] &&
-                      e->direction[i] * l->now[i] > ph_zero_below(l, i, l->t, 0.0);
+                      e->direction[i] * l->now[i] >
+                          ph_larger(ph_zero_below(l, i, l->t, 0.0), ph_rounded(l, i));
         l->nfired += l->fired[i];
     }
     return status;
+}
+
+int ph_begun(ph_landing *l, double h) {
+    ph_instance *in = l->in;
+    int status;
+    ph_clear(l->moved, l->events->n);
+    ph_arrive(l);
+    status = ph_already(l);
+    if (status || !l->nfired || h == 0.0)
+        return status;
+    ph_save(in, l->before);
+    memcpy(l->start_x, in->table, sizeof(double) * (size_t)in->model->step->nx);
+    memcpy(l->start, l->now, sizeof(double) * (size_t)l->events->n);
+    l->h = h;
+    if (ph_look(l) == PH_OK) /* else what it is beyond zero by is no rounding of a step */
+        ph_arrive(l);
+    ph_load(in, l->before);
+    return ph_already(l);
 }

@@ -13,6 +13,8 @@ static size_t lay_out(ph_landing *l, char *base) {
     ph_pool part = {base, 0};
     ph_take(&part, sizeof(*l));
     l->last = ph_take_doubles(&part, e->n);
+    l->rates = ph_take_doubles(&part, e->n);
+    l->moved = ph_take_doubles(&part, e->n);
     l->start = ph_take_doubles(&part, e->n);
     l->now = ph_take_doubles(&part, e->n);
     l->values = ph_take_doubles(&part, e->npoint * e->n);
@@ -57,6 +59,7 @@ ph_landing *ph_landing_init(void *memory, ph_instance *in, const ph_events *even
     l->in = in;
     l->events = events;
     lay_out(l, memory);
+    l->refusal.fired = l->fired;
     return l;
 }
 

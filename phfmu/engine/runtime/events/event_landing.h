@@ -21,6 +21,8 @@ struct ph_landing {
     const signed char *stops; /* n: events that happen elsewhere, or NULL; the caller's */
     int stopped;              /* 1: at one of them */
     double *last;             /* n: when each event of the grid step happened last */
+    double *rates;            /* n: how fast each guard moved where the present instant was reached */
+    double *moved;            /* n: largest mean rate of each guard between two points of the trial */
     double *start, *now;      /* n: guards at the start of the step, and at its end */
     double *values;           /* npoint*n: guards over the trial */
     double *fits;             /* n*npoint: Bernstein coefficients */
@@ -59,9 +61,18 @@ int ph_guard_values(ph_landing *l, double *g);
 int ph_armed(const ph_landing *l, int i);
 /* What guard i is zero below, which changes at `rate` (1/s) at time t. */
 double ph_zero_below(const ph_landing *l, int i, double t, double rate);
+/* What may be left now of guard i if it was zero where this instant was reached. */
+double ph_rounded(const ph_landing *l, int i);
+/* An instant is reached at the rates l->moved. */
+void ph_arrive(ph_landing *l);
 int ph_fits_direction(const ph_landing *l, int i, double rate);
-/* Events that set modes and are beyond zero, into l->fired. */
+/* Events that set modes and are beyond zero, into l->fired. The same where a step of at most h begins after
+ * something was set: the time itself is rounded there, so that a guard may be beyond zero by what it moves
+ * in that; a trial tells. */
 int ph_already(ph_landing *l);
+int ph_begun(ph_landing *l, double h);
+/* event_trial.c: takes a step of length l->h at most from l->start_x, and looks at the guards over it. */
+int ph_look(ph_landing *l);
 /* event_trial.c: takes a step of length l->h at most; *leaves: how many guards happen at once, and none is
  * taken. */
 int ph_try_step(ph_landing *l, int *leaves);

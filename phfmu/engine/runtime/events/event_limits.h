@@ -17,6 +17,11 @@
 #define PH_GUARD_TOGETHER 1e-10
 #define PH_GUARD_CLOCK 16
 
+/* Where something has just happened, or a communication step begins, a guard is zero that is off by no more
+ * than so many units of rounding of the time make of it: a landing leaves some, clocks that are summed more.
+ * In a step of at most PH_GUARD_CLOCK such units guards that are zero stay so. */
+#define PH_GUARD_ARRIVED 64
+
 /* A guard that is zero at the start and seems to leave the way that counts is looked at on a step so many
  * times halved, for the polynomial shows its mean rate; then it happens at once. */
 #define PH_LEAVING_HALVINGS 20

@@ -83,6 +83,7 @@ int ph_locate(ph_landing *l, double h, double *length) {
         if (status)
             return status;
         if (*length > 0.0) {
+            ph_arrive(l);
             together(l, i, *length);
             return PH_OK;
         }
@@ -96,6 +97,7 @@ int ph_locate(ph_landing *l, double h, double *length) {
             return status;
     }
     *length = l->h;
+    ph_arrive(l);
     for (i = 0; i < e->n; i++) {
         const double slope = l->looked[i] ? ph_guard_rate(l, i, 1.0) : 0.0;
         const double end = l->values[(e->npoint - 1) * e->n + i];

@@ -1,5 +1,6 @@
 /* A step that is tried, and what guards do over it on its collocation polynomial; the twin of the same part
  * of engine/locate.py. */
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -83,11 +84,28 @@ static void fit(ph_landing *l, int i) {
     l->looked[i] = (signed char)ph_finite(b, n);
 }
 
+/* l->moved from l->values. */
+static void move(ph_landing *l) {
+    const ph_events *e = l->events;
+    for (int i = 0; i < e->n; i++) {
+        l->moved[i] = 0.0;
+        for (int m = 1; m < e->npoint; m++) {
+            const double *at = l->values + m * e->n + i;
+            const double rate = fabs(at[0] - at[-e->n]) / ((e->fit_tau[m] - e->fit_tau[m - 1]) * l->h);
+            l->moved[i] = rate > l->moved[i] ? rate : l->moved[i];
+        }
+        if (!isfinite(l->moved[i]))
+            l->moved[i] = 0.0;
+    }
+}
+
 /* The step of length l->h from l->t that was taken from l->start_x: what guards do over it. */
 static int look(ph_landing *l) {
     const ph_events *e = l->events;
     double *near = l->values + e->n, *end = l->values + (e->npoint - 1) * e->n;
+    const int tiny = l->h <= PH_GUARD_CLOCK * DBL_EPSILON * fabs(l->t); /* guards that are zero stay so */
     int any = 0, status;
+    ph_clear(l->moved, e->n);
     memcpy(l->values, l->start, sizeof(double) * (size_t)e->n);
     for (int i = 0; i < e->n; i++)
         any += l->looked[i] = (signed char)ph_armed(l, i);
@@ -97,11 +115,20 @@ static int look(ph_landing *l) {
     status = inside(l, l->h);
     for (int i = 0; i < e->n && status == PH_OK; i++) {
         const double slope = fabs(near[i] - l->start[i]) / (e->fit_tau[1] * l->h);
-        l->from_zero[i] = fabs(l->start[i]) <= ph_zero_below(l, i, l->t, slope);
+        l->from_zero[i] =
+            fabs(l->start[i]) <= ph_larger(ph_zero_below(l, i, l->t, slope), ph_rounded(l, i));
+        l->looked[i] = l->looked[i] && !(tiny && l->from_zero[i]);
         if (l->looked[i])
             fit(l, i);
     }
+    if (status == PH_OK)
+        move(l);
     return status;
+}
+
+int ph_look(ph_landing *l) {
+    const int status = tried(l, &l->h);
+    return status ? status : look(l);
 }
 
 /* Guards that are zero at the start and are on the other side from there on, into l->fired; how many. */
@@ -157,8 +184,7 @@ int ph_try_step(ph_landing *l, int *leaves) {
     int arc = 0;
     memset(inside, 1, (size_t)l->events->n);
     for (int shorter = 0;; shorter++) {
-        int status = tried(l, &l->h);
-        status = status ? status : look(l);
+        int status = ph_look(l);
         if (status)
             return status;
         *leaves = arc ? 0 : leaving(l);
@@ -166,8 +192,11 @@ int ph_try_step(ph_landing *l, int *leaves) {
             return PH_OK;
         ph_load(l->in, l->before);
         arc = kept_inside(l, inside) && shorter == PH_LEAVING_ARC;
-        if (shorter == PH_LEAVING_HALVINGS)
+        if (shorter == PH_LEAVING_HALVINGS || l->h / 2 <= PH_GUARD_ARRIVED * DBL_EPSILON * fabs(l->t)) {
+            for (int i = 0; i < l->events->n; i++)
+                l->rates[i] = ph_larger(l->rates[i], l->moved[i]);
             return PH_OK;
+        }
         l->h = arc ? whole : l->h / 2;
     }
 }

@@ -43,7 +43,7 @@ static int begin(ph_landing *l) {
     if (!l->changed)
         return PH_OK;
     l->changed = 0;
-    return ph_already(l);
+    return ph_begun(l, l->stop - l->t);
 }
 
 static int stops(const ph_landing *l) {
@@ -124,6 +124,8 @@ int ph_land_after(ph_landing *l, const ph_landing *from) {
     l->stop = from->stop;
     l->happened = from->happened;
     l->passes = from->passes;
+    if (l != from)
+        memcpy(l->rates, from->rates, sizeof(double) * (size_t)l->events->n);
     for (int i = 0; i < l->events->n; i++)
         l->last[i] = from->fired[i] ? from->t : from->last[i];
     l->changed = l->stopped = 0;

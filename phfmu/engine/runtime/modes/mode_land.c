@@ -91,6 +91,7 @@ void ph_modes_begin(ph_modes *m, double t, double h, int n) {
 static int begin(ph_modes *m, ph_landed *out) {
     out->steps = out->events = out->done = 0;
     m->refusal.reason = -1;
+    m->entered = NULL;
     return ph_modes_present(m) ? PH_OK : PH_EVENT;
 }
 

@@ -65,6 +65,10 @@ const ph_mode_refusal *ph_modes_refusal(const ph_modes *m) {
     return &m->refusal;
 }
 
+const ph_mode *ph_modes_failed(const ph_modes *m) {
+    return m->entered ? m->entered : m->present;
+}
+
 const ph_mode *ph_modes_present(ph_modes *m) {
     if (!m->present || memcmp(m->present->rows->on, m->on, (size_t)m->sw->n) != 0)
         m->present = m->source->mode(m->source->world, m->on);
@@ -153,6 +157,7 @@ static int enter(ph_modes *m, const ph_mode *old) {
     int status = PH_OK;
     if (!now)
         return refuse_all(m);
+    m->entered = now;
     if (now != old) {
         status = now->calls->ph_load(now->in, now->fresh);
         status = status ? status : now->calls->ph_continue(now->in, old->in);
@@ -161,8 +166,10 @@ static int enter(ph_modes *m, const ph_mode *old) {
     if (status == PH_OK && memcmp(m->then, m->x, sizeof(double) * (size_t)sw->nx) != 0)
         status = now->calls->ph_set_x(now->in, m->t, m->then);
     status = status ? status : now->calls->ph_initialise(now->in);
-    if (status == PH_OK)
+    if (status == PH_OK) {
         m->present = now;
+        m->entered = NULL;
+    }
     return status;
 }
 

@@ -95,7 +95,7 @@ typedef struct ph_modes ph_modes;
 enum { PH_REFUSED_NO_MODE = PH_REFUSED_SLIDES + 1, PH_REFUSED_SHARED };
 
 typedef struct ph_mode_refusal {
-    int reason; /* -1: none, ask the landing of the present mode */
+    int reason; /* -1: none, ask the landing of ph_modes_failed */
     double t, value, limit;
     const signed char *which; /* n: switches */
 } ph_mode_refusal;
@@ -122,5 +122,7 @@ PH_API double ph_mode_held(const ph_switches *switches, const ph_mode_rows *mode
 /* The present mode; NULL after its source had none. */
 PH_API const ph_mode *ph_modes_present(ph_modes *m);
 PH_API const ph_mode_refusal *ph_modes_refusal(const ph_modes *m);
+/* The mode whose instance answered the last status: the present one, or the next that cannot be entered. */
+PH_API const ph_mode *ph_modes_failed(const ph_modes *m);
 
 #endif

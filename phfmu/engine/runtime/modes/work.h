@@ -11,6 +11,7 @@ struct ph_modes {
     const ph_mode_source *source;
     signed char *started, *on, *asked; /* the caller's */
     const ph_mode *present;
+    const ph_mode *entered; /* that is being entered, else NULL */
     ph_mode_refusal refusal;
     double t0, grid, step; /* of the grid of steps; how long they are where it has no length */
     int first, n, changed; /* of them */
