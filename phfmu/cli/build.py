@@ -30,7 +30,7 @@ def job_of(args: argparse.Namespace) -> Job:
         return job_unit.unit(args)
     s = scene(args.target)
     s = replace(s, system=with_settings(s.system, settings(args.set)))
-    s = replace(s, system=_isolated(args, s.system))
+    s = replace(s, system=_with_unit_options(args, s.system))
     require_sound_scene(args, s)
     tried = _tried(args, s)
     row, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
@@ -61,16 +61,17 @@ def composed(args: argparse.Namespace) -> Scene:
     return replace(s, system=with_settings(s.system, settings(args.set)))
 
 
-def _isolated(args: argparse.Namespace, system: Any) -> Any:
-    """The system with its units in processes of their own, if that is asked for."""
+def _with_unit_options(args: argparse.Namespace, system: Any) -> Any:
+    """The system with its units in processes of their own, or with a tolerance, if that is asked for."""
     from phfmu.network.junctions.network import Network
 
-    seconds = job_unit.isolate_of(args)
-    if seconds is None:
+    seconds, tolerance = job_unit.isolate_of(args), job_unit.tolerance_of(args)
+    if seconds is None and tolerance is None:
         return system
     if not isinstance(system, Network) or not system.units:
-        raise ValueError(f"{args.target}: --isolate is for FMUs, and there is none in it")
-    own = {n: replace(file, isolate=seconds) for n, file in system.units.items()}
+        option = "--isolate" if tolerance is None else "--unit-tolerance"
+        raise ValueError(f"{args.target}: {option} is for FMUs, and there is none in it")
+    own = {n: replace(file, isolate=seconds, tolerance=tolerance) for n, file in system.units.items()}
     return replace(system, members={n: own.get(n, m) for n, m in system.members.items()})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from math import inf
 
 from phfmu.cli.job import Job
 from phfmu.cli.settings import settings
@@ -22,7 +23,9 @@ def unit(args: argparse.Namespace) -> Job:
 
     _refuse_compiled_in(args)
     file = unit_file(args.target).with_starts(settings(args.set))
-    instance = FMUInstance(file.path, file.port_maps, starts=file.starts, isolate=isolate_of(args))
+    instance = FMUInstance(
+        file.path, file.port_maps, starts=file.starts, isolate=isolate_of(args), tolerance=tolerance_of(args)
+    )
     for line in file.left_out:
         print(f"phfmu: {args.target}: {line}", file=sys.stderr)
     return Job(fmu_scene(instance), f"FMI {instance.interface.version}", False, lambda: FMUStepper(instance))
@@ -34,6 +37,14 @@ def isolate_of(args: argparse.Namespace) -> float | None:
     if seconds is not None and not seconds > 0:
         raise ValueError(f"--isolate-timeout {seconds:g} s must be positive")
     return ISOLATE if seconds is None and args.isolate else seconds
+
+
+def tolerance_of(args: argparse.Namespace) -> float | None:
+    """The relative tolerance that units are told of; None: their own."""
+    value = args.unit_tolerance
+    if value is not None and not 0 < value < inf:
+        raise ValueError(f"--unit-tolerance {value:g}: expected a positive number, e.g. 1e-6")
+    return value
 
 
 def _refuse_compiled_in(args: argparse.Namespace) -> None:

@@ -55,6 +55,8 @@ def add_parser(verbs: Any) -> None:
                         help="FMUs in processes of their own: where one ends or hangs, the run has exit code 3")  # fmt: skip
     parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",
                         help="the same, and how long a call into an FMU may take (default 60)")  # fmt: skip
+    parser.add_argument("--unit-tolerance", type=float, metavar="TOL",
+                        help="relative tolerance that FMUs are told of for steps inside them (default: their own)")  # fmt: skip
     parser.add_argument("--input", metavar="FILE",
                         help="input and parameter values over time (.csv or .parquet, first column time)")  # fmt: skip
     parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS),

@@ -107,15 +107,15 @@ def unescaped(words: str) -> str:
     return words.replace("%%", "%").replace("##", "#")
 
 
-def enter(slave: Caller, start: float, stop: float | None) -> None:
-    slave.call(slave.fmu.setupExperiment, None, start, stop)
+def enter(slave: Caller, start: float, stop: float | None, tolerance: float | None) -> None:
+    slave.call(slave.fmu.setupExperiment, tolerance, start, stop)
     slave.call(slave.fmu.enterInitializationMode)
 
 
-def do_step(slave: Caller, t: float, h: float) -> float:
+def do_step(slave: Caller, t: float, h: float, no_set_prior: bool) -> float:
     """The time reached, t + h; of a step that is discarded the unit tells the reason on request."""
     try:
-        slave.call(slave.fmu.doStep, t, h, False)
+        slave.call(slave.fmu.doStep, t, h, no_set_prior)
     except UnitCallError as error:
         if error.answer == "discard":
             raise _discarded(slave, error) from None

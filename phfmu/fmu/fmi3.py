@@ -114,13 +114,13 @@ def unescaped(words: str) -> str:
     return words
 
 
-def enter(slave: Caller, start: float, stop: float | None) -> None:
-    slave.call(slave.fmu.enterInitializationMode, None, start, stop)
+def enter(slave: Caller, start: float, stop: float | None, tolerance: float | None) -> None:
+    slave.call(slave.fmu.enterInitializationMode, tolerance, start, stop)
 
 
-def do_step(slave: Caller, t: float, h: float) -> float:
+def do_step(slave: Caller, t: float, h: float, no_set_prior: bool) -> float:
     """The time reached, t + h unless it may return early; UnitCallError if it does where it may not, or asks to end."""
-    _, ended, early, last = slave.call(slave.fmu.doStep, t, h, False)
+    _, ended, early, last = slave.call(slave.fmu.doStep, t, h, no_set_prior)
     if ended or (early and not slave.early_return):
         words = (*slave.last_words(), f"last successful time {last:.9g} s")
         raise UnitCallError(slave.name, "fmi3DoStep", "terminate" if ended else "early return", words)

@@ -26,6 +26,8 @@ from phfmu.fmu.version import VERSIONS
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-6  # of a step: the time at its start, summed or multiplied
+
 
 class FMUInstance:
     """A unit a master can step, the twin of `NativeInstance`.
@@ -36,7 +38,9 @@ class FMUInstance:
 
     `ports`: only for foreign units.  `starts`: values of parameters, states and inputs before the start.
     `early_return`: `do_step` may end before its end (FMI 3.0), see there.  `isolate`: the unit has a process of its own, in which
-    a call may take so many s; UnitFailure if that ends, or is late.
+    a call may take so many s; UnitFailure if that ends, or is late.  `tolerance`: relative, of the experiment; None leaves it
+    to the unit.  `no_set_prior`: what every step is told as noSetFMUStatePriorToCurrentPoint; None tells what is so: that no
+    state of a time before it is held.
     Errors: FMUError; StepFailure for a refused step: units of this package are back at the last accepted one.
     """
 
@@ -51,6 +55,8 @@ class FMUInstance:
         name: str | None = None,
         early_return: bool = False,
         isolate: float | None = None,
+        tolerance: float | None = None,
+        no_set_prior: bool | None = None,
     ):
         archive = open_archive(path)
         self.interface: UnitInterface = archive.interface
@@ -61,7 +67,7 @@ class FMUInstance:
         self._books = books(self._values)
         self._starts, self._span = dict(starts or {}), (self.interface.start if start is None else start, stop)
         self._asked: dict[tuple[str, ...], References] = {}
-        self.early_return = early_return
+        self.early_return, self._tolerance, self.no_set_prior = early_return, tolerance, no_set_prior
         self._slave = slave_of(archive.extracted, self.name, early_return, isolate)
         self._states = SavedStates(self._slave)
         #: values at the nodes of a step, impulses, their derivatives: what engines have as methods of their instances
@@ -77,7 +83,7 @@ class FMUInstance:
 
     def _initialise(self, given: Mapping[str, float] | None = None, inputs: ArrayLike | None = None) -> None:
         start, stop = self._span
-        self._slave.enter(start, stop)
+        self._slave.enter(start, stop, self._tolerance)
         if first := self._starts | dict(given or {}):
             self.set(first)
         if inputs is not None:
@@ -167,7 +173,10 @@ class FMUInstance:
         """
         try:
             self._books.ahead()
-            reached = self._slave.do_step(t, h)
+            kept = self.no_set_prior
+            if kept is None:
+                kept = not self._states.reach_before(t - ROUNDING * h)
+            reached = self._slave.do_step(t, h, kept)
             looked = self._books.look()
         except UnitCallError as error:
             if self.estimated or error.status is None:  # its words and no remedy of ours

@@ -167,16 +167,16 @@ class RemoteSlave:
             r.values[:] = self._ask("get", self._group(r))
         return r.values
 
-    def enter(self, start: float, stop: float | None) -> None:
+    def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
         self._time = start
-        self._ask("enter", start, stop)
+        self._ask("enter", start, stop, tolerance)
 
     def leave(self) -> None:
         self._ask("leave")
 
-    def do_step(self, t: float, h: float) -> float:
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> float:
         self._time, self._step = t, h
-        reached = self._ask("do_step", t, h)
+        reached = self._ask("do_step", t, h, no_set_prior)
         self._time, self._step = reached, 0.0
         return reached
 

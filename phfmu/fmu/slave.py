@@ -42,9 +42,9 @@ class AnySlave(Protocol):
     def references(self, scalars: Sequence[Scalar]) -> References: ...
     def set(self, r: References) -> None: ...
     def get(self, r: References) -> Array: ...
-    def enter(self, start: float, stop: float | None) -> None: ...
+    def enter(self, start: float, stop: float | None, tolerance: float | None) -> None: ...
     def leave(self) -> None: ...
-    def do_step(self, t: float, h: float) -> float: ...
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> float: ...
     def reset(self) -> None: ...
     def save(self) -> Any: ...
     def restore(self, handle: Any) -> None: ...
@@ -166,19 +166,21 @@ class Slave:
             r.gather(b)
         return r.values
 
-    def enter(self, start: float, stop: float | None) -> None:
-        """Into Initialization Mode."""
-        self._names.enter(self, start, stop)
+    def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
+        """Into Initialization Mode; `tolerance`: relative, of the experiment, which a unit with steps of its own may follow."""
+        self._names.enter(self, start, stop, tolerance)
 
     def leave(self) -> None:
         self.call(self.fmu.exitInitializationMode)
 
-    def do_step(self, t: float, h: float) -> float:
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> float:
         """The time reached, t + h unless the unit may return early.
+
+        no_set_prior: noSetFMUStatePriorToCurrentPoint, the promise that no state of a time before t will be restored.
 
         UnitCallError also if it does so where it may not, or asks to end the simulation.
         """
-        return self._names.do_step(self, t, h)
+        return self._names.do_step(self, t, h, no_set_prior)
 
     def reset(self) -> None:
         self.call(self.fmu.reset)

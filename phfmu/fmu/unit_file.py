@@ -35,7 +35,7 @@ class UnitFile:
     """A unit that has been read; `port_maps`: its ports in the names of its variables; `starts`: values before the start.
 
     `left_out`: lines about what cannot be read, set or joined here.  `isolate`: it runs in a process of its own, in which a call
-    may take so many s.  `source`: where it was found, if `path` is a copy.
+    may take so many s.  `source`: where it was found, if `path` is a copy.  `tolerance`: relative, of the experiment.
     """
 
     path: Path
@@ -45,6 +45,7 @@ class UnitFile:
     left_out: tuple[str, ...] = ()
     isolate: float | None = None
     source: str = ""
+    tolerance: float | None = None
 
     @property
     def found(self) -> str:

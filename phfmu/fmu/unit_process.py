@@ -49,8 +49,8 @@ class Server:
         self.groups.append(self.slave.references(self.interface.scalars(names, "variable")))
         return len(self.groups) - 1
 
-    def enter(self, start: float, stop: float | None) -> None:
-        self.slave.enter(start, stop)
+    def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
+        self.slave.enter(start, stop, tolerance)
 
     def leave(self) -> None:
         self.slave.leave()
@@ -65,8 +65,8 @@ class Server:
     def get(self, group: int) -> list[float]:
         return self.slave.get(self.groups[group]).tolist()
 
-    def do_step(self, t: float, h: float) -> float:
-        return self.slave.do_step(t, h)
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> float:
+        return self.slave.do_step(t, h, no_set_prior)
 
     def save(self) -> int:
         return self._kept(self.slave.save())

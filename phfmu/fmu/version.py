@@ -84,11 +84,11 @@ class Names(Protocol):
         """What the unit says, as it is meant."""
         ...
 
-    def enter(self, slave: Caller, start: float, stop: float | None) -> None:
+    def enter(self, slave: Caller, start: float, stop: float | None, tolerance: float | None) -> None:
         """Into Initialization Mode."""
         ...
 
-    def do_step(self, slave: Caller, t: float, h: float) -> float:
+    def do_step(self, slave: Caller, t: float, h: float, no_set_prior: bool) -> float:
         """The time reached; UnitCallError if that is not t + h where it has to be, or the unit asks to end."""
         ...
 

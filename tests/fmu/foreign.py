@@ -28,6 +28,7 @@ MASS = {
 <ScalarVariable name="H" valueReference="25" causality="local"><Real unit="J"/></ScalarVariable>
 <ScalarVariable name="mode" valueReference="3" causality="parameter" variability="fixed"><Integer start="0"/></ScalarVariable>
 <ScalarVariable name="forgets" valueReference="27" causality="parameter" variability="fixed"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="keeps" valueReference="29" causality="parameter" variability="fixed"><Integer start="0"/></ScalarVariable>
 <ScalarVariable name="label" valueReference="9" causality="local"><String start="a"/></ScalarVariable>
 """,
     "3.0": """
@@ -39,6 +40,7 @@ MASS = {
 <Float64 name="H" valueReference="25" causality="local" unit="J"/>
 <Int32 name="mode" valueReference="3" causality="parameter" variability="fixed" start="0"/>
 <Int32 name="forgets" valueReference="27" causality="parameter" variability="fixed" start="0"/>
+<Int32 name="keeps" valueReference="29" causality="parameter" variability="fixed" start="0"/>
 <String name="label" valueReference="9" causality="local"/>
 """,
 }

@@ -6,8 +6,11 @@
  *
  * A mass on a spring, stepped exactly under a held force: 20 `F` (input), 21 `v`, 22 `q` (outputs), 23 `m`,
  * 24 `k` (parameters), 25 `H` (its energy).  27 `forgets` (integer): a saved state has 1: not q, 2: nothing;
- * 3: it cannot be saved.  28 `found`: the file table.txt among its resources, whose place has to be an URI in
- * 2.0 and a path in 3.0.  An instance with the token `tool` there is not.
+ * 3: it cannot be saved.  29 `keeps` (integer), what noSetFMUStatePriorToCurrentPoint makes of a step: 1:
+ * False begins at the last point that was told True, 2: False leaves it where it was, 3: after True nothing
+ * is restored, 4: 2 and 3. 30 `tolerance`: of the experiment, -1: it is not defined.  28 `found`: the file
+ * table.txt among its resources, whose place has to be an URI in 2.0 and a path in 3.0.  An instance with the
+ * token `tool` there is not.
  */
 #include <math.h>
 #include <signal.h>
@@ -40,7 +43,8 @@ enum {
 
 typedef struct unit {
     double u, t, wide[2], x[2], F, v, q, m, k, found;
-    int mode, flag, choice, said, forgets;
+    double base[3], tolerance;
+    int mode, flag, choice, said, forgets, keeps, final;
     float single;
     const fmi2CallbackFunctions *callbacks;
     fmi3LogMessageCallback log;
@@ -66,7 +70,19 @@ static void move(unit *s, double h) {
     }
 }
 
-static int step(unit *m, double t, double h) {
+static void from_base(unit *m) {
+    m->v = m->base[0];
+    m->q = m->base[1];
+    m->t = m->base[2];
+}
+
+static void to_base(unit *m) {
+    m->base[0] = m->v;
+    m->base[1] = m->q;
+    m->base[2] = m->t;
+}
+
+static int step(unit *m, double t, double h, int no_set_prior) {
     static char long_text[5000];
     int mode = t >= 0.25 ? m->mode : FINE;
     if (mode >= DISCARD && mode <= FATAL) {
@@ -98,8 +114,15 @@ static int step(unit *m, double t, double h) {
     }
     if (mode == LAST_WORDS)
         exit(7);
+    if (m->keeps == 1 && no_set_prior)
+        to_base(m);
+    else if (m->keeps && m->keeps != 3)
+        from_base(m);
     move(m, h);
-    m->t = t + h;
+    m->t = m->keeps ? m->t + h : t + h;
+    if (no_set_prior && m->keeps != 1)
+        to_base(m);
+    m->final = no_set_prior && m->keeps > 2;
     return 0;
 }
 
@@ -117,6 +140,7 @@ static double number(const unit *m, unsigned r) {
            : r == 24 ? m->k
            : r == 25 ? H
            : r == 28 ? m->found
+           : r == 30 ? m->tolerance
                      : output(m);
 }
 
@@ -160,7 +184,7 @@ static void set_number(unit *m, unsigned r, double value) {
 }
 
 static int *whole(unit *m, unsigned r) {
-    return r == 3 ? &m->mode : r == 27 ? &m->forgets : &m->choice;
+    return r == 3 ? &m->mode : r == 27 ? &m->forgets : r == 29 ? &m->keeps : &m->choice;
 }
 
 static int save(const unit *m, void **state) {
@@ -174,6 +198,8 @@ static int save(const unit *m, void **state) {
 
 static int restore(unit *m, const unit *state) {
     unit now = *m;
+    if (m->final)
+        return 3;
     if (m->forgets < 2)
         *m = *state;
     if (m->forgets == 1)
@@ -232,13 +258,17 @@ void fmi2FreeInstance(fmi2Component c) {
         abort(); /* nothing may be called after a fatal error */
     free(c);
 }
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real t, fmi2Boolean d,
-                               fmi2Real e) {
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real tolerance, fmi2Real t,
+                               fmi2Boolean d, fmi2Real e) {
+    ((unit *)c)->tolerance = defined ? tolerance : -1.0;
     return fmi2OK;
 }
 STATES(fmi2, state)
 IDLE(fmi2, EnterInitializationMode)
-IDLE(fmi2, ExitInitializationMode)
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    to_base(c);
+    return fmi2OK;
+}
 IDLE(fmi2, Terminate)
 IDLE(fmi2, Reset)
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]) {
@@ -275,7 +305,7 @@ fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t 
     return fmi2OK;
 }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean b) {
-    return (fmi2Status)step(c, t, h);
+    return (fmi2Status)step(c, t, h, b);
 }
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v) {
     *v = ((unit *)c)->mode == TERMINATE;
@@ -313,12 +343,16 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 void fmi3FreeInstance(fmi3Instance c) {
     fmi2FreeInstance(c);
 }
-fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float64 b, fmi3Float64 t,
-                                       fmi3Boolean d, fmi3Float64 e) {
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean defined, fmi3Float64 tolerance,
+                                       fmi3Float64 t, fmi3Boolean d, fmi3Float64 e) {
+    ((unit *)c)->tolerance = defined ? tolerance : -1.0;
     return fmi3OK;
 }
 STATES(fmi3, State)
-IDLE(fmi3, ExitInitializationMode)
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
+    to_base(c);
+    return fmi3OK;
+}
 IDLE(fmi3, Terminate)
 IDLE(fmi3, Reset)
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 v[],
@@ -376,7 +410,7 @@ NUMBERS(Boolean, fmi3Boolean, flag)
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean b, fmi3Boolean *event,
                       fmi3Boolean *end, fmi3Boolean *early, fmi3Float64 *last) {
     unit *m = c;
-    int status = step(m, t, h);
+    int status = step(m, t, h, b);
     *event = fmi3False;
     *end = m->mode == TERMINATE && t >= 0.25;
     *early = m->mode == EARLY && t >= 0.25;
@@ -395,7 +429,8 @@ ABSENT(fmi2DeSerializeFMUstate)
 ABSENT(fmi2GetDirectionalDerivative)
 ABSENT(fmi2GetIntegerStatus)
 ABSENT(fmi2GetRealOutputDerivatives)
-ABSENT(fmi2GetStatus) ABSENT(fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate)
+ABSENT(fmi2GetStatus)
+ABSENT(fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate)
     ABSENT(fmi2SerializedFMUstateSize) ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(
         fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState)
         ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode) ABSENT(

@@ -275,6 +275,7 @@ class Coupled:
                 self._at_start = None if taken or self._switching else self._at_start
                 if taken:
                     try:
+                        self.joined.finish()
                         known = Steps.stacked([self._known(t, taken)])
                     except BaseException:
                         self._lander.back()

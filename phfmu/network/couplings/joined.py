@@ -40,6 +40,8 @@ class Joined:
         self.face = interface(network, members)
         #: members whose steps are put off until `finish`
         self.put_off = [m for m in members if isinstance(m, SteppedLast)]
+        #: and those that take the accepted step once more
+        self._finished = [m for m in members if isinstance(m, SteppedLast) or getattr(m, "once_more", False)]
         self.booking = _booking(network, members)
         self.names = [of_member(m.name, n) for m in members for n in m.names]
         ends = np.cumsum([0, *(m.nu for m in members)]).tolist()
@@ -123,8 +125,8 @@ class Joined:
         return np.concatenate([m.output() for m in self.members])
 
     def finish(self) -> None:
-        """Members that were put off take the step that the others took."""
-        for m in self.put_off:
+        """Members that were put off take the step that the others took, and some take theirs for good."""
+        for m in self._finished:
             m.finish()
 
     def rows(self, xi: Array, y: Array) -> Array:

@@ -50,10 +50,13 @@ def _fed_from_inside(unit: FMUInstance) -> bool:
 
 
 class FMUMember:
-    """A member of a coupled network that is an FMU, of this package or of another tool."""
+    """A member of a coupled network that is an FMU, of this package or of another tool.
 
-    def __init__(self, name: str, unit: FMUInstance):
-        self.name, self.unit = name, unit
+    once_more: it keeps nothing of the steps that are repeated, so the accepted one is taken once more, for good (`finish`).
+    """
+
+    def __init__(self, name: str, unit: FMUInstance, once_more: bool = False):
+        self.name, self.unit, self.once_more = name, unit, once_more
         #: signals that it exchanges at the nodes of its steps, behind its ports
         signals = unit.interface.taken, unit.interface.sent
         self.taken = {n: unit.nu + i for i, n in enumerate(signals[0])}
@@ -176,6 +179,7 @@ class FMUMember:
     def do_step(self, t: float, h: float) -> None:
         """All of the step; UnitFailure where the unit takes a part of it only, which is taken back, or not this length."""
         self._require_length(t, h)
+        self._taken = t, h
         before = self.unit.get_state() if self.unit.early_return else None
         self._happened.begin()
         reached = self.unit.do_step(t, h)
@@ -184,6 +188,17 @@ class FMUMember:
             self.unit.set_state(before)
             words = [f"last successful time {reached:.9g} s"]
             raise UnitFailure(self.unit.name, t, h, "fmi3DoStep", "part of a step", words)
+
+    def finish(self) -> None:
+        """The step that was accepted once more, from where it began, as one that will not be taken back."""
+        u = self._u
+        self.set_state(self._before)
+        self.set_input(u)
+        before, self.unit.no_set_prior = self.unit.no_set_prior, True
+        try:
+            self.do_step(*self._taken)
+        finally:
+            self.unit.no_set_prior = before
 
     def _require_length(self, t: float, h: float) -> None:
         if not self.unit.interface.one_step:
@@ -213,7 +228,10 @@ class FMUMember:
             return finite_differences(self, self._u, t, h, state, self.nominal)
 
     def get_state(self) -> Any:
-        return self.unit.get_state()
+        state = self.unit.get_state()
+        if self.once_more:
+            self._before = state
+        return state
 
     def set_state(self, state: Any) -> None:
         if not self.unit.dead:  # the failure is on its way up; nothing may be called any more

@@ -1,60 +1,129 @@
-"""Whether a unit can take steps back, tried before a run; and how it answers to its inputs, for one that cannot.
+"""Whether and how a unit can take steps back, tried before a run; and how it answers to its inputs, for one that cannot.
 
 Flags of units are wrong in the wild: a saved state may hold less than what the next step depends on.  So steps are taken, taken
-back and taken again, in instances of their own.
+back and taken again, in instances of their own, and compared with steps that are never taken back.  Units also differ in what
+they make of noSetFMUStatePriorToCurrentPoint, so each is tried in the ways in which a step can be repeated (`WAYS`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.refusal import UnitCallError
+from phfmu.fmu.refusal import UnitCallError, UnitFailure
 
 Array = NDArray[np.float64]
 
-STEPS = 2  # are taken again
 MOVE = 1e-3  # of an input, relative to itself and its nominal value
 REPEATS = 1e-9  # values that differ by less, relative to the largest of the variable, are taken again well enough
 
 
 @dataclass(frozen=True)
+class Way:
+    """How a step is repeated: what trials are told as noSetFMUStatePriorToCurrentPoint, and whether the accepted trial is taken
+    once more with True, since the unit keeps nothing of a step that was told False.
+    """
+
+    no_set_prior: bool
+    once_more: bool = False
+
+
+REPEATED = "a step repeated from a restored state"
+AFTER = "a step after others were taken back"
+
+#: True is so, as states are restored to the start of the step only; some units then restore nothing, and others move on only so
+WAYS = (Way(True), Way(False), Way(False, once_more=True))
+
+
+@dataclass(frozen=True)
 class Rollback:
-    """`works`: the couplings that repeat steps may do so; `words`: what is wrong, or not as it should be; else empty."""
+    """`works`: the couplings that repeat steps may do so, in this `way`; `words`: what is wrong, or not as it should be; else
+    empty.
+    """
 
     works: bool
     words: str = ""
+    way: Way = WAYS[0]
 
 
 def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
-    """Save, step, restore, step under other inputs, restore, step: the first and the last must agree bit for bit."""
+    """The first way in which steps that are taken back leave nothing behind; if there is none, what is wrong with the first."""
     with make() as unit:
         if not unit.interface.saves:
             return Rollback(False, "cannot save its state")
-        u, names = unit.start_inputs(), [n for n in unit.names if unit.variable(n).causality != "input"]
-        t = unit.time
+        unit.no_set_prior = True
+        ahead = _Steps(unit, h)
+        ahead.take(0, ahead.u)
+        straight = [ahead.take(k, ahead.moved) for k in (1, 2)]
+    tried = list[Rollback]()
+    for way in WAYS:
+        with make() as unit:
+            tried.append(_try(unit, h, way, straight))
+        if tried[-1].works:
+            return tried[-1]
+    return tried[0]
 
-        def after(inputs: Array) -> Array:
-            unit.set_input(inputs)
-            for k in range(1, 1 + STEPS):
-                unit.do_step(t + k * h, h)
-            return np.concatenate([unit.get(names), unit.output()])
 
-        unit.do_step(t, h)
-        moved, first, again = _moved(unit, u), np.zeros(0), np.zeros(0)
-        try:
-            state = unit.get_state()
-            first = after(moved)
-            for inputs in (u, moved):
-                unit.set_state(state)
-                again = after(inputs)
-        except UnitCallError as error:
-            return Rollback(False, f"does not restore its state: {error}")
-        return _judged([*names, *(f"mean of {n}" for n in unit.outputs)], first, again)
+def _try(unit: FMUInstance, h: float, way: Way, straight: list[Array]) -> Rollback:
+    """Steps as `straight`, of which the second is repeated: in between it is taken under other inputs."""
+    steps = _Steps(unit, h, way)
+    try:
+        steps.begin()
+        steps.accept(0, steps.u)
+        steps.begin()
+        first = steps.take(1, steps.moved)
+        steps.back()
+        steps.take(1, steps.u)
+        steps.back()
+        again = steps.accept(1, steps.moved)
+        steps.begin()
+        after = steps.accept(2, steps.moved)
+    except (UnitCallError, UnitFailure) as error:
+        return Rollback(False, f"does not restore its state: {error}", way)
+    found = _judged(steps.names, first, again)
+    if not found.works:
+        return replace(found, way=way)
+    ends = [_judged(steps.names, *pair, how=AFTER) for pair in zip(straight, (again, after), strict=True)]
+    worst = next((e for e in ends if not e.works), found)
+    return replace(worst, way=way)
+
+
+class _Steps:
+    """Steps of a unit, number k from t0 + k h, and what it tells of them; `moved`: inputs beside those of the start."""
+
+    def __init__(self, unit: FMUInstance, h: float, way: Way = WAYS[0]):
+        self._unit, self._h, self._way, self._t0 = unit, h, way, unit.time
+        self._told = [n for n in unit.names if unit.variable(n).causality != "input"]
+        self.names = [*self._told, *(f"mean of {n}" for n in unit.outputs)]
+        self.u = unit.start_inputs()
+        self.moved = _moved(unit, self.u)
+        unit.no_set_prior = way.no_set_prior
+
+    def begin(self) -> None:
+        self._state = self._unit.get_state()
+
+    def back(self) -> None:
+        self._unit.set_state(self._state)
+
+    def take(self, k: int, inputs: Array) -> Array:
+        self._unit.set_input(inputs)
+        self._unit.do_step(self._t0 + k * self._h, self._h)
+        return np.concatenate([self._unit.get(self._told), self._unit.output()])
+
+    def accept(self, k: int, inputs: Array) -> Array:
+        """`take`; where the way is to take it once more, so."""
+        found = self.take(k, inputs)
+        if not self._way.once_more:
+            return found
+        self.back()
+        self._unit.no_set_prior = True
+        found = self.take(k, inputs)
+        self._unit.no_set_prior = self._way.no_set_prior
+        return found
 
 
 def unsteady(unit: FMUInstance, h: float) -> str:
@@ -74,14 +143,14 @@ def unsteady(unit: FMUInstance, h: float) -> str:
     return "" if judged.works else judged.words
 
 
-def _judged(names: list[str], first: Array, again: Array) -> Rollback:
+def _judged(names: list[str], first: Array, again: Array, how: str = REPEATED) -> Rollback:
     if np.array_equal(first, again, equal_nan=True):
         return Rollback(True)
     change = np.abs(again - first) / np.maximum(np.maximum(np.abs(first), np.abs(again)), np.finfo(float).tiny)
     i = int(np.argmax(np.nan_to_num(change, nan=np.inf)))
     if change[i] <= REPEATS:
         return Rollback(True, f"restores its state to a relative {change[i]:.1g} only (worst: {names[i]})")
-    told = f"a step repeated from a restored state ends with {names[i]} = {again[i]:.6g}, not {first[i]:.6g}"
+    told = f"{how} ends with {names[i]} = {again[i]:.9g}, not {first[i]:.9g}"
     return Rollback(False, f"does not restore its state: {told}")
 
 

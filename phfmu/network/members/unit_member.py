@@ -15,9 +15,12 @@ from phfmu.network.members.stepped_last import SteppedLast
 LAST = "it is stepped last, against a predicted response; what that misses is booked at its junctions"
 
 
-def made(name: str, file: UnitFile) -> FMUInstance:
-    """An instance for a run from t = 0."""
-    return FMUInstance(file.path, file.port_maps, starts=file.starts, start=0.0, name=name, isolate=file.isolate)
+def made(name: str, file: UnitFile, no_set_prior: bool = True) -> FMUInstance:
+    """An instance for a run from t = 0; no coupling restores a state of a time before the step that is taken."""
+    return FMUInstance(
+        file.path, file.port_maps, starts=file.starts, start=0.0, name=name, isolate=file.isolate,
+        tolerance=file.tolerance, no_set_prior=no_set_prior,
+    )  # fmt: skip
 
 
 def tried(units: Mapping[str, UnitFile], h: float) -> dict[str, Rollback]:
@@ -31,8 +34,11 @@ def unit_member(name: str, file: UnitFile, h: float, found: Rollback | None = No
     found: what a trial gave; a unit that cannot take steps back is stepped last.  None where no step is taken back.
     """
     notes = [f"{name}: {line}" for line in file.left_out]
-    if found is None or found.works:
-        return FMUMember(name, made(name, file)), [*notes, *(f"{name}: {w}" for w in (found and found.words,) if w)]
+    if found is None:
+        return FMUMember(name, made(name, file)), notes
+    if found.works:
+        notes += [f"{name}: {found.words}"] if found.words else []
+        return FMUMember(name, made(name, file, found.way.no_set_prior), found.way.once_more), notes
     # before the member: some libraries have one instance at a time
     answer = response(partial(made, name, file), h)
     return SteppedLast(FMUMember(name, made(name, file)), h, answer), [*notes, f"{name}: {found.words}; {LAST}"]
