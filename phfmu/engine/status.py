@@ -45,6 +45,9 @@ class StepFailure(RuntimeError):
     `longest`, the longest it had solved.  The remedy follows from these (`remedy`).
     """
 
+    #: whether the component cannot be asked for anything any more, not even to go back
+    final = False
+
     def __init__(
         self,
         status: Status,

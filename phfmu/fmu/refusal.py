@@ -29,6 +29,9 @@ ANSWERS = {
 #: answers that no call gave: what happened stands for the call
 NOT_GIVEN = ("not finite", "gone", "hang", "other length")
 
+#: after these the unit is not there any more
+FINAL = ("fatal", "gone", "hang")
+
 #: what `fmu_log.c` says of a refused call: its name, what `ph_status_text` has, the numbers
 _SAID = re.compile(rf"[^:]*: ({'|'.join(re.escape(s.value) for s in Status)})(\. Worst: .*)?", re.DOTALL)
 
@@ -55,6 +58,7 @@ class UnitFailure(StepFailure):
 
     def __init__(self, unit: str, time: float, h: float, function: str, answer: str, words: Iterable[str] = ()):
         self.function, self.answer, self.words = function, answer, tuple(words)
+        self.final = answer in FINAL
         status = Status.NOT_FINITE if answer == "not finite" else Status.UNIT
         super().__init__(status, unit, time, h)
 

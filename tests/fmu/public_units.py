@@ -1,7 +1,7 @@
 """Units that other projects publish: a folder of them is named by PHFMU_PUBLIC_UNITS, else beside the reference data.
 
-`quarter_truck`: Chassis.fmu and Wheel.fmu of libcosim's test data (MIT).  `reference_fmus`: 2.0 and 3.0, the Reference FMUs of the
-Modelica Association (BSD 2-clause).
+`quarter_truck`: Chassis.fmu and Wheel.fmu of libcosim's test data (MIT).  `reference_fmus`: 2.0 and 3.0, the Reference FMUs of
+the Modelica Association (BSD 2-clause).
 """
 
 from __future__ import annotations

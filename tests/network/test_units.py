@@ -447,3 +447,24 @@ def test_members_that_hold_a_value_are_told_with_the_reason(tmp_path: Path) -> N
     assert told["b"].startswith("one held value")
     assert told["b"].endswith("; plain was exported without inputs at nodes (--node-inputs, --order 4)")
     assert "; bridge has ideal switches, whose modes change within its step" in told["dc"]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize(
+    ("mode", "options", "why"),
+    [
+        (3, (), "valve stuck at 7 %"),
+        (3, ("--isolate",), "valve stuck at 7 %"),
+        (foreign.CRASH, ("--isolate",), "ended by SIGSEGV"),
+    ],
+)
+def test_a_unit_that_dies_under_node_values_is_not_asked_again(
+    folder: Path, version: str, mode: int, options: tuple[str, ...], why: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A step whose forecast fails is tried from the plain continuation, but not where a unit has died of it."""
+    foreign.mass(folder / "pump.fmu", version)
+    scene(folder)
+    run = ["run", str(folder / "mixed.py"), "--order", "4", "--set", f"pump.mode={mode}", *options]
+    assert main(run) == 3
+    said = capfd.readouterr().err
+    assert "pump at t = 0.25 s, h = 0.01 s" in said and why in said and "before" not in said

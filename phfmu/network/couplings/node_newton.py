@@ -120,8 +120,8 @@ class NodeNewton:
         missed = before.missed if before else ()
         try:
             solution = self._solve(joined, plain.moved(forecast(missed)) if missed else plain, step)
-        except StepFailure:
-            if not missed:
+        except StepFailure as refused:
+            if not missed or refused.final:
                 raise
             joined.restore(step.states)
             solution = self._solve(joined, plain, step)
