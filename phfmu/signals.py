@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from phfmu.declare.elements import labelled
 from phfmu.declare.port import conjugate
 from phfmu.declare.variable_kind import VariableKind
 
@@ -163,6 +164,22 @@ def of_member(member: str, name: str) -> str:
         return f"{member}.{name}"
     level, _, own = name.removeprefix(CONSTRAINT).partition(".")
     return check_name(level, f"{member}.{own}")
+
+
+def labels(declaration: PHDAE) -> dict[str, str]:
+    """Names -> what readers call them, where the entries of a vector have names: gen.I[4] -> gen.I[fd]."""
+    d, found = declaration, dict[str, str]()
+    for v in (*d.states, *d.algebraics, *d.parameters, *d.observables):
+        if v.elements:
+            found |= dict(zip(v.names(), labelled(v.names(), v.elements), strict=True))
+    for v in d.algebraics:
+        if v.elements:
+            ends = [end_name(n) for n in v.names()]
+            found |= dict(zip(ends, labelled(ends, v.elements), strict=True))
+    for p in d.ports:
+        rows = (p.input_names(), *(p.output_names(ending) for ending, _, _ in OUTPUTS)) if p.elements else ()
+        found |= {n: label for names in rows for n, label in zip(names, labelled(names, p.elements), strict=True)}
+    return found
 
 
 def entries(value: Number, n: int) -> list[float]:

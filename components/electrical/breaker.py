@@ -22,6 +22,7 @@ from phfmu import (
     parameter,
     state,
 )
+from phfmu.components.electrical.park import PHASES
 
 #: currents that opening at a zero leaves, as a part of the typical current: rounding
 LANDED = 1e-6
@@ -105,15 +106,28 @@ class _Poles:
         self.R = parameter("R", R, unit="ohm", description="resistance per phase")
         words = "1 comes, 0 clears at zeros, 2 at once" if grounded else "1 close, 0 open at zeros, 2 open at once"
         self.command = parameter("command", told, min=0.0, max=2.0, description=words)
-        self.closed = parameter("closed", told, phases, min=0.0, max=1.0, description="poles: 1 closed, 0 open")
+        self.called = called = PHASES if phases == len(PHASES) else ()
+        self.closed = parameter(
+            "closed", told, phases, min=0.0, max=1.0, description="poles: 1 closed, 0 open", elements=called
+        )
         fluxes = [L * x for x in start] or 0.0
         where = "a to ground" if grounded else "a to b"
         self.flux = state(
-            "flux", phases, unit="Wb", start=fluxes, nominal=L * i, description=f"flux per phase, {where}"
+            "flux",
+            phases,
+            unit="Wb",
+            start=fluxes,
+            nominal=L * i,
+            description=f"flux per phase, {where}",
+            elements=called,
         )
         s = ca.diag(self.closed.sx)
-        a = Port("a", ELECTRICAL, "effort", {self.flux: s}, size=phases, nominal=v, description="end a")
-        b = Port("b", ELECTRICAL, "effort", {self.flux: -s}, size=phases, nominal=v, description="end b")
+        a = Port(
+            "a", ELECTRICAL, "effort", {self.flux: s}, size=phases, nominal=v, description="end a", elements=called
+        )
+        b = Port(
+            "b", ELECTRICAL, "effort", {self.flux: -s}, size=phases, nominal=v, description="end b", elements=called
+        )
         self.ports = (a,) if grounded else (a, b)
         self.over = a.u if grounded else a.u - b.u
 
@@ -152,8 +166,14 @@ class _Poles:
             dissipation=(damping(self.flux, self.R),),
             ports=self.ports,
             observables=(
-                observable("i", self.flux.z, unit="A", description=f"current {of}"),
-                observable("u", (1 - self.closed.sx) * self.over, unit="V", description="voltage over the poles"),
+                observable("i", self.flux.z, unit="A", description=f"current {of}", elements=self.called),
+                observable(
+                    "u",
+                    (1 - self.closed.sx) * self.over,
+                    unit="V",
+                    description="voltage over the poles",
+                    elements=self.called,
+                ),
             ),
             description=description,
         )

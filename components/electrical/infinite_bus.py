@@ -9,6 +9,7 @@ from math import pi
 import casadi as ca
 
 from phfmu import PHDAE, parameter, time
+from phfmu.components.electrical.park import PHASES
 from phfmu.components.electrical.sources import voltage_source
 
 #: frequencies of grids in Hz, of which rad/s are 2 pi times as many; how near such a number is one of them
@@ -37,5 +38,5 @@ def infinite_bus(amplitude: float, frequency: float = 60.0, phase: float = 0.0, 
     phi = parameter("phase", phase, unit="rad", description="phase of v_a at t = 0")
     angle = w * time + phi.sx
     e = ca.vertcat(*(a * ca.cos(angle - alpha) for alpha in (0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0)))
-    bus = voltage_source(e, size=3, parameters=(a, w, phi), v=abs(amplitude) or 1.0, i=i)
+    bus = voltage_source(e, size=3, parameters=(a, w, phi), v=abs(amplitude) or 1.0, i=i, elements=PHASES)
     return replace(bus, name="infinite_bus", description="stiff balanced three-phase voltage")

@@ -64,6 +64,11 @@ class MachineData:
         return 2.0 * pi * self.fn
 
     @property
+    def elements(self) -> tuple[str, ...]:
+        """What the rotor windings are called beside those of the stator: the field is fd."""
+        return tuple("fd" if n == "f" else n for n in self.windings)
+
+    @property
     def n(self) -> int:
         """Number of windings, stator and rotor."""
         return 3 + len(self.axis)

@@ -11,6 +11,9 @@ from phfmu import Variable, parameter
 from phfmu.components.electrical.machine_data import COUPLING, MachineData
 from phfmu.components.electrical.machine_init import ALPHA
 
+#: names of the entries of three-phase quantities, in the stator's frame and in the rotor's
+PHASES, ROTATING = ("a", "b", "c"), ("d", "q", "0")
+
 
 def park_matrix(theta: ca.SX) -> ca.SX:
     """Orthonormal Park matrix T(theta) (3 x 3), rows d, q, 0; q leads d by 90 degrees; T T^T = 1.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from phfmu import ELECTRICAL, PHDAE, Port, Switch, algebraic, observable, parameter
+from phfmu.components.electrical.park import PHASES
 
 
 def rectifier_bridge(*, i: float = 1.0, v: float = 1.0) -> PHDAE:
@@ -52,7 +53,9 @@ def six_pulse_bridge(*, i: float = 1.0, v: float = 1.0) -> PHDAE:
     current = algebraic("i", 6, unit="A", nominal=i, description="currents of the diodes")
     rail = algebraic("rail", 2, unit="V", nominal=v, description="potentials of the rails, + and -")
     mode = parameter("conducts", 0.0, 6, min=0.0, max=1.0, description="diodes: 1 conducts, 0 blocks")
-    ac = Port("ac", ELECTRICAL, "effort", {}, size=3, nominal=v, description="currents into the bridge")
+    ac = Port(
+        "ac", ELECTRICAL, "effort", {}, size=3, nominal=v, description="currents into the bridge", elements=PHASES
+    )
     dc = Port("dc", ELECTRICAL, "flow", {rail: ca.DM([1, -1])}, nominal=i, description="current into the bridge")
     plus, minus = rail.part(0, 1), rail.part(1, 1)
     switches = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from phfmu import ELECTRICAL, PHDAE, Port, damping, energy, observable, parameter, state
+from phfmu.components.electrical.park import PHASES
 
 
 def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: float = 1.0) -> PHDAE:
@@ -22,7 +23,15 @@ def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: floa
     inductance = parameter("L", L, unit="H", description="inductance per phase")
     resistance = parameter("R", R, unit="ohm", description="resistance per phase")
     size = max([abs(L * k) for k in i] + [L])
-    flux = state("flux", 3, unit="Wb", start=[L * k for k in i], nominal=size, description="flux per phase, a to b")
+    flux = state(
+        "flux",
+        3,
+        unit="Wb",
+        start=[L * k for k in i],
+        nominal=size,
+        description="flux per phase, a to b",
+        elements=PHASES,
+    )
     return PHDAE(
         "rl_line",
         states=(flux,),
@@ -38,6 +47,7 @@ def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: floa
                 size=3,
                 nominal=v,
                 description="end a; current into the line",
+                elements=PHASES,
             ),
             Port(
                 "b",
@@ -47,8 +57,9 @@ def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: floa
                 size=3,
                 nominal=v,
                 description="end b; current into the line",
+                elements=PHASES,
             ),
         ),
-        observables=(observable("i", flux.z, unit="A", description="current from a to b"),),
+        observables=(observable("i", flux.z, unit="A", description="current from a to b", elements=PHASES),),
         description="three-phase series R-L line",
     )

@@ -21,6 +21,7 @@ from phfmu import (
     skew,
     state,
 )
+from phfmu.components.electrical.park import PHASES
 
 Phases = Sequence[float]
 
@@ -61,7 +62,7 @@ def rlc_load(
     given = "effort" if plate is None else "flow"
     on = {b.on: 1 for b in parts} if plate is None else {plate.on: 1}
     port = Port("terminal", ELECTRICAL, given, on, size=3, nominal=nominal if given == "effort" else 1.0,
-                description="phases a, b, c to ground; current into the load")  # fmt: skip
+                description="phases a, b, c to ground; current into the load", elements=PHASES)  # fmt: skip
     return PHDAE(
         "rlc_load",
         states=tuple(b.on for b in parts if b.energies),
@@ -93,18 +94,23 @@ def _inductor(L: float, i: Phases, nominal: float) -> Branch:
     inductance = parameter("L", L, unit="H", description="inductance per phase")
     start = [L * k for k in i]
     flux = state("flux", 3, unit="Wb", start=start, nominal=max([nominal / 377.0, *map(abs, start)]),
-                 description="flux of the inductor per phase")  # fmt: skip
+                 description="flux of the inductor per phase", elements=PHASES)  # fmt: skip
     stored = energy(sum(flux[k] ** 2 for k in range(3)) / (2 * inductance))
-    told = observable("i_L", flux.z, unit="A", description="current of the inductor")
+    told = observable("i_L", flux.z, unit="A", description="current of the inductor", elements=PHASES)
     return Branch(inductance, flux, told, energies=(stored,))
 
 
 def _capacitor(C: float, v: Phases, nominal: float) -> Branch:
     capacitance = parameter("C", C, unit="F", description="capacitance per phase")
     charge = state("charge", 3, unit="C", start=[C * k for k in v], nominal=C * nominal,
-                   description="charge of the capacitor per phase")  # fmt: skip
+                   description="charge of the capacitor per phase", elements=PHASES)  # fmt: skip
     stored = energy(sum(charge[k] ** 2 for k in range(3)) / (2 * capacitance))
-    return Branch(capacitance, charge, observable("v", charge.z, unit="V", description="voltage to ground"), (stored,))
+    return Branch(
+        capacitance,
+        charge,
+        observable("v", charge.z, unit="V", description="voltage to ground", elements=PHASES),
+        (stored,),
+    )
 
 
 def _resistor(R: float, plate: Branch | None, nominal: float) -> Branch:
@@ -112,15 +118,15 @@ def _resistor(R: float, plate: Branch | None, nominal: float) -> Branch:
     resistance = parameter("R", R, unit="ohm", description="resistance per phase")
     what = "current of the resistor"
     if plate is not None:
-        told = observable("i_R", plate.on.z / resistance.sx, unit="A", description=what)
+        told = observable("i_R", plate.on.z / resistance.sx, unit="A", description=what, elements=PHASES)
         return Branch(resistance, plate.on, told, dissipation=(damping(plate.on, 1 / resistance),))
     current, volt, (turned, lost) = conductance_pair(1 / resistance, nominal)
-    told = observable("i_R", current.sx, unit="A", description=what)
+    told = observable("i_R", current.sx, unit="A", description=what, elements=PHASES)
     return Branch(resistance, current, told, (), (current, volt), (turned,), (lost,))
 
 
 def conductance_pair(G, nominal: float) -> tuple[Variable, Variable, tuple[Block, Block]]:
     """Algebraic (i, v) of a three-phase conductance G with 0 = -v + u, 0 = i - G v; blocks of J and R."""
-    current = algebraic("i", 3, unit="A", description="current into the conductance")
-    volt = algebraic("v", 3, unit="V", nominal=nominal, description="voltage across the conductance")
+    current = algebraic("i", 3, unit="A", description="current into the conductance", elements=PHASES)
+    volt = algebraic("v", 3, unit="V", nominal=nominal, description="voltage across the conductance", elements=PHASES)
     return current, volt, (skew(volt, current, 1), damping(volt, G))

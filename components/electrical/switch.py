@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from phfmu import ELECTRICAL, PHDAE, Port, parameter
+from phfmu.components.electrical.park import PHASES
 from phfmu.components.electrical.rlc_load import conductance_pair
 
 
@@ -19,7 +20,9 @@ def fault_resistor(G: float = 0.0, *, nominal: float = 1.0) -> PHDAE:
     """
     if not G >= 0:
         raise ValueError(f"fault_resistor: G = {G} S must not be negative (0 = open)")
-    conductance = parameter("G", G, 3, unit="S", description="conductance to ground per phase, 0 = open")
+    conductance = parameter(
+        "G", G, 3, unit="S", description="conductance to ground per phase, 0 = open", elements=PHASES
+    )
     current, volt, (structure, dissipation) = conductance_pair(conductance, nominal)
     return PHDAE(
         "fault_resistor",
@@ -28,6 +31,6 @@ def fault_resistor(G: float = 0.0, *, nominal: float = 1.0) -> PHDAE:
         structure=(structure,),
         dissipation=(dissipation,),
         ports=(Port("terminal", ELECTRICAL, "effort", {current: 1}, size=3, nominal=nominal,
-                    description="phases a, b, c to ground; current into the fault"),),
+                    description="phases a, b, c to ground; current into the fault", elements=PHASES),),
         description="switched three-phase conductance to ground",
     )  # fmt: skip

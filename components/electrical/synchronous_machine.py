@@ -27,6 +27,8 @@ from phfmu import (
 from phfmu.components.electrical.machine_data import MachineData, machine_set
 from phfmu.components.electrical.machine_init import OperatingPoint, operating_point, steady_state
 from phfmu.components.electrical.park import (
+    PHASES,
+    ROTATING,
     Inductances,
     inductances,
     magnetic_energy,
@@ -159,8 +161,11 @@ class _Common:
         rotor = [data.L_rotor[j][j] * i for j, i in enumerate(self.base_current[3:])]
         return [data.Vn_rms_ll / data.omega] * 3 + rotor
 
-    def windings(self, name: str, unit: str, values: tuple[float, ...], nominal: list[float], text: str) -> Variable:
-        return state(name, self.data.n, unit=unit, start=values, nominal=nominal, description=text)
+    def windings(
+        self, name: str, unit: str, values: tuple[float, ...], nominal: list[float], text: str, stator: tuple[str, ...]
+    ) -> Variable:
+        called = (*stator, *self.data.elements)
+        return state(name, self.data.n, unit=unit, start=values, nominal=nominal, description=text, elements=called)
 
     def model(self, windings: Variable, stator: ca.SX, extra: dict[str, Any], observables: dict[str, ca.SX]) -> PHDAE:
         """The declaration; `stator` (3 x 3): terminal voltage -> rows of the first three windings."""
@@ -179,7 +184,9 @@ class _Common:
             start=start.v,
             nominal=(2.0 / 3.0) ** 0.5 * data.Vn_rms_ll,
             description="stator phases a, b, c; current into the machine",
+            elements=PHASES,
         )
+        called = (*PHASES, *data.elements)
         first = ca.SX(n, 1)
         first[3] = 1
         field = Port(
@@ -211,7 +218,8 @@ class _Common:
             dissipation=(block([windings], R), damping(self.p, self.d_el)),
             ports=(terminal, field, shaft),
             observables=tuple(
-                observable(k, v, unit=units[k][0], description=units[k][1]) for k, v in observables.items()
+                observable(k, v, unit=units[k][0], description=units[k][1], elements=called if v.numel() > 1 else ())
+                for k, v in observables.items()
             ),
             description=f"synchronous machine {data.name}, {data.Sn / 1e6:g} MVA {data.Vn_rms_ll / 1e3:g} kV",
             **extra,
@@ -219,7 +227,7 @@ class _Common:
 
 
 def _dq_flux(c: _Common) -> PHDAE:
-    psi = c.windings("psi", "Wb", c.start.dq, c.base_flux, "fluxes d, q, 0, rotor (orthonormal Park)")
+    psi = c.windings("psi", "Wb", c.start.dq, c.base_flux, "fluxes d, q, 0, rotor (orthonormal Park)", ROTATING)
     n, T = c.data.n, park_matrix(c.theta.sx)
     turn = ca.SX(n + 1, n + 1)
     turn[0, n], turn[n, 0] = psi[1], -psi[1]
@@ -234,7 +242,7 @@ def _dq_flux(c: _Common) -> PHDAE:
 
 
 def _abc_flux(c: _Common) -> PHDAE:
-    psi = c.windings("psi", "Wb", c.start.psi, c.base_flux, "fluxes a, b, c, rotor")
+    psi = c.windings("psi", "Wb", c.start.psi, c.base_flux, "fluxes a, b, c, rotor", PHASES)
     dq = ca.vertcat(ca.mtimes(park_matrix(c.theta.sx), psi[:3]), psi[3:])
     observables = {"I": psi.z, "flux": psi.sx, "Te": -c.theta.z}
     energies = (energy(magnetic_energy(dq, c.L), correct=(c.theta,)), energy(c.kinetic))
@@ -242,7 +250,7 @@ def _abc_flux(c: _Common) -> PHDAE:
 
 
 def _current(c: _Common) -> PHDAE:
-    I = c.windings("I", "A", c.start.I, c.base_current, "currents a, b, c, rotor")
+    I = c.windings("I", "A", c.start.I, c.base_current, "currents a, b, c, rotor", PHASES)
     n, theta = c.data.n, c.theta.sx
     constant, first, second = phase_inductance(theta, c.L)
     L = constant + first + second

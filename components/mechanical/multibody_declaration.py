@@ -46,8 +46,9 @@ class Declaration:
         if not n:
             raise ValueError(f"{parts.name}: no particles")
         q, v = [x for m in masses for x in m.q], [x for m in masses for x in m.v]
-        self.q = state("q", n, unit="m", start=q, description="positions of the particles")
-        self.v = state("v", n, unit="m/s", start=v, description="velocities of the particles")
+        axes = [f"{i + 1}{axis}" for i in range(len(masses)) for axis in "xyz"[:dim]]
+        self.q = state("q", n, unit="m", start=q, description="positions of the particles", elements=axes)
+        self.v = state("v", n, unit="m/s", start=v, description="velocities of the particles", elements=axes)
         self.m = parameter("m", [m.mass for m in masses], len(masses), unit="kg", description="masses")
         damped = {p for d in parts.dampers for p in (d.a, d.b) if isinstance(p, DrivenPoint)}
         self.s = {

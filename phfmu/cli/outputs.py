@@ -70,21 +70,21 @@ class Outputs:
             self.sink = AuditWriter(self._audit_path, about, self._table_path)
 
     def columns(
-        self, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str], kinds: Sequence[str]
-    ) -> None:
+        self, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str], kinds: Sequence[str],
+        labels: Sequence[str],
+    ) -> None:  # fmt: skip
         """Open table and picture of its rows; `marked`: rows within steps are among them."""
         if self._picture:
             from phfmu.report.live_recording import LiveRecording
             from phfmu.report.recording import Mark
 
             marks = [Mark(e.t, f"{e.name} = {e.value:.6g}") for e in events]
-            self._drawn = LiveRecording(
-                self._title, names, marks, dict(zip(names, units, strict=True)), dict(zip(names, kinds, strict=True))
-            )
+            told = (dict(zip(names, texts, strict=True)) for texts in (units, kinds, labels))
+            self._drawn = LiveRecording(self._title, names, marks, *told)
         if self._table_path:
             from phfmu.results.writer import TableWriter
 
-            self.table = TableWriter(self._table_path, names, units, marked, self._units_row, kinds)
+            self.table = TableWriter(self._table_path, names, units, marked, self._units_row, kinds, labels)
 
     def keep(self, time: np.ndarray, values: np.ndarray, inside: np.ndarray) -> None:
         """Rows as the run makes them."""

@@ -68,7 +68,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--every", metavar="N|TIMEs",
                         help="rows to keep: every Nth, or one each 0.01s; the last row stays (default: all)")  # fmt: skip
     parser.add_argument(
-        "--units-row", action="store_true", help="a second line of units in CSV (Parquet has them always)"
+        "--units-row",
+        action="store_true",
+        help="a second line of units in CSV (X.columns.json beside it and Parquet have them always)",
     )
     parser.add_argument("--audit", metavar="none|summary|full|FILE", default="summary",
                         help="energy ledger: none; sums, printed (default); a file per step, FILE.parquet or "

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
+from phfmu.declare.elements import element_names
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import Number, Variable, _values
 
@@ -78,6 +79,7 @@ class Port:
              work is booked here; None = the input is free
     bound:   algebraic variable that feeds the port from inside a composed network; None = free
     start:   input value before anyone sets it
+    elements: what the pairs are called in pictures, e.g. ("a", "b", "c") for the phases of a terminal
     """
 
     name: str
@@ -92,9 +94,11 @@ class Port:
     description: str = ""
     owner: str = ""
     u: ca.SX = field(default=None, repr=False)  # type: ignore[assignment]
+    elements: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self._require_sound()
+        object.__setattr__(self, "elements", element_names(f"port '{self.name}'", self.elements, self.size))
         if self.u is None:
             object.__setattr__(self, "u", ca.SX.sym("u." + self.name, self.n))
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
+from phfmu.declare.elements import element_names, labelled
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable_kind import VariableKind
 
@@ -157,6 +158,8 @@ class Variable(_Arithmetic):
     positive: bool = False
     #: of a parameter: others feed it, see `signal.py`
     signal: bool = False
+    #: what the entries of a vector are called in pictures, see `elements.py`; (): they have no names
+    elements: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -166,6 +169,10 @@ class Variable(_Arithmetic):
     def names(self) -> list[str]:
         """Scalar names, `[1]`-based for vectors."""
         return [self.name] if self.size is None else [f"{self.name}[{self.offset + i + 1}]" for i in range(self.size)]
+
+    def labels(self) -> list[str]:
+        """The names, with the elements by theirs: `psi[d]`."""
+        return labelled(self.names(), self.elements)
 
     def part(self, first: int, n: int) -> Variable:
         """Entries first .. first + n - 1 (from 0) as a view, for blocks and ports that act on few entries.
@@ -179,6 +186,7 @@ class Variable(_Arithmetic):
         return replace(
             self, size=n, start=self.start[rows], nominal=self.nominal[rows], sx=self.sx[rows], z=self.z[rows],
             offset=self.offset + first, min=self.min and self.min[rows], max=self.max and self.max[rows],
+            elements=self.elements[rows],
         )  # fmt: skip
 
 
@@ -206,14 +214,17 @@ def slices(variables: Sequence[Variable]) -> dict[int, slice]:
 
 
 def make_variable(
-    kind: VariableKind, name: str, size: int | None, unit: str, start: Number, nominal: Number, description: str
-) -> Variable:
+    kind: VariableKind, name: str, size: int | None, unit: str, start: Number, nominal: Number, description: str,
+    elements: Sequence[str] = (),
+) -> Variable:  # fmt: skip
     """Build a variable with fresh symbols; `size=None` is a scalar."""
+    called = element_names(f"'{name}'", elements, size)
     n = 1 if size is None else size
     sx = ca.SX.sym(name, n)
     z = sx if kind is not VariableKind.STATE else ca.SX.sym("z." + name, n)
     starts = _values(name, "start", start, n)
-    return Variable(name, kind, size, unit, starts, _values(name, "nominal", nominal, n), description, sx, z)
+    nominals = _values(name, "nominal", nominal, n)
+    return Variable(name, kind, size, unit, starts, nominals, description, sx, z, elements=called)
 
 
 def state(
@@ -224,14 +235,16 @@ def state(
     start: Number = 0.0,
     nominal: Number = 1.0,
     description: str = "",
+    elements: Sequence[str] = (),
 ) -> Variable:
     """A differential variable, part of x1.
 
     size:     number of entries of a vector, called name[1], name[2], ..; None: a scalar, called name
+    elements: what the entries are called in pictures, e.g. ("d", "q", "0") for name[d], name[q], name[0]
     unit:     of all entries;  start, nominal: one number, or one for each entry
     nominal:  typical magnitude, scales the stopping test
     """
-    return make_variable(VariableKind.STATE, name, size, unit, start, nominal, description)
+    return make_variable(VariableKind.STATE, name, size, unit, start, nominal, description, elements)
 
 
 def algebraic(
@@ -242,9 +255,10 @@ def algebraic(
     start: Number = 0.0,
     nominal: Number = 1.0,
     description: str = "",
+    elements: Sequence[str] = (),
 ) -> Variable:
     """An algebraic variable, part of x2 = z2 (multiplier, node voltage, source current); arguments as for `state`."""
-    return make_variable(VariableKind.ALGEBRAIC, name, size, unit, start, nominal, description)
+    return make_variable(VariableKind.ALGEBRAIC, name, size, unit, start, nominal, description, elements)
 
 
 def parameter(
@@ -257,13 +271,14 @@ def parameter(
     max: Number | None = None,
     positive: bool = False,
     description: str = "",
+    elements: Sequence[str] = (),
 ) -> Variable:
     """A constant that may be changed before (and by events during) a run.
 
-    `value`: one number, or one for each entry;  `size`: number of entries of a vector, None: a scalar.
+    `value`: one number, or one for each entry;  `size`, `elements`: as for `state`.
     `min`, `max`: limits, allowed themselves;  `positive`: above 0.  Without `min` it is derived where the declaration
     proves it (a resistance, a mass: see `phfmu.declare.parameter_limits`); `min=-inf` says that there is none.
     """
-    made = make_variable(VariableKind.PARAMETER, name, size, unit, value, 1.0, description)
+    made = make_variable(VariableKind.PARAMETER, name, size, unit, value, 1.0, description, elements)
     limits = {what: _values(name, what, v, made.n) for what, v in (("min", min), ("max", max)) if v is not None}
     return replace(made, **limits, positive=positive) if limits or positive else made

@@ -19,10 +19,11 @@ class LiveRecording:
         marks: Sequence[Mark] = (),
         units: Mapping[str, str] | None = None,
         kinds: Mapping[str, str] | None = None,
+        labels: Mapping[str, str] | None = None,
     ):
         self.title, self.names = title, list(names)
         self.kinds = kinds_by_name(self.names) if kinds is None else kinds
-        self._marks, self._units = list(marks), units or {}
+        self._marks, self._units, self._labels = list(marks), units or {}, labels or {}
         self._chosen = usual(self.names, self.kinds)
         self._columns = [self.names.index(n) for n in self._chosen]
         self._time: list[Floats] = []
@@ -57,6 +58,7 @@ class LiveRecording:
                 time,
                 np.concatenate([v[:, at[n]] for v in self._values]),
                 kind=self.kinds.get(n, ""),
+                label=self._labels.get(n, ""),
             )
             for n in names
         ]

@@ -146,7 +146,7 @@ def panel(title: str, signals: Sequence[Signal], events: Sequence[float] = ()) -
         time, values = _highest(s) if log else thin(s.time, s.values)
         colour = (i if s.owner is None else s.owner) % len(COLOURS)
         edges = band(s.time, s.values * factor, pace) if pace else None
-        curve = Curve(s.name, time, values * factor, colour, lines.get(colour, 0), s.limit, edges)
+        curve = Curve(s.label or s.name, time, values * factor, colour, lines.get(colour, 0), s.limit, edges)
         curves.append(curve)
         if span:
             part = clipped(s, span)

@@ -16,6 +16,7 @@ class Signal:
 
     `topic`: signals of one topic share an axis; without one those of a unit do. `log`: drawn as magnitude on a log axis.
     `kind`: what it is (`phfmu.signals.SignalKind`), "" where nothing tells.
+    `label`: what readers call it, "" for its name.
     `limit`: the limit of another signal. `owner` counts what signals belong to, for colours that are the same on all axes.
     """
 
@@ -28,6 +29,7 @@ class Signal:
     limit: bool = False
     owner: int | None = None
     kind: str = ""
+    label: str = ""
 
 
 @dataclass(frozen=True)

@@ -28,5 +28,7 @@ class ResultTable:
     def read(self, names: Sequence[str]) -> list[Signal]:
         """Signals by their exact names."""
         columns, time = self._file.columns(names), self._file.time
-        units, kinds = self._file.units, self.kinds
-        return [Signal(n, units.get(n), time, columns[n], kind=kinds.get(n, "")) for n in names]
+        units, kinds, labels = self._file.units, self.kinds, self._file.labels
+        return [
+            Signal(n, units.get(n), time, columns[n], kind=kinds.get(n, ""), label=labels.get(n, "")) for n in names
+        ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.results.columns_file import read_columns
 from phfmu.results.kinds import kinds_by_name
-from phfmu.results.schema import KIND_KEY, UNIT_KEY
+from phfmu.results.schema import KIND_KEY, LABEL_KEY, UNIT_KEY
 from phfmu.results.table import Table
 
 if TYPE_CHECKING:
@@ -35,8 +36,8 @@ def open_result(path: str | os.PathLike[str], signals: Sequence[str] = ()) -> Ta
     names = pick(signals, file.names, str(path)) if signals else file.names
     columns = file.columns(names)
     values = np.column_stack([columns[n] for n in names]) if names else np.zeros((len(file.time), 0))
-    units, kinds = ([told.get(n, "") for n in names] for told in (file.units, file.kinds))
-    return Table(list(names), file.time, values, units, kinds=kinds)
+    units, kinds, labels = ([told.get(n, "") for n in names] for told in (file.units, file.kinds, file.labels))
+    return Table(list(names), file.time, values, units, kinds=kinds, labels=labels)
 
 
 class ResultFile:
@@ -48,6 +49,8 @@ class ResultFile:
         self.units: dict[str, str] = {}
         #: name -> what the signal is, told by the file, of others by their names
         self.kinds: dict[str, str] = {}
+        #: name -> what readers call it, where the entries of a vector have names
+        self.labels: dict[str, str] = {}
         self._lines_above = 1  # of CSV: names, and units where they are told
         header = self._parquet_header() if self.path.suffix == ".parquet" else self._csv_header()
         if not header or header[0] != "time":
@@ -87,6 +90,7 @@ class ResultFile:
             raise ValueError(f"{self.path} is not a CSV file in UTF-8: {error}") from error
         if not header:
             raise ValueError(f"{self.path} is empty; write one with: phfmu run TARGET -o {self.path}")
+        self._tell(read_columns(self.path))
         if second[:1] == ["s"]:  # a line of units: times are numbers
             self._lines_above = 2
             self.units = dict(zip(header, second, strict=False))
@@ -121,11 +125,13 @@ class ResultFile:
             schema = pq.read_schema(self.path)
         except pa.ArrowInvalid as error:
             raise ValueError(f"{self.path} was cut off or is not a Parquet file: {error}") from error
-        self.units, self.kinds = (
-            {f.name: f.metadata[key].decode() for f in schema if key in (f.metadata or {})}
-            for key in (UNIT_KEY, KIND_KEY)
-        )
+        keys = (UNIT_KEY, KIND_KEY, LABEL_KEY)
+        self._tell({k: {f.name: f.metadata[k].decode() for f in schema if k in (f.metadata or {})} for k in keys})
         return schema.names
+
+    def _tell(self, columns: Mapping[bytes, dict[str, str]]) -> None:
+        """Take what is told of the columns."""
+        self.units, self.kinds, self.labels = (columns.get(key, {}) for key in (UNIT_KEY, KIND_KEY, LABEL_KEY))
 
     def _parquet(self, wanted: list[str]) -> pa.Table:
         import pyarrow as pa

@@ -10,18 +10,26 @@ from phfmu.signals import MARKS
 if TYPE_CHECKING:
     import pyarrow as pa
 
-#: metadata keys of a column's unit in Arrow and Parquet, and of what its signal is (see `phfmu.signals.SignalKind`)
-UNIT_KEY, KIND_KEY = b"unit", b"kind"
+#: metadata keys of a column's unit in Arrow and Parquet, of what its signal is (see `phfmu.signals.SignalKind`), and of what
+#: readers call it where the entries of a vector have names (gen.I[fd])
+UNIT_KEY, KIND_KEY, LABEL_KEY = b"unit", b"kind", b"label"
 
 
-def schema(names: Sequence[str], units: Sequence[str], marked: bool = False, kinds: Sequence[str] = ()) -> pa.Schema:
-    """`time`, the column of marks, the signals, with their units and kinds; "" is neither written nor known, nor are no kinds."""
+def schema(
+    names: Sequence[str],
+    units: Sequence[str],
+    marked: bool = False,
+    kinds: Sequence[str] = (),
+    labels: Sequence[str] = (),
+) -> pa.Schema:
+    """`time`, the column of marks, the signals, with their units, kinds and labels; "" is neither written nor known."""
     import pyarrow as pa
 
-    def field(name: str, unit: str, kind: str) -> pa.Field:
-        told = {key: text.encode() for key, text in ((UNIT_KEY, unit), (KIND_KEY, kind)) if text}
+    def field(name: str, unit: str, kind: str, label: str) -> pa.Field:
+        told = {key: text.encode() for key, text in ((UNIT_KEY, unit), (KIND_KEY, kind), (LABEL_KEY, label)) if text}
         return pa.field(name, pa.float64(), metadata=told or None)
 
     marks = [pa.field(MARKS, pa.int8(), metadata={KIND_KEY: b"mark"})] if marked else []
-    own = [field(n, u, k) for n, u, k in zip(names, units, kinds or [""] * len(names), strict=True)]
-    return pa.schema([field("time", "s", ""), *marks, *own])
+    none = [""] * len(names)
+    own = [field(*told) for told in zip(names, units, kinds or none, labels or none, strict=True)]
+    return pa.schema([field("time", "s", "", ""), *marks, *own])

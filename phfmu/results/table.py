@@ -31,6 +31,8 @@ class Table:
     units: list[str]
     #: what each signal is (`phfmu.signals.SignalKind`), "": not known; empty: none is
     kinds: list[str] = field(default_factory=list[str], kw_only=True)
+    #: what readers call each signal where the entries of a vector have names, gen.I[fd], else ""; empty: none has
+    labels: list[str] = field(default_factory=list[str], kw_only=True)
 
     def column(self, name: str) -> Array:
         """One signal over time; KeyError lists close names."""
@@ -41,11 +43,11 @@ class Table:
         return self.units[self._place(name)]
 
     def to_arrow(self) -> pa.Table:
-        """A pyarrow table: `time`, then the signals; units and kinds in the metadata of the fields."""
+        """A pyarrow table: `time`, then the signals; units, kinds and labels in the metadata of the fields."""
         import pyarrow as pa
 
         columns = [pa.array(c) for c in (self.time, *np.ascontiguousarray(self.values.T))]
-        return pa.table(columns, schema=schema(self.names, self.units, kinds=self.kinds))
+        return pa.table(columns, schema=schema(self.names, self.units, kinds=self.kinds, labels=self.labels))
 
     def to_pandas(self) -> Any:
         """A pandas frame with `time` as index; `frame.attrs["units"]`: name -> unit."""
@@ -59,9 +61,13 @@ class Table:
         return _package("polars").from_arrow(self.to_arrow())
 
     def save(self, path: str | Path, *, units_row: bool = False) -> Path:
-        """Write .csv or .parquet, as `phfmu run -o` does; `units_row`: a second line of units in CSV. ValueError, OSError."""
+        """Write .csv (with .columns.json) or .parquet, as `phfmu run -o` does. Errors: ValueError, OSError.
+
+        `units_row`: a second line of units in CSV
+        """
         check_table(str(path), "save")
-        writer = TableWriter(Path(path), self.names, self.units, units_row=units_row, kinds=self.kinds)
+        told = {"kinds": self.kinds, "labels": self.labels}
+        writer = TableWriter(Path(path), self.names, self.units, units_row=units_row, **told)
         writer.add(self.time, self.values, np.zeros(len(self.time), bool))
         writer.close()
         return Path(path)

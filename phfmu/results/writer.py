@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.files import beside, require_writable
+from phfmu.results.columns_file import write_columns
 from phfmu.results.schema import UNIT_KEY, schema
 
 if TYPE_CHECKING:
@@ -35,8 +36,8 @@ class TableWriter:
 
     By the file's ending. Rows go to a file beside the target while they are made, which takes the target's place on
     `close`: memory does not grow with the run, and what was there before stays until then. `units` and `kinds` are in the
-    metadata of Parquet's columns; in CSV a second line holds them with `units_row`. `marked`: with the column `interpolated`,
-    1 for rows within a step.
+    metadata of Parquet's columns, as are `labels`; beside a CSV, X.columns.json holds them, and a second line the units with
+    `units_row`. `marked`: with the column `interpolated`, 1 for rows within a step.
     """
 
     def __init__(
@@ -47,9 +48,10 @@ class TableWriter:
         marked: bool = False,
         units_row: bool = False,
         kinds: Sequence[str] = (),
+        labels: Sequence[str] = (),
     ):
         self._target = Path(os.path.realpath(target))
-        self._names, self._units, self._kinds = list(names), list(units), list(kinds)
+        self._names, self._units, self._kinds, self._labels = list(names), list(units), list(kinds), list(labels)
         self._marked, self._units_row = marked, units_row
         self._format: Any = None
         self._partial: Path | None = None
@@ -77,6 +79,8 @@ class TableWriter:
         if self._partial is not None:
             with self._cut_on_failure():
                 self._format.close()
+                if self._target.suffix == ".csv":
+                    write_columns(self._target, self._schema())
                 os.replace(self._partial, self._target)
             self._partial = None
 
@@ -92,7 +96,7 @@ class TableWriter:
             raise OSError(f"{self._target} cannot be written: {error}") from error
 
     def _schema(self) -> pa.Schema:
-        return schema(self._names, self._units, self._marked, self._kinds)
+        return schema(self._names, self._units, self._marked, self._kinds, self._labels)
 
 
 class _CSV:

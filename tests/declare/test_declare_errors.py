@@ -33,6 +33,7 @@ from phfmu import (
     energy,
     export,
     grid,
+    observable,
     parameter,
     run,
     skew,
@@ -289,6 +290,24 @@ def test_columns_that_do_not_fit_the_size_of_a_port(columns: Any, size: int | No
     ports = (Port("terminal", ELECTRICAL, "effort", {m.states[0]: columns}, size=size),)
     (problem,) = (p for p in check(replace(m, ports=ports)) if p.rule == "shape")
     assert words in str(problem)
+
+
+@pytest.mark.parametrize(
+    ("elements", "words"),
+    [
+        (("a", "b"), "2 elements (a, b) name 3 entries; give a list with one name for each entry"),
+        ("abc", "give a list with one name for each entry"),
+        (("a", "a", "b"), "'a' is no name of an element"),
+        (("a", "b]", "c"), "'b]' is no name of an element"),
+    ],
+)
+def test_names_of_elements_that_do_not_fit(elements: Any, words: str) -> None:
+    for made in (
+        lambda: state("flux", 3, elements=elements),
+        lambda: Port("terminal", ELECTRICAL, "effort", {}, size=3, elements=elements),
+        lambda: observable("i", ca.SX(3, 1), elements=elements),
+    ):
+        refused(made, words)
 
 
 def test_skew_turns_from_its_second_variable_to_its_first() -> None:

@@ -22,7 +22,7 @@ def test_names_and_units_come_before_the_first_row() -> None:
         stop=0.02,
         step=0.01,
         signals=("q", "flange.force"),
-        columns=lambda names, units, kinds: heard.append((list(names), list(units))),
+        columns=lambda names, units, kinds, labels: heard.append((list(names), list(units))),
         keep=lambda time, values, _: heard.append(values.shape[1]),
     )
     run(Monolithic(model, PythonInstance(model)), options)

@@ -232,7 +232,9 @@ def test_a_picture_while_running_is_that_of_its_table(folder: Path) -> None:
     names = from_file.names
     values = np.stack([s.values for s in from_file.read(names)], axis=1)
     time = from_file.read(names)[0].time
-    rows = LiveRecording("m", names)
+    read = from_file.read(names)
+    told = ({s.name: getattr(s, what) or "" for s in read} for what in ("unit", "kind", "label"))
+    rows = LiveRecording("m", names, (), *told)
     for part in np.array_split(np.arange(len(time)), 3):
         rows.add(time[part], values[part])
     for a, b in zip(picture(rows).panels, picture(from_file).panels, strict=True):

@@ -124,7 +124,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_kinds_of_signals_go_with_them(result: Result, tmp_path: Path) -> None:
-    """Told by the declaration, kept in Parquet; a name says them where nothing else does, as in CSV."""
+    """Told by the declaration, kept in Parquet and beside CSV; a name says them where nothing else does."""
     kinds = dict(zip(result.names, result.kinds, strict=True))
     told = {
         "w": "state",
@@ -136,7 +136,11 @@ def test_kinds_of_signals_go_with_them(result: Result, tmp_path: Path) -> None:
     assert told.items() <= kinds.items() and kinds["terminal.energy"] == "energy" and "" not in kinds.values()
     again = open_result(result.save(tmp_path / "kinds.parquet"))
     assert again.kinds == result.kinds
-    by_name = open_result(result.save(tmp_path / "kinds.csv"))
+    file = result.save(tmp_path / "kinds.csv")
+    beside = open_result(file)
+    assert (beside.kinds, beside.units) == (result.kinds, result.units)
+    file.with_suffix(".columns.json").unlink()
+    by_name = open_result(file)
     assert dict(zip(by_name.names, by_name.kinds, strict=True)) == {
         n: k if k in ("port", "mean", "energy", "algebraic", "end") else "" for n, k in kinds.items()
     }
@@ -163,3 +167,39 @@ def test_what_a_signal_is_does_not_hang_on_its_name(tmp_path: Path) -> None:
     kinds = {"stride_step": "state", "terminal.i_step": "mean", "my.energy": "observable"}
     assert usual(names, kinds) == ["stride_step", "my.energy"]
     assert usual([*names, "x"], kinds_by_name([*names, "x"])) == ["x"]
+
+
+def test_a_csv_has_a_file_of_its_columns_beside_it(result: Result, tmp_path: Path) -> None:
+    """One that pandas reads as a table; one of units alone is read too; one that is none is told."""
+    import json
+
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    file = result.save(tmp_path / "run.csv")
+    path = tmp_path / "run.columns.json"
+    told = pandas.read_json(path, orient="index")
+    assert list(told.index) == ["time", *result.names]
+    assert told.loc["terminal.i", "unit"] == "A" and told.loc["w", "kind"] == "state"
+    assert list(pandas.read_csv(file).columns) == ["time", *result.names]  # the table itself is what it was
+    path.write_text(json.dumps({"time": "s", "w": "rpm"}))
+    assert open_result(file, ["w"]).units == ["rpm"]
+    path.write_text("[]")
+    with pytest.raises(ValueError, match="run.columns.json does not tell of the columns of run.csv"):
+        open_result(file)
+
+
+def test_elements_have_names_for_readers_and_numbers_for_programs(tmp_path: Path) -> None:
+    from phfmu.components.library import build
+
+    scene = build("smib")
+    model = build_model(scene.declaration())
+    rows = run(Monolithic(model, PythonInstance(model)), Options(stop=2e-4, step=1e-4))
+    labels = dict(zip(rows.names, rows.labels, strict=True))
+    wanted = {
+        "gen.I[1]": "gen.I[a]", "gen.I[4]": "gen.I[fd]", "gen.I[6]": "gen.I[kq]", "gen.psi[3]": "gen.psi[0]",
+        "gen.terminal.i_step[2]": "gen.terminal.i_step[b]", "bus1.v[3]": "bus1.v[c]", "bus1.v_end[3]": "bus1.v_end[c]",
+        "line.a.i[1]": "line.a.i[a]", "grid.v[2]": "grid.v[b]", "gen.Te": "", "gen.shaft.torque": "",
+    }  # fmt: skip
+    assert wanted.items() <= labels.items()
+    for ending in ("csv", "parquet"):
+        again = open_result(rows.save(tmp_path / f"run.{ending}"))
+        assert again.names == rows.names and again.labels == rows.labels

@@ -148,7 +148,7 @@ def _reported(change: Change) -> tuple[Observable, ...]:
     """The old variables as observables."""
     new = {key(v) for v in change.new}
     return tuple(
-        Observable(v.name, ca.vec(change.T.image[change.row[key(v)]]), v.unit, v.description)
+        Observable(v.name, ca.vec(change.T.image[change.row[key(v)]]), v.unit, v.description, elements=v.elements)
         for v in change.old
         if key(v) not in new
     )

@@ -107,6 +107,11 @@ class Coupled:
     def kinds(self) -> dict[str, SignalKind]:
         return {of_member(m.name, n): kind for m in self.joined.members for n, kind in m.kinds.items()}
 
+    @property
+    def labels(self) -> dict[str, str]:
+        members = self.joined.members
+        return {of_member(m.name, n): of_member(m.name, label) for m in members for n, label in m.labels.items()}
+
     def inputs(self) -> dict[str, float]:
         """Free inputs of the members, which neither junctions nor signals feed, as they are now."""
         return {n: value for n, value in self.joined.free_inputs().items() if not self._signals.feeds(n)}

@@ -22,7 +22,7 @@ from phfmu.network.members.consistent import require_consistent
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs
 from phfmu.schemes.scheme import Scheme
-from phfmu.signals import SignalKind
+from phfmu.signals import SignalKind, labels
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
@@ -57,6 +57,10 @@ class Monolithic:
     @property
     def kinds(self) -> dict[str, SignalKind]:
         return self._columns.kinds
+
+    @property
+    def labels(self) -> Mapping[str, str]:
+        return labels(self.model.declaration)
 
     def inputs(self) -> dict[str, float]:
         """Free inputs of ports and signals, as they are now."""

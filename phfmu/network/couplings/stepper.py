@@ -56,6 +56,11 @@ class Stepper(Protocol):
         """Of `names`, as far as they are told by more than their form."""
         ...
 
+    @property
+    def labels(self) -> Mapping[str, str]:
+        """What readers call those of `names` and inputs whose entries have names."""
+        ...
+
     def inputs(self) -> dict[str, float]:
         """Free inputs, which nothing inside feeds, as they are now."""
         ...

@@ -39,6 +39,10 @@ class FMUStepper:
     def kinds(self) -> Mapping[str, SignalKind]:
         return self.member.kinds
 
+    @property
+    def labels(self) -> Mapping[str, str]:
+        return self.member.labels
+
     def inputs(self) -> dict[str, float]:
         """Inputs of ports and others, as they are now."""
         given = self._u / self.member.input_sign

@@ -33,13 +33,14 @@ def junction_unknowns(members: Mapping[str, WithPorts], junction: Junction) -> U
     name, unit = first.domain.word(shared), first.domain.unit(shared)
     givers = [p for p in ports.values() if p.given == shared]
     common = algebraic(f"{junction.name}.{name}", first.size, unit=unit, nominal=_size(givers), start=_start(givers),
+                       elements=next((p.elements for p in ports.values() if p.elements), ()),
                        description=f"common {shared} of {', '.join(map(str, junction.ends))}")  # fmt: skip
     dual = {}
     for end, port in ports.items():
         if port.given != shared:
             member = port.input_names()[0].split("[")[0]
             dual[end] = algebraic(f"{end.member}.{member}", port.size, unit=port.input_unit, nominal=port.nominal,
-                                  start=port.start, description=f"input of {end}")  # fmt: skip
+                                  start=port.start, elements=port.elements, description=f"input of {end}")  # fmt: skip
     return Unknowns(junction, common, dual)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs, places
-from phfmu.signals import SignalKind
+from phfmu.signals import SignalKind, labels
 
 Array = NDArray[np.float64]
 
@@ -85,6 +85,10 @@ class EngineMember:
     @property
     def kinds(self) -> dict[str, SignalKind]:
         return self._columns.kinds
+
+    @property
+    def labels(self) -> Mapping[str, str]:
+        return labels(self.model.declaration)
 
     @property
     def input_names(self) -> list[str]:

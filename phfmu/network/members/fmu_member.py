@@ -103,6 +103,11 @@ class FMUMember:
         return {}
 
     @property
+    def labels(self) -> dict[str, str]:
+        """A unit has no word for them."""
+        return {}
+
+    @property
     def input_names(self) -> list[str]:
         return [*self.unit.inputs, *self.taken, *self.sent]
 

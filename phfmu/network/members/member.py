@@ -48,6 +48,11 @@ class Member(Protocol):
         ...
 
     @property
+    def labels(self) -> Mapping[str, str]:
+        """What readers call those of `names` and inputs whose entries have names."""
+        ...
+
+    @property
     def input_names(self) -> list[str]:
         """The inputs of its ports, in their order."""
         ...

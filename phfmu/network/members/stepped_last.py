@@ -110,6 +110,10 @@ class SteppedLast:
         return self.inner.kinds
 
     @property
+    def labels(self) -> Mapping[str, str]:
+        return self.inner.labels
+
+    @property
     def input_names(self) -> list[str]:
         return self.inner.input_names
 

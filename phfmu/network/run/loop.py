@@ -54,7 +54,7 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
     ledger = Ledger(options.sink, options.audit_rtol) if options.audited else Unbooked()
     told = RunColumns(stepper, options.signals, options.step)
     if options.columns is not None:
-        options.columns(told.names, told.units, told.kinds)
+        options.columns(told.names, told.units, told.kinds, told.labels)
     book, rows = Book(stepper, ledger, options.happened), Rows(options)
     march = _march(stepper, book, options)
     before, projection = stepper.rest_changes(), None
@@ -95,7 +95,7 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
     return Result(
         told.names, time, values, told.units, ledger, book.steps, book.iterations, book.worst(), projection, notes=said,
         least={c: (t, dict(zip(stepper.names, row.tolist(), strict=True))) for c, (t, row) in book.least.items()},
-        kinds=told.kinds, **facts,
+        kinds=told.kinds, labels=told.labels, **facts,
     )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ class Options:
     audited:  whether a ledger is kept and judged
     audit_rtol:  allowed residual of the ledger, relative to the energies in play
     sink:  an audit sink (AuditWriter) that gets every ledger row as it is made
-    columns:  called with names, units and kinds of the rows' columns, before the first row
+    columns:  called with names, units, kinds and labels of the rows' columns, before the first row
     keep:  receives (time, values, whether a row lies within a step) blocks instead of collecting them; also those
         accepted before a failure
     happened:  called with time and message of each state event as it is booked
@@ -60,7 +60,7 @@ class Options:
     audited: bool = True
     audit_rtol: float = 1e-11
     sink: Any = None
-    columns: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] | None = None
+    columns: Callable[[Sequence[str], Sequence[str], Sequence[str], Sequence[str]], None] | None = None
     keep: Keep | None = None
     happened: Callable[[float, str], None] | None = None
     progress: Callable[[float], None] | None = None

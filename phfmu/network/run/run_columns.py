@@ -18,7 +18,7 @@ Array = NDArray[Any]
 
 
 class RunColumns:
-    """Columns `names` with `units` and `kinds`, chosen by patterns out of all that there is (none: all of them).
+    """Columns `names` with `units`, `kinds` and `labels`, chosen by patterns out of all that there is (none: all of them).
 
     An input stands in a row with the value that it had in the step that ends there; at the start, with that of the start.  One
     that is interpolated stands there with its value at that time, before a jump.
@@ -34,6 +34,8 @@ class RunColumns:
         self.units = [units[n] for n in self.names]
         kinds = {**kinds_by_name(everything), **stepper.kinds, **dict.fromkeys(self._inputs, "input")}
         self.kinds = [kinds.get(n, "") for n in self.names]
+        labels = stepper.labels
+        self.labels = [labels.get(n, "") for n in self.names]
         place = {n: i for i, n in enumerate(everything)}
         at = np.array([place[n] for n in self.names], int)
         own = at < len(stepper.names)
