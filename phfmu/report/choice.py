@@ -1,15 +1,15 @@
 """Which signals a picture shows that nobody chose.
 
 At most `MOST` on an axis.  Of a result table: states, observables and inputs before values at ports, these before algebraic
-variables; first entries before second ones, so that every variable has its turn; no signal that is another one or its
-negative again.  Of an audit: the largest.
+variables; first entries before second ones, so that every variable has its turn; no signal that is the negative of another
+one; those that are equal count as one, since they are drawn as one.  Of an audit: the largest.
 """
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from phfmu.report.recording import Signal
+from phfmu.report.recording import Floats, Signal
 from phfmu.words import counted
 
 #: signals on an axis
@@ -47,17 +47,44 @@ def few(signals: Sequence[Signal]) -> list[Signal]:
     for i, s in enumerate(signals):
         base = _base(s.name)
         turns[base] = turns.get(base, -1) + 1
-        keys[i] = _RANKS.get(s.kind, 0), turns[base]
-    kept: list[int] = []
+        keys[i] = rank(s), turns[base]
+    kept, twins = list[int](), list[int]()
     for i in sorted(keys, key=keys.__getitem__):
-        if len(kept) < MOST and not (keys[i][0] and any(_again(signals[i], signals[k]) for k in kept)):
+        if any(same(signals[i], signals[k]) for k in kept):
+            twins.append(i)
+        elif len(kept) < MOST and not (keys[i][0] and any(again(signals[i], signals[k]) for k in kept)):
             kept.append(i)
-    return [signals[i] for i in sorted(kept)]
+    return [signals[i] for i in sorted((*kept, *twins))]
+
+
+def rank(s: Signal) -> int:
+    """Its turn by its kind: 0 is first."""
+    return _RANKS.get(s.kind, 0)
+
+
+def same(a: Signal, b: Signal) -> bool:
+    """Whether two signals are one curve, however far one zooms in: at all rows, to rounding and 1e-6 of its height."""
+    if len(a.values) != len(b.values):
+        return False
+    some = slice(None, None, max(len(a.values) // _SAMPLES, 1))
+    near = _near(a.values[some], b.values[some]) and _near(a.values, b.values)
+    return near and np.array_equal(a.time, b.time)
+
+
+def _near(a: Floats, b: Floats) -> bool:
+    finite = a[np.isfinite(a)]
+    close = max(1e-6 * float(np.ptp(finite)), 1e-12 * float(np.abs(finite).max())) if len(finite) else 0.0
+    with np.errstate(invalid="ignore"):
+        return bool(((np.abs(a - b) <= close) | (a == b) | (np.isnan(a) & np.isnan(b))).all())
 
 
 def told(left: Sequence[str], total: int, audit: bool) -> str:
     """The line that says what is left out and how to see it."""
-    rule = "the largest" if audit else "states, observables and inputs first; no means and ends of steps, no energies"
+    rule = (
+        "the largest"
+        if audit
+        else "states, observables and inputs first; no means and ends of steps; energies as powers"
+    )
     return (
         f"{counted(len(left), 'signal')} of {total} left out (at most {MOST} an axis: {rule}); "
         f"to see them: phfmu plot FILE {left[0].partition('[')[0]} ..."
@@ -68,7 +95,7 @@ def _base(name: str) -> str:
     return name.partition("[")[0]
 
 
-def _again(a: Signal, b: Signal) -> bool:
+def again(a: Signal, b: Signal) -> bool:
     """Whether two signals of different variables draw the same curve, or its mirror image."""
     if _base(a.name) == _base(b.name) or len(a.values) != len(b.values):
         return False

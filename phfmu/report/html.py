@@ -11,7 +11,7 @@ import numpy as np
 
 from phfmu.report.crowds import Crowd, parted
 from phfmu.report.extra import require
-from phfmu.report.labels import LINE, Label, height, labels
+from phfmu.report.labels import LINE, Label, entry, height, labels
 from phfmu.report.picture import COLOURS, Curve, Panel, Picture
 from phfmu.report.recording import Mark
 
@@ -59,7 +59,7 @@ def chart(drawn: Picture) -> str:
     """Panels below each other over one time axis, each with a legend of its own."""
     require("plotly")
     panels = drawn.panels
-    heights = [max(PANEL, ENTRY * sum(not c.limit for c in p.curves)) for p in panels]
+    heights = [max(PANEL, ENTRY * sum(len(entry(c.label)) for c in p.curves if not c.limit)) for p in panels]
     total = sum(heights) + GAP * (len(heights) - 1)
     alone, crowds = parted(drawn.marks, *_span(drawn))
     texts = labels([*alone, *(c.mark for c in crowds)], *_span(drawn), AXIS)
@@ -145,7 +145,7 @@ def _scale(panel: Panel) -> dict[str, Any]:
 
 def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     colour = COLOURS[curve.colour]
-    name = html.escape(curve.label)
+    name = "<br>".join(map(html.escape, entry(curve.label)))
     if curve.limit:
         return {"mode": "lines", "name": name, "showlegend": False, "opacity": 0.8,
                 "line": {"color": colour, "dash": "dash", "width": 1}}  # fmt: skip

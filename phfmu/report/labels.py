@@ -8,6 +8,8 @@ from phfmu.report.recording import Mark
 
 #: events that have room for a text, letters of it, pixels of a letter and of a line
 LABELLED, LETTERS, LETTER, LINE = 12, 40, 6.0, 14
+#: between the names of equal signals; letters of a line of a legend
+EQUAL, ENTRY_LETTERS = " = ", 34
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,18 @@ def shortened(text: str) -> str:
     head = text[: LETTERS - 2]
     cut = max(head.rfind(","), head.rfind(";"))
     return f"{head[:cut]} …" if cut > 0 else f"{text[: LETTERS - 1]}…"
+
+
+def entry(label: str) -> list[str]:
+    """The lines of a curve's name in a legend: broken between the names of equal signals."""
+    lines = [""]
+    for i, name in enumerate(label.split(EQUAL)):
+        part = f"{EQUAL.lstrip() if i else ''}{name}"
+        if lines[-1] and len(lines[-1]) + len(part) + 1 > ENTRY_LETTERS:
+            lines.append(part)
+        else:
+            lines[-1] = f"{lines[-1]} {part}".strip()
+    return lines
 
 
 def height(found: Sequence[Label]) -> int:

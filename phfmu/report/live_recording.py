@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from phfmu.report.choice import usual
+from phfmu.report.energies import energy_columns
 from phfmu.report.recording import Floats, Mark, Signal, together
 from phfmu.results.kinds import kinds_by_name
 
@@ -25,7 +26,8 @@ class LiveRecording:
         self.kinds = kinds_by_name(self.names) if kinds is None else kinds
         self._marks, self._units, self._labels = list(marks), units or {}, labels or {}
         self._chosen = usual(self.names, self.kinds)
-        self._columns = [self.names.index(n) for n in self._chosen]
+        self._kept = list(dict.fromkeys([*self._chosen, *energy_columns(self.names, self.kinds)]))
+        self._columns = [self.names.index(n) for n in self._kept]
         self._time: list[Floats] = []
         self._values: list[Floats] = []
 
@@ -50,7 +52,7 @@ class LiveRecording:
 
     def read(self, names: Sequence[str]) -> list[Signal]:
         time = np.concatenate(self._time)
-        at = {n: i for i, n in enumerate(self._chosen)}
+        at = {n: i for i, n in enumerate(self._kept)}
         return [
             Signal(
                 n,

@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phfmu.report.choice import few, first, told
+from phfmu.report.choice import few, first, rank, same, told
+from phfmu.report.energies import energies, energy_columns
+from phfmu.report.labels import EQUAL
 from phfmu.report.pace import BAND, band, swings
 from phfmu.report.pace import window as periods
 from phfmu.report.prefix import scaled
@@ -19,8 +21,8 @@ MOST_PANELS = 16
 SEEN = 0.05
 #: decades of a log axis below its largest value: rounding errors of nothing are no reason to shrink the others
 DECADES = 12
-#: variables that the title of an axis names
-TITLED = 4
+#: variables that the title of an axis names, and signals that the legend of one curve does
+TITLED, NAMED = 4, 4
 #: Okabe and Ito's colours, told apart by colour-blind readers; their yellow is lost on white
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 
@@ -74,7 +76,8 @@ ALWAYS = (-math.inf, math.inf)
 def picture(recording: Recording, names: Sequence[str] = (), window: tuple[float, float] = ALWAYS) -> Picture:
     """The picture of some signals, or of those that `choice` takes, over a window of time.
 
-    Signals of one unit share an axis, slow and fast ones apart; where units are not known, the entries of a variable do.
+    Signals of one unit share an axis, slow and fast ones apart; where units are not known, the entries of a variable do.  Of a
+    table whose signals nobody chose the last axes are powers and stored energies.  Equal signals are one curve.
     Errors: ValueError for a window without a row.
     """
     asked = list(names) or recording.usual()
@@ -86,11 +89,14 @@ def picture(recording: Recording, names: Sequence[str] = (), window: tuple[float
         groups = [few(group) for group in first(groups)][:MOST_PANELS]
         drawn = {id(s) for group in groups for s in group}
         left = [n for n, s in zip(asked, found, strict=True) if not s.limit and id(s) not in drawn]
-        left += [n for n in recording.names if n not in set(asked)]
+        told_as = {*asked, *energy_columns(recording.names, recording.kinds)}
+        left += [n for n in recording.names if n not in told_as]
         if left:
             notes.append(told(left, len(recording.names), bool(found[0].topic)))
+        groups += [few(group) for group in grouped([clipped(s, window) for s in energies(recording)])]
     shown = [s for group in groups for s in group]
     marks = [m for m in recording.marks() if window[0] <= m.time <= window[1]]
+    groups = [group if group[0].log else as_one(group) for group in groups]
     axes = tuple(panel(title_of(group), group, [m.time for m in marks]) for group in groups)
     if any(p.near for p in axes):
         notes.append("bands: least to largest value of signals with too many periods to draw; a few of them beside")
@@ -157,6 +163,25 @@ def panel(title: str, signals: Sequence[Signal], events: Sequence[float] = ()) -
     return Panel(
         title, "" if text == "1" else text, tuple(curves), log, whole, tuple(near), _reach(curves) if log else None
     )
+
+
+def as_one(signals: Sequence[Signal]) -> list[Signal]:
+    """Each curve once, with the names of all signals that draw it, those of states and observables first."""
+    found: list[list[Signal]] = []
+    for s in signals:
+        twins = next((f for f in found if same(f[0], s)), None)
+        if twins is None or s.limit:
+            found.append([s])
+        else:
+            twins.append(s)
+    for f in found:
+        f.sort(key=rank)
+    return [f[0] if len(f) == 1 else replace(f[0], label=_all_of([s.label or s.name for s in f])) for f in found]
+
+
+def _all_of(names: Sequence[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return EQUAL.join(names[:NAMED]) + more
 
 
 def thinned(signals: Sequence[Signal]) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from phfmu.report.crowds import Crowd, parted
 from phfmu.report.extra import require
-from phfmu.report.labels import Label, height, labels
+from phfmu.report.labels import Label, entry, height, labels
 from phfmu.report.picture import COLOURS, Curve, Panel, Picture
 from phfmu.report.prefix import scaled
 from phfmu.report.recording import Mark
@@ -82,7 +82,7 @@ def _span(drawn: Picture) -> tuple[float, float]:
 
 def _heights(drawn: Picture, rows: int, columns: int) -> list[int]:
     """Pixels of each row: legends stand beside their axes."""
-    entries = [sum(not c.limit for c in p.curves) for p in drawn.panels] + [0] * columns
+    entries = [sum(len(entry(c.label)) for c in p.curves if not c.limit) for p in drawn.panels] + [0] * columns
     return [max(HEIGHT, 30 + ENTRY * max(entries[i * columns : (i + 1) * columns])) for i in range(rows)]
 
 
@@ -162,7 +162,7 @@ def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     shape: dict[str, Any] = (
         {"lw": 0.6, "marker": ".", "ms": 2} if log else {"lw": 1.1}
     )  # between zeros are single points
-    return {"color": colour, "ls": dash, "label": curve.label} | shape
+    return {"color": colour, "ls": dash, "label": "\n".join(entry(curve.label))} | shape
 
 
 def _crowds(ax: Any, crowds: list[Crowd]) -> None:

@@ -10,7 +10,8 @@ import pytest
 
 from phfmu.cli import main
 from phfmu.report.choice import MOST
-from phfmu.report.labels import LETTER, labels, shortened
+from phfmu.report.energies import POWER, STORED
+from phfmu.report.labels import LETTER, entry, labels, shortened
 from phfmu.report.live_recording import LiveRecording
 from phfmu.report.pace import BEFORE, PERIODS, swings
 from phfmu.report.picture import Picture, picture
@@ -33,7 +34,7 @@ def test_states_come_before_ports_before_algebraic_variables_and_at_most_six() -
     ramp = {f"x[{i}]": TIME * i for i in range(1, 5)}
     ends = {"n.v": TIME**2, "n.v_end": TIME**2}
     ports = {"p.v": TIME**3, "p.v_step": TIME**3}
-    six = {f"y[{i}]": TIME + i for i in range(9)}
+    six = {f"y[{i}]": TIME + i + 0.5 for i in range(9)}
     columns = {**ports, **ends, **ramp}
     assert shown(drawn(columns, dict.fromkeys(columns, "V"))) == [["p.v", "n.v", *ramp]]
     columns = {**ports, **ends, **ramp, **six}
@@ -43,13 +44,51 @@ def test_states_come_before_ports_before_algebraic_variables_and_at_most_six() -
 
 
 def test_no_curve_twice() -> None:
-    columns = {"p.i": -TIME, "p.i_step": TIME, "x": TIME, "z": TIME}
-    assert shown(drawn(columns, dict.fromkeys(columns, "A"))) == [["x", "z"]]
+    """Equal signals are one curve with all names, states first; of the mirror images one is enough."""
+    columns = {"p.i": -TIME, "p.i_step": TIME, "q.i": TIME, "q.i_step": TIME, "x": TIME, "z": TIME, "near": TIME + 1e-3}
+    assert shown(drawn(columns, dict.fromkeys(columns, "A"))) == [["x = z = q.i", "near"]]
+    named = LiveRecording("a scene", list(columns), (), dict.fromkeys(columns, "A"))
+    named.add(TIME, np.column_stack(list(columns.values())))
+    assert shown(picture(named, ["q.i", "x", "near"])) == [["x = q.i", "near"]]
+    many = {f"x[{i}]": np.sin(TIME) for i in range(9)}
+    assert shown(drawn(many, dict.fromkeys(many, "A"))) == [["x[0] = x[1] = x[2] = x[3] and 5 more"]]
+
+
+def test_curves_that_differ_far_from_zero_stay_two() -> None:
+    """Speeds of machines differ by a ten-thousandth of themselves, which fills the axis."""
+    columns = {"a": 377.0 + 1e-3 * np.sin(TIME), "b": 377.0 + 1e-3 * np.cos(TIME), "c": np.full_like(TIME, 377.0)}
+    assert shown(drawn(columns, dict.fromkeys(columns, "rad/s"))) == [["a", "b", "c"]]
+
+
+def test_legends_of_equal_signals_break_between_names() -> None:
+    assert entry("gen.I[fd]") == ["gen.I[fd]"]
+    found = entry("gen.I[a] = gen.terminal.i[a] = line.b.i[a] = grid.source.i[a]")
+    assert found == ["gen.I[a] = gen.terminal.i[a]", "= line.b.i[a] = grid.source.i[a]"]
+
+
+def test_powers_and_stored_energies_end_every_picture_that_nobody_chose() -> None:
+    """Powers are differences of energies over time; an event has none; what is zero, or the other end of a bond, is not drawn."""
+    energy = np.where(TIME > 2.0, 3.0 * TIME + 1.0, 3.0 * TIME)
+    columns = {
+        "x": np.sin(TIME), "a.p.energy": 3.0 * TIME**2, "b.p.energy": -3.0 * TIME**2, "a.q.energy": 5.0 * TIME,
+        "c.p.energy": 0.0 * TIME, "energy.stored": energy + 1.0, "a.energy.stored": energy + 7.0, "b.energy.stored": 0.0 * TIME,
+    }  # fmt: skip
+    found = drawn(columns, {"x": "m"} | {n: "J" for n in columns if n != "x"})
+    assert shown(found) == [["x"], ["a.p.power", "a.q.power"], ["a.energy.stored − 7 J"]]
+    power, stored = found.panels[1:]
+    assert (power.title, power.unit, stored.title, stored.unit) == (POWER, "W", STORED, "J")
+    for curve, exact in zip(power.curves, (lambda t: 6.0 * t, lambda t: 5.0 + 0.0 * t), strict=True):
+        assert np.allclose(curve.values, exact(curve.time), rtol=1e-9)
+    assert np.isclose(stored.curves[0].values[-1], energy[-1])
+    rows = LiveRecording("a scene", ["x", "p.energy"])
+    rows.add(np.array([0.0, 1.0, 1.0, 2.0]), np.array([[0.0, 0.0], [1.0, 2.0], [1.0, 9.0], [0.0, 12.0]]))
+    assert picture(rows).panels[-1].curves[0].values.tolist() == [2.0, 3.0]
+    assert shown(picture(rows, ["x"])) == [["x"]]
 
 
 def test_signals_named_are_all_drawn() -> None:
     rows = LiveRecording("a scene", [f"x[{i}]" for i in range(9)])
-    rows.add(TIME, np.tile(TIME[:, None], 9))
+    rows.add(TIME, TIME[:, None] * np.arange(1.0, 10.0))
     assert len(shown(picture(rows, rows.names))[0]) == 9
 
 

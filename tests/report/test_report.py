@@ -182,7 +182,7 @@ def test_the_page_of_a_run(place: Path, tmp_path: Path) -> None:
     rounding = [e for e in exact if e < 1e-6 * exact[-1]]
     assert sorted(sankey[0]["link"]["value"]) == exact[len(rounding) :] and max(rounding) < 1e-12
     assert f"Not drawn: {len(rounding)} flows below 1e-06 of the largest" in page
-    curves = {trace["name"] for figure in others for trace in figure}
+    curves = {name for figure in others for trace in figure for name in trace["name"].split(" = ")}
     assert {"motor.terminal.power", "shaft.residual", "shaft.allowed", "load.w", "motor.i"} <= curves
     assert "<svg" in page and "Ledger closed" in page and "motor.terminal.v = -24" in page
     for fact in ("drive", "3 members, 2 junctions", "50 of 0.001 s", "casadi"):
