@@ -62,10 +62,10 @@ def as_fmu(
 
     folder = tempfile.mkdtemp(prefix="phfmu-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    tunable = [v.name for v in declaration.parameters if not v.signal]
-    versions = (fmi or LATEST,)
+    model, versions = build_model(declaration, scheme), (fmi or LATEST,)
+    modes = {*model.declaration.modes}  # which state events set, inside the unit
+    tunable = [n for v in declaration.parameters if not v.signal for n in v.names() if n not in modes]
     (path,) = export(
-        build_model(declaration, scheme), folder, versions, step=step, node_inputs=node_inputs, impulses=impulses,
-        tunable=tunable,
+        model, folder, versions, step=step, node_inputs=node_inputs, impulses=impulses, tunable=tunable
     )  # fmt: skip
     return FMUInstance(path)

@@ -191,6 +191,31 @@ static int solve_step(fmu *f, const char *function, double t, double h, int n, i
     return status && refuse_step(f, function, t, h, n, early) ? FMU_DISCARD : FMU_OK;
 }
 
+/* What a step from here depends on: states, inputs, parameters, impulses. */
+static unsigned long long begun_with(fmu *f) {
+    const ph_plan *plan = f->about->model->step;
+    int n;
+    const double *s = fmu_impulse_values(f, &n);
+    unsigned long long hash = fmu_hash(FMU_HASHED, ph_signals(f->in), sizeof(double) * (size_t)plan->nx);
+    hash = fmu_hash(hash, ph_input(f->in), sizeof(double) * (size_t)(plan->nu * plan->k));
+    fmu_parameters(f);
+    hash = fmu_hash(hash, f->p, sizeof(double) * (size_t)plan->np);
+    return n > 0 ? fmu_hash(hash, s, sizeof(double) * (size_t)n) : hash;
+}
+
+/* A step was discarded. Asked for again as it was, or a longer one, it can never succeed: importers that
+ * take a discard for a pause would ask for ever, so that it is an error from then on. */
+static int discard(fmu *f, const char *function, double t, double h) {
+    const fmu_discarded now = {t, h, begun_with(f)}, last = f->discarded;
+    f->discarded = now;
+    if (!(last.h > 0.0) || last.t != t || h < last.h || last.from != now.from)
+        return FMU_DISCARD;
+    return fmu_refuse(f,
+                      "%s: the step from t = %.9g s was discarded before, with the same inputs and a length "
+                      "of %.9g s; so is this one of %.9g s. Take a smaller step, set other inputs, or end",
+                      function, t, last.h, h);
+}
+
 int fmu_do_step(fmu *f, const char *function, double t, double h, int *early) {
     const long long *count;
     long long halved;
@@ -206,7 +231,7 @@ int fmu_do_step(fmu *f, const char *function, double t, double h, int *early) {
     f->phase.crossed = 0;
     status = solve_step(f, function, t, h, n, early);
     if (status)
-        return status;
+        return status == FMU_DISCARD ? discard(f, function, t, h) : status;
     f->phase.steps++;
     book(f);
     if (count[PH_SUBSTEPS] > halved)

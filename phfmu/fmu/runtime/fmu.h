@@ -152,7 +152,14 @@ typedef struct fmu_books {
     double *before; /* H while they change, not saved */
 } fmu_books;
 
+/* A step that was discarded: its start, its length, and a hash of the state and inputs that it began with. */
+typedef struct fmu_discarded {
+    double t, h;
+    unsigned long long from;
+} fmu_discarded;
+
 #define FMU_NBOOKS 4
+
 /* Of units with inputs at nodes, in a second block of memory; zero in others. Columns of derivatives are
  * those of nk*nu inputs at nodes, then of 2n impulses. */
 typedef struct fmu_nodes {
@@ -179,6 +186,7 @@ struct fmu {
     double *x, *u, *p, *old;   /* nx, nu*k, np, np: values being set, parameters before */
     int early;                 /* a step may end before its end */
     double solved;             /* length of what could be solved of a discarded step, the last call; else 0 */
+    fmu_discarded discarded;   /* the last step that was */
     fmu_books books;           /* saved with the state, as one stretch of FMU_NBOOKS*ncomp */
     double *step_map, *end_map; /* nu*nu sensitivities, row-major */
     int step_known, end_known;  /* whether they belong to the present time */
@@ -254,7 +262,8 @@ void fmu_landing_release(fmu *f);
 int fmu_landing_step(fmu *f, double t, double h, int n, int *stopped);
 int fmu_landing_refused(const fmu *f, const char *function);
 struct ph_event_refusal;
-int fmu_landing_told(const fmu *f, const char *function, const struct ph_event_refusal *r); /* the same of r */
+int fmu_landing_told(const fmu *f, const char *function,
+                     const struct ph_event_refusal *r); /* the same of r */
 struct ph_landed;
 struct ph_landed *fmu_landing_out(const fmu *f); /* what an event is written to */
 void fmu_landing_book(fmu *f,
@@ -271,6 +280,8 @@ int fmu_save(fmu *f, const char *function, void **state);
 int fmu_restore(fmu *f, const char *function, const void *state);
 int fmu_forget(fmu *f, void **state);
 size_t fmu_state_size(const fmu *f);
+#define FMU_HASHED 14695981039346656037ULL                                         /* of nothing */
+unsigned long long fmu_hash(unsigned long long hash, const void *bytes, size_t n); /* FNV-1a */
 int fmu_write(fmu *f, const char *function, const void *state, void *bytes, size_t size);
 int fmu_read(fmu *f, const char *function, const void *bytes, size_t size, void **state);
 

@@ -14,9 +14,9 @@ typedef struct world {
     ph_modes *modes;
     ph_mode *whole; /* a mode each */
     ph_mode_source source;
-    signed char *sides;   /* 1+2n */
-    signed char *changed; /* n */
-    signed char *stops;   /* a state event each */
+    signed char *sides;    /* 1+2n */
+    signed char *changed;  /* n */
+    signed char *stops;    /* a state event each */
     const ph_mode *failed; /* whose instance refused the last step */
     size_t largest;        /* of their states */
 } world;

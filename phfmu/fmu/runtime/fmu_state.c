@@ -14,7 +14,7 @@ typedef struct saved {
     fmu_phase phase;
 } saved;
 
-static unsigned long long mix(unsigned long long hash, const void *bytes, size_t n) {
+unsigned long long fmu_hash(unsigned long long hash, const void *bytes, size_t n) {
     const unsigned char *byte = bytes;
     for (size_t i = 0; i < n; i++)
         hash = (hash ^ byte[i]) * 1099511628211ULL;
@@ -26,8 +26,7 @@ static unsigned long long sum_of(const void *bytes, size_t size) {
     saved head;
     memcpy(&head, bytes, sizeof(head));
     head.sum = 0;
-    return mix(mix(14695981039346656037ULL, &head, sizeof(head)), (const saved *)bytes + 1,
-               size - sizeof(head));
+    return fmu_hash(fmu_hash(FMU_HASHED, &head, sizeof(head)), (const saved *)bytes + 1, size - sizeof(head));
 }
 
 /* Bytes of the books and of the impulses, which lie between the head and the state of the model. */

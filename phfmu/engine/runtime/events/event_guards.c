@@ -67,9 +67,9 @@ int ph_already(ph_landing *l) {
     int status = ph_guard_values(l, l->now);
     l->nfired = 0;
     for (int i = 0; i < e->n && status == PH_OK; i++) {
-        l->fired[i] = ph_armed(l, i) && e->sets_ptr[i + 1] > e->sets_ptr[i] &&
-                      e->direction[i] * l->now[i] >
-                          ph_larger(ph_zero_below(l, i, l->t, 0.0), ph_rounded(l, i));
+        l->fired[i] =
+            ph_armed(l, i) && e->sets_ptr[i + 1] > e->sets_ptr[i] &&
+            e->direction[i] * l->now[i] > ph_larger(ph_zero_below(l, i, l->t, 0.0), ph_rounded(l, i));
         l->nfired += l->fired[i];
     }
     return status;

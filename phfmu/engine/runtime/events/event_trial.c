@@ -115,8 +115,7 @@ static int look(ph_landing *l) {
     status = inside(l, l->h);
     for (int i = 0; i < e->n && status == PH_OK; i++) {
         const double slope = fabs(near[i] - l->start[i]) / (e->fit_tau[1] * l->h);
-        l->from_zero[i] =
-            fabs(l->start[i]) <= ph_larger(ph_zero_below(l, i, l->t, slope), ph_rounded(l, i));
+        l->from_zero[i] = fabs(l->start[i]) <= ph_larger(ph_zero_below(l, i, l->t, slope), ph_rounded(l, i));
         l->looked[i] = l->looked[i] && !(tiny && l->from_zero[i]);
         if (l->looked[i])
             fit(l, i);
