@@ -50,18 +50,21 @@ def summarise(
     Errors: ValueError for what is not an audit log, or would unpack to far more than phfmu writes.
     """
     whole = Batches(source)
-    judged = _summed(whole, rtol, whole.interned)
+    judged = _summed(whole, rtol, whole.interned, whole)
     if window is None:
         return judged
     batches = Batches(source)
     return judged_by(_summed((window.of(batch) for batch in batches), rtol, batches.interned), judged)
 
 
-def _summed(batches: Iterable[Mapping[RowKind, LogRows]], rtol: float, interned: Interned) -> LedgerSummary:
+def _summed(
+    batches: Iterable[Mapping[RowKind, LogRows]], rtol: float, interned: Interned, whole: Batches | None = None
+) -> LedgerSummary:
+    """The ledger of the rows of `batches`; `whole`: they are all of a source, which says how many steps it holds."""
     reader = _Reader(interned, rtol)
     for batch in batches:
         reader.take(batch)
-    reader.finish()
+    reader.finish(whole.holds if whole is not None else {})
     return reader.ledger.summary()
 
 
@@ -107,13 +110,14 @@ class _Reader:
                 grouped[kind] = self._own(kind, rows.take(done), steps)
         self._book(grouped)
 
-    def finish(self) -> None:
-        """Say what is left."""
+    def finish(self, held: Mapping[str, Any]) -> None:
+        """Say what is left, and what is not there; `held`: what the footer of an archive says that it holds."""
         self._book_events(self._waiting.pop(RowKind.EVENT, None), None)
         for kind, rows in self._waiting.items():
             self._contradictions.tell(
                 int(rows.step[0]), f"{rows.n} {kind} rows from step {rows.step[0]} on have no network row"
             )
+        self._contradictions.held(held)
 
     def _check_order(self, found: Ints, steps: Ints) -> None:
         expected = steps[0] if self._next is None else self._next

@@ -1,9 +1,11 @@
 """Reading the audit log back: streams, also torn ones, and the Parquet files they become.
 
-A stream that was cut off anywhere (kill -9, power, full disk) gives back every complete batch.
+A stream that was cut off anywhere (kill -9, power, full disk) gives back every complete batch, one with damaged bytes every
+batch that is not.
 """
 
 import json
+import mmap
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,8 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from phfmu.files import beside, remains, require_writable
 
+from .blocks import Decoder, Found, messages
 from .columns import COLUMNS, SCHEMA_VERSION
+from .kinds import ColumnType, RowKind
 from .lock import try_lock
+from .seal import HOLDS_KEY, require_whole, seal
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -93,35 +98,63 @@ def _left_of_table(stream: Path) -> tuple[Path, ...]:
 
 
 class Stream:
-    """Iterates over the complete batches of a stream; `torn` tells whether an incomplete one ended it."""
+    """Iterates over the batches of a stream whose checks hold.
+
+    `torn`: an incomplete batch ended it;  `damaged`: how many others fail their check.
+    """
 
     def __init__(self, path: Path) -> None:
-        import pyarrow as pa
-
-        self.torn = False
-        self._file = pa.OSFile(str(path), "rb")
-        try:
-            self._reader = pa.ipc.open_stream(self._file)
-        except (OSError, pa.ArrowInvalid) as error:
-            self._file.close()
-            raise ValueError(
-                f"{path} was cut off in its header or is not an audit stream; it holds no rows ({error})"
-            ) from error
-        self.schema: pa.Schema = self._reader.schema
+        self._path = path
+        with _bytes_of(path) as data:
+            found = Found(data)
+            if not found.blocks:
+                raise ValueError(f"{path} was cut off in its header or is not an audit stream; it holds no rows")
+            first = found.blocks[0]
+            self.schema = _schema_of(data[first.start : first.end]) if first.number == 0 else arrow_schema(_LOST)
+        self._blocks, self.torn, self.damaged = found.blocks, found.torn, found.damaged
 
     def __iter__(self) -> Iterator["pa.RecordBatch"]:
-        import pyarrow as pa
+        decoder = Decoder(self.schema)
+        with _bytes_of(self._path) as data:
+            for block in self._blocks:
+                batch = decoder.batch(data[block.start : block.end], block.names)
+                if batch is not None:
+                    yield batch
 
-        with self._file:
-            while True:
-                try:
-                    batch = self._reader.read_next_batch()
-                except StopIteration:
-                    return
-                except (OSError, pa.ArrowInvalid):
-                    self.torn = True
-                    return
-                yield batch
+
+#: metadata of a stream that has lost its header
+_LOST = {SCHEMA_KEY: str(SCHEMA_VERSION).encode()}
+
+
+@contextmanager
+def _bytes_of(path: Path) -> Iterator[Any]:
+    """The bytes of a file, which are read when they are asked for."""
+    with open(path, "rb") as file:
+        if os.fstat(file.fileno()).st_size == 0:
+            yield b""
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data
+
+
+def _schema_of(block: bytes) -> "pa.Schema":
+    import pyarrow as pa
+
+    return pa.ipc.read_schema(next(messages(block)))
+
+
+def arrow_schema(metadata: Mapping[bytes, bytes]) -> "pa.Schema":
+    """The columns of a log, with metadata."""
+    import pyarrow as pa
+
+    types = {
+        ColumnType.I64: pa.int64(),
+        ColumnType.I32: pa.int32(),
+        ColumnType.F64: pa.float64(),
+        ColumnType.NAME: pa.dictionary(pa.int32(), pa.string()),
+        ColumnType.TEXT: pa.string(),
+    }
+    return pa.schema([pa.field(name, types[kind]) for name, kind in COLUMNS.items()], metadata=dict(metadata))
 
 
 def _used(columns: set[str]) -> list[str]:
@@ -129,10 +162,20 @@ def _used(columns: set[str]) -> list[str]:
     return [name for name in COLUMNS if name in columns or name == "row"]
 
 
-def compact(stream: Path, target: Path) -> tuple[int, bool]:
-    """Write the complete batches of a stream as Parquet without its empty columns; rows and torn.
+@dataclass(frozen=True, slots=True)
+class Compacted:
+    """What became of a stream: rows, and whether an incomplete batch ended it or others failed their check."""
 
-    Two passes, so that memory does not grow with the run; the target appears only when it is whole.
+    rows: int
+    torn: bool
+    damaged: int
+
+
+def compact(stream: Path, target: Path, expected: int | None = None) -> Compacted:
+    """Write the complete batches of a stream as Parquet without its empty columns.
+
+    expected: rows of a run that ended; where the stream has others, nothing is written.  Two passes, so that memory does not grow
+    with the run; the target appears only when it is whole and on the disk.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -140,28 +183,45 @@ def compact(stream: Path, target: Path) -> tuple[int, bool]:
     first = Stream(stream)
     check_schema(first.schema.metadata, stream)
     columns: set[str] = set()
-    rows = 0
+    rows, steps, end = 0, 0, None
     for batch in first:
         rows += batch.num_rows
         columns |= {name for name, c in zip(batch.schema.names, batch.columns, strict=True) if c.null_count < len(c)}
-    keep = _used(columns)
+        more, end = _steps(batch, end)
+        steps += more
+    found = Compacted(rows, first.torn, first.damaged)
+    if expected not in (None, rows):
+        return found
+    keep, held = _used(columns), {"steps": steps, "end": end}
+    held |= {} if expected is not None else {"torn": found.torn, "damaged": found.damaged}
     about = {key: value for key, value in first.schema.metadata.items() if key != WRITER_KEY}
+    about[HOLDS_KEY] = json.dumps(held).encode()
     schema = pa.schema([first.schema.field(name) for name in keep], metadata=about)
     partial = beside(target)
     try:
         with pq.ParquetWriter(partial, schema, compression="zstd", write_page_checksum=True) as writer:
             group: list[pa.RecordBatch] = []
-            for batch in Stream(stream):
+            for batch in first:
                 group.append(batch.select(keep))
                 if sum(b.num_rows for b in group) >= _ROW_GROUP:
                     writer.write_table(_table(group, schema))
                     group = []
             if group:
                 writer.write_table(_table(group, schema))
+        seal(partial)
         os.replace(partial, target)
     finally:
         partial.unlink(missing_ok=True)
-    return rows, first.torn
+    return found
+
+
+def _steps(batch: "pa.RecordBatch", end: float | None) -> tuple[int, float | None]:
+    """Steps of a batch, and the end of the last one [s]."""
+    from pyarrow import compute
+
+    network = batch.filter(compute.equal(batch["row"].cast("string"), RowKind.NETWORK.value))
+    n = network.num_rows
+    return n, end if not n else network["t0"][n - 1].as_py() + network["h"][n - 1].as_py()
 
 
 def _table(batches: list["pa.RecordBatch"], schema: "pa.Schema") -> "pa.Table":
@@ -172,8 +232,9 @@ def _table(batches: list["pa.RecordBatch"], schema: "pa.Schema") -> "pa.Table":
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What came out of a broken run's stream; torn if it ended in an incomplete batch.
+    """What came out of a broken run's stream.
 
+    `torn`: it ended in an incomplete batch;  `damaged`: how many batches fail their check;  `kept`: where the stream is then;
     `tables`: what is left of the table the run wrote too, the last written first (earlier ones are of earlier runs).
     """
 
@@ -181,23 +242,30 @@ class Recovered:
     rows: int
     torn: bool
     tables: tuple[Path, ...] = ()
+    damaged: int = 0
+    kept: Path | None = None
 
 
 def recover(path: str | os.PathLike[str]) -> Recovered:
     """Turn the stream of a broken run (X.arrows, or named by its X.parquet) into X.parquet and remove it.
 
-    Errors: FileNotFoundError without a stream; LogInUse if its run is under way; ValueError if not even its header is
-    complete.
+    All batches whose check holds are kept, before and after those that are damaged; a damaged stream is not removed, it
+    becomes X.arrows.damaged.
+    Errors: FileNotFoundError without a stream; LogInUse if its run is under way; ValueError if no batch is complete.
     """
     stream = stream_path(path)
     if not stream.exists():
         raise FileNotFoundError(f"no stream {stream} to recover; a run that ended well leaves only its Parquet file")
     target = stream.with_suffix(".parquet")
     with held(stream):
-        rows, torn = compact(stream, target)
+        found = compact(stream, target)
         tables = _left_of_table(stream)
-    stream.unlink()
-    return Recovered(target, rows, torn, tables)
+    if not found.damaged:
+        stream.unlink()
+        return Recovered(target, found.rows, found.torn, tables)
+    kept = stream.with_name(f"{stream.name}.damaged")
+    stream.replace(kept)
+    return Recovered(target, found.rows, found.torn, tables, found.damaged, kept)
 
 
 def read(path: str | os.PathLike[str]) -> "pa.Table":
@@ -214,6 +282,7 @@ def read(path: str | os.PathLike[str]) -> "pa.Table":
         check_schema(source.schema.metadata, path)
         table = _table(list(source), source.schema)
         return table.select(_used({n for n in table.column_names if table[n].null_count < table.num_rows}))
+    require_whole(path)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             check_schema(file.schema_arrow.metadata, path)

@@ -2,8 +2,11 @@
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+
+from phfmu.words import counted
 
 from .booked_steps import BookedSteps
 from .judge import EPS, ULPS
@@ -83,6 +86,16 @@ class Contradictions:
                 float(allowed[k]),
                 int(bad.sum()),
             )
+
+    def held(self, footer: Mapping[str, Any]) -> None:
+        """Compare what is there with what the footer says; a run that ends later than its rows has lost its last ones."""
+        found = self._ledger.summary()
+        steps, end = footer.get("steps", found.steps), footer.get("end")
+        there = f"there are {counted(found.steps, 'step')}" + (f" to t = {found.t_end:.9g} s" if found.steps else "")
+        same = end is None or (found.steps and abs(end - found.t_end) <= ULPS * EPS * abs(end))
+        if steps != found.steps or not same:
+            said = f"{counted(steps, 'step')}" + ("" if end is None else f" to t = {end:.9g} s")
+            self.tell(found.steps, f"the footer: it says that the log holds {said}; {there}")
 
     def tell(self, step: int, note: str, size: float = math.nan, allowed: float = 0.0, steps: int = 1) -> None:
         where = note.split(":")[0]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .archive import Stream, check_schema, there
 from .columns import COLUMNS, FIELDS
 from .kinds import ColumnType, RowKind
+from .seal import holds, require_whole
 from .sums import Floats
 
 if TYPE_CHECKING:
@@ -112,6 +113,8 @@ class Batches:
     def __init__(self, source: "pa.Table | str | os.PathLike[str]") -> None:
         self.interned = Interned()
         self._source = source
+        #: what the footer of an archive says of it, once its batches are read
+        self.holds: dict[str, Any] = {}
 
     def __iter__(self) -> Iterator[dict[RowKind, LogRows]]:
         import pyarrow as pa
@@ -132,6 +135,7 @@ class Batches:
 
     def _batches(self) -> Iterator["pa.RecordBatch"]:
         if not isinstance(self._source, str | os.PathLike):
+            self.holds = holds(self._source.schema.metadata)
             yield from self._source.to_batches(max_chunksize=BATCH_ROWS)
             return
         path = there(self._source)
@@ -140,7 +144,7 @@ class Batches:
             check_schema(source.schema.metadata, path)
             yield from source
         else:
-            yield from _parquet(path)
+            yield from self._parquet(path)
 
     def _by_kind(self, batch: "pa.RecordBatch") -> dict[RowKind, LogRows]:
         columns = dict(zip(batch.schema.names, batch.columns, strict=True))
@@ -168,21 +172,22 @@ class Batches:
         there = column.is_valid().to_numpy(zero_copy_only=False)
         return column.fill_null(0).cast("float64").to_numpy(zero_copy_only=False), there
 
+    def _parquet(self, path: Path) -> Iterator["pa.RecordBatch"]:
+        """Batches of the columns that are judged; ValueError before anything too large is unpacked."""
+        import pyarrow.parquet as pq
 
-def _parquet(path: Path) -> Iterator["pa.RecordBatch"]:
-    """Batches of the columns that are judged; ValueError before anything too large is unpacked."""
-    import pyarrow.parquet as pq
-
-    with pq.ParquetFile(path, page_checksum_verification=True) as file:
-        metadata, names = file.metadata, file.schema_arrow.names
-        check_schema(file.schema_arrow.metadata, path)
-    wanted = {*_COMMON, *(name for needed in _NEEDED.values() for name in needed)}
-    for i in range(metadata.num_row_groups):
-        _require_bounded(metadata.row_group(i), i, path, wanted)
-    used = [name for name in names if name in wanted]
-    texts = [name for name in used if name in _TEXTS]
-    with pq.ParquetFile(path, metadata=metadata, read_dictionary=texts, page_checksum_verification=True) as file:
-        yield from file.iter_batches(BATCH_ROWS, columns=used)
+        require_whole(path)
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            metadata, names = file.metadata, file.schema_arrow.names
+            check_schema(file.schema_arrow.metadata, path)
+            self.holds = holds(file.schema_arrow.metadata)
+        wanted = {*_COMMON, *(name for needed in _NEEDED.values() for name in needed)}
+        for i in range(metadata.num_row_groups):
+            _require_bounded(metadata.row_group(i), i, path, wanted)
+        used = [name for name in names if name in wanted]
+        texts = [name for name in used if name in _TEXTS]
+        with pq.ParquetFile(path, metadata=metadata, read_dictionary=texts, page_checksum_verification=True) as file:
+            yield from file.iter_batches(BATCH_ROWS, columns=used)
 
 
 def _require_bounded(group: Any, number: int, path: Path, wanted: set[str]) -> None:

@@ -1,5 +1,6 @@
 """Writing the audit log: an Arrow IPC stream while the run is under way, a Parquet file once it is over."""
 
+import io
 import json
 import os
 import socket
@@ -14,7 +15,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 
-from .archive import SCHEMA_KEY, WRITER_KEY, compact, occupied, stream_path
+from .archive import SCHEMA_KEY, WRITER_KEY, arrow_schema, compact, occupied, stream_path
+from .blocks import BLOCK_KEY, opened, sealed
 from .columns import COLUMNS, DTYPES, SCHEMA_VERSION, Section, block_sections, event_section
 from .kinds import ColumnType
 from .lock import try_lock
@@ -65,7 +67,10 @@ class AuditWriter:
         self._schema = _schema(metadata or {}, table)
         self._file: Any = _created(self.stream)
         options = pa.ipc.IpcWriteOptions(compression="lz4", emit_dictionary_deltas=True)
-        self._writer = pa.ipc.new_stream(self._file, self._schema, options=options)
+        self._bytes, self._blocks = io.BytesIO(), 0
+        #: by column, names that were known at the start of the block before, and of this one
+        self._told = [dict.fromkeys(self._codes, 0)] * 2
+        self._writer = pa.ipc.new_stream(self._bytes, self._schema, options=options)
         self._put([])
 
     def __enter__(self) -> Self:
@@ -105,14 +110,18 @@ class AuditWriter:
     def close(self) -> Path:
         """Flush, compact to Parquet, remove the stream and return the Parquet path; again is harmless.
 
-        Errors: OSError, e.g. of a full disk; the stream is kept then and `recover` gives its complete batches.
+        Errors: OSError, e.g. of a full disk, or where the stream does not hold what was written; it is kept then and
+        `recover` gives its complete batches.
         """
         if self._file is not None:
             try:
                 self.flush()
                 self._writer.close()
+                self._file.write(self._bytes.getvalue())
                 self._file.flush()
-                compact(self.stream, self.path)
+                rows = compact(self.stream, self.path, self.rows).rows
+                if rows != self.rows:
+                    raise OSError(f"the stream holds {rows} of {self.rows} rows")
             except OSError as error:
                 self._release()
                 raise OSError(
@@ -137,10 +146,21 @@ class AuditWriter:
 
     def _put(self, sections: list[Section]) -> None:
         try:
-            self._writer.write_batch(self._batch(sections))
+            self._writer.write_batch(self._batch(sections), custom_metadata={BLOCK_KEY: opened(self._new_names())})
+            block = bytearray(self._bytes.getvalue())
+            self._bytes.seek(0)
+            self._bytes.truncate()
+            sealed(block, self._blocks)
+            self._blocks += 1
+            self._file.write(block)
             self._file.flush()
         except OSError as error:
             raise OSError(f"{self.stream} cannot be written: {error}") from error
+
+    def _new_names(self) -> dict[str, tuple[int, list[str]]]:
+        """Names by column that are new since the start of the block before."""
+        before, self._told = self._told[0], [self._told[1], {name: len(codes) for name, codes in self._codes.items()}]
+        return {n: (before[n], list(codes)[before[n] :]) for n, codes in self._codes.items() if len(codes) > before[n]}
 
     def _check_open(self) -> None:
         if self._file is None:
@@ -209,8 +229,6 @@ def _joined(column: str, sections: list[Section], n: int) -> tuple[Any, Any]:
 
 
 def _schema(metadata: Mapping[str, Any], table: str | os.PathLike[str] | None) -> "pa.Schema":
-    import pyarrow as pa
-
     versions = {"python": sys.version.split()[0]}
     for package in _PACKAGES:
         try:
@@ -225,11 +243,4 @@ def _schema(metadata: Mapping[str, Any], table: str | os.PathLike[str] | None) -
     writer = {"pid": os.getpid(), "host": socket.gethostname()}
     writer |= {"table": os.path.realpath(table)} if table else {}
     keys[WRITER_KEY] = json.dumps(writer).encode()
-    types = {
-        ColumnType.I64: pa.int64(),
-        ColumnType.I32: pa.int32(),
-        ColumnType.F64: pa.float64(),
-        ColumnType.NAME: pa.dictionary(pa.int32(), pa.string()),
-        ColumnType.TEXT: pa.string(),
-    }
-    return pa.schema([pa.field(name, types[kind]) for name, kind in COLUMNS.items()], metadata=keys)
+    return arrow_schema(keys)

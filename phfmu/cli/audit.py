@@ -7,7 +7,7 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phfmu.words import shown
+from phfmu.words import counted, shown
 
 if TYPE_CHECKING:
     from phfmu.audit.window import Window
@@ -49,6 +49,12 @@ def call(args: argparse.Namespace) -> int:
     if args.file[0] == "recover" and len(args.file) == 2:
         found = recover(args.file[1])
         print(f"recovered {found.rows} rows into {found.path}{' (the torn end was left out)' if found.torn else ''}")
+        if found.damaged:
+            print(
+                f"{counted(found.damaged, 'batch')} failed {'its' if found.damaged == 1 else 'their'} check and "
+                f"{'was' if found.damaged == 1 else 'were'} left out; the rows before and after are there, "
+                f"and the stream is kept as {shown(str(found.kept))}"
+            )
         for path in found.tables:
             print(_left(path))
         return FINE
