@@ -64,7 +64,7 @@ class Attempts:
 
     def _attempt(self, h: float, rest: bool, damped: bool = False) -> Outcome:
         """From the last step or from rest; where there were enough iterations, how the last attempt failed."""
-        for bare in self.newton.bare_too(damped):
+        for bare in self.newton.bare_first:
             self.newton.bare = bare
             if self.iterations >= self.most:
                 return replace(self.outcome, status=Status.NO_CONVERGENCE)

@@ -14,7 +14,7 @@ from phfmu.engine.library import enums, view
 from phfmu.engine.limits import LIMITS
 from phfmu.engine.model import Model
 from phfmu.engine.rest_changes import RestChange, named
-from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.status import Status, StepFailure, attempts
 
 STATUS = tuple(Status)
 Floats = NDArray[np.float64]
@@ -103,9 +103,7 @@ class NativeReadings(Instance):
         names = self.model.instant_names if r.instant else self.model.row_names
         index = r.row if r.row >= 0 else r.column
         equation = names[index] if 0 <= index < len(names) else (f"row {index}" if index >= 0 else "")
-        tried = "two starts, " + (
-            "line search" if r.instant else f"shorter steps, line search and {2 ** int(LIMITS['DEPTH'])} substeps"
-        )
+        tried = attempts(0.0 if r.instant else r.h, r.spent)
         raise StepFailure(
             status, name, r.time, r.h, equation=equation, residual=r.residual, floor=r.floor,
             update=r.update, iterations=r.iterations, spent=r.spent, tried=tried,

@@ -59,15 +59,17 @@ class Newton:
         self.plan = evaluator.plan
         self._factors: Callable[[Array], Array] | None = None
         self._scale = np.ones(self.plan.nw)
-        #: factors without delta where there are pivots, see `bare_too`
+        #: factors without delta where there are pivots, see `bare_first`
         self.bare = False
 
-    def bare_too(self, damped: bool) -> tuple[bool, ...]:
-        """The values of `bare` to try in turn, with delta first: it leads past pivots that light masses leave to rounding.
+    @property
+    def bare_first(self) -> tuple[bool, ...]:
+        """The values of `bare` to try in turn: where there are constraints without delta, then with it.
 
-        Near a loss of rank it is as large as what is left of the constraints: an attempt that fails is made again without.
+        Near a loss of rank, and beside light masses, delta is as large as what is left of the constraints, and Newton's
+        method crawls; where pivots are lost to rounding it leads past them.
         """
-        return (False, True) if len(self.plan.hold) and not damped else (False,)
+        return (True, False) if len(self.plan.hold) else (False,)
 
     def residual(self, w: Array, fixed: Fixed) -> Array:
         """Rows [0, nw) at w; `fixed` = (x, [u | h], p, h)."""
@@ -143,6 +145,22 @@ class Newton:
         return dw + self.solve(r + np.bincount(m.row, self.evaluator.matrix(h) * dw[m.col], self.plan.nw))
 
     def attempt(self, w: Array, fixed: Fixed, damped: bool) -> Outcome:
+        """Newton's method from w.
+
+        With delta it may end where updates crawl along what delta is as large as, with rows at their floors and no better:
+        from there it goes on without, and what it finds is taken.
+        """
+        found = self._iterated(w, fixed, damped)
+        if found.status is not Status.OK or self.bare or not len(self.plan.hold) or found.update <= TOLERANCE:
+            return found
+        self.bare = True
+        better = self._iterated(found.w, fixed, False)
+        if better.status is Status.OK:
+            return better
+        self.bare = False
+        return found
+
+    def _iterated(self, w: Array, fixed: Fixed, damped: bool) -> Outcome:
         """Iterate from w until rounding, then polish once with the old factor."""
         plan, h = self.plan, fixed[3]
         w, last, stalls, grew = w.copy(), np.inf, 0, False

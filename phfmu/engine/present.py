@@ -71,7 +71,7 @@ class Present:
         """The solution of the instant system from w, with line search where it takes one."""
         outcome = Outcome(Status.NO_CONVERGENCE, w)
         for damped in (False, True):
-            for bare in self._newton.bare_too(damped):
+            for bare in self._newton.bare_first:
                 self._newton.bare = bare
                 outcome = self._newton.attempt(w, fixed, damped)
                 if outcome.status is Status.OK:

@@ -16,7 +16,7 @@ from phfmu.engine.limits import LIMITS
 from phfmu.engine.newton import Newton, Outcome
 from phfmu.engine.sensitivity import derivative
 from phfmu.engine.state import State
-from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.status import Status, StepFailure, attempts
 
 DEPTH = int(LIMITS["DEPTH"])
 
@@ -65,7 +65,7 @@ class Solves:
             raise StepFailure(
                 outcome.status, self.model.name, t + h * start, h * part, equation=name, residual=outcome.residual,
                 floor=outcome.floor, update=outcome.update, iterations=outcome.iterations, spent=spent,
-                tried=f"two starts, shorter steps, line search and {2**DEPTH} substeps",
+                tried=attempts(h * part, spent),
             )  # fmt: skip
         s.counts["substeps"] += 1
         first = self._advance(s, t, h, start, part / 2, depth + 1)

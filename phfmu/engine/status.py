@@ -17,7 +17,7 @@ class Status(Enum):
     """Outcome of a solve; order and messages are those of `ph_status` in `runtime/phfmu.h`, then those of units."""
 
     OK = "step accepted"
-    NO_CONVERGENCE = "Newton's method did not converge, not even on the smallest substep"
+    NO_CONVERGENCE = "Newton's method did not converge"
     SINGULAR = "the Newton matrix is singular: an equation is missing or redundant"
     NOT_FINITE = "a value is not finite"
     LU_CAPACITY = "the factors of the Newton matrix outgrew the reserved memory"
@@ -30,6 +30,18 @@ class Status(Enum):
     UNIT = "a unit of another tool refused a call"
     #: nor this: what a coupling of members finds
     GROWTH = "the energy of the members grows without bound"
+
+
+def _ran_out(spent: int) -> bool:
+    return spent >= LIMITS["MOST_ITERATIONS"]
+
+
+def attempts(h: float, spent: int) -> str:
+    """What an engine tried at a step whose last substep had the length h, in `spent` iterations; h = 0: at one instant."""
+    if h == 0.0:
+        return "two starts, line search"
+    halved = f"substeps down to {h:.3g} s" if _ran_out(spent) else f"{2 ** int(LIMITS['DEPTH'])} substeps"
+    return f"two starts, shorter steps, line search and {halved}"
 
 
 class StepFailure(RuntimeError):
@@ -85,6 +97,11 @@ class StepFailure(RuntimeError):
         self.recorded: dict[str, Any] = {}
         super().__init__()
 
+    @property
+    def ran_out(self) -> bool:
+        """Whether the iterations of the step ended before the shortest substeps were tried."""
+        return _ran_out(self.spent)
+
     def __str__(self) -> str:
         return self._text()
 
@@ -102,7 +119,7 @@ class StepFailure(RuntimeError):
             text += f", last update {self.update:.3g}"
         if self.iterations:
             text += f", {self.iterations} iterations"
-        if self.spent >= LIMITS["MOST_ITERATIONS"]:
+        if self.ran_out:
             text += f", {self.spent} with all attempts: no step may take more"
         if self.tried:
             text += f"; tried {self.tried}"
@@ -178,6 +195,12 @@ REMEDIES = (
         "the iteration still moves: take a smaller step, or compose the network (--coupling monolithic)",
     ),
     Remedy(Status.NO_CONVERGENCE, lambda f: f.joined, "the iteration still moves: take a smaller step"),
+    Remedy(
+        Status.NO_CONVERGENCE,
+        lambda f: f.ran_out,
+        "the iterations of this step ran out before shorter substeps were tried, and each step has as many: take steps of "
+        "{h:.3g} s or shorter, or --order 2 in place of 4 or 6",
+    ),
     Remedy(
         Status.NO_CONVERGENCE,
         _at_rounding,

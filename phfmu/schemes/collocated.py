@@ -19,7 +19,7 @@ from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import Unknown
-from phfmu.schemes import impulses
+from phfmu.schemes import impulses, inertia
 from phfmu.schemes.nodal import NodeKernels
 from phfmu.schemes.scheme import GaussScheme, node_holds, node_maps, node_unknowns
 from phfmu.terms.bare import IMPULSE
@@ -66,7 +66,8 @@ class Collocated(GaussScheme):
         return [impulses.shifted(s, term) for s in NodeKernels(self.nodes, self.gradient).specs(term)]
 
     def maps(self, layout: Layout) -> Maps:
-        return impulses.maps(layout, node_maps(layout, self.nodes))
+        even = self.k > 1 and inertia.uneven(layout.terms)
+        return impulses.maps(layout, node_maps(layout, self.nodes, even=even))
 
     def holds(self, layout: Layout) -> Holds:
         return node_holds(layout)

@@ -24,6 +24,8 @@ from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, Term, Terms
 from phfmu.terms.velocities import velocity_of
 
 LIGHT = 1e-6
+#: ratio of masses from which on constraint forces swing the lighter ones faster than steps that suit the heavier ones
+UNEVEN = 1e3
 
 
 class Weight(Enum):
@@ -51,6 +53,17 @@ def prepare(terms: Terms) -> Terms:
             t = replace(t, key=(Weight.LIGHT, t.key), form=Weight.LIGHT)
         new.append(t)
     return replace(terms, terms=new)
+
+
+def uneven(terms: Terms) -> bool:
+    """Whether the masses of the velocities that constraints act on, light ones aside, are UNEVEN."""
+    velocity = velocity_of(terms)
+    shifted = {velocity[q] for t in terms.of(CONSTRAINT) for q in t.index[Value.STATE] if q in velocity}
+    masses = [t for t in terms.of(MASS) if t.rows[0].index in shifted]
+    unit = shifted - {t.rows[0].index for t in masses} - set(terms.solved_costates())
+    values = [m for m in _values(terms, [t for t in masses if not is_light(t)]).values() if m > 0]
+    values += [1.0] if unit else []
+    return bool(values) and max(values) >= UNEVEN * min(values)
 
 
 def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]) -> Term:

@@ -164,10 +164,14 @@ def node_constants(layout: Layout, costates: Iterable[int] | None = None) -> lis
     return out
 
 
-def node_maps(layout: Layout, nd: Nodes) -> Maps:
-    """x' = x + sum b_i D_i, means sum b_i a_i, and the last step's polynomial extrapolated; other unknowns start as they were."""
+def node_maps(layout: Layout, nd: Nodes, *, even: bool = False) -> Maps:
+    """x' = x + sum b_i D_i, means sum b_i a_i, and the last step's polynomial extrapolated; other unknowns start as they were.
+
+    `even`: a step starts with the means of the last one at all of its nodes instead.  The polynomial through k = 3 nodes
+    has grown 60 times at the end of the next step: of an oscillation that is faster than the steps nothing else is left.
+    """
     update, mean, guess = [], [], []
-    ahead = np.array([nd.value(1.0 + c) for c in nd.c])  # extrapolate the last step's polynomial
+    ahead = np.array([nd.b if even else nd.value(1.0 + c) for c in nd.c])
     for w, u in enumerate(layout.unknowns):
         if u.role is INCREMENT:
             update.append((u.index, w, float(nd.b[u.node])))

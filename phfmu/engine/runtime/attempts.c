@@ -30,11 +30,29 @@ static void start_rest(ph_system *s) {
         s->y[i] = s->plan->increments[i] ? 0.0 : s->last[i];
 }
 
-/* Newton's method for a step h, from the last step or from rest, and again without delta where there are
- * constraints and no line search; nothing where there were enough iterations. */
+/* Newton's method from the w in Y. With delta it may end where updates crawl along what delta is as large as,
+ * with rows at their floors and no better: from there it goes on without, and what it finds is taken. */
+static int solve(ph_system *s, ph_newton_kind kind) {
+    const size_t bytes = sizeof(double) * (size_t)s->plan->nw;
+    int status = ph_newton(s, kind);
+    if (status || s->bare || s->plan->nhold == 0 || s->update <= PH_TOLERANCE)
+        return status;
+    memcpy(s->loose, s->y, bytes);
+    ph_newton_bare(s, 1);
+    status = ph_newton(s, PH_FRESH);
+    if (status == PH_OK)
+        return status;
+    ph_newton_bare(s, 0);
+    memcpy(s->y, s->loose, bytes);
+    ph_eval(s, 0, 1);
+    return PH_OK;
+}
+
+/* Newton's method for a step h, from the last step or from rest; where there are constraints without delta,
+ * then with it; nothing where there were enough iterations. */
 static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
     int status = PH_NO_CONVERGENCE;
-    for (int bare = 0; status && bare <= (s->plan->nhold > 0 && kind != PH_DAMPED); bare++) {
+    for (int bare = s->plan->nhold > 0; status && bare >= 0; bare--) {
         if (s->count[PH_ITERATIONS] >= s->most)
             return PH_NO_CONVERGENCE;
         ph_newton_bare(s, bare);
@@ -42,7 +60,7 @@ static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
             start_rest(s);
         else
             start_guess(s, s->last, h / *s->last_h);
-        status = ph_newton(s, kind);
+        status = solve(s, kind);
     }
     return status;
 }
@@ -64,7 +82,7 @@ static int grow(ph_system *s, double h) {
         ph_eval_h(s, part * h);
         memcpy(s->base, s->y, bytes);
         start_guess(s, s->base, 2.0);
-        status = ph_newton(s, PH_FRESH);
+        status = solve(s, PH_FRESH);
     }
     ph_eval_h(s, h);
     return status;

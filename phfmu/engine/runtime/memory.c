@@ -46,6 +46,7 @@ static void lay_system(ph_system *s, const ph_plan *p, ph_pool *b) {
     s->rhs = ph_take_doubles(b, p->nw);
     s->dw = ph_take_doubles(b, p->nw);
     s->base = ph_take_doubles(b, p->nw);
+    s->loose = ph_take_doubles(b, p->nhold ? p->nw : 0);
     s->products = ph_take_doubles(b, p->varying_ptr[p->nvarying]);
     s->fixed = ph_take_doubles(b, p->nnz);
     s->derivatives = ph_take_doubles(b, p->derivative_ptr[p->nderivative]);

@@ -2,8 +2,9 @@
  *
  * The row-scaled matrix is factored. Delta on the diagonals of multipliers and node voltages, in the factor
  * only, leads past dependent rows, and past pivots that light masses leave to rounding. A model with
- * constraints is tried without it too (s->bare), where delta then only helps where there is no pivot: near a
- * loss of rank delta is as large as what is left of the constraints. */
+ * constraints is tried without it first (s->bare), where delta then only helps where there is no pivot: near
+ * a loss of rank, and beside light masses, delta is as large as what is left of the constraints, and Newton's
+ * method crawls. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

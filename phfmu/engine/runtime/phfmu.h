@@ -21,7 +21,7 @@
 
 #define PH_STATUS_LIST(X)                                                                                    \
     X(PH_OK, "step accepted")                                                                                \
-    X(PH_NO_CONVERGENCE, "Newton's method did not converge, not even on the smallest substep")               \
+    X(PH_NO_CONVERGENCE, "Newton's method did not converge")                                                 \
     X(PH_SINGULAR, "the Newton matrix is singular: an equation is missing or redundant")                     \
     X(PH_NOT_FINITE, "a value is not finite")                                                                \
     X(PH_LU_CAPACITY, "the factors of the Newton matrix outgrew the reserved memory")                        \

@@ -55,6 +55,7 @@ struct ph_system {
     double *rhs;         /* nw */
     double *dw;          /* nw */
     double *base;        /* nw */
+    double *loose;       /* nw if constraints may rest: a solution found with delta, see attempts.c */
     double *fixed;       /* nnz: constant part of A at this h */
     double *products;    /* varying_value h^power */
     double *derivatives; /* derivative_value h^power */
