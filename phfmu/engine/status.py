@@ -127,6 +127,24 @@ class StepFailure(RuntimeError):
         return text + (f". Next: {advice}." if advice else "")
 
 
+class EndRequested(StepFailure):
+    """A component asks to end the simulation, which is a regular end of a run.
+
+    `time`, `h`: of the step in which it asked; `reached`: where it ends; `last`: the fields of `Steps` of the part from `time` to
+    there, if it was taken; `back`: all components are at `time` again, from which that part can be taken; `words`: what it said.
+    """
+
+    def __init__(self, component: str, time: float, h: float, reached: float, words: Sequence[str] = ()):
+        super().__init__(Status.UNIT, component, time, h)
+        self.reached, self.words, self.last, self.back = reached, tuple(words), None, False
+
+    last: Any
+
+    def _text(self) -> str:
+        said = f" ({' | '.join(self.words)})" if self.words else ""
+        return f"{self.component} asks to end the simulation at t = {self.reached:.9g} s{said}"
+
+
 #: the equations hold to this scaled residual while the unknowns still move by more than `MOVES` of their nominal size
 HOLDS, MOVES = 1e-9, 1e-6
 

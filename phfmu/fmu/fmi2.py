@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -112,22 +113,26 @@ def enter(slave: Caller, start: float, stop: float | None, tolerance: float | No
     slave.call(slave.fmu.enterInitializationMode)
 
 
-def do_step(slave: Caller, t: float, h: float, no_set_prior: bool) -> float:
-    """The time reached, t + h; of a step that is discarded the unit tells the reason on request."""
+def do_step(slave: Caller, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]:
+    """The time reached, t + h, and whether the unit asks to end: of a step that is discarded it tells that on request."""
     try:
         slave.call(slave.fmu.doStep, t, h, no_set_prior)
     except UnitCallError as error:
-        if error.answer == "discard":
-            raise _discarded(slave, error) from None
-        raise
-    return t + h
+        if error.answer != "discard":
+            raise
+        last, ended = _discarded(slave, t)
+        if ended:
+            return last, True
+        words = (*error.words, *([] if last is None else [f"last successful time {last:.9g} s"]))
+        raise UnitCallError(error.unit, error.function, error.answer, words) from None
+    return t + h, False
 
 
-def _discarded(slave: Caller, error: UnitCallError) -> UnitCallError:
-    try:
+def _discarded(slave: Caller, t: float) -> Any:
+    """The last successful time, None if it is not told, and whether the unit asks to end."""
+    ended, last = False, None
+    with suppress(UnitCallError):
         ended = bool(slave.call(slave.fmu.getBooleanStatus, _TERMINATED))
-        last = slave.call(slave.fmu.getRealStatus, _LAST_SUCCESSFUL_TIME)
-    except UnitCallError:
-        return error
-    words = (*error.words, f"last successful time {last:.9g} s")
-    return UnitCallError(error.unit, error.function, "terminate" if ended else "discard", words)
+        last = t if ended else None
+        last = float(slave.call(slave.fmu.getRealStatus, _LAST_SUCCESSFUL_TIME))
+    return last, ended

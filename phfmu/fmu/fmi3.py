@@ -118,10 +118,14 @@ def enter(slave: Caller, start: float, stop: float | None, tolerance: float | No
     slave.call(slave.fmu.enterInitializationMode, tolerance, start, stop)
 
 
-def do_step(slave: Caller, t: float, h: float, no_set_prior: bool) -> float:
-    """The time reached, t + h unless it may return early; UnitCallError if it does where it may not, or asks to end."""
+def do_step(slave: Caller, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]:
+    """The time reached, t + h unless it may return early, and whether it asks to end; UnitCallError if it returns early where
+    it may not.
+    """
     _, ended, early, last = slave.call(slave.fmu.doStep, t, h, no_set_prior)
-    if ended or (early and not slave.early_return):
+    if ended:
+        return last, True
+    if early and not slave.early_return:
         words = (*slave.last_words(), f"last successful time {last:.9g} s")
-        raise UnitCallError(slave.name, "fmi3DoStep", "terminate" if ended else "early return", words)
-    return last if early else t + h
+        raise UnitCallError(slave.name, "fmi3DoStep", "early return", words)
+    return last if early else t + h, False

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.status import EndRequested, Status, StepFailure
 from phfmu.fmu.archive import open_archive
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.node_exchange import NodeExchange
@@ -93,6 +93,8 @@ class FMUInstance:
             self._values.begin(self._starts)
         self.time, self._h = start, 0.0
         self._books.begin(self._slave)
+        #: whether it has asked to end the simulation; where its last step ended before its end
+        self.ended, self._stopped = False, start - 1.0
 
     def close(self) -> None:
         """Free the unit and its saved states; the instance cannot be used afterwards."""
@@ -169,14 +171,16 @@ class FMUInstance:
         """One communication step over [t, t + h]; the time reached.  StepFailure holds the words of the unit.
 
         The time is t + h unless the unit was made with `early_return`: units of this package then keep the internal steps
-        before one that cannot be solved.  Outputs and ledger are those of the step up to there; go on from it.
+        before one that cannot be solved.  Outputs and ledger are those of the step up to there; go on from it.  Where no
+        progress is made twice at one time, that is a failure.  A unit that asks to end the simulation is `ended` after the step;
+        EndRequested where that is before its end, up to which outputs and ledger are told.
         """
         try:
             self._books.ahead()
             kept = self.no_set_prior
             if kept is None:
                 kept = not self._states.reach_before(t - ROUNDING * h)
-            reached = self._slave.do_step(t, h, kept)
+            reached, self.ended = self._slave.do_step(t, h, kept)
             looked = self._books.look()
         except UnitCallError as error:
             if self.estimated or error.status is None:  # its words and no remedy of ours
@@ -184,8 +188,22 @@ class FMUInstance:
             raise StepFailure(error.status, self.name, t, h, tried=f"in the unit: {error}") from error
         if not np.isfinite(looked).all():
             raise self.not_finite(self._books.looked, looked, reached)
-        self.time, self._h = reached, h if reached == t + h else reached - t
-        self._books.book(self._h, looked)
+        if reached == t + h:
+            self.time, self._h = reached, h
+            self._books.book(h, looked)
+            return reached
+        return self._part(t, h, reached, looked)
+
+    def _part(self, t: float, h: float, reached: float, looked: Array) -> float:
+        """Of a step that ended before its end."""
+        if reached > t:
+            self.time, self._h = reached, reached - t
+            self._books.book(self._h, looked)
+        if self.ended:
+            raise EndRequested(self.name, t, h, reached, self._slave.last_words())
+        if reached <= t and self._stopped == t:
+            raise UnitFailure(self.name, t, h, "no progress in its step", "no progress", self._slave.last_words())
+        self._stopped = reached
         return reached
 
     def not_finite(self, names: Sequence[str], values: Array, t: float) -> UnitFailure:

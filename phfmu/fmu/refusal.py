@@ -14,7 +14,8 @@ ANSWERS = {
     "error": ("it met an error and cannot go on", "look at its inputs and start values, and begin the run anew"),
     "fatal": ("it met an error after which none of its instances can be used", "ask its maker; begin in a new process"),
     "pending": ("it steps on in the background, which is not supported", "export it without asynchronous steps"),
-    "terminate": ("it asks to end the simulation", "stop the run before this time"),
+    "no progress": ("it ended a step where it began, twice at one time, so it will do so again",
+                    "look at its inputs, or ask its maker"),
     "part of a step": ("it ended the step before its end, as it was allowed, but the run needs all of it",
                        "make its instance without early_return, or take smaller steps"),
     "other length": ("all of its steps have to be equal (canHandleVariableCommunicationStepSize)",
@@ -27,7 +28,7 @@ ANSWERS = {
 
 
 #: answers that no call gave: what happened stands for the call
-NOT_GIVEN = ("not finite", "gone", "hang", "other length")
+NOT_GIVEN = ("no progress", "not finite", "gone", "hang", "other length")
 
 #: after these the unit is not there any more
 FINAL = ("fatal", "gone", "hang")

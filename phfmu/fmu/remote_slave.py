@@ -145,6 +145,9 @@ class RemoteSlave:
         self._threads[1].join(PATIENCE)
         return UnitFailure(self.name, self._time, self._step, what, answer, [*self._printed])
 
+    def last_words(self) -> tuple[str, ...]:
+        return tuple(self._printed)[-QUOTED:]
+
     # -- calls --------------------------------------------------------------------------------------------------
 
     def _group(self, r: References) -> int:
@@ -174,11 +177,11 @@ class RemoteSlave:
     def leave(self) -> None:
         self._ask("leave")
 
-    def do_step(self, t: float, h: float, no_set_prior: bool) -> float:
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]:
         self._time, self._step = t, h
-        reached = self._ask("do_step", t, h, no_set_prior)
+        reached, ended = self._ask("do_step", t, h, no_set_prior)
         self._time, self._step = reached, 0.0
-        return reached
+        return reached, ended
 
     def reset(self) -> None:
         self._ask("reset")

@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 KEPT, QUOTED, LONGEST = 20, 3, 500
 #: the last status that is no refusal
 WARNING = 1
+#: of a step: the time at its end, as another one computes it
+ROUNDING = 1e-9
 _ANSWERS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 
 
@@ -39,12 +41,13 @@ class AnySlave(Protocol):
     words: deque[str]
     dead: bool
 
+    def last_words(self) -> tuple[str, ...]: ...
     def references(self, scalars: Sequence[Scalar]) -> References: ...
     def set(self, r: References) -> None: ...
     def get(self, r: References) -> Array: ...
     def enter(self, start: float, stop: float | None, tolerance: float | None) -> None: ...
     def leave(self) -> None: ...
-    def do_step(self, t: float, h: float, no_set_prior: bool) -> float: ...
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]: ...
     def reset(self) -> None: ...
     def save(self) -> Any: ...
     def restore(self, handle: Any) -> None: ...
@@ -173,14 +176,14 @@ class Slave:
     def leave(self) -> None:
         self.call(self.fmu.exitInitializationMode)
 
-    def do_step(self, t: float, h: float, no_set_prior: bool) -> float:
-        """The time reached, t + h unless the unit may return early.
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]:
+        """The time reached, t + h unless the unit may return early or asks to end the simulation, and whether it does.
 
         no_set_prior: noSetFMUStatePriorToCurrentPoint, the promise that no state of a time before t will be restored.
-
-        UnitCallError also if it does so where it may not, or asks to end the simulation.
+        UnitCallError also if it returns early where it may not.
         """
-        return self._names.do_step(self, t, h, no_set_prior)
+        reached, ended = self._names.do_step(self, t, h, no_set_prior)
+        return (_within(t, h, reached), True) if ended else (reached, False)
 
     def reset(self) -> None:
         self.call(self.fmu.reset)
@@ -211,6 +214,13 @@ class Slave:
             self.call(self.fmu.freeInstance)
             if self._alone:
                 _LIVE[self._alone] -= 1
+
+
+def _within(t: float, h: float, last: float) -> float:
+    """The last successful time of a step at whose end, or in which, the unit asks to end; t where it tells none of it."""
+    if abs(last - (t + h)) <= ROUNDING * h:
+        return t + h
+    return last if t < last < t + h else t
 
 
 def _name(function: Any) -> str:

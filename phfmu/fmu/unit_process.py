@@ -65,7 +65,7 @@ class Server:
     def get(self, group: int) -> list[float]:
         return self.slave.get(self.groups[group]).tolist()
 
-    def do_step(self, t: float, h: float, no_set_prior: bool) -> float:
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]:
         return self.slave.do_step(t, h, no_set_prior)
 
     def save(self) -> int:

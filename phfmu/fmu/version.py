@@ -88,8 +88,8 @@ class Names(Protocol):
         """Into Initialization Mode."""
         ...
 
-    def do_step(self, slave: Caller, t: float, h: float, no_set_prior: bool) -> float:
-        """The time reached; UnitCallError if that is not t + h where it has to be, or the unit asks to end."""
+    def do_step(self, slave: Caller, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]:
+        """The time reached, and whether the unit asks to end; UnitCallError if that is not t + h where it has to be."""
         ...
 
 

@@ -14,8 +14,10 @@ from phfmu.fmu import sources
 CODE = Path(__file__).parent / "foreign_unit.c"
 
 
-#: what doStep does from t = 0.25 on: die, never answer, print and exit with code 7, print, abort
-CRASH, HANG, LAST_WORDS, PRINT, ABORT = range(10, 15)
+#: what doStep does from t = 0.25 on: ask to end the simulation (2.0: before the step, 3.0: after it)
+TERMINATE = 6
+#: die, never answer, print and exit with code 7, print, abort; ask to end within the step over 0.33 s
+CRASH, HANG, LAST_WORDS, PRINT, ABORT, END_WITHIN = range(10, 16)
 
 #: a mass on a spring, which may forget on restore and misbehave by `mode`; {unit}: of the force
 MASS = {

@@ -38,8 +38,12 @@ enum {
     HANG,
     LAST_WORDS,
     PRINT,
-    ABORT
+    ABORT,
+    END_WITHIN
 };
+
+/* the time at which END_WITHIN asks to end */
+static const double END = 0.33;
 
 typedef struct unit {
     double u, t, wide[2], x[2], F, v, q, m, k, found;
@@ -82,6 +86,11 @@ static void to_base(unit *m) {
     m->base[2] = m->t;
 }
 
+/* Whether it asks to end the simulation within a step. */
+static int ends_within(const unit *m, double t, double h) {
+    return m->mode == END_WITHIN && t < END - 1e-9 && t + h > END + 1e-9;
+}
+
 static int step(unit *m, double t, double h, int no_set_prior) {
     static char long_text[5000];
     int mode = t >= 0.25 ? m->mode : FINE;
@@ -94,6 +103,11 @@ static int step(unit *m, double t, double h, int no_set_prior) {
         exit(0);
     if (mode == TERMINATE && !m->log)
         return 2;
+    if (ends_within(m, t, h)) {
+        move(m, END - t);
+        m->t = END;
+        return m->log ? 0 : 2;
+    }
     if (mode == CHATTER) {
         memset(long_text, 'x', sizeof(long_text) - 1);
         for (int i = 0; i < 1000; i++)
@@ -308,7 +322,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean b) {
     return (fmi2Status)step(c, t, h, b);
 }
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v) {
-    *v = ((unit *)c)->mode == TERMINATE;
+    *v = ((unit *)c)->mode == TERMINATE || ((unit *)c)->mode == END_WITHIN;
     return fmi2OK;
 }
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *v) {
@@ -410,10 +424,10 @@ NUMBERS(Boolean, fmi3Boolean, flag)
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean b, fmi3Boolean *event,
                       fmi3Boolean *end, fmi3Boolean *early, fmi3Float64 *last) {
     unit *m = c;
-    int status = step(m, t, h, b);
+    int within = ends_within(m, t, h), status = step(m, t, h, b);
     *event = fmi3False;
-    *end = m->mode == TERMINATE && t >= 0.25;
-    *early = m->mode == EARLY && t >= 0.25;
+    *end = within || (m->mode == TERMINATE && t >= 0.25);
+    *early = within || (m->mode == EARLY && t >= 0.25);
     *last = m->t;
     return (fmi3Status)status;
 }
@@ -430,28 +444,28 @@ ABSENT(fmi2GetDirectionalDerivative)
 ABSENT(fmi2GetIntegerStatus)
 ABSENT(fmi2GetRealOutputDerivatives)
 ABSENT(fmi2GetStatus)
-ABSENT(fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate)
-    ABSENT(fmi2SerializedFMUstateSize) ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(
-        fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState)
-        ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode) ABSENT(
-            fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates)
-            ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative) ABSENT(fmi3GetBinary) ABSENT(
-                fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(fmi3GetContinuousStates)
-                ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetInt16)
-                    ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction) ABSENT(
-                        fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
-                        ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies)
-                            ABSENT(fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(
-                                fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16)
-                                ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(
-                                    fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
-                                    ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
-                                        ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary) ABSENT(
-                                            fmi3SetClock) ABSENT(fmi3SetContinuousStates) ABSENT(fmi3SetInt16)
-                                            ABSENT(fmi3SetInt8) ABSENT(fmi3SetIntervalDecimal)
-                                                ABSENT(fmi3SetIntervalFraction) ABSENT(fmi3SetShiftDecimal)
-                                                    ABSENT(fmi3SetShiftFraction) ABSENT(fmi3SetString)
-                                                        ABSENT(fmi3SetTime) ABSENT(fmi3SetUInt16)
-                                                            ABSENT(fmi3SetUInt32) ABSENT(fmi3SetUInt64)
-                                                                ABSENT(fmi3SetUInt8)
+ABSENT(fmi2GetString)
+ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate) ABSENT(fmi2SerializedFMUstateSize)
+    ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(fmi3ActivateModelPartition) ABSENT(
+        fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState) ABSENT(fmi3EnterConfigurationMode)
+        ABSENT(fmi3EnterContinuousTimeMode) ABSENT(fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(
+            fmi3EvaluateDiscreteStates) ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative)
+            ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(
+                fmi3GetContinuousStates) ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators)
+                ABSENT(fmi3GetInt16) ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(
+                    fmi3GetIntervalFraction) ABSENT(fmi3GetNominalsOfContinuousStates)
+                    ABSENT(fmi3GetNumberOfContinuousStates) ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(
+                        fmi3GetNumberOfVariableDependencies) ABSENT(fmi3GetOutputDerivatives)
+                        ABSENT(fmi3GetShiftDecimal) ABSENT(fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(
+                            fmi3GetUInt16) ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8)
+                            ABSENT(fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
+                                ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
+                                    ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary)
+                                        ABSENT(fmi3SetClock) ABSENT(fmi3SetContinuousStates)
+                                            ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8)
+                                                ABSENT(fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
+                                                    ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
+                                                        ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
+                                                            ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
+                                                                ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
                                                                     ABSENT(fmi3UpdateDiscreteStates)

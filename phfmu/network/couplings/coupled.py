@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
-from phfmu.engine.status import StepFailure
+from phfmu.engine.status import EndRequested, StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.end_sums import EndSums
@@ -201,7 +201,11 @@ class Coupled:
             self.last = Solution(Instant().solve(self.joined, self.last.xi, t0), self.last.y)
             self.joined.begin(self.last.xi)
             return
-        found = self._tried(t0, h)
+        try:
+            found = self._tried(t0, h)
+        except EndRequested:  # the first step will tell
+            self.joined.begin(self.last.xi)
+            return
         xi = start_values(self.joined, self._sums, self._exchange, self.last.xi, partial(self._tried, t0), t0, h)
         self.last = Solution(found.xi, found.y)
         self._at_start = found.xi if xi is None else xi
@@ -231,12 +235,19 @@ class Coupled:
                 done += self._compiled(parts, (t0, h, first + done), n - done)
                 if done == n:
                     break
-                parts.append(Steps.stacked([self._step(t0 + (first + done) * h, h)]))
+                t = t0 + (first + done) * h
+                parts.append(Steps.stacked([self._step(t, h)]))
+                self._require_wanted(t + h)
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.joined(parts)} if parts else {}
                 raise
             done += 1
         return Steps.joined(parts)
+
+    def _require_wanted(self, t: float) -> None:
+        """EndRequested after a step that was taken, at whose end a unit asks to end the simulation."""
+        if names := self.joined.ended:
+            raise EndRequested(names, t, 0.0, t)
 
     def _compiled(self, parts: list[Steps], grid: tuple[float, float, int], n: int) -> int:
         """Adds as many of n steps as go as usual without returning to Python, if all members can do that; their number."""
@@ -266,10 +277,12 @@ class Coupled:
             known = self._known(t, h)
             self._jumps.require_own()
             return known
-        except BaseException:
+        except BaseException as failure:
             self.joined.restore(states)
             self._signals.restore(samples)
             self.last = last
+            if isinstance(failure, EndRequested):
+                failure.time, failure.h, failure.back = t, h, all(s is not None for s in states)
             raise
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
@@ -286,6 +299,7 @@ class Coupled:
                         self._lander.back()
                         raise
                     yield np.array([t]), np.array([taken]), known, None
+                    self._require_wanted(t + taken)
                     continue
                 self._sums.forget()
                 # what comes is not the continuation of the step before

@@ -40,6 +40,7 @@ class Joined:
         self.face = interface(network, members)
         #: members whose steps are put off until `finish`
         self.put_off = [m for m in members if isinstance(m, SteppedLast)]
+        self._may_end: list[Any] = [m for m in members if hasattr(m, "ended")]
         #: and those that take the accepted step once more
         self._finished = [m for m in members if isinstance(m, SteppedLast) or getattr(m, "once_more", False)]
         self.booking = _booking(network, members)
@@ -71,6 +72,11 @@ class Joined:
                 return slice(first, end)
             first = end
         raise KeyError(member)
+
+    @property
+    def ended(self) -> str:
+        """Members that have asked to end the simulation in the last step."""
+        return ", ".join(m.name for m in self._may_end if m.ended)
 
     # -- a step -----------------------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
-from phfmu.engine.status import StepFailure
+from phfmu.engine.status import EndRequested, StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.fmu.reader import FMUInstance
 from phfmu.network.members.fmu_member import FMUMember
@@ -96,9 +96,17 @@ class FMUStepper:
         for k in range(n):
             try:
                 self.member.do_step(t0 + (first + k) * h, h)
-                known = {"signals": self.read(), "H": self.energies(), "events": self.member.happened()}
-                rows.append(known | self.member.ledger())
+                rows.append(self._row())
+                if self.unit.ended:
+                    raise EndRequested(self.unit.name, self.unit.time, 0.0, self.unit.time)
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
+                if isinstance(failure, EndRequested) and failure.reached > failure.time:
+                    failure.last = Steps.stacked([self._row()])
                 raise
         return Steps.stacked(rows)
+
+    def _row(self) -> dict[str, Any]:
+        """What is known of the last step: the fields of `Steps`."""
+        known = {"signals": self.read(), "H": self.energies(), "events": self.member.happened()}
+        return known | self.member.ledger()

@@ -89,6 +89,11 @@ class FMUMember:
         )
 
     @property
+    def ended(self) -> bool:
+        """Whether it has asked to end the simulation in the last step."""
+        return self.unit.ended
+
+    @property
     def saves(self) -> bool:
         return self.unit.interface.saves
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.status import EndRequested
 from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
 
@@ -57,8 +58,11 @@ def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
             return Rollback(False, "cannot save its state")
         unit.no_set_prior = True
         ahead = _Steps(unit, h)
-        ahead.take(0, ahead.u)
-        straight = [ahead.take(k, ahead.moved) for k in (1, 2)]
+        try:
+            ahead.take(0, ahead.u)
+            straight = [ahead.take(k, ahead.moved) for k in (1, 2)]
+        except EndRequested:  # there is nothing to be repeated
+            return Rollback(True)
     tried = list[Rollback]()
     for way in WAYS:
         with make() as unit:
@@ -82,7 +86,7 @@ def _try(unit: FMUInstance, h: float, way: Way, straight: list[Array]) -> Rollba
         again = steps.accept(1, steps.moved)
         steps.begin()
         after = steps.accept(2, steps.moved)
-    except (UnitCallError, UnitFailure) as error:
+    except (UnitCallError, UnitFailure, EndRequested) as error:
         return Rollback(False, f"does not restore its state: {error}", way)
     found = _judged(steps.names, first, again)
     if not found.works:

@@ -45,6 +45,11 @@ class SteppedLast:
         self.missed = 0.0
         self._largest = float(np.abs(first).max(initial=0.0))
 
+    @property
+    def ended(self) -> bool:
+        """Whether it has asked to end the simulation in the last step."""
+        return self.inner.ended
+
     # -- of a step ----------------------------------------------------------------------------------------------------
 
     def set_input(self, u: Array) -> None:

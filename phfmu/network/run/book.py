@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import StepFailure
+from phfmu.engine.status import EndRequested, StepFailure
 from phfmu.engine.steps import StepEvent, Steps
 from phfmu.network.couplings.acceptance import HALVED, KEPT
 from phfmu.network.couplings.stepper import Stepper
@@ -126,7 +126,9 @@ class Book:
         return [(c, float(d)) for c, d in zip(self.booking.components, after - before, strict=True) if d]
 
     def failed(self, failure: StepFailure) -> None:
-        """Book that the run ends here, and bring everything to the file."""
+        """Book that the run ends here, and bring everything to the file; nothing of an end that was asked for."""
+        if isinstance(failure, EndRequested):
+            return
         self.ledger.event(failure.time, "nonconverged", failure.component, message=str(failure))
         self.ledger.flush()
 

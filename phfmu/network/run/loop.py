@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.engine.status import EndRequested, StepFailure
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.junctions.network import Network
 from phfmu.network.members.inputs import with_bare
 from phfmu.network.run.book import Book
 from phfmu.network.run.event_steps import AdaptiveEventSteps, EventSteps
 from phfmu.network.run.following import following
-from phfmu.network.run.march import AdaptiveSteps, FixedSteps, monolithic
+from phfmu.network.run.march import AdaptiveSteps, FixedSteps, monolithic, step_rows
 from phfmu.network.run.options import Options
 from phfmu.network.run.result import Result
 from phfmu.network.run.rows import Rows
@@ -73,12 +74,15 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
                     told.begin(stretch)
                 for time, values, inside in march.over(stretch, stretch.start > t0):
                     rows.take(time, told.rows(time, values), inside)
-        rows.end()
+    except EndRequested as end:
+        book.notes.append(_ended(stepper, book, rows, told, end))
+        stop = rows.last
     except KeyboardInterrupt:
         ledger.event(rows.last, "interrupted")
         raise
     finally:
         ledger.flush()
+    rows.end()
     time, values, inside = rows.joined(len(told.names))
     facts = march.facts()
     if options.dense is not None:
@@ -97,6 +101,22 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
         least={c: (t, dict(zip(stepper.names, row.tolist(), strict=True))) for c, (t, row) in book.least.items()},
         kinds=told.kinds, labels=told.labels, **facts,
     )  # fmt: skip
+
+
+def _ended(stepper: Stepper, book: Book, rows: Rows, told: RunColumns, end: EndRequested) -> str:
+    """The last row of a run that a unit asks to end, up to where it asks; a line about it."""
+    steps = end.last
+    if steps is None and end.back and end.reached > end.time:
+        try:
+            steps = stepper.advance(end.time, end.reached - end.time, 1)
+        except StepFailure as failure:
+            steps = failure.recorded.get("steps")
+    if steps is not None:
+        begun, reached = np.array([end.time]), np.array([end.reached])
+        book.add(begun, reached - begun, steps)
+        time, values, inside = step_rows(begun, reached, steps)
+        rows.take(time, told.rows(time, values), inside)
+    return f"{end}; the run ends at {rows.last:.9g} s"
 
 
 def _march(
