@@ -159,7 +159,12 @@ def check_name(level: str, name: str) -> str:
 
 
 def of_member(member: str, name: str) -> str:
-    """How the whole calls what a member calls `name`: gen.I[1], constraint.velocity.arm.lambda[1]."""
+    """How the whole calls what a member calls `name`: gen.I[1], constraint.velocity.arm.lambda[1].
+
+    A member without a name is composed of others, and calls all by their names already.
+    """
+    if not member:
+        return name
     if not name.startswith(CONSTRAINT):
         return f"{member}.{name}"
     level, _, own = name.removeprefix(CONSTRAINT).partition(".")

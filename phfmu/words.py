@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 SHOWN = 12
@@ -27,6 +27,12 @@ def folded(names: Iterable[str]) -> str:
     return ", ".join(f"{base}[{text}]" if text != "0" else base for base, text in texts)
 
 
+def first_few(names: Sequence[str]) -> str:
+    """`a, b, c`; of more than `SHOWN` the first, `.. and 5 more`."""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"{', '.join(names[:SHOWN])}{more}"
+
+
 def shown(text: str) -> str:
     r"""Text of a file as one line that a terminal takes as text: control characters are written out, `\x1b`."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
@@ -40,5 +46,4 @@ def meant(name: str, known: Iterable[str], otherwise: str = "") -> str:
         return f"did you mean {', '.join(close)}?"
     if otherwise:
         return otherwise
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return f"there are: {', '.join(names[:SHOWN]) or 'none'}{more}"
+    return f"there are: {first_few(names) or 'none'}"

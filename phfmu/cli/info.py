@@ -101,17 +101,20 @@ def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
     """A network with units, which is no one model."""
     from phfmu.fmu.inspect import port_lines
     from phfmu.network.couplings.apart import Apart
+    from phfmu.network.couplings.gathered import composed_words, gathered, junction_words
+    from phfmu.network.junctions.wires import without_unit
 
     _print_run(s, s.name, s.description or network.description, arguments)
     print(f"members: {', '.join(network.members)}")
-    apart = Apart(network)
-    print(f"order: {apart.order()}")
-    words = apart.exchanged()
+    if words := composed_words(gathered(network)):
+        print(words)
+    print(f"order: {Apart(network).order()}")
+    exchanged = junction_words(network)
     for wire in network.wires:
         print(f"signal {wire}")
     for j in network.junctions:
         common = f"common {'effort' if j.kind == '0' else 'flow'}"
-        print(f"junction {j.name}: {', '.join(map(str, j.ends))}; {common}; newton: {words[j.name]}")
+        print(f"junction {j.name}: {', '.join(map(str, j.ends))}; {common}; {exchanged[j.name]}")
     for name, file in network.units.items():
         print(f"\n{name}: {file.found}, FMI {file.interface.version}, {file.description}".rstrip(", "))
         print("\n".join([*port_lines(file.port_maps), *file.left_out]))
@@ -120,7 +123,8 @@ def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
     for name, declaration in network.declared.items():
         print(f"\n{name}: {declaration.description}")
         _print_declaration(declaration, name)
-    for note in s.notes:
+    untold = without_unit(network.members, network.wires) if s.kept is None else ""
+    for note in filter(None, (*s.notes, untold)):
         print(f"note: {note}")
 
 

@@ -21,6 +21,7 @@ SOME = 3
 def print_many(network: Network) -> None:
     """Members by kind, junctions by what they join, the number of variables."""
     from phfmu.network.couplings.apart import Apart
+    from phfmu.network.couplings.gathered import composed_words, gathered, junction_words
 
     kinds = _kinds(network)
     print(f"members: {len(network.members)} of {counted(len(kinds), 'kind')}")
@@ -31,9 +32,10 @@ def print_many(network: Network) -> None:
         print(f"  {len(names)} x {label}: {getattr(member, 'description', '')} ({_some(names)})".replace(":  (", ": ("))
         for line in _parameters([network.declared[n] for n in names if n in network.declared]):
             print(f"    {line}")
-    apart = Apart(network)
-    print(f"order: {apart.order()}")
-    words = apart.exchanged()
+    print(f"order: {Apart(network).order()}")
+    if line := composed_words(gathered(network)):
+        print(line)
+    words = junction_words(network)
     groups: dict[tuple[str, str, str], list[str]] = {}
     for j in network.junctions:
         ends = Counter(f"{kind_of[e.member]}.{e.port}" for e in j.ends)
@@ -42,7 +44,7 @@ def print_many(network: Network) -> None:
         groups.setdefault((joined, common, words[j.name]), []).append(j.name)
     print(f"junctions: {len(network.junctions)} of {counted(len(groups), 'kind')}")
     for (joined, common, exchange), names in groups.items():
-        print(f"  {len(names)} x {joined}; {common}; newton: {exchange} ({_some(names)})")
+        print(f"  {len(names)} x {joined}; {common}; {exchange} ({_some(names)})")
     if network.wires:
         print(f"signals: {len(network.wires)}")
     for what in ("states", "algebraics", "parameters"):

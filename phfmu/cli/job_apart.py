@@ -25,19 +25,21 @@ if TYPE_CHECKING:
 
 
 def apart(
-    args: argparse.Namespace, s: Scene, network: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
+    args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
 ) -> Job:
     from phfmu.network.couplings.apart import Apart, held_wires
+    from phfmu.network.couplings.gathered import composed_words
     from phfmu.network.couplings.named import named_coupling
 
     sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
+    network = _gathered(args, declared)
     coupling = named_coupling(name, network, sequence, args.unconverged)
     schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
 
-    own_engines = {member: engine_of(e) for member, e in engines_asked(args, network).items()}
-    stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, network))
+    own_engines = {member: engine_of(e) for member, e in engines_asked(args, declared).items()}
+    stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, declared))
     step = s.step if args.step is None else args.step
-    threads, notes = threads_asked(args), list(why)
+    threads, notes = threads_asked(args), [*why, *filter(None, [composed_words(network), _without_unit(s, declared)])]
 
     some_fmu, whole = "fmu" in map(stepping.engine_of, schemes), Apart(network)
     with_impulses = whole.kicked(args.project) if some_fmu and coupling.nodes else set()
@@ -78,9 +80,33 @@ def apart(
     holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, held)))
     most = _most(coupling, schemes.values(), network.units.values(), holds)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
-    head = label(list(schemes.values()), stepping.words, coupling.words, most, words)
+    head = label(list(schemes.values()), stepping.words, coupling.words + _number(network), most, words)
     notes += _order_lost(args.order, coupling, most)
     return Job(s, head, False, build, notes)
+
+
+def _gathered(args: argparse.Namespace, network: Network) -> Network:
+    """Beside units, declared members that meet are one composed member, but those that are asked for apart."""
+    from phfmu.network.couplings.gathered import gathered
+
+    if args.sequence or args.engine == "fmu":
+        return network
+    return gathered(network, [item.partition("=")[0].strip() for item in (*args.member, *args.parts)])
+
+
+def _without_unit(s: Scene, network: Network) -> str:
+    """A line about signals whose unit of measurement is not known; packages of other tools have rules of their own."""
+    from phfmu.network.junctions.wires import without_unit
+
+    return without_unit(network.members, network.wires) if s.kept is None else ""
+
+
+def _number(network: Network) -> str:
+    """How many members are composed to one, for the head line."""
+    from phfmu.network.couplings.gathered import composed_members
+
+    n = len(composed_members(network))
+    return f" ({n} members composed)" if n else ""
 
 
 def _node_values(scheme: Scheme) -> bool:

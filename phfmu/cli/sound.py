@@ -40,9 +40,7 @@ def require_sound_scene(args: argparse.Namespace, s: Scene, events: Sequence[Eve
 
     network = s.system if isinstance(s.system, Network) else None
     members = network.declared if network is not None else {}
-    if (
-        network is not None and events is None and not s.units and not network.wires
-    ):  # many are quickly seen to be sound
+    if network is not None and events is None and not network.wires:  # many are quickly seen to be sound
         from phfmu.checks.run_values import sound_members
 
         if args.no_check or sound_members(members.values()):

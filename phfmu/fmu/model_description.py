@@ -203,6 +203,7 @@ class ModelDescription:
             entry=entry,
             size=size,
             variability=self._once(own.get("variability", "")),
+            has_unit=bool(numbers.get("unit")),
         )
 
     def _leave_out(self, kind: str, name: str) -> None:

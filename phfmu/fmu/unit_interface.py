@@ -15,7 +15,7 @@ from phfmu.fmu.variables import FMUError
 class Scalar:
     """A number, or entry `entry` of an array of `size` numbers that share a value reference (size 0: no array).
 
-    `type`: that of FMI 3.0; its value is read and set as a float.
+    `type`: that of FMI 3.0; its value is read and set as a float.  `has_unit`: False where `unit` is 1 since none is told.
     """
 
     name: str
@@ -29,6 +29,7 @@ class Scalar:
     entry: int = 0
     size: int = 0
     variability: str = ""
+    has_unit: bool = True
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,13 @@ def test_a_unit_that_cannot_go_back_is_stepped_last(
     for saves, more, words, loose in (
         (True, (), "coupling newton: pump cannot be composed", False),
         (False, (), "coupling newton: units cannot be composed; pump is stepped last", True),
-        (False, ("--coupling", "gauss-seidel"), "gauss-seidel coupling (pump, cart, spring)", True),
+        (False, ("--coupling", "gauss-seidel"), "gauss-seidel coupling (pump, the composed member)", True),
+        (
+            False,
+            ("--coupling", "gauss-seidel", "--sequence", "pump,cart,spring"),
+            "coupling (pump, cart, spring)",
+            True,
+        ),
     ):
         path = mixed(tmp_path, version, saves)
         assert main(["run", str(path), "-o", str(table), *more]) == 0

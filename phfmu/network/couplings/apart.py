@@ -76,8 +76,17 @@ class Apart:
         if projected:
             declared = self.network.declared.items()
             return {n for n, d in declared if n not in self.held and not d.switches and DeclaredOffer(n, d).kicked}
+        kicked = self.with_impulses()
+        return {e.member for j in self.network.junctions if j.name in kicked for e in j.ends}
+
+    def with_impulses(self) -> set[str]:
+        """Junctions that exchange impulses."""
         face, found = self._bare
-        return {e.member for j in self.network.junctions if face.sums[j.name].start in found.columns for e in j.ends}
+        return {j.name for j in self.network.junctions if face.sums[j.name].start in found.columns}
+
+    def without_impulses(self) -> set[str]:
+        """Junctions of inductive branches alone that need impulses and exchange none."""
+        return {name for name, why in self._bare[1].why.items() if why}
 
     def _why_held(self, member: str) -> str:
         """Why a member takes one value a step."""

@@ -35,6 +35,7 @@ from phfmu.network.couplings.shared_jumps import SharedJumps
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
 from phfmu.network.members.node_values import HeldNodes, NodeValues, node_values
+from phfmu.signals import of_member
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -100,7 +101,7 @@ class Exchange:
         self.counts = np.array(
             [*self.k, *(min(k_of[w.source], k_of[w.target]) for w in wires), *self.relations.counts], int
         )
-        self.names = [*face.names, *(f"{w.target}.{w.input}" for w in wires), *self.relations.names]
+        self.names = [*face.names, *(of_member(w.target, w.input) for w in wires), *self.relations.names]
         self.columns = np.repeat(np.arange(len(self.counts)), self.counts)
         self._first = np.cumsum(self.counts) - self.counts
         self.at_node = np.concatenate([np.zeros(0, int), *(np.arange(k) for k in self.counts)])

@@ -21,6 +21,7 @@ from phfmu.network.couplings.joined import Joined
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.wires import Wire
 from phfmu.network.members.member import Member
+from phfmu.signals import of_member
 
 Array = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ class HeldSignals:
 
     def feeds(self, name: str) -> bool:
         """Whether `member.input`, or an entry of it, is fed by a wire."""
-        fed = [f"{w.target}.{w.input}" for w in self.wires]
+        fed = [of_member(w.target, w.input) for w in self.wires]
         return any(name in (n, n.partition("[")[0]) for n in fed)
 
     def sample(self, xi: Array) -> None:

@@ -24,6 +24,7 @@ from phfmu.network.couplings.impulse_directions import directions
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.matrices import summed
 from phfmu.network.members.node_values import InstanceNodes
+from phfmu.signals import of_member
 from phfmu.terms.bare import SINGULAR
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def _project(exchange: Exchange, names: list[str], B: Any, t: float) -> Projecti
             m.member.shift(m.to @ a[m.at], t)
         c.append(violated())
     changes = [
-        (f"{m.member.name}.{n}", a, b) for m, x in zip(moved, start, strict=True)
+        (of_member(m.member.name, n), a, b) for m, x in zip(moved, start, strict=True)
         for (n, a), b in zip(x.items(), m.member.states.values(), strict=True) if a != b
     ]  # fmt: skip
     before, after = (dict(zip(names, map(float, v), strict=True)) for v in (c[0], c[-1]))

@@ -188,27 +188,36 @@ class Joined:
         for m, place in zip(self.members, self.places, strict=True):
             values = self.free[place] / m.input_sign
             rows = zip(m.input_names, values.tolist(), joined[place], strict=True)
-            told |= {f"{m.name}.{n}": value for n, value, fed in rows if not fed}
-            told |= {f"{m.name}.{n}": value for n, value in m.signals().items()}
-        return told
+            told |= {of_member(m.name, n): value for n, value, fed in rows if not fed}
+            told |= {of_member(m.name, n): value for n, value in m.signals().items()}
+        return self._as_declared(told)
+
+    def _as_declared(self, told: dict[str, float]) -> dict[str, float]:
+        """In the order of the members as they were declared, if some of them are composed to one."""
+        declared = self.network.gathered_from
+        if declared is None:
+            return told
+        place = {n: i for i, n in enumerate(declared.members)}
+        return dict(sorted(told.items(), key=lambda item: place[item[0].partition(".")[0]]))
 
     def input_places(self) -> dict[str, tuple[int, float]]:
         """Input of a port, `member.name` -> its place among all inputs, and its factor into the member."""
         return {
-            f"{m.name}.{n}": (place.start + i, float(m.input_sign[i]))
+            of_member(m.name, n): (place.start + i, float(m.input_sign[i]))
             for m, place in zip(self.members, self.places, strict=True)
             for i, n in enumerate(m.input_names)
         }
 
     def settable(self) -> list[str]:
-        return [f"{m.name}.{n}" for m in self.members for n in m.settable()]
+        return [of_member(m.name, n) for m in self.members for n in m.settable()]
 
     def set_value(self, name: str, value: float, xi: Array) -> str:
         """Set a member's parameter or free input `member.name` and say which it is; KeyError names close ones."""
         member, _, rest = name.partition(".")
         for m, place in zip(self.members, self.places, strict=True):
-            if m.name == member:
-                own = m.input_places(rest)
+            if m.name in ("", member):
+                known = rest if m.name else name
+                own = m.input_places(known)
                 indices = [place.start + i for i in own]
                 if indices:
                     if (self.face.column[indices] >= 0).any():
@@ -216,7 +225,7 @@ class Joined:
                     self.free[indices] = value * m.input_sign[own]
                     m.set_input(self.inputs(xi)[place])
                     return "input"
-                if kind := m.set_parameter(rest, value):
+                if kind := m.set_parameter(known, value):
                     return kind
         raise KeyError(f"{self.network.name} has no parameter or input '{name}'; {meant(name, self.settable())}")
 
@@ -257,9 +266,7 @@ def _booking(network: Network, members: list[Member]) -> Booking:
     at = {str(e): j.name for j in network.junctions for e in j.ends}
     components = tuple(c for m in members for c in m.booking.components)
     ports = tuple(
-        replace(p, junction=at.get(f"{m.name}.{p.port}")) if p.component == m.name else p
-        for m in members
-        for p in m.booking.ports
+        replace(p, junction=at.get(f"{p.component}.{p.port}", p.junction)) for m in members for p in m.booking.ports
     )
     return Booking(
         components,

@@ -49,7 +49,8 @@ def named_coupling(
     make = row.node_maker if row.at_nodes else lambda _: kind()
     if row.in_turn:
         order = kind.sequence_of(network, sequence)
-        words, make = f"{words} ({', '.join(order)})", lambda _: kind(order)
+        in_words = ", ".join(member or "the composed member" for member in order)
+        words, make = f"{words} ({in_words})", lambda _: kind(order)
     wrap = POLICIES[unconverged]
     return Named(words, kind.order, row.held, bool(row.at_nodes), lambda joined: wrap(make(joined)))
 

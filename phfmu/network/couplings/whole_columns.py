@@ -48,9 +48,17 @@ class WholeColumns:
         told = {n: [i for i in entries if i is not None] for n, entries in rows.items() if None not in entries}
         self.totals = list(told)
         self._places = np.array(list(told.values()), int).reshape(len(told), len(members))
-        everything, at = [*told, *own], _places(network)
-        none = Section.MORE, 0, 0
-        self._order = np.array(sorted(range(len(everything)), key=lambda i: at.get(everything[i], none)), int)
+        whole = network.gathered_from or network
+        everything, at = [*told, *own], _places(whole)
+        # a composed member's sums are of its own members
+        kept = [*range(len(told)), *(i + len(told) for i, n in enumerate(own) if n not in rows)]
+        member = {n: i for i, n in enumerate(whole.members)}
+
+        def key(i: int) -> tuple[int, int, int]:
+            n = everything[i]
+            return at.get(n) or (Section.MORE, member.get(n.partition(".")[0], 0), 0)
+
+        self._order = np.array(sorted(kept, key=key), int)
         self.names = [everything[i] for i in self._order]
 
     def rows(self, signals: Array) -> Array:

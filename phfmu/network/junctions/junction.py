@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 
 from phfmu.declare.error import Refusal
 from phfmu.declare.port import Given, Port
+from phfmu.signals import of_member
 
 Kind = Literal["0", "1"]
 SHARED: dict[Kind, Given] = {"0": "effort", "1": "flow"}
@@ -33,7 +34,7 @@ class End:
     port: str
 
     def __str__(self) -> str:
-        return f"{self.member}.{self.port}"
+        return of_member(self.member, self.port)
 
 
 @dataclass(frozen=True)

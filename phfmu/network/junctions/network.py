@@ -39,6 +39,8 @@ class Network:
     description: str = ""
     #: signals between members, each after those it depends on at once
     wires: list[Wire] = field(default_factory=list)
+    #: the network as it was declared, where members of it are composed to one here (`gathered`)
+    gathered_from: Network | None = field(default=None, compare=False)
     #: number of junctions that the ends were noted of, and these ends
     _counted: tuple[int, dict[End, str]] = field(default_factory=lambda: (0, {}), init=False, compare=False)
 
@@ -166,7 +168,7 @@ class Network:
             and (w.target not in there or w.input in there[w.target].taken)
         ]
         left = [w for w in self.wires if w not in wires]
-        return {n: replace(d, name=n) for n, d in separate(self.declared, wires, left).items()}
+        return {n: replace(d, name=n or d.name) for n, d in separate(self.declared, wires, left).items()}
 
     @property
     def declared(self) -> dict[str, PHDAE]:

@@ -10,6 +10,7 @@ import numpy as np
 from phfmu.declare.port import Port
 from phfmu.declare.variable import Variable, algebraic
 from phfmu.network.junctions.junction import End, Junction, WithPorts
+from phfmu.signals import of_member
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def junction_unknowns(members: Mapping[str, WithPorts], junction: Junction) -> U
     for end, port in ports.items():
         if port.given != shared:
             member = port.input_names()[0].split("[")[0]
-            dual[end] = algebraic(f"{end.member}.{member}", port.size, unit=port.input_unit, nominal=port.nominal,
+            dual[end] = algebraic(of_member(end.member, member), port.size, unit=port.input_unit, nominal=port.nominal,
                                   start=port.start, elements=port.elements, description=f"input of {end}")  # fmt: skip
     return Unknowns(junction, common, dual)
 

@@ -16,10 +16,11 @@ from phfmu.declare.coefficients import coefficient
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
 from phfmu.declare.signal import read_by, signal_inputs
-from phfmu.declare.units import UnitError, parse_unit
+from phfmu.declare.units import Unit, UnitError, parse_unit
 from phfmu.declare.variable import _sx
 from phfmu.network.junctions.junction import ConnectionError
-from phfmu.words import meant
+from phfmu.signals import of_member
+from phfmu.words import first_few, meant
 
 if TYPE_CHECKING:
     from phfmu.fmu.unit_file import UnitFile
@@ -39,7 +40,8 @@ class Wire:
     def __str__(self) -> str:
         scale = f" (times {self.factor:g})" if self.factor != 1.0 else ""
         shift = f" (plus {self.offset:g})" if self.offset else ""
-        return f"{self.source}.{self.output} -> {self.target}.{self.input}{scale}{shift}"
+        ends = of_member(self.source, self.output), of_member(self.target, self.input)
+        return f"{' -> '.join(ends)}{scale}{shift}"
 
 
 @dataclass(frozen=True)
@@ -100,29 +102,74 @@ def wires_between(members: Mapping[str, PHDAE | UnitFile], source: str, target: 
         reason = f"{source} has {len(given)} values, {target} takes {len(taken)}"
         raise ConnectionError(f"signal {source} - {target}", reason, "connect as many as it takes")
     into = members[b]
-    told = isinstance(into, PHDAE) is isinstance(members[a], PHDAE)
-    _require_unit((source, found[name].unit), (target, units[taken[0]]), told)
+    _require_unit(_told(members[a], given[0], source), _told(into, taken[0], target))
     if isinstance(into, PHDAE):
         _refuse_work(into, taken, target)
     return [Wire(a, g, b, t) for g, t in zip(given, taken, strict=True)]
 
 
-def _require_unit(source: tuple[str, str], target: tuple[str, str], told: bool) -> None:
-    """(name, unit) of both ends; units of files may tell none, unless both ends are of one kind (`told`)."""
-    units = (source[1], target[1])
-    if units[0] == units[1] or (not told and "1" in units):
-        return
+@dataclass(frozen=True)
+class _Told:
+    """The end of a signal and its unit of measurement: its text, what it is (None: it cannot be read), whether it is `known`.
+
+    That of a variable of an FMU whose description tells none is not; nor is 1 in a declaration, which is what stands there
+    where nothing was said.
+    """
+
+    end: str
+    text: str
+    unit: Unit | None
+    known: bool
+    declared: bool
+
+
+def _told(member: PHDAE | UnitFile, name: str, end: str) -> _Told:
+    """That of the input or output `name` of a member."""
+    if isinstance(member, PHDAE):
+        inputs, bare = signal_inputs(member), name.partition("[")[0]
+        text = inputs[name] if name in inputs else outputs(member)[bare].unit
+        return _Told(end, text, _parsed(text), text != "1", True)
+    variable, defined = member.interface.variables[name], member.interface.units
+    known = variable.has_unit or bool(member.interface.energy)  # units of this package leave out what is 1
+    return _Told(end, variable.unit, defined.get(variable.unit) or _parsed(variable.unit), known, False)
+
+
+def _parsed(text: str) -> Unit | None:
     try:
-        mine, other = map(parse_unit, units)
-        fit = mine.without_angle() == other.without_angle() and abs(mine.factor / other.factor - 1) <= 1e-12
+        return parse_unit(text)
     except UnitError:
-        fit = False
-    if not fit:
-        raise ConnectionError(
-            f"signal {source[0]} - {target[0]}",
-            f"unit mismatch: {source[0]} is in {units[0]}, {target[0]} in {units[1]}",
-            "connect signals of one unit, or declare an output that is converted",
-        )
+        return None
+
+
+def _compared(a: _Told, b: _Told) -> bool:
+    """Whether both ends tell a unit: of two declarations always."""
+    return (a.known and b.known) or (a.declared and b.declared)
+
+
+def _require_unit(source: _Told, target: _Told) -> None:
+    """ConnectionError where both tell one and they are not the same."""
+    if source.text == target.text or not _compared(source, target):
+        return
+    mine, other = source.unit, target.unit
+    if mine is not None and other is not None and mine.without_angle() == other.without_angle():
+        if abs(mine.factor / other.factor - 1) <= 1e-12:
+            return
+    raise ConnectionError(
+        f"signal {source.end} - {target.end}",
+        f"unit mismatch: {source.end} is in {source.text}, {target.end} in {target.text}",
+        "connect signals of one unit, or declare an output that is converted",
+    )
+
+
+def without_unit(members: Mapping[str, PHDAE | UnitFile], wires: Sequence[Wire]) -> str:
+    """A line about the signals of which one end tells a unit of measurement and the other, of an FMU, none; "" without such."""
+    ends: list[str] = []
+    for w in wires:
+        a = _told(members[w.source], w.output, of_member(w.source, w.output))
+        b = _told(members[w.target], w.input, of_member(w.target, w.input))
+        if not _compared(a, b) and a.known is not b.known:
+            ends.append(f"{b.end if a.known else a.end} (taken for {a.text if a.known else b.text})")
+    return f"no unit of measurement is told of {first_few(ends)}" if ends else ""
 
 
 def _split(members: Mapping[str, PHDAE | UnitFile], end: str) -> tuple[str, str]:

@@ -22,7 +22,7 @@ from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs, places
-from phfmu.signals import SignalKind, labels
+from phfmu.signals import SignalKind, labels, of_member
 
 Array = NDArray[np.float64]
 
@@ -54,8 +54,8 @@ class EngineMember:
         own = booking(model, instance.parameters)
         rename = {model.name: name}
         self.booking = Booking(
-            tuple(rename.get(c, f"{name}.{c}") for c in own.components),
-            tuple(replace(p, component=rename.get(p.component, f"{name}.{p.component}")) for p in own.ports),
+            tuple(rename.get(c) or of_member(name, c) for c in own.components),
+            tuple(replace(p, component=rename.get(p.component) or of_member(name, p.component)) for p in own.ports),
             constants=own.constants,
         )
         self._booked = booked(model)
