@@ -40,6 +40,11 @@ def job_of(args: argparse.Namespace) -> Job:
         raise ValueError(
             f"--threads {args.threads} is for members that are stepped apart (--coupling newton); this is one model"
         )
+    if not row.apart and args.signals_held:
+        raise ValueError(
+            f"{args.target}: --signals-held is for members that are stepped apart (--coupling newton); in one model signals "
+            "are exact at every instant"
+        )
     if not row.apart:
         return job_whole.whole(args, s, s.declaration(), why)
     if not isinstance(s.system, Network):

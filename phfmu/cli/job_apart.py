@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import inf
 from typing import TYPE_CHECKING
 
@@ -11,10 +11,12 @@ from phfmu.cli.engines import as_fmu, engine_of, instance_of
 from phfmu.cli.job import Job, label
 from phfmu.cli.options import scheme_of
 from phfmu.cli.stepping import Stepping, engines_asked, parts_asked, threads_asked
+from phfmu.network.couplings.coupling_table import NEWTON
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.unit_file import UnitFile
+    from phfmu.network.couplings.held_signals import SignalExchange
     from phfmu.network.couplings.named import Named
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.junctions.network import Network
@@ -23,12 +25,16 @@ if TYPE_CHECKING:
     from phfmu.network.scene import Scene
     from phfmu.schemes.scheme import Scheme
 
+#: of signals, for the head line
+SAID: dict[SignalExchange, str] = {"extrapolated": "", "held": ", signals held", "agreed": ", signals iterated"}
+
 
 def apart(
     args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
 ) -> Job:
     from phfmu.network.couplings.apart import Apart, held_wires
     from phfmu.network.couplings.gathered import composed_words
+    from phfmu.network.couplings.held_signals import ORDERS
     from phfmu.network.couplings.named import named_coupling
 
     sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
@@ -74,13 +80,21 @@ def apart(
         from phfmu.network.couplings.coupled import Coupled
 
         return Coupled(
-            network, [member(name, d) for name, d in network.members.items()], coupling.make, threads=threads
+            network,
+            [member(name, d) for name, d in network.members.items()],
+            coupling.make,
+            threads=threads,
+            signals=exchange,
         )
 
     holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, held)))
-    most = _most(coupling, schemes.values(), network.units.values(), holds)
+    stuck = [n for n, found in tried.items() if not found.works]
+    exchange, words_of_signals = _signals(args, network, stuck) if holds else _no_signals(args)
+    notes += words_of_signals
+    most = _most(coupling, schemes.values(), network.units.values(), ORDERS[exchange] if holds else inf)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
-    head = label(list(schemes.values()), stepping.words, coupling.words + _number(network), most, words)
+    said = coupling.words + _number(network) + SAID[exchange]
+    head = label(list(schemes.values()), stepping.words, said, most, words)
     notes += _order_lost(args.order, coupling, most)
     return Job(s, head, False, build, notes)
 
@@ -118,15 +132,34 @@ def _node_inputs(scheme: Scheme) -> bool:
     return scheme.node_values and scheme.order > 2
 
 
-def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: bool) -> float:
-    """The order that members stepped apart keep together at most; `signals`: some between them are held."""
-    from phfmu.network.couplings.held_signals import ORDER as SIGNALS
+def _signals(args: argparse.Namespace, network: Network, stuck: Sequence[str]) -> tuple[SignalExchange, list[str]]:
+    """What held signals are over a step, and lines about what they are not: `stuck` units cannot take steps back."""
+    ends = {end for w in network.wires for end in (w.source, w.target)}
+    if args.signals_held:
+        return "held", []
+    if args.coupling != NEWTON.name or not ends & set(network.units):
+        return "extrapolated", []
+    if stuck:
+        return "extrapolated", [f"signals are not iterated: {', '.join(stuck)} cannot take steps back"]
+    return "agreed", []
 
+
+def _no_signals(args: argparse.Namespace) -> tuple[SignalExchange, list[str]]:
+    """ValueError where they are to be held."""
+    if args.signals_held:
+        raise ValueError(
+            f"{args.target}: --signals-held is for signals that members hold over steps, and there are none"
+        )
+    return "extrapolated", []
+
+
+def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float) -> float:
+    """The order that members stepped apart keep together at most; `signals`: that of what is held between them."""
     nodes = [u.k for u in units]
     at_nodes = coupling.nodes and all(s.node_values for s in schemes) and all(nodes)
-    if at_nodes and not signals:
+    if at_nodes and signals == inf:
         return 2 * min(nodes, default=inf)
-    return min(coupling.order, SIGNALS) if signals else coupling.order
+    return min(coupling.order, signals)
 
 
 def _order_lost(asked: int | None, coupling: Named, most: float) -> list[str]:

@@ -52,7 +52,7 @@ class StepFailure(RuntimeError):
     which rounding alone leaves `floor`; `update`: last scaled change of the unknowns (1 = nominal); `iterations` of the
     last attempt, `spent` by all at this internal step; `tried`: what was attempted; `joined`: members were being joined,
     `put_off` those that stepped last, `history` the scaled residuals of that, `composable`: they are all declared, so that one
-    model can be made of them.
+    model can be made of them, `signals`: it is what they exchange without power that does not agree.
     A master adds `unsteady`: which of its units do not repeat a step, and how.  A run adds `asked`, the step it asked for, and
     `longest`, the longest it had solved.  The remedy follows from these (`remedy`).
     """
@@ -78,6 +78,7 @@ class StepFailure(RuntimeError):
         composable: bool = False,
         put_off: str = "",
         history: Sequence[float] = (),
+        signals: bool = False,
     ) -> None:
         self.status = status
         self.component = component
@@ -91,7 +92,7 @@ class StepFailure(RuntimeError):
         self.spent = spent
         self.tried = tried
         self.joined, self.composable, self.history = joined, composable, tuple(history)
-        self.put_off = put_off
+        self.put_off, self.signals = put_off, signals
         self.asked, self.longest, self.unsteady = 0.0, 0.0, ""
         #: what a run over many steps had recorded of the accepted ones
         self.recorded: dict[str, Any] = {}
@@ -179,6 +180,9 @@ def _stalls(f: StepFailure) -> bool:
     return len(f.history) > 2 and not f.history[-1] < 0.5 * f.history[-3]
 
 
+#: where signals do not agree
+UNITERATED = "take a smaller step, or leave out --coupling newton, so that signals are taken from the steps before"
+
 REMEDIES = (
     Remedy(
         Status.NO_CONVERGENCE,
@@ -196,6 +200,7 @@ REMEDIES = (
         _instant,
         "there is no solution near the values at this time: look at the start values, inputs and parameters of this equation",
     ),
+    Remedy(Status.NO_CONVERGENCE, lambda f: f.signals, UNITERATED),
     Remedy(
         Status.NO_CONVERGENCE,
         lambda f: f.composable and _stalls(f),
@@ -248,6 +253,12 @@ REMEDIES = (
         _always,
         "members that step once with each other's old outputs make energy in long steps: take a much smaller step, or "
         "--coupling newton if the units can save their state (gauss-seidel makes less than jacobi)",
+    ),
+    Remedy(
+        Status.SINGULAR,
+        lambda f: f.signals,
+        "the loop of these signals has no unique solution (outputs follow inputs at once, with a gain of 1): put a delay or a "
+        "filter into it, or " + UNITERATED,
     ),
     Remedy(
         Status.SINGULAR,

@@ -135,6 +135,9 @@ class Unit:
     def rest_changes(self) -> dict:
         return {}
 
+    def notes(self) -> list[str]:
+        return []
+
     def advance(self, t0: float, h: float, n: int, first: int = 0) -> Steps:
         gained = np.full((n, 1), h * self._supplied)
         H = self._H + np.cumsum(gained, axis=0)

@@ -48,6 +48,19 @@ MASS = {
 }
 
 
+#: a system of first order with feedthrough, of FMI 2.0: x' = a x + b r, s = c x + d r
+FIRST_ORDER = """
+<ScalarVariable name="r" valueReference="40" causality="input"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="s" valueReference="41" causality="output"><Real/></ScalarVariable>
+<ScalarVariable name="x" valueReference="42" causality="output" initial="exact"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="a" valueReference="43" causality="parameter"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="b" valueReference="44" causality="parameter"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="c" valueReference="45" causality="parameter"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="d" valueReference="46" causality="parameter"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="forgets" valueReference="27" causality="parameter" variability="fixed"><Integer start="0"/></ScalarVariable>
+"""
+
+
 def description(
     version: str, variables: str, name: str = "foreign", saves: bool = False, before: str = "", abilities: str = ""
 ) -> str:

@@ -11,6 +11,9 @@
  * is restored, 4: 2 and 3. 30 `tolerance`: of the experiment, -1: it is not defined.  28 `found`: the file
  * table.txt among its resources, whose place has to be an URI in 2.0 and a path in 3.0.  An instance with the
  * token `tool` there is not.
+ *
+ * A system of first order, stepped exactly under a held input: 40 `r` (input), 41 `s` = c x + d r (output),
+ * 42 `x`, x' = a x + b r, 43 `a`, 44 `b`, 45 `c`, 46 `d` (parameters).
  */
 #include <math.h>
 #include <signal.h>
@@ -46,7 +49,7 @@ enum {
 static const double END = 0.33;
 
 typedef struct unit {
-    double u, t, wide[2], x[2], F, v, q, m, k, found;
+    double u, t, wide[2], x[2], F, v, q, m, k, found, first[7]; /* r, -, x, a, b, c, d */
     double base[3], tolerance;
     int mode, flag, choice, said, forgets, keeps, final;
     float single;
@@ -72,6 +75,11 @@ static void move(unit *s, double h) {
         s->q += h * v + h * h * s->F / (2.0 * s->m);
         s->v += h * s->F / s->m;
     }
+}
+
+static void relax(double *f, double h) {
+    double a = f[3], rate = a * f[2] + f[4] * f[0];
+    f[2] += a == 0.0 ? h * rate : expm1(a * h) / a * rate;
 }
 
 static void from_base(unit *m) {
@@ -133,6 +141,7 @@ static int step(unit *m, double t, double h, int no_set_prior) {
     else if (m->keeps && m->keeps != 3)
         from_base(m);
     move(m, h);
+    relax(m->first, h);
     m->t = m->keeps ? m->t + h : t + h;
     if (no_set_prior && m->keeps != 1)
         to_base(m);
@@ -146,6 +155,9 @@ static double output(const unit *m) {
 
 static double number(const unit *m, unsigned r) {
     double H = (m->m * m->v * m->v + m->k * m->q * m->q) / 2.0;
+    const double *f = m->first;
+    if (r >= 40 && r < 47)
+        return r == 41 ? f[5] * f[2] + f[6] * f[0] : f[r - 40];
     return r == 1    ? m->u
            : r == 20 ? m->F
            : r == 21 ? m->v
@@ -189,12 +201,13 @@ static double has_table_at(const char *uri) {
 }
 
 static void set_number(unit *m, unsigned r, double value) {
-    *(r == 20   ? &m->F
-      : r == 21 ? &m->v
-      : r == 22 ? &m->q
-      : r == 23 ? &m->m
-      : r == 24 ? &m->k
-                : &m->u) = value;
+    *(r >= 40 && r < 47 ? &m->first[r - 40]
+      : r == 20         ? &m->F
+      : r == 21         ? &m->v
+      : r == 22         ? &m->q
+      : r == 23         ? &m->m
+      : r == 24         ? &m->k
+                        : &m->u) = value;
 }
 
 static int *whole(unit *m, unsigned r) {

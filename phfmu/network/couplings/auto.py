@@ -31,7 +31,8 @@ def choose(network: Network, apart: bool = False, stuck: Mapping[str, str] | Non
         stuck = {name: "cannot save its state" for name, unit in units.items() if not unit.interface.saves}
     if len(stuck) > 1 and _given_by_outputs(network):
         why = "; ".join(f"{name} {words}" for name, words in stuck.items())
-        return Choice(GAUSS_SEIDEL, f"{why}, so no step can be repeated; junctions make energy, which is told")
+        made = "; junctions make energy, which is told" if network.junctions else ""
+        return Choice(GAUSS_SEIDEL, f"{why}, so no step can be repeated{made}")
     if stuck:
         last = f"{', '.join(stuck)} {'are' if len(stuck) > 1 else 'is'} stepped last"
         return Choice(NEWTON, f"units cannot be composed; {last}, other members can repeat a step")

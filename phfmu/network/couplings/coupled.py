@@ -13,16 +13,18 @@ from numpy.typing import NDArray
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import EndRequested, StepFailure
 from phfmu.engine.steps import Steps
+from phfmu.network.couplings.agreed_signals import AgreedSignals
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.end_sums import EndSums
 from phfmu.network.couplings.followed import Followed
 from phfmu.network.couplings.growth import Growth
-from phfmu.network.couplings.held_signals import HeldSignals
+from phfmu.network.couplings.held_signals import HeldSignals, SignalExchange
 from phfmu.network.couplings.instant import Instant
 from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.jumps_apart import JumpsApart
 from phfmu.network.couplings.landings import landings
 from phfmu.network.couplings.node_newton import newton, xi_at_end
+from phfmu.network.couplings.signal_growth import SignalGrowth
 from phfmu.network.couplings.start_values import start_values
 from phfmu.network.couplings.unconverged import booked, plain
 from phfmu.network.couplings.whole_columns import WholeColumns
@@ -44,7 +46,9 @@ class Coupled:
     """Members of a network, one per member, joined by a coupling; `last`: its junction unknowns for the step before.
 
     `compiled`: False steps native members by the loop in Python, too, to compare.  `threads`: so many step native members
-    between them, None: as many as pay; results do not depend on it.
+    between them, None: as many as pay; results do not depend on it.  `signals`: what those that are not exchanged at nodes
+    are over a step: the line through the last two samples, the last one ("held"), or a mean that is iterated ("agreed", where
+    the coupling repeats steps and all members take them back).
     """
 
     what = "members stepped apart"
@@ -56,6 +60,7 @@ class Coupled:
         coupling: Coupling | Callable[[Joined], Coupling] = newton,
         compiled: bool = True,
         threads: int | None = None,
+        signals: SignalExchange = "extrapolated",
     ):
         self._may_compile, self._threads, self.instead = compiled, threads, network.to_compose
         self.joined = Joined(network, members)
@@ -68,7 +73,11 @@ class Coupled:
         self._exchange, self._lander, self._switching = landings(self.joined, inner, steps)
         self._works = Works(self.joined, self._exchange, inner.repeats)
         self.booking = replace(self.joined.booking, loose=not closes, parts=self._works.keys)
-        self._signals = HeldSignals(self.joined, self._exchange.wires if self._exchange else ())
+        at_nodes = self._exchange.wires if self._exchange else ()
+        self._signals = HeldSignals(self.joined, at_nodes, extrapolated=signals != "held")
+        can = self.coupling.repeats and not self.joined.put_off and self._signals.any_held
+        self._agreed = AgreedSignals(self.joined, self._signals) if signals == "agreed" and can else None
+        self._grown = SignalGrowth(self._signals.held)
         self._sums = EndSums(self.joined)
         self._jumps = JumpsApart(self.joined, self._sums)
         self._at_start: Array | None = None  #: junction unknowns of the instant before the first step
@@ -84,6 +93,10 @@ class Coupled:
     def _all_back(self, saved: tuple[list[Any], Solution]) -> None:
         states, self.last = saved
         self.joined.restore(states)
+
+    def notes(self) -> list[str]:
+        """Lines about the run so far: signals that grow without bound."""
+        return list(self._grown.told.values())
 
     @property
     def lands(self) -> bool:
@@ -145,7 +158,7 @@ class Coupled:
         self.last = Solution(self.last.xi, self.last.y)  # what comes is not the continuation of the step before
         before = self.energies() if self._growth else None
         kind = self.joined.set_value(name, value, self.last.xi)
-        self._signals.sample(self.last.xi)
+        self._sample()
         if self._growth is not None:
             self._growth.given(self.energies() - before)
         return kind
@@ -168,7 +181,7 @@ class Coupled:
         for m in self.joined.members:
             m.check_start()
         self.joined.apply(self.last.xi)
-        self._signals.sample(self.last.xi)
+        self._sample()
         if self._switching is None:  # else entering the first mode sees to that, and books it
             self._sums.require_zero(self.last.xi)
         self.last = replace(self.last, y=self.joined.end_outputs())
@@ -218,6 +231,18 @@ class Coupled:
             return self._solved(Step(t0, h, states))
         finally:
             self.joined.restore(states)
+
+    def _sample(self) -> None:
+        """Signals at the present time, where no step is taken."""
+        self._signals.sample(self.last.xi)
+        if self._agreed is not None:
+            self._agreed.at_instant(self.last.xi)
+
+    def _stepped(self, step: Step) -> Solution:
+        """A step with the signals that it takes."""
+        if self._agreed is None:
+            return self._solved(step)
+        return self._agreed.step(step, self.last.xi, self._solved, lambda found: xi_at_end(self._exchange, found))
 
     def _solved(self, step: Step) -> Solution:
         """Of an iteration that is given up, units that do not repeat a step are told."""
@@ -271,9 +296,11 @@ class Coupled:
         self._signals.hold(h, self.last.xi)
         states, last, samples = self.joined.states(self.coupling.repeats), self.last, self._signals.state()
         try:
-            self.last = self._solved(Step(t, h, states))
+            self.last = self._stepped(Step(t, h, states))
             self.joined.finish()
             self._signals.stepped(h, xi_at_end(self._exchange, self.last))
+            if self._signals.held:
+                self._grown.watch(t + h, self._signals.now)
             known = self._known(t, h)
             self._jumps.require_own()
             return known

@@ -88,7 +88,7 @@ GAUSS_SEIDEL = CouplingRow(
 )
 JACOBI = CouplingRow(
     "jacobi",
-    "each member steps once, all with the outputs at the start of the step",
+    "each member steps once, all with the outputs at the start of the step (signals: on the line through two samples)",
     "1",
     "an output gives each junction its value",
     _C + "jacobi.Jacobi",

@@ -5,13 +5,15 @@ through the last two samples in the middle of the step,
 
     s_n + h_n (s_n - s_{n-1}) / (2 h_{n-1}),
 
-cut at the limits of the input: order 2, without iteration.  After events, and in the first step, it is s_n.
+cut at the limits of the input: order 2, without iteration.  After events, and in the first step, it is s_n.  On request it is
+s_n always, which is of order 1, or the mean of both ends, which is iterated (`agreed_signals.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +27,11 @@ from phfmu.signals import of_member
 
 Array = NDArray[np.float64]
 
-#: of what is held
+#: what a held signal is over a step: the line through the last two samples, the last one, or a mean that is iterated
+SignalExchange = Literal["extrapolated", "held", "agreed"]
+#: the order that follows
 ORDER = 2
+ORDERS: dict[SignalExchange, int] = {"extrapolated": ORDER, "held": 1, "agreed": ORDER}
 
 
 @dataclass(frozen=True)
@@ -40,8 +45,9 @@ class _Hop:
 class HeldSignals:
     """The signals of a network; without wires nothing is done."""
 
-    def __init__(self, joined: Joined, at_nodes: Collection[int] = ()):
-        """`at_nodes`: numbers of the wires that are exchanged there."""
+    def __init__(self, joined: Joined, at_nodes: Collection[int] = (), extrapolated: bool = True):
+        """`at_nodes`: numbers of the wires that are exchanged there;  `extrapolated`: False holds the last sample."""
+        self._extrapolated = extrapolated
         network = joined.network
         self.wires, self._joined = network.wires, joined
         self._members = {m.name: m for m in joined.members}
@@ -50,7 +56,11 @@ class HeldSignals:
         #: of a wire into a port: its place among all inputs
         self._port = np.array([joined.taken.get((w.target, w.input), -1) for w in self.wires], int)
         self._hops = [self._hop(numbers) for numbers in _stages(network.wires)]
-        self._held = self._hop(np.flatnonzero(~self._at_nodes).tolist()).write
+        self._numbers = np.flatnonzero(~self._at_nodes)
+        #: wires that are held over a step
+        self.held = [self.wires[i] for i in self._numbers]
+        self._hop_held = self._hop(self._numbers.tolist())
+        self._held = self._hop_held.write
         self.any_held = not self._at_nodes.all()
         self._low, self._high = _limits(network)
         self._factor, self._offset = (np.array([getattr(w, n) for w in self.wires]) for n in ("factor", "offset"))
@@ -77,11 +87,50 @@ class HeldSignals:
 
     def hold(self, h: float, xi: Array) -> None:
         """Inputs for the next step, of length h, from the samples at its start."""
-        if self._before is None or not self.any_held:
+        if self._before is None or not self.any_held or not self._extrapolated:
             return
-        ahead = self._now + (h / (2.0 * self._last)) * (self._now - self._before)
+        self._write(self._held, self._cut(self._now + (h / (2.0 * self._last)) * (self._now - self._before)), xi)
+
+    def _cut(self, values: Array) -> Array:
+        """Within the limits of the inputs, where the samples are."""
         inside = (self._low <= self._now) & (self._now <= self._high)
-        self._write(self._held, np.where(inside, np.clip(ahead, self._low, self._high), self._now), xi)
+        return np.where(inside, np.clip(values, self._low, self._high), self._now)
+
+    # -- iterated to agreement: w, the held signals at the end of a step ------------------------------------------------
+
+    @property
+    def now(self) -> Array:
+        """The held signals as they are now."""
+        return self._now[self._numbers]
+
+    def set_now(self, w: Array, xi: Array) -> None:
+        """Samples and inputs."""
+        self._now[self._numbers] = w
+        self._write(self._held, self._now, xi)
+
+    def ahead(self, h: float) -> Array:
+        """The line through the last two samples at the end of the next step."""
+        if self._before is None:
+            return self.now
+        return (self._now + (h / self._last) * (self._now - self._before))[self._numbers]
+
+    def hold_towards(self, w: Array, xi: Array) -> None:
+        """Inputs for the next step: the mean of its ends."""
+        self._write(self._held, self._cut((self._now + self._whole(w)) / 2.0), xi)
+
+    def sent_under(self, w: Array, xi: Array) -> Array:
+        """What the held wires give at the present time where they have brought w."""
+        found = self._whole(w)
+        self._write(self._held, found, xi)
+        for member, names, places in self._hop_held.read:
+            found[places] = self._factor[places] * member.read_signals(names) + self._offset[places]
+        return found[self._numbers]
+
+    def _whole(self, w: Array) -> Array:
+        """All signals, with w for those that are held."""
+        found = self._now.copy()
+        found[self._numbers] = w
+        return found
 
     def stepped(self, h: float, xi: Array) -> None:
         """After a step of length h: samples at its end, where the junction unknowns are xi."""

@@ -66,6 +66,10 @@ class Monolithic:
         """Free inputs of ports and signals, as they are now."""
         return dict(zip(self._inputs.inputs, self._inputs.u.tolist(), strict=True)) | self._inputs.signals()
 
+    def notes(self) -> list[str]:
+        """It has nothing to add."""
+        return []
+
     def settable(self) -> list[str]:
         return [*self._inputs.parameters, *self._inputs.inputs]
 

@@ -53,6 +53,10 @@ class FMUStepper:
         """It does that inside its steps."""
         return False
 
+    def notes(self) -> list[str]:
+        """It has nothing to add."""
+        return []
+
     def settable(self) -> list[str]:
         return self.member.settable()
 

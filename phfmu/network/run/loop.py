@@ -94,6 +94,7 @@ def _run(stepper: Stepper, options: Options, notes: Sequence[str]) -> Result:
         *book.notes,
         *book.told(),
         *march.notes(),
+        *stepper.notes(),
         *rest_notes,
     )
     return Result(
