@@ -49,8 +49,8 @@ def add_parser(verbs: Any) -> None:
                         help="what to do with a step whose coupling does not converge: refuse it (default), take it in "
                         "halves, or keep the best trial, with what its junctions make of energy booked")  # fmt: skip
     parser.add_argument("--signals-held", action="store_true",
-                        help="hold signals between members over a step as they are at its start (order 1), not on the line through "
-                        "the last two samples (order 2); --coupling newton iterates those of FMUs that take steps back")  # fmt: skip
+                        help="hold signals between members over a step as they are at its start (order 1), not on the line "
+                        "through two samples (order 2); --coupling newton iterates those of FMUs that take steps back")  # fmt: skip
     options.add_steps(parser)
     add_settings(parser)
     add_no_check(parser)

@@ -56,7 +56,7 @@ class AgreedSignals:
         self._most = np.zeros(len(signals.held))
 
     def at_instant(self, xi: Array) -> None:
-        """Signals where no step is taken, for outputs that follow inputs at once; as sampled where none agree.  xi: of junctions."""
+        """Signals where no step is taken: outputs may follow inputs at once.  As sampled where none agree; xi: of junctions."""
         sampled = self._signals.now
         try:
             found, _ = self._solved(
