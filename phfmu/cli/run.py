@@ -50,7 +50,7 @@ def add_parser(verbs: Any) -> None:
                         "halves, or keep the best trial, with what its junctions make of energy booked")  # fmt: skip
     parser.add_argument("--signals-held", action="store_true",
                         help="hold signals between members over a step as they are at its start (order 1), not on the line "
-                        "through two samples (order 2); --coupling newton iterates those of FMUs that take steps back")  # fmt: skip
+                        "through two samples (order 2); --coupling newton iterates those of units that go back")  # fmt: skip
     options.add_steps(parser)
     add_settings(parser)
     add_no_check(parser)

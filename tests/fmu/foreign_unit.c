@@ -457,28 +457,28 @@ ABSENT(fmi2GetDirectionalDerivative)
 ABSENT(fmi2GetIntegerStatus)
 ABSENT(fmi2GetRealOutputDerivatives)
 ABSENT(fmi2GetStatus)
-ABSENT(fmi2GetString)
-ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate) ABSENT(fmi2SerializedFMUstateSize)
-    ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(fmi3ActivateModelPartition) ABSENT(
-        fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState) ABSENT(fmi3EnterConfigurationMode)
-        ABSENT(fmi3EnterContinuousTimeMode) ABSENT(fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(
-            fmi3EvaluateDiscreteStates) ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative)
-            ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(
-                fmi3GetContinuousStates) ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators)
-                ABSENT(fmi3GetInt16) ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(
-                    fmi3GetIntervalFraction) ABSENT(fmi3GetNominalsOfContinuousStates)
-                    ABSENT(fmi3GetNumberOfContinuousStates) ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(
-                        fmi3GetNumberOfVariableDependencies) ABSENT(fmi3GetOutputDerivatives)
-                        ABSENT(fmi3GetShiftDecimal) ABSENT(fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(
-                            fmi3GetUInt16) ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8)
-                            ABSENT(fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
-                                ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
-                                    ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary)
-                                        ABSENT(fmi3SetClock) ABSENT(fmi3SetContinuousStates)
-                                            ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8)
-                                                ABSENT(fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
-                                                    ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
-                                                        ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
-                                                            ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
-                                                                ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
+ABSENT(fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate)
+    ABSENT(fmi2SerializedFMUstateSize) ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(
+        fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState)
+        ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode) ABSENT(
+            fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates)
+            ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative) ABSENT(fmi3GetBinary) ABSENT(
+                fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(fmi3GetContinuousStates)
+                ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetInt16)
+                    ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction) ABSENT(
+                        fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
+                        ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies)
+                            ABSENT(fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(
+                                fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16)
+                                ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(
+                                    fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
+                                    ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
+                                        ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary) ABSENT(
+                                            fmi3SetClock) ABSENT(fmi3SetContinuousStates) ABSENT(fmi3SetInt16)
+                                            ABSENT(fmi3SetInt8) ABSENT(fmi3SetIntervalDecimal)
+                                                ABSENT(fmi3SetIntervalFraction) ABSENT(fmi3SetShiftDecimal)
+                                                    ABSENT(fmi3SetShiftFraction) ABSENT(fmi3SetString)
+                                                        ABSENT(fmi3SetTime) ABSENT(fmi3SetUInt16)
+                                                            ABSENT(fmi3SetUInt32) ABSENT(fmi3SetUInt64)
+                                                                ABSENT(fmi3SetUInt8)
                                                                     ABSENT(fmi3UpdateDiscreteStates)
