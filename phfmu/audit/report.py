@@ -36,7 +36,7 @@ def audit_table(
 ) -> str:
     """Text of where the energy went, from an audit table or a ledger's summary.
 
-    Components (start, end, stored, dissipated, supplied, largest residual as a part of what is allowed, verdict), ports,
+    Components (start, end, stored, dissipated, supplied, largest residual as a share of what is allowed, verdict), ports,
     junctions, network, what does not close, events; columns and tables that the run has nothing for are left out.
     `rtol` judges a table; a summary is judged.  `by`: kinds of tables to show, none: all.  `scale`: of energies, J by default.
     `events`: those to be listed.  `levels`: what to warn of.  `most`: rows
@@ -130,7 +130,7 @@ def _heading(summary: LedgerSummary, scale: Scale) -> str:
     span = f"{counted(summary.steps, 'step')} from t = {summary.t_start:.6g} s to {summary.t_end:.6g} s"
     unit = {"J": "joule"}.get(scale.unit, scale.unit)
     if scale.whole is not None:
-        unit = f"percent of {scale.whole:.4g} J, which came in or was there"
+        unit = f"percent of {scale.whole:.4g} J, {scale.words}"
     return f"Energy in {unit}, positive into the component; {span}"
 
 
@@ -154,7 +154,7 @@ def _drawn(sheet: Sheet, scale: Scale) -> "Table":
     return table
 
 
-_FORMAT = {CellKind.RATIO: ".1e", CellKind.TIME: ".6g"}
+_FORMAT = {CellKind.TIME: ".6g"}
 
 
 def _cells(sheet: Sheet, row: Sequence[Any], scale: Scale) -> list[str]:
@@ -167,7 +167,14 @@ def _cell(column: Column, value: Any, scale: Scale) -> str:
     if column.kind is CellKind.ENERGY:
         number = scale.of(value)
         return f"{number:.3e}" if scale.label == "J" else f"{number:.4g}"
+    if column.kind is CellKind.RATIO:
+        return percent(value)
     return format(value, _FORMAT[column.kind]) if column.kind in _FORMAT else str(value)
+
+
+def percent(share: float) -> str:
+    """`0.0024 %`; what is far below or above one in the form of 1e-07 %."""
+    return f"{100.0 * share:.2g} %"
 
 
 def _table(title: str) -> "Table":

@@ -26,6 +26,10 @@ class Column:
     adds: bool = True
 
 
+#: header of the largest residual of a step as a share of what it may be, in percent
+ALLOWANCE = "of allowance"
+
+
 @dataclass(frozen=True)
 class Sheet:
     """Rows of values under columns; the first is the name of the row."""
@@ -37,10 +41,11 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Scale:
-    """How energies are written: in `unit`, or as a part of `whole` (J) in percent."""
+    """How energies are written: in `unit`, or as a part of `whole` (J) in percent, of which `words` say what it is."""
 
     unit: str = "J"
     whole: float | None = None
+    words: str = ""
 
     def of(self, joule: float) -> float:
         return joule / UNITS[self.unit] if self.whole is None else 100.0 * joule / self.whole
@@ -51,6 +56,8 @@ class Scale:
 
 
 JOULE = Scale()
+#: of what is stored: less than this flows by rounding alone
+ROUNDING = 1e-12
 
 
 def fitting(summary: LedgerSummary) -> str:
@@ -62,10 +69,18 @@ def fitting(summary: LedgerSummary) -> str:
     return next((u for u in reversed(steps) if math.isfinite(size) and size >= UNITS[u]), "J" if not size else steps[0])
 
 
-def whole(summary: LedgerSummary) -> float:
-    """What 100 % is: the energy that came in from outside, or what was stored at the start if that is more."""
+def flowed(summary: LedgerSummary) -> float:
+    """The energy [J] that came in from outside, by events, and out of what components had stored."""
     into = sum(p.supplied for p in summary.ports if p.junction is None and p.supplied > 0.0)
-    return max(into, sum(abs(c.H_start) for c in summary.components))
+    return into + sum(max(-c.stored, 0.0) + max(c.jumps or 0.0, 0.0) for c in summary.components)
+
+
+def shares(summary: LedgerSummary) -> Scale:
+    """Percent of what flowed; of what was stored at the start where nothing but rounding did."""
+    flow, there = flowed(summary), sum(abs(c.H_start) for c in summary.components)
+    if flow > ROUNDING * there:
+        return Scale(whole=flow, words="which flowed: came in, or was stored before")
+    return Scale(whole=there or None, words="which were stored at the start; nothing came in or was taken from it")
 
 
 def sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> Iterator[Sheet]:
@@ -94,7 +109,7 @@ def _components(summary: LedgerSummary) -> Sheet:
         if any(getattr(c, name) for c in summary.components):
             columns.append(Column(name, lambda c, name=name: getattr(c, name)))
     columns += [
-        Column("worst", lambda c: c.worst_ratio, CellKind.RATIO),
+        Column(ALLOWANCE, lambda c: c.worst_ratio, CellKind.RATIO),
         Column("verdict", lambda c: c.verdict, CellKind.WORD),
     ]
     return _sheet(RowKind.COMPONENT, columns, summary.components)

@@ -26,7 +26,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--all", action="store_true",
                         help=f"all rows; else, without --by, {ROWS} of a table, the last the sum of all others")  # fmt: skip
     parser.add_argument("--unit", choices=(*UNITS, "auto"), help="of the energies (default J; auto: what fits)")
-    parser.add_argument("--percent", action="store_true", help="energies as parts of what came in, or was there")
+    parser.add_argument(
+        "--percent", action="store_true", help="energies as shares of what flowed: came in, or was stored before"
+    )
     parser.add_argument("--export", choices=("csv",), help="the table of --by as CSV, with all digits, instead of text")
     parser.add_argument("--alarm", type=float, default=0.1, metavar="PART",
                         help="warn of steps that miss more than this part of what is allowed (default 0.1)")  # fmt: skip
@@ -40,7 +42,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit.alarms import Alarms
     from phfmu.audit.report import audit_csv
     from phfmu.audit.sheet_names import ROWS
-    from phfmu.audit.sheets import Scale, fitting, whole
+    from phfmu.audit.sheets import Scale, fitting, shares
     from phfmu.audit.window import event_rows
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.network.run.options import ledger_tolerance
@@ -71,7 +73,7 @@ def call(args: argparse.Namespace) -> int:
     window, levels, path = _window(args.window), Alarms(args.alarm, args.alarm_junction), _existing(args.file[0])
     summary = summarise(path, args.rtol, window)
     unit = fitting(summary) if args.unit == "auto" else args.unit or "J"
-    scale = Scale(unit, (whole(summary) or None) if args.percent else None)
+    scale = shares(summary) if args.percent else Scale(unit)
     events = list(event_rows(str(path), window)) if args.by == "event" else []
     if args.export:
         print(audit_csv(summary, args.by, scale, events), end="")

@@ -26,7 +26,7 @@ from phfmu import (
 )
 from phfmu.audit import AuditWriter, audit_table, summarise, sums
 from phfmu.audit.alarms import Alarms, alarms
-from phfmu.audit.sheets import Scale, fitting, sheets, whole
+from phfmu.audit.sheets import Scale, fitting, flowed, shares, sheets
 from phfmu.audit.window import Window
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
@@ -99,7 +99,7 @@ def test_the_command_line_shows_and_exports_one_table(
     assert "b.k = 10" in text and "a.k" not in text and "H start" not in text
     assert main(["audit", str(path), "--by", "junction", "--percent"]) == 0
     text = capsys.readouterr().out
-    total = whole(result.ledger.summary())
+    total = flowed(result.ledger.summary())
     assert f"Energy in percent of {total:.4g} J" in text and "left" in text
     assert main(["audit", str(path), "--export", "csv"]) == 2
     assert "say which with --by" in capsys.readouterr().err
@@ -118,14 +118,14 @@ def test_only_what_a_run_has_is_shown(log: tuple[Path, Any]) -> None:
     model = build_model(mass(1.0, k=4.0, q=0.1))
     alone = run(Monolithic(model, PythonInstance(model)), Options(stop=0.1, step=1e-2)).ledger.summary()
     free = {s.title: [c.header for c in s.columns] for s in sheets(alone)}
-    assert free["component"] == ["component", "H start", "H end", "stored", "worst", "verdict"]
+    assert free["component"] == ["component", "H start", "H end", "stored", "of allowance", "verdict"]
     assert "junction" not in free and "brought by events" not in audit_table(alone)
 
 
 def test_units_and_percent() -> None:
     model = build_model(mass(2e6, k=4e6, q=1.0))
     summary = run(Monolithic(model, PythonInstance(model)), Options(stop=0.1, step=1e-2)).ledger.summary()
-    assert fitting(summary) == "MJ" and whole(summary) == pytest.approx(2e6)
+    assert fitting(summary) == "MJ" and shares(summary).whole == pytest.approx(2e6)
     assert "Energy in MJ" in audit_table(summary, scale=Scale("MJ"))
     assert Scale("MWh").of(3.6e9) == 1.0 and Scale(whole=4.0).of(1.0) == 25.0
 
@@ -232,3 +232,23 @@ def test_compiled_sums_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> No
     assert sums._library is not None
     for one, two in zip(by_arrays, found(), strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+def test_a_residual_is_told_as_a_share_of_what_is_allowed(log: tuple[Path, Any]) -> None:
+    """No number that reads as an error: percent, with the words for it."""
+    summary = log[1].ledger.summary()
+    text = audit_table(summary)
+    assert "of allowance" in text and "worst  " not in text.replace("worst step", "")
+    share = next(c.worst_ratio for c in summary.components)
+    assert f"{100.0 * share:.2g} %" in text
+
+
+def test_percent_is_of_what_flowed_whatever_was_stored() -> None:
+    """A loss of 1 J from 1e9 J that stay: 100 % are what left them, not what was there."""
+    model = build_model(mass(1.0, k=4.0, d=2.0, q=1.0))
+    summary = run(Monolithic(model, PythonInstance(model)), Options(stop=2.0, step=1e-2)).ledger.summary()
+    (c,) = summary.components
+    assert flowed(summary) == pytest.approx(-c.stored, rel=1e-12)
+    much = replace(summary, components=[replace(c, H_start=c.H_start + 1e9, H_end=c.H_end + 1e9)])
+    assert shares(much).whole == pytest.approx(c.dissipated, rel=1e-9)
+    assert "which flowed" in audit_table(much, scale=shares(much))
