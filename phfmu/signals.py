@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from phfmu.declare.elements import labelled
+from phfmu.declare.phdae import ACCOUNT
 from phfmu.declare.port import conjugate
 from phfmu.declare.variable_kind import VariableKind
 
@@ -267,9 +268,11 @@ def _totals(model: Model) -> Iterator[Quantity]:
         yield Quantity(total(name), "local", block, 0, n, None, "J", description=text)
     if n == 1:
         return
-    for i, member in enumerate(model.members):
+    first = [i for i, member in enumerate(model.members) if ACCOUNT not in member]
+    for i, end in zip(first, [*first[1:], n], strict=True):  # a member is followed by the accounts of its terms
+        member = model.members[i]
         for name, block, text in LEDGER if member else ():
-            yield Quantity(total(name, member), "local", block, i, 1, None, "J", description=f"{member}: {text}")
+            yield Quantity(total(name, member), "local", block, i, end - i, None, "J", description=f"{member}: {text}")
 
 
 def jumps(model: Model) -> Iterator[Quantity]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phfmu.engine.steps import Steps
 
 from .booked_steps import book_steps
-from .booking import Booking, PartKey, PortKey
+from .booking import Booking, PartKey, PortKey, TermKey
 from .contradictions import Contradictions
 from .judge import DEFAULT_RTOL
 from .kinds import Quality, RowKind
@@ -91,6 +91,9 @@ class _Reader:
     def take(self, batch: Mapping[RowKind, LogRows]) -> None:
         """Take the rows of a batch, and book all steps that are complete now."""
         for kind, rows in batch.items():
+            if kind is RowKind.TERM:
+                self._add_terms(rows)
+                continue
             self._waiting[kind] = LogRows.joined([self._waiting[kind], rows]) if kind in self._waiting else rows
         network = self._waiting.pop(RowKind.NETWORK, None)
         if network is None:
@@ -109,6 +112,15 @@ class _Reader:
                     self._waiting[kind] = rows.take(~done)
                 grouped[kind] = self._own(kind, rows.take(done), steps)
         self._book(grouped)
+
+    def _add_terms(self, rows: LogRows) -> None:
+        """Sum what terms stored or lost; the rows of each in their order."""
+        component, term, name = rows.names["component"], rows.names["term"], self._interned.name
+        (stored, stores), (lost, _) = (rows.numbers[k] for k in ("dH", "dissipated"))
+        keys, own = np.unique(np.stack([component, term, stores], axis=1), axis=0, return_inverse=True)
+        values = np.where(stores, stored, lost)
+        for i, (c, t, kind) in enumerate(keys.tolist()):
+            self.ledger.terms([TermKey(name(c) or "", name(t) or "", bool(kind))], values[own == i][:, None])
 
     def finish(self, held: Mapping[str, Any]) -> None:
         """Say what is left, and what is not there; `held`: what the footer of an archive says that it holds."""

@@ -30,6 +30,15 @@ class PartKey:
     part: str
 
 
+@dataclass(frozen=True, slots=True)
+class TermKey:
+    """One term of H, which stores, or part of R, which dissipates; one column of `Steps.terms`."""
+
+    component: str
+    term: str
+    stores: bool
+
+
 @dataclass(frozen=True)
 class Booking:
     """What the columns of `Steps` are booked as: c components, q scalar ports; the junctions follow from the ports.
@@ -37,6 +46,7 @@ class Booking:
     `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
     `loose`: the coupling does not claim that junctions create no energy.
     `parts`: of junctions that have more than one, what their energy is the sum of.
+    `terms`: what of H and R is told by itself.
     `constants`: by component what of its H no state enters [J], () where that is nothing.
     """
 
@@ -46,6 +56,7 @@ class Booking:
     loose: bool = False
     parts: tuple[PartKey, ...] = ()
     constants: tuple[float, ...] = ()
+    terms: tuple[TermKey, ...] = ()
 
     @cached_property
     def junctions(self) -> dict[str, list[int]]:

@@ -4,7 +4,7 @@ One wide table: the column `row` says what a row is (component, port, junction, 
 which columns it fills; the others are null. SI units; power positive INTO the component.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ COLUMNS: dict[str, ColumnType] = {
     "index": ColumnType.I32,  # of the pair within a vector port, from 1
     "junction": ColumnType.NAME,
     "part": ColumnType.NAME,  # of a junction's energy
+    "term": ColumnType.NAME,  # of H, or part of R
     "kind": ColumnType.NAME,  # of an event: what happened
     "quality": ColumnType.NAME,  # exact | estimated | none; of a junction that no coupling closes: loose
     "H": ColumnType.F64,  # [J] network: sum over the components at the end of the step
@@ -76,6 +77,7 @@ FIELDS: dict[RowKind, tuple[str, ...]] = {
         *("H", "dH", "dissipated", "numerical", "external", "junction_residual", "unexplained"),
         *("cum_dissipated", "cum_external", "cum_junction_residual", "cum_unexplained", "iterations", "accepted_by"),
     ),
+    RowKind.TERM: ("component", "term", "dH", "dissipated"),
     RowKind.EVENT: ("kind", "component", "energy_jump", "lost", "message"),
 }
 
@@ -139,6 +141,8 @@ def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:
     if s.works is not None and booking.parts:
         names = {name: [getattr(key, name) for key in booking.parts] for name in ("junction", "part")}
         sections.append(_repeat(block, RowKind.PART, names, {"residual": s.works}, encode))
+    if s.terms is not None:
+        sections += _terms(block, s.terms, encode)
     network = {name: column[:, None] for name, column in block.network.items()}
     sections.append(_repeat(block, RowKind.NETWORK, {}, network, encode))
     if s.iterations is not None:
@@ -146,6 +150,15 @@ def block_sections(block: BookedSteps, encode: Encode) -> list[Section]:
     if s.accepted_by is not None:
         sections[-1].columns["accepted_by"] = encode("accepted_by", s.accepted_by.tolist()), None
     return sections
+
+
+def _terms(block: BookedSteps, values: NDArray[Any], encode: Encode) -> Iterator[Section]:
+    """Energies fill dH, parts of R dissipated."""
+    for stores, column in ((True, "dH"), (False, "dissipated")):
+        own = [j for j, key in enumerate(block.booking.terms) if key.stores is stores]
+        if own:
+            names = {name: [getattr(block.booking.terms[j], name) for j in own] for name in ("component", "term")}
+            yield _repeat(block, RowKind.TERM, names, {column: np.ascontiguousarray(values[:, own])}, encode)
 
 
 def _repeat(

@@ -23,6 +23,7 @@ class RowKind(StrEnum):
     JUNCTION = "junction"
     PART = "part"  # of a junction's energy
     NETWORK = "network"
+    TERM = "term"  # of H or R of a component
     EVENT = "event"
 
 

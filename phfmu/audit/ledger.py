@@ -12,6 +12,7 @@ reports no energy) lies outside the balance: what it takes from a junction leave
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -22,13 +23,21 @@ from phfmu.engine.steps import Steps
 from phfmu.words import counted
 
 from .booked_steps import BookedSteps, book_steps
-from .booking import Booking
+from .booking import Booking, TermKey
 from .events import EventCount, EventRow
 from .judge import DEFAULT_RTOL, Judge
 from .kinds import Quality
 from .run_sums import RunSums
 from .sink import Sink
-from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
+from .summary import (
+    ComponentSummary,
+    JunctionSummary,
+    LedgerSummary,
+    NetworkSummary,
+    PartSummary,
+    PortSummary,
+    TermSummary,
+)
 from .sums import Floats, compiled, ratio, use_compiled
 from .violation import COMPONENT, JUNCTION, NETWORK, Violation, word
 
@@ -78,6 +87,8 @@ class Ledger:
         """Book n accepted steps; shapes and errors as for `book_steps`, which copies the arrays."""
         self._change_over(steps)
         if self._sink is None and self._ordinarily(booking, step, t0, h, steps, H0):
+            if steps.terms is not None:
+                self._sums.add_terms(booking.terms, steps.terms)
             return
         block = book_steps(booking, step, t0, h, steps, H0)
         if len(block.step) == 0:
@@ -151,6 +162,10 @@ class Ledger:
         if self._sink is not None:
             self._sink.write_event(EventRow(t, kind, component, energy_jump, message, lost))
 
+    def terms(self, keys: Sequence[TermKey], values: Floats) -> None:
+        """Book what terms stored or lost (n x terms) in steps that are booked by themselves, as a log has them."""
+        self._sums.add_terms(keys, values)
+
     def contradiction(self, violation: Violation) -> None:
         """Book that rows of a file contradict each other."""
         self._judge.note(violation)
@@ -176,6 +191,12 @@ class Ledger:
             [
                 PartSummary(key.junction, key.part, self._sums.by.get("part", key.junction, key.part) or 0.0, worst)
                 for key, worst in self._sums.parts.items()
+            ],
+            [
+                TermSummary(
+                    key.component, key.term, key.stores, self._sums.by.get("term", key.component, key.term) or 0.0
+                )
+                for key in self._sums.terms
             ],
             self._network(found) if self._steps else None,
             dict(self._events.kinds),

@@ -100,6 +100,7 @@ _NEEDED: dict[RowKind, tuple[str, ...]] = {
     RowKind.PORT: ("supplied", "index", "component", "port", "junction", "quality"),
     RowKind.JUNCTION: ("junction", "quality", "residual", "exchanged"),
     RowKind.PART: FIELDS[RowKind.PART],
+    RowKind.TERM: FIELDS[RowKind.TERM],
     RowKind.NETWORK: tuple(name for name in FIELDS[RowKind.NETWORK] if name not in ("iterations", "accepted_by")),
     RowKind.EVENT: ("energy_jump", "lost", "kind", "component", "message"),
 }

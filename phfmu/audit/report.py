@@ -109,7 +109,7 @@ def _parts(
     chosen = [sheet for sheet in sheets(summary, events) if not by or sheet.title in by]
     yield from (_drawn(sheet if most is None else shortened(sheet, most), scale) for sheet in chosen)
     if by and summary.steps and not chosen:
-        yield f"there is no {' and no '.join(by)} in it"
+        yield f"there is no {' and no '.join(by)} in it{TERMS if RowKind.TERM in by else ''}"
     if summary.violations:
         yield _table(
             f"{LedgerVerdict.VIOLATED}: what does not close; allowed: {summary.rtol:.1e} of the energies in play, and rounding"
@@ -154,6 +154,8 @@ def _drawn(sheet: Sheet, scale: Scale) -> "Table":
     return table
 
 
+#: how to have what a log lacks
+TERMS = "; a run tells energies and resistors by themselves with: phfmu run TARGET --audit full --audit-detail"
 _FORMAT = {CellKind.TIME: ".6g"}
 
 

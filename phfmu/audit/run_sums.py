@@ -1,9 +1,11 @@
 """What a run adds up: of components, ports, junctions, parts and the network."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from .booked_steps import BookedSteps
-from .booking import Booking, PartKey
+from .booking import Booking, PartKey, TermKey
 from .kinds import Quality
 from .sums import Floats, Sums, larger, largest
 
@@ -19,6 +21,7 @@ class RunSums:
         self.ports: dict[tuple[str, str], tuple[str | None, Quality]] = {}
         self.junctions: dict[str, float] = {}
         self.parts: dict[PartKey, float] = {}
+        self.terms: dict[TermKey, None] = {}
         self.estimated: set[str] = set()
         self.loose: set[str] = set()
         self.unexplained = 0.0
@@ -42,7 +45,14 @@ class RunSums:
         self._add_ports(block)
         self._add_parts(block)
         self._add_network(block.network)
+        if block.steps.terms is not None:
+            self.add_terms(block.booking.terms, block.steps.terms)
         return stored
+
+    def add_terms(self, keys: Sequence[TermKey], values: Floats) -> None:
+        """Sum what terms stored or lost (n x terms)."""
+        self.terms.update(dict.fromkeys(keys))
+        self.by.add([("term", key.component, key.term) for key in keys], values)
 
     def _add_components(self, block: BookedSteps) -> Floats:
         names, s = block.booking.components, block.steps

@@ -90,7 +90,7 @@ def sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> Iterator[
 
 def all_sheets(summary: LedgerSummary, events: Sequence[EventRow] = ()) -> tuple[Sheet, ...]:
     """Those without rows too."""
-    flows = (_components(summary), _ports(summary), _junctions(summary), _parts(summary))
+    flows = (_components(summary), _terms(summary), _ports(summary), _junctions(summary), _parts(summary))
     return (*flows, _network(summary), _events(events))
 
 
@@ -113,6 +113,15 @@ def _components(summary: LedgerSummary) -> Sheet:
         Column("verdict", lambda c: c.verdict, CellKind.WORD),
     ]
     return _sheet(RowKind.COMPONENT, columns, summary.components)
+
+
+def _terms(summary: LedgerSummary) -> Sheet:
+    columns = (
+        Column("term", lambda t: f"{t.component}.{t.term}", CellKind.NAME),
+        Column("stored", lambda t: t.energy if t.stores else None),
+        Column("dissipated", lambda t: None if t.stores else t.energy),
+    )
+    return _sheet(RowKind.TERM, columns, summary.terms)
 
 
 def _ports(summary: LedgerSummary) -> Sheet:

@@ -71,6 +71,16 @@ class PartSummary:
 
 
 @dataclass
+class TermSummary:
+    """What a term of H stored, or a part of R dissipated, over the run."""
+
+    component: str
+    term: str
+    stores: bool
+    energy: float
+
+
+@dataclass
 class NetworkSummary:
     """The balance over the run; worst_unexplained is the largest magnitude of a single step."""
 
@@ -95,6 +105,7 @@ class LedgerSummary:
     ports: list[PortSummary] = field(default_factory=list)
     junctions: list[JunctionSummary] = field(default_factory=list)
     parts: list[PartSummary] = field(default_factory=list)
+    terms: list[TermSummary] = field(default_factory=list)
     network: NetworkSummary | None = None
     events: dict[str, int] = field(default_factory=dict)
     rtol: float = DEFAULT_RTOL

@@ -27,6 +27,7 @@ def job_of(args: argparse.Namespace) -> Job:
     if args.fmi is not None and args.engine != "fmu" and not any(m.endswith("=fmu") for m in args.member):
         raise ValueError(f"--fmi {args.fmi} says what --engine fmu exports; add --engine fmu, or leave out --fmi")
     if is_fmu(args.target):
+        _require_whole(args)
         return job_unit.unit(args)
     s = scene(args.target)
     s = replace(s, system=with_settings(s.system, settings(args.set)))
@@ -47,9 +48,19 @@ def job_of(args: argparse.Namespace) -> Job:
         )
     if not row.apart:
         return job_whole.whole(args, s, s.declaration(), why)
+    _require_whole(args)
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} is a single component; --coupling {row.name} needs a network of members")
     return job_apart.apart(args, s, s.system, row.name, [*s.notes, *why], tried if row.kind.repeats else {})
+
+
+def _require_whole(args: argparse.Namespace) -> None:
+    """ValueError for details that only one composed model has."""
+    if getattr(args, "audit_detail", False):
+        raise ValueError(
+            f"{args.target}: --audit-detail tells energies and resistors of one composed model by themselves; members that are "
+            "stepped apart, and FMUs, tell their sums: take --coupling monolithic, or leave it out"
+        )
 
 
 def composed(args: argparse.Namespace) -> Scene:

@@ -78,6 +78,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--audit", metavar="none|summary|full|FILE", default="summary",
                         help="energy ledger: none; sums, printed (default); a file per step, FILE.parquet or "
                              "(full) TARGET.audit.parquet")  # fmt: skip
+    parser.add_argument("--audit-detail", action="store_true",
+                        help="tell each energy and each resistor by itself too (phfmu audit FILE --by term); one composed "
+                             "model only")  # fmt: skip
     parser.add_argument("--plot", metavar="FILE", help="picture of the run, X.png or X.html (see: phfmu plot)")
     parser.add_argument(
         "--audit-rtol", type=float, default=1e-11, help="allowed residual of a step relative to the energies in play"

@@ -27,6 +27,9 @@ from phfmu.declare.switch import Switch, renamed_switches
 from phfmu.declare.variable import Variable, _sx
 from phfmu.declare.variable_kind import VariableKind
 
+#: between a member and a term of it that is booked by itself (`discretise/accounts.py`), in the names of owners
+ACCOUNT = ":"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PHDAE:

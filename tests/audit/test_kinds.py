@@ -50,4 +50,4 @@ def test_kinds_are_typed_and_written_as_words(tmp_path: Path) -> None:
 
 def test_choices_of_the_command_line_are_plain_words() -> None:
     """argparse shows what it refuses by repr."""
-    assert [repr(k) for k in KINDS] == [f"'{k}'" for k in ("component", "port", "junction", "part", "event")]
+    assert [repr(k) for k in KINDS] == [f"'{k}'" for k in ("component", "port", "junction", "part", "term", "event")]

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.discretise.accounts import Accounts
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
-from phfmu.engine.steps import LEDGER, Steps
+from phfmu.engine.steps import LEDGER, StepEvent, Steps
 from phfmu.engine.switched import stepped
+from phfmu.events.happened import Happened
 from phfmu.network.couplings.projections import Projections
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.members.booking import booking
@@ -40,6 +42,7 @@ class Monolithic:
 
     def __init__(self, model: Model, instance: Any):
         self.model, self.instance = model, instance
+        self._accounts = Accounts.of(model.members)
         self._projections = Projections(model)
         self.booking = replace(booking(model, instance.parameters), parts=self._projections.keys)
         self._inputs = Inputs(instance, model)
@@ -88,7 +91,11 @@ class Monolithic:
         return self._columns.now(self.instance)
 
     def energies(self) -> Array:
-        return self.instance.signal("H")
+        return self._by_component(self.instance.signal("H"))
+
+    def _by_component(self, values: Array) -> Array:
+        """Values by member of the model, of which terms may have their own."""
+        return values if self._accounts is None else self._accounts.folded(values)
 
     def rest_changes(self) -> dict[str, list[RestChange]]:
         return {"": self.instance.rest_changes}
@@ -115,7 +122,9 @@ class Monolithic:
         found = project_start(where.model, self.instance.x, p=self.instance.parameters, t=t0, keep=kept)
         self.instance.set_x(t0, found.x)
         self.instance.initialise()
-        return found
+        if self._accounts is None or not found.changes:
+            return found
+        return replace(found, changes=tuple(self._by_component(np.array(found.changes)).tolist()))
 
     def prepare(self, t0: float, h: float) -> None:
         """One instance has its values from its own start; with switches it is told how long steps are."""
@@ -148,9 +157,13 @@ class Monolithic:
             steps, happened = None, part.happened
             if part.rows:
                 steps, before = self._filled(instance, before, part.rows, part.t, part.h), part.rows["signals"][-1]
-            row = happened and (words.told(happened), self._columns.pick(happened.signals[None])[0])
+            row = happened and (self._told(words, happened), self._columns.pick(happened.signals[None])[0])
             before = before if happened is None else happened.signals
             yield part.t, part.h, steps, row
+
+    def _told(self, words: Happenings, happened: Happened) -> StepEvent:
+        told = words.told(happened)
+        return replace(told, energy=self._by_component(told.energy), lost=self._by_component(told.lost))
 
     @property
     def lands(self) -> bool:
@@ -227,6 +240,11 @@ class Monolithic:
 
     def _steps(self, instance: Any, r: dict[str, Array]) -> Steps:
         steps = Steps.recorded(r, self._columns.pick(r["signals"]))
+        if self._accounts is not None:
+            names = ("H", "stored", "dissipated", "supplied", "moved", "numerical")
+            terms = self._accounts.by_term(steps.stored, steps.dissipated)
+            own = {n: self._by_component(x) for n in names if (x := getattr(steps, n)) is not None}
+            steps = replace(steps, terms=terms, **own)
         return replace(steps, works=self._lost(instance, r)) if self.booking.parts else steps
 
     def _lost(self, instance: Any, r: dict[str, Array]) -> Array:

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.audit.booking import Booking, PortKey
+from phfmu.audit.booking import Booking, PortKey, TermKey
+from phfmu.discretise.accounts import Accounts
 from phfmu.discretise.model import Model
 from phfmu.signals import ordered_ports
 from phfmu.terms.canonical import member
@@ -16,7 +17,9 @@ def booking(model: Model, parameters: NDArray[np.float64] | None = None) -> Book
     """Audit names of a model's ledger with these parameters (default: those at the start): members (or the model itself)
     and port pairs with their junctions."""
     d = model.declaration
-    components = tuple(m or model.name for m in model.members)
+    accounts = Accounts.of(model.members)
+    members = model.members if accounts is None else [model.members[i] for i in accounts.first]
+    components = tuple(m or model.name for m in members)
     at = {end: name for name, ends in d.junctions for end in ends}
     pairs = []
     for p, _ in ordered_ports(d):
@@ -26,8 +29,12 @@ def booking(model: Model, parameters: NDArray[np.float64] | None = None) -> Book
         for j in range(p.n):
             index = None if p.size is None else j + 1
             pairs.append(PortKey(p.owner or model.name, short, index, at.get(p.name)))
+    held = Constants(model).at(model.p0 if parameters is None else parameters)
+    if accounts is None:
+        return Booking(components, tuple(pairs), constants=held)
+    terms = tuple(TermKey(a.component or model.name, a.term, a.stores) for a in accounts.terms)
     return Booking(
-        components, tuple(pairs), constants=Constants(model).at(model.p0 if parameters is None else parameters)
+        components, tuple(pairs), constants=tuple(accounts.folded(np.array(held)).tolist()) if held else (), terms=terms
     )
 
 
