@@ -32,11 +32,12 @@ class Lander(Protocol):
 
 
 def grid_step(
-    lander: Lander, t: float, end: float, h: float, fired: list[int], events: int = 0
+    lander: Lander, t: float, end: float, h: float, fired: list[int], events: int = 0, pause: bool = False
 ) -> Iterator[tuple[float, float, Any]]:
     """(start, length, None) of each step taken in [t, end], (time, 0, what happened) of each event.
 
-    `fired`: guards that are on zero at t;  `events`: that happened before in the step
+    `fired`: guards that are on zero at t;  `events`: that happened before in the step;  `pause`: ends after those that
+    happen at one time
     """
     while True:
         passes = 0
@@ -46,6 +47,8 @@ def grid_step(
                 lander.refuse_again(t, fired)
             yield t, 0.0, lander.happen(t, h, fired, events)
             fired = lander.location.already(t)
+        if pause and events:
+            return
         if end - t <= (LIMITS["REST_OF_STEP"] * EPS * max(abs(t), abs(end)) if events else 0.0):
             return
         taken, fired = lander.location.advance(t, end - t)

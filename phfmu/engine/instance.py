@@ -252,14 +252,16 @@ class Instance(Signals):
     def _run(self, grid: Grid, names: tuple[str, ...], inputs: Array | None) -> dict[str, Array]: ...
 
     def land(
-        self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
-    ) -> Iterator[Landed]:
+        self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True, *,
+        pause: bool = False,
+    ) -> Iterator[Landed]:  # fmt: skip
         """Grid steps k = first..first+n-1 from t0 + k h, which end on the zeros of guards too, where state events happen.
 
-        `record` as for `run`, a row for each step taken;  `changed`: parameters or states were set since the last step.
+        `record` as for `run`, a row for each step taken;  `changed`: parameters or states were set since the last step;
+        `pause`: end after the first event and those that follow it at the same time.
         StepFailure after what was accepted before: EventRefused for an event that cannot happen.
         """
-        return self._land(Grid(t0, h, n, first), recordable(self.model.name, record), changed)
+        return self._land(Grid(t0, h, n, first, pause=pause), recordable(self.model.name, record), changed)
 
     @abstractmethod
     def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]: ...

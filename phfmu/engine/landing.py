@@ -87,13 +87,16 @@ class Landing:
         steps: list[Taken] = []
         try:
             for i in range(grid.n):
-                for found in self.within(grid.start(i), grid.start(i + 1), grid.h, read, changed):
+                paused = False
+                for found in self.within(grid.start(i), grid.start(i + 1), grid.h, read, changed, grid.pause):
                     if isinstance(found, Happened):
                         yield Landed.of(steps, found)
-                        steps = []
+                        steps, paused = [], grid.pause
                     else:
                         steps.append(found)
                 changed = False
+                if paused:
+                    return
         except StepFailure:
             if steps:
                 yield Landed.of(steps)
@@ -102,7 +105,7 @@ class Landing:
             yield Landed.of(steps)
 
     def within(
-        self, t: float, end: float, h: float, read: Callable[[], dict[str, Array]], changed: bool
+        self, t: float, end: float, h: float, read: Callable[[], dict[str, Array]], changed: bool, pause: bool = False
     ) -> Iterator[Taken | Happened]:
         """The steps and events in [t, end], of a grid of steps h; `over` is made of these."""
         events = 0
@@ -113,7 +116,7 @@ class Landing:
                 events = 1
                 yield settled
         fired = self.location.begun(t, end - t) if changed else []
-        for start, taken, happened in grid_step(self, t, end, h, fired, events):
+        for start, taken, happened in grid_step(self, t, end, h, fired, events, pause):
             yield (start, taken, read()) if taken else happened
 
     @property

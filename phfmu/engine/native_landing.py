@@ -26,7 +26,7 @@ class LandedRows(ctypes.Structure):
     """ph_landed."""
 
     _fields_ = [
-        *((n, ctypes.c_int) for n in ("steps_room", "events_room", "steps", "events", "done")),
+        *((n, ctypes.c_int) for n in ("steps_room", "events_room", "pause", "steps", "events", "done")),
         *((n, ctypes.c_void_p) for n in ("t", "h", "event_t", "event_step", "event_fired")),
         *((n, ctypes.c_void_p) for n in ("event_energy", "event_lost", "event_signals")),
     ]
@@ -72,7 +72,7 @@ class NativeLanding:
     def over(self, grid: Grid, record: Iterable[str], changed: bool, check: Callable[[int], None]) -> Iterator[Landed]:
         """The steps of a grid; `check` raises what a status means."""
         self._lib.ph_land_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
-        yield from self.on(grid.n, record, check)
+        yield from self.on(grid.n, record, check, grid.pause)
 
     def stop_before(self, events: NDArray[np.int8]) -> None:
         """Events with 1 (n) happen elsewhere: it ends before them."""
@@ -84,12 +84,12 @@ class NativeLanding:
         """Of the landing in memory."""
         return self._in
 
-    def on(self, n: int, record: Iterable[str], check: Callable[[int], None]) -> Iterator[Landed]:
-        """What is left of n grid steps."""
+    def on(self, n: int, record: Iterable[str], check: Callable[[int], None], pause: bool = False) -> Iterator[Landed]:
+        """What is left of n grid steps, up to the first event if it is to `pause` there."""
         sizes = record_widths(self._model, self._width)
         room = Room({name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}, n + STEPS,
-                    self._plan.n, self._model.step.ncomp, self._width)  # fmt: skip
-        while not room.out.done:
+                    self._plan.n, self._model.step.ncomp, self._width, pause=pause)  # fmt: skip
+        while not room.over:
             status = self._lib.ph_land(self._in, room.request, room.out)
             yield from room.parts()
             if status:
@@ -125,10 +125,21 @@ class NativeLanding:
 class Room:
     """What steps and events are written to: `rows` for `steps` of them, and EVENTS events of `n` guards.
 
-    `width`: of the signals after an event;  `changed` (EVENTS x switches): 1 = went off, 2 = on
+    `width`: of the signals after an event;  `changed` (EVENTS x switches): 1 = went off, 2 = on;  `pause`: it is full after
+    the events of one time
     """
 
-    def __init__(self, rows: dict[str, Floats], steps: int, n: int, ncomp: int, width: int, switches: int = 0):
+    def __init__(
+        self,
+        rows: dict[str, Floats],
+        steps: int,
+        n: int,
+        ncomp: int,
+        width: int,
+        switches: int = 0,
+        *,
+        pause: bool = False,
+    ):
         self.request, self._rows = Record(parts=1), rows
         for name, array in rows.items():
             setattr(self.request, name, Column(array.ctypes.data, array.shape[1]))
@@ -137,7 +148,12 @@ class Room:
         self._energy, self._lost = np.zeros((2, EVENTS, ncomp))
         self._signals, self.changed = np.zeros((EVENTS, width)), np.zeros((EVENTS, switches), np.int8)
         arrays = (self._t, self._h, self._when, self._step, self._fired, self._energy, self._lost, self._signals)
-        self.out = LandedRows(steps, EVENTS, 0, 0, 0, *(a.ctypes.data for a in arrays))
+        self.out = LandedRows(steps, EVENTS, pause, 0, 0, 0, *(a.ctypes.data for a in arrays))
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left to land."""
+        return bool(self.out.done or (self.out.pause and self.out.events))
 
     def parts(self, words: Callable[[NDArray[np.int8]], tuple[str, ...]] = lambda _: ()) -> Iterator[Landed]:
         """What the last call wrote; `words`: what a row of `changed` says."""
@@ -165,7 +181,7 @@ class _Event:
         self._when, self._step, self._fired = np.zeros(1), np.zeros(1, np.int32), np.zeros(n, np.int8)
         self._parts = np.zeros(ncomp), np.zeros(ncomp), np.zeros(width)
         arrays = (self._when, self._step, self._fired, *self._parts)
-        self.rows = LandedRows(0, 0, 0, 0, 0, None, None, *(a.ctypes.data for a in arrays))
+        self.rows = LandedRows(0, 0, 0, 0, 0, 0, None, None, *(a.ctypes.data for a in arrays))
 
     def happened(self) -> Happened:
         energy, lost, signals = (part.copy() for part in self._parts)

@@ -127,8 +127,8 @@ class NativeModes:
         kept = {name: np.full((grid.n + STEPS, sizes[name]), np.nan) for name in record}
         if "signals" in kept:  # hidden constraints that a mode shows before they are left out
             kept["signals"] = np.full((grid.n + STEPS, width + plan.nx + plan.na), np.nan)
-        room = Room(kept, grid.n + STEPS, self._model.events.n, plan.ncomp, width, self._n)
-        while not room.out.done:
+        room = Room(kept, grid.n + STEPS, self._model.events.n, plan.ncomp, width, self._n, pause=grid.pause)
+        while not room.over:
             self._push()
             status = lib.ph_modes_land(self._in, room.request, room.out, room.changed.ctypes.data)
             self._pull()

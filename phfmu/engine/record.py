@@ -40,13 +40,17 @@ PRESENT = {"signals", "energy"}
 
 @dataclass(frozen=True)
 class Grid:
-    """Steps k = first..first+n-1 from t0 + k h, each in `parts` equal internal steps."""
+    """Steps k = first..first+n-1 from t0 + k h, each in `parts` equal internal steps.
+
+    `pause`: landing ends after the first event, and those that follow it at the same time
+    """
 
     t0: float
     h: float
     n: int
     first: int = 0
     parts: int = 1
+    pause: bool = False
 
     def start(self, i: int) -> float:
         """Of its i-th step."""

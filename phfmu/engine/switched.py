@@ -137,10 +137,11 @@ class SwitchedInstance(Signals):
         self._mode, self._started, self._merged = self._asked, True, None
 
     def land(
-        self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True
-    ) -> Iterator[Landed]:
+        self, t0: float, h: float, n: int, record: Iterable[str] = (), first: int = 0, changed: bool = True, *,
+        pause: bool = False,
+    ) -> Iterator[Landed]:  # fmt: skip
         """Grid steps that end on the zeros of guards too, where modes change; see `Instance.land`."""
-        grid, names = Grid(t0, h, n, first), recordable(self.model.name, record)
+        grid, names = Grid(t0, h, n, first, pause=pause), recordable(self.model.name, record)
         if self.present.landing is not None:
             return self._native.land(grid, names, changed)
         return landed(self, grid, names, changed, self)
@@ -244,7 +245,9 @@ class SwitchedInstance(Signals):
             None,
         )
         self._last, self._held = other._last, other._held
-        self._mode = other._mode
+        if self._mode != other._mode:
+            self._mode = other._mode
+            self.present.restore(self._fresh[self._mode])
         self.present.continue_from(other.present)
 
     def reset(self) -> None:

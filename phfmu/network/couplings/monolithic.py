@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.accounts import Accounts
 from phfmu.discretise.model import Model, build_model
+from phfmu.engine.record import Grid
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import LEDGER, StepEvent, Steps
@@ -144,16 +145,26 @@ class Monolithic:
 
         None for no steps, and for the steps before the end or a failure.  `changed`: something was set since the last step.
         """
-        if self.followed is not None and n > 1:  # inputs are held between events, with their mean over each grid step
-            for k in range(first, first + n):
-                yield from self.land(t0, h, 1, k, changed)
+        return self.landed(self.instance, Grid(t0, h, n, first), changed)
+
+    def landed(self, instance: Any, grid: Grid, changed: bool) -> Iterator[Landing]:
+        """`land` of the instance or of a companion; a grid that pauses ends with the first event."""
+        if self.followed is not None and grid.n > 1:
+            for k in range(grid.first, grid.first + grid.n):
+                for part in self.landed(instance, replace(grid, n=1, first=k), changed):
+                    yield part
+                    paused = grid.pause and part[3] is not None
+                if paused:
+                    return
             return
-        words, instance, given = Happenings(self.model), self.instance, self._at_nodes(self.instance, t0, h, n, first)
-        if given is not None:
-            instance.set_input(self.model.scheme.nodes.b @ given[0])
-        wanted, before = self._wanted(instance), np.zeros(0) if self.between is None else instance.row()
+        words, before = Happenings(self.model), np.zeros(0) if self.between is None else instance.row()
+        given = self._at_nodes(instance, grid.t0, grid.h, grid.n, grid.first)
+        if given is not None:  # inputs are held between events, with their mean over each grid step
+            instance.set_input(instance.model.scheme.nodes.b @ given[0])
+        wanted = self._wanted(instance)
         wanted = wanted if self.between is None else (*wanted, "unknowns")
-        for part in instance.land(t0, h, n, wanted, first, changed or given is not None):
+        changed, (t0, h, n) = changed or given is not None, (grid.t0, grid.h, grid.n)
+        for part in instance.land(t0, h, n, wanted, grid.first, changed, pause=grid.pause):
             steps, happened = None, part.happened
             if part.rows:
                 steps, before = self._filled(instance, before, part.rows, part.t, part.h), part.rows["signals"][-1]

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.engine.limits import LIMITS
+from phfmu.engine.locate import EPS
+from phfmu.engine.record import Grid
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import StepEvent
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Landing
 from phfmu.network.run.book import Book
-from phfmu.network.run.march import Pace, goals, pieces, step_rows
+from phfmu.network.run.march import Pace, goals, monolithic, pieces, step_rows
 from phfmu.network.run.options import Options
+from phfmu.network.run.restart import Restart
 from phfmu.network.run.rows import Row
 from phfmu.network.run.stretches import Stretch
 
@@ -33,9 +37,12 @@ class Booked:
 
     def __init__(self, stepper: Monolithic | Coupled, book: Book):
         self.stepper, self.book = stepper, book
+        #: when the last event of the last rows happened, None without one
+        self.event: float | None = None
 
     def rows(self, parts: Iterable[Landing], also: float = 0.0) -> Rows:
         """Of parts that `land` of the stepper yields; `also`: iterations of trials that are booked with the first step."""
+        self.event = None
         try:
             for begun, size, steps, happened in parts:
                 if steps is not None:
@@ -52,18 +59,23 @@ class Booked:
 
     def _happened(self, e: StepEvent, row: Array) -> Row:
         """Books it; the row after it."""
+        self.event = e.t
         self.book.happened(e)
         self.stepper.check_start()
         return np.array([e.t]), row[None], np.zeros(1, bool)
 
 
 class EventSteps:
-    """Grid steps of a model with state events, or of members that land together."""
+    """Grid steps of a model with state events, or of members that land together.
+
+    With restart steps the rest of a step with an event and the `restart` steps after it are taken with damping.
+    """
 
     def __init__(self, stepper: Monolithic | Coupled, book: Book, options: Options):
         _require_fit(options)
-        self.stepper, self.step = stepper, options.step
+        self.stepper, self.step, self.restart = stepper, options.step, options.restart
         self._booked, self._pace = Booked(stepper, book), Pace()
+        self._damped = Restart(monolithic(stepper, "--restart")) if self.restart else None
 
     def takes_inputs(self, name: str) -> bool:
         """Stretches end where an input changes."""
@@ -71,22 +83,46 @@ class EventSteps:
 
     def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
-        changed = True
+        changed, left = True, self.restart if event else 0
         for t, h, n in pieces(stretch.start, stretch.end, self.step):
             first = 0
             while first < n:
-                count = min(self._pace.steps, n - first)
-                yield from self._booked.rows(self.stepper.land(t, h, count, first, changed))
-                first, changed = first + count, False
-                self._pace.handed_over(count)
+                grid = Grid(t, h, min(self._pace.steps, n - first), first)
+                if self._damped is None:
+                    yield from self._booked.rows(self.stepper.land(t, h, grid.n, first, changed))
+                    taken = grid.n
+                else:
+                    taken, left = yield from self._restarting(self._damped, grid, changed, left)
+                first, changed = first + taken, False
+                self._pace.handed_over(taken)
+
+    def _restarting(
+        self, damped: Restart, grid: Grid, changed: bool, left: int
+    ) -> Generator[Row, None, tuple[int, int]]:
+        """One damped step if some are `left` to take, else exact ones up to an event and a damped rest of the step with it.
+
+        Grid steps that were taken, and damped ones that are left after them.
+        """
+        if left:
+            yield from self._booked.rows(damped.land(grid.start(0), grid.h, changed))
+            return 1, left - 1 if self._booked.event is None else self.restart
+        own = damped.stepper
+        yield from self._booked.rows(own.landed(own.instance, replace(grid, pause=True), changed))
+        if (t := self._booked.event) is None:
+            return grid.n, 0
+        over, rest = _place(grid, t)
+        if rest:
+            yield from self._booked.rows(damped.land(t, rest))
+            over += 1
+        return over, self.restart
 
     def facts(self) -> dict[str, Any]:
         """What the result says about the steps."""
-        return {}
+        return {"restarted": self._damped.taken} if self._damped else {}
 
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""
-        return []
+        return self._damped.notes() if self._damped else []
 
 
 class AdaptiveEventSteps:
@@ -102,8 +138,10 @@ class AdaptiveEventSteps:
 
         _require_fit(options)
         assert options.rtol is not None
-        self.stepper, self.book, self.landing = stepper, book, options.landing
+        self.stepper, self.book, self.landing, self.restart = stepper, book, options.landing, options.restart
         self._booked, self._adaptive = Booked(stepper, book), Adaptive(stepper, options, options.rtol)
+        damps = self.restart > 0 and not stepper.model.loses_energy
+        self._damped = Restart(stepper, companion=self._adaptive.other) if damps else None
 
     def takes_inputs(self, name: str) -> bool:
         """Steps of any length stop where an input changes."""
@@ -111,8 +149,9 @@ class AdaptiveEventSteps:
 
     def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
-        t, crowd = stretch.start, 0
+        t, crowd, left = stretch.start, 0, self.restart if event else 0
         yield from self._booked.rows(self.stepper.land(t, 0.0, 1))  # what happens at once
+        left = left if self._booked.event is None else self.restart
         self._adaptive.after_event()
         for goal in goals(stretch.start, stretch.end, self.landing):
             while t < goal:
@@ -126,7 +165,12 @@ class AdaptiveEventSteps:
                 first = self._first(t, end)
                 self.stepper.instance.restore(before)
                 end, crowd = (end, 0) if first is None or crowd == CROWD else (first, crowd + 1)
-                yield from self._booked.rows(self.stepper.land(t, end - t, 1, 0, False), spent)
+                if left and self._damped is not None:
+                    parts = self._damped.land(t, end - t)
+                else:
+                    parts = self.stepper.land(t, end - t, 1, 0, False)
+                yield from self._booked.rows(parts, spent)
+                left = max(left - 1, 0) if self._booked.event is None else self.restart
                 if first is not None:
                     self._adaptive.after_event()
                 t = end
@@ -142,16 +186,24 @@ class AdaptiveEventSteps:
     def facts(self) -> dict[str, Any]:
         """What the result says about the steps."""
         a = self._adaptive
-        return {"rejected": a.rejected, "smallest": a.smallest, "largest": a.largest}
+        sizes = {"rejected": a.rejected, "smallest": a.smallest, "largest": a.largest}
+        return sizes | ({"restarted": self._damped.taken} if self._damped else {})
 
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""
-        return []
+        return self._damped.notes() if self._damped else []
+
+
+def _place(grid: Grid, t: float) -> tuple[int, float]:
+    """Grid steps that are over at the time t, and what is left of the one under way, 0 for nothing."""
+    over = int((t - grid.start(0)) // grid.h)
+    for k in (over, over + 1):
+        if abs(grid.start(k) - t) <= LIMITS["REST_OF_STEP"] * EPS * max(abs(t), abs(grid.start(k))):
+            return k, 0.0
+    return over, grid.start(over + 1) - t
 
 
 def _require_fit(options: Options) -> None:
     """ValueError for options that state events do not go with."""
-    given = {"--restart": options.restart > 0, "--ecco": options.ecco is not None}
-    for option, there in given.items():
-        if there:
-            raise ValueError(f"{option} does not go with state events yet; leave it out")
+    if options.ecco is not None:
+        raise ValueError("--ecco does not go with state events yet; leave it out")

@@ -19,6 +19,7 @@ from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.run.book import Book
 from phfmu.network.run.options import Options
+from phfmu.network.run.restart import Restart, not_damped, require_fit
 from phfmu.network.run.rows import Row
 from phfmu.network.run.stretches import Stretch
 from phfmu.network.scene import Event
@@ -81,12 +82,7 @@ class FixedSteps:
 
     def __init__(self, stepper: Stepper, book: Book, options: Options):
         self.stepper, self.book, self.step, self.restart = stepper, book, options.step, options.restart
-        self._damped = None
-        if self.restart:
-            from phfmu.network.run.restart import Restart
-
-            self._damped = Restart(monolithic(stepper, "--restart"))
-        self._restarted = 0
+        self._damped = Restart(monolithic(stepper, "--restart")) if self.restart else None
         self._cut: list[float] = []
         self._pace = Pace()
         self._longest = 0.0
@@ -115,12 +111,12 @@ class FixedSteps:
 
     def facts(self) -> dict[str, Any]:
         """What the result says about the steps."""
-        return {"restarted": self._restarted - (self._damped.refused if self._damped else 0)}
+        return {"restarted": self._damped.taken} if self._damped else {}
 
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""
         cut = [_shorter(self._cut, self.book.steps, self.step)] if self._cut else []
-        return cut + (_not_damped(self._damped.refused, self._restarted) if self._damped else [])
+        return cut + (self._damped.notes() if self._damped else [])
 
     def _booked(self, t: float, h: float, first: int, n: int, damped: bool, inputs: list[tuple[int, Event]]) -> Rows:
         """The rows of steps first..first+n-1 of the grid t + k h; those before one that fails, too.
@@ -130,7 +126,6 @@ class FixedSteps:
         try:
             if damped and self._damped is not None:
                 steps = self._damped.advance(t + first * h, h)
-                self._restarted += 1
             elif inputs:
                 steps = monolithic(self.stepper, "--input").advance_with(inputs, t, h, n, first)
             else:
@@ -199,7 +194,7 @@ class AdaptiveSteps:
 
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""
-        return _not_damped(self._wanted - self._restarted, self._wanted)
+        return not_damped(self._wanted - self._restarted, self._wanted)
 
     def _booked(self, times: list[float], rows: list[Steps]) -> Row:
         steps, t = Steps.joined(rows), np.array(times)
@@ -214,7 +209,6 @@ def _sized(stepper: Stepper, options: Options) -> Adaptive | Ecco:
 
         return Ecco(stepper, options, options.ecco)
     from phfmu.network.run.adaptive import Adaptive
-    from phfmu.network.run.restart import require_fit
 
     whole = monolithic(stepper, "--rtol")
     if options.restart:
@@ -240,15 +234,6 @@ def _shorter(cut: list[float], steps: int, step: float) -> str:
     )
 
 
-def _not_damped(refused: int, wanted: int) -> list[str]:
-    if not refused:
-        return []
-    return [
-        f"{refused} of {wanted} damping steps after events were taken by the energy-exact scheme: in a Radau step a component "
-        "would have gained energy, which it can where H is not quadratic in the states"
-    ]
-
-
 def step_rows(start: Array, end: Array, steps: Steps) -> Row:
     """Rows at the step ends, with those within the steps before them."""
     if steps.between is None:
@@ -264,9 +249,14 @@ def step_rows(start: Array, end: Array, steps: Steps) -> Row:
 
 
 def monolithic(stepper: Stepper, option: str) -> Monolithic:
+    """The stepper, if it is one composed model; ValueError with the remedies for what is none."""
     if isinstance(stepper, Monolithic):
         return stepper
+    from phfmu.network.couplings.coupled import Coupled
+
+    damps = option == "--restart" and isinstance(stepper, Coupled)
+    other = "; members stepped apart damp all of their steps with --scheme radau" if damps else ""
     raise ValueError(
         f"{option} needs one composed model stepped by the python or native engine, here it is {stepper.what}; "
-        f"leave out {option}, or {stepper.instead}"
+        f"leave out {option}, or {stepper.instead}{other}"
     )

@@ -96,7 +96,7 @@ int ph_land_more(ph_landing *l, const ph_record *record, ph_landed *out) {
             least = l->happened ? PH_REST_OF_STEP * DBL_EPSILON * ph_larger(fabs(l->t), fabs(l->stop)) : 0.0;
             if (l->stop - l->t <= least)
                 break;
-            if (out->steps == out->steps_room)
+            if (out->steps == out->steps_room || (out->pause && out->events))
                 return PH_OK;
             status = recorded(l, record, out);
         }

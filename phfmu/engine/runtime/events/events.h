@@ -53,6 +53,7 @@ typedef struct ph_events {
 /* What steps and events are written to; the caller's, with room for so many. */
 typedef struct ph_landed {
     int steps_room, events_room;
+    int pause;                /* 1: returns before the first step behind an event */
     int steps, events;        /* written by the last call */
     int done;                 /* 1: all grid steps are taken */
     double *t;                /* steps: starts */
