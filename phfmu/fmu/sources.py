@@ -209,7 +209,7 @@ def _modes_text(modes: UnitModes) -> str:
         text += f"extern const ph_model {model_symbol(i)};\nextern const ph_events {events_symbol(i)};\n"
         text += "".join(t for t, _ in named)
         rows.append(f"{{&{model_symbol(i)}, &{events_symbol(i)}, {', '.join(name for _, name in named)}}}")
-    functions = ("state_size", "save", "load", "reset", "asked", "ask")
+    functions = ("state_size", "save", "load", "fault", "reset", "asked", "ask")
     return (
         f"extern const ph_switches {SWITCHES};\nextern const ph_mode_rows {ROWS}[];\n{text}"
         f"static const fmu_mode modes[] = {{\n{_list(rows)}}};\n{_strings('switch_names', modes.names)[0]}"

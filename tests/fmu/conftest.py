@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from phfmu import PHDAE, export
 from phfmu.discretise.model import Model
-from tests.fmu.exported import build
+from tests.fmu.exported import SANITIZE, build
 
 
 @pytest.fixture(scope="session")
@@ -24,3 +26,17 @@ def exported(tmp_path_factory: pytest.TempPathFactory):
         return made[name]
 
     return get
+
+
+@pytest.fixture(scope="session")
+def sanitizers(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A C compiler whose sanitizers link and run; else the test is skipped with the reason."""
+    folder = tmp_path_factory.mktemp("probe")
+    (folder / "probe.c").write_text("int main(void) { return 0; }\n")
+    for name in ("gcc", "clang", "cc"):
+        if not (compiler := shutil.which(name)):
+            continue
+        made = subprocess.run([compiler, *SANITIZE, "probe.c", "-o", "probe"], cwd=folder, capture_output=True)
+        if made.returncode == 0 and subprocess.run([folder / "probe"], capture_output=True).returncode == 0:
+            return compiler
+    pytest.skip("no C compiler here links the address and undefined behaviour sanitizers")

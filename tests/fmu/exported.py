@@ -27,6 +27,8 @@ from phfmu.discretise.model import Model, build_model
 from phfmu.network.junctions.network import Network
 from phfmu.schemes.collocated import Collocated
 
+#: flags of the sanitizers that hosts and units are compiled with
+SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 PULL = Domain("pull", "f", "N", "v", "m/s", "flow")
 
 

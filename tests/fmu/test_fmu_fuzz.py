@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import zipfile
 from pathlib import Path
@@ -14,9 +13,9 @@ from phfmu.components.library import build
 from phfmu.fmu import sources
 from phfmu.fmu.archive import open_archive
 from phfmu.schemes.collocated import Collocated
+from tests.fmu.exported import SANITIZE
 
 HERE = Path(__file__).parent
-SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 #: what is called, in the order of the host
 KINDS = (
     "instantiate free setup enter exit terminate reset get get set set step step step derivative save restore forget "
@@ -30,20 +29,6 @@ MODELS = {
     "breaker_opening": (Collocated(2), 1e-4, False),
     "rectifier": (Collocated(2), 5e-4, False),
 }
-
-
-@pytest.fixture(scope="module")
-def sanitizers(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A C compiler whose sanitizers link and run; else the test is skipped with the reason."""
-    folder = tmp_path_factory.mktemp("probe")
-    (folder / "probe.c").write_text("int main(void) { return 0; }\n")
-    for name in ("gcc", "clang", "cc"):
-        if not (compiler := shutil.which(name)):
-            continue
-        made = subprocess.run([compiler, *SANITIZE, "probe.c", "-o", "probe"], cwd=folder, capture_output=True)
-        if made.returncode == 0 and subprocess.run([folder / "probe"], capture_output=True).returncode == 0:
-            return compiler
-    pytest.skip("no C compiler here links the address and undefined behaviour sanitizers")
 
 
 @pytest.mark.slow

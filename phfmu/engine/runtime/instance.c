@@ -1,4 +1,4 @@
-/* Life of an instance: begin, start values, parameters, save and restore, what it tells. */
+/* Life of an instance: begin, start values, parameters, what it tells. */
 #include <math.h>
 #include <string.h>
 
@@ -157,30 +157,6 @@ int ph_continue(ph_instance *in, const ph_instance *from) {
     ph_rest_placed(in);
     ph_rest_continue(in, from);
     return ph_set_input(in, from->u);
-}
-
-size_t ph_state_size(const ph_instance *in) {
-    return in->state_size;
-}
-
-void ph_save(const ph_instance *in, void *out) {
-    memcpy(out, in->head, in->state_size);
-}
-
-int ph_load(ph_instance *in, const void *from) {
-    const ptrdiff_t flags = (char *)in->step.rests - (char *)in->head;
-    const size_t length = sizeof(int) * (size_t)in->model->step->nhold;
-    ph_head head;
-    int status, others;
-    memcpy(&head, from, sizeof(head));
-    if (head.token != in->model->token || head.size != in->state_size)
-        return PH_ABI;
-    others = length > 0 && memcmp(in->step.rests, (const char *)from + flags, length) != 0;
-    memcpy(in->head, from, in->state_size);
-    if (others)
-        ph_rest_take(in);
-    status = ph_lu_adopt(&in->step.lu, in->step.pivot);
-    return status ? status : ph_lu_adopt(&in->instant.lu, in->instant.pivot);
 }
 
 const double *ph_signals(const ph_instance *in) {

@@ -43,6 +43,30 @@ int ph_part_end(const ph_instance *in, int i, int at) {
     return PH_SMALLEST;
 }
 
+/* Substeps of an internal step that end at these places; 0: the last one does not end with it. */
+static int substeps(uint64_t ends) {
+    int n = 0;
+    if (ends >> (PH_SMALLEST - 1) != 1)
+        return 0;
+    for (; ends; ends &= ends - 1)
+        n++;
+    return n;
+}
+
+int ph_parts_fit(const ph_head *head) {
+    const int kept = head->halved < PH_KEPT_HALVED ? head->halved : PH_KEPT_HALVED;
+    long long parts = head->asked;
+    if (head->parts < 0 || head->asked < 0 || head->halved < 0 || head->halved > PH_KEPT_HALVED + 1)
+        return 0;
+    for (int l = 0; l < kept; l++) {
+        const int n = substeps(head->halved_ends[l]), before = l > 0 ? head->halved_step[l - 1] : -1;
+        if (n < 2 || head->halved_step[l] <= before || head->halved_step[l] >= head->asked)
+            return 0;
+        parts += n - 1;
+    }
+    return head->parts <= 1 || head->parts == parts || (head->halved > kept && head->parts > parts);
+}
+
 int ph_solves(const ph_instance *in) {
     const ph_head *head = in->head;
     return head->parts > 1 && head->halved > PH_KEPT_HALVED ? 0 : head->parts;

@@ -223,6 +223,9 @@ PH_API int ph_end_along(ph_instance *in, const ph_directions *d);
 PH_API size_t ph_state_size(const ph_instance *in);
 PH_API void ph_save(const ph_instance *in, void *out);
 PH_API int ph_load(ph_instance *in, const void *from);
+/* For a state (ph_state_size bytes, aligned for double) that others wrote: NULL if ph_load may read it, else
+ * what is wrong in it. Nothing of the instance changes. */
+PH_API const char *ph_state_fault(const ph_instance *in, const void *from);
 
 PH_API const long long *ph_counts(const ph_instance *in); /* PH_NCOUNT, since ph_init */
 PH_API const ph_report *ph_last_report(const ph_instance *in);

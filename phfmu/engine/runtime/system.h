@@ -213,6 +213,7 @@ void ph_solve_refined(ph_system *s); /* dw = A^-1 rhs; changes rhs and base */
 int ph_chain_sensitivity(ph_instance *in, double *out);
 void ph_parts_begin(ph_instance *in, int n); /* a step of n internal ones, or of one that is halved */
 void ph_part_ends(ph_instance *in, int i, int end);
+int ph_parts_fit(const ph_head *head); /* whether the parts in a state of anybody's are those of a step */
 int ph_part_end(const ph_instance *in, int i,
                 int at);                              /* of the part of internal step i that begins at `at` */
 void ph_take_instant(ph_instance *in, int algebraic); /* means = values at the present time */

@@ -247,6 +247,18 @@ int fmu_modes_load(fmu *f, const void *from) {
     return ph_load(f->in, (const char *)from + sides_size(f));
 }
 
+const char *fmu_modes_fault(const fmu *f, const void *from) {
+    const world *w = f->modes;
+    const int n = about(f)->switches->n, present = find(about(f), (const signed char *)from + 1);
+    const signed char *sides = from;
+    for (int i = 0; i < 1 + 2 * n; i++)
+        if (sides[i] != 0 && sides[i] != 1)
+            return "a switch is neither open nor closed";
+    if (present < 0)
+        return "it is in a mode that the unit does not have";
+    return ph_state_fault(w->whole[present].in, (const char *)from + sides_size(f));
+}
+
 void fmu_modes_reset(fmu *f) {
     begin(f->modes);
     adopt(f);

@@ -24,6 +24,7 @@ typedef struct fmu_switches {
     size_t (*state_size)(const fmu *f);
     void (*save)(const fmu *f, void *out);
     int (*load)(fmu *f, const void *from);
+    const char *(*fault)(const fmu *f, const void *from); /* as ph_state_fault */
     void (*reset)(fmu *f);
     void (*asked)(const fmu *f, double *p);
     void (*ask)(fmu *f, double *p);
@@ -39,6 +40,7 @@ int fmu_modes_refused(const fmu *f, const char *function);
 size_t fmu_modes_state_size(const fmu *f);
 void fmu_modes_save(const fmu *f, void *out);
 int fmu_modes_load(fmu *f, const void *from);
+const char *fmu_modes_fault(const fmu *f, const void *from);
 void fmu_modes_reset(fmu *f);
 void fmu_modes_asked(const fmu *f, double *p);
 void fmu_modes_ask(fmu *f, double *p);

@@ -1,7 +1,10 @@
 /* Saved states: the token, the mode, the books, impulses and a copy of the model's state, in one block
  * without pointers.
  *
- * Serialized states carry a checksum: they come from files, and the model trusts its state. */
+ * Serialized states carry a checksum: they come from files, and damage is found by it. A checksum can be
+ * written by anybody, so whatever chooses a place in memory or bounds a loop is compared with the model too,
+ * before there is a state that the instance would take. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -139,8 +142,51 @@ int fmu_write(fmu *f, const char *function, const void *state, void *bytes, size
     return FMU_OK;
 }
 
+/* What is wrong in the phase of a state, or NULL. */
+static const char *phase_fault(const fmu *f, const fmu_phase *p) {
+    const double numbers[] = {p->start, p->steps, p->happened[0], p->happened[1], p->happened[2]};
+    if (p->mode != FMU_INSTANTIATED && p->mode != FMU_INITIALIZATION && p->mode != FMU_STEP &&
+        p->mode != FMU_TERMINATED)
+        return "there is no such mode";
+    if (p->passed < 0 || p->passed > f->about->nevent)
+        return "it counts events that the unit does not have";
+    if ((p->stop_defined & ~1) || (p->crossed & ~1))
+        return "a flag is neither 0 nor 1";
+    if (p->stop_defined && !(p->stop >= p->start))
+        return "its stop time lies before its start";
+    for (size_t i = 0; i < sizeof(numbers) / sizeof(*numbers); i++)
+        if (!isfinite(numbers[i]))
+            return "a time or a count is not finite";
+    return p->steps >= 0.0 ? NULL : "a count is negative";
+}
+
+/* The same of a whole state, aligned for double. */
+static const char *fault(const fmu *f, const saved *from) {
+    const char *place = (const char *)(from + 1) + books_size(f);
+    const double *impulses = (const double *)(const void *)place;
+    const char *found = phase_fault(f, &from->phase);
+    place += impulses_size(f);
+    for (size_t i = 0; i < impulses_size(f) / sizeof(double); i++)
+        if (!isfinite(impulses[i]))
+            return "an impulse is not finite";
+    if (found)
+        return found;
+    return switches(f) ? switches(f)->fault(f, place) : ph_state_fault(f->in, place);
+}
+
+/* What was checked into *state, which is reused if there is one. */
+static void hand_over(void *checked, size_t size, void **state) {
+    if (!*state) {
+        *state = checked;
+        return;
+    }
+    memcpy(*state, checked, size);
+    free(checked);
+}
+
 int fmu_read(fmu *f, const char *function, const void *bytes, size_t size, void **state) {
-    saved head;
+    saved head, *copy;
+    const char *wrong;
     if (fmu_allow(f, function, FMU_ANY) || fmu_given(f, function, state && bytes))
         return FMU_ERROR;
     if (size != fmu_state_size(f))
@@ -150,12 +196,17 @@ int fmu_read(fmu *f, const char *function, const void *bytes, size_t size, void 
         return FMU_ERROR;
     if (head.sum != sum_of(bytes, size))
         return fmu_refuse(f, "%s: the state is damaged, its checksum does not fit", function);
-    if (!*state)
-        *state = malloc(size);
-    if (!*state)
+    copy = malloc(size);
+    if (!copy)
         return fmu_refuse(f, "%s: no memory for a state (%zu bytes)", function, size);
     head.sum = 0;
-    memcpy(*state, bytes, size);
-    memcpy(*state, &head, sizeof(head));
+    memcpy(copy, bytes, size);
+    memcpy(copy, &head, sizeof(head));
+    wrong = fault(f, copy);
+    if (wrong) {
+        free(copy);
+        return fmu_refuse(f, "%s: the state is none that this unit wrote: %s", function, wrong);
+    }
+    hand_over(copy, size, state);
     return FMU_OK;
 }
