@@ -1,8 +1,12 @@
 """A picture as part of a web page, by plotly; the page holds all it needs and loads nothing."""
 
+import base64
+import gzip
 import html
+import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import import_module
 from math import ceil, log10
 from typing import Any
@@ -13,7 +17,8 @@ from phfmu.report.crowds import Crowd, parted
 from phfmu.report.extra import require
 from phfmu.report.labels import LINE, Label, entry, height, labels
 from phfmu.report.picture import COLOURS, Curve, Panel, Picture
-from phfmu.report.recording import Mark
+from phfmu.report.recording import Floats, Mark
+from phfmu.report.thin import COLUMNS, PER_COLUMN, columns_within, lean, thin
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 PANEL, ENTRY, GAP, FRAME = 190, 19, 55, 110
@@ -32,6 +37,28 @@ th {{ border-bottom: 1px solid #999; font-weight: 600; }} .bad {{ color: #b00020
 .wide {{ overflow-x: auto; }}
 .wide svg {{ max-width: 100%; height: auto; }}
 """
+#: unpacks the library, draws the figures in their places; a browser that cannot says so
+_UNPACK = """
+(async () => {
+  const packed = Uint8Array.from(atob(document.getElementById("plotly").textContent), c => c.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const library = document.createElement("script");
+  library.textContent = await new Response(stream).text();
+  document.head.append(library);
+  for (const figure of document.querySelectorAll("script.figure")) {
+    const {data, layout, config} = JSON.parse(figure.textContent);
+    await Plotly.newPlot(figure.previousElementSibling, data, layout, config);
+  }
+})().catch(error => {
+  const text = "This picture needs a browser from 2023 on: " + error;
+  for (const place of document.querySelectorAll("div.figure")) place.textContent = text;
+});
+"""
+#: points of all curves of a picture, and digits of theirs: single precision where it shows all of them
+POINTS = 60_000
+_SINGLE = 6e-8
+#: how much more a line may be moved where its points are too many
+COARSER = (1, 3, 10, 30)
 
 
 def write_html(drawn: Picture, path: str | os.PathLike[str]) -> None:
@@ -48,10 +75,10 @@ def write_page(path: str | os.PathLike[str], title: str, body: Sequence[str]) ->
         file.write(
             f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{text}</title>\n<style>{_STYLE}</style>\n<script>{import_module('plotly.offline').get_plotlyjs()}</script>\n</head>\n<body>\n"
+            f"<title>{text}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
             f"<h1>{text}</h1>\n"
         )
-        file.write("\n".join(body))
+        file.write("\n".join([*body, _library()]))
         file.write("\n</body>\n</html>\n")
 
 
@@ -69,13 +96,14 @@ def chart(drawn: Picture) -> str:
         rows=max(len(heights), 1), cols=1 + near, vertical_spacing=GAP / max(total, 1), row_heights=heights or None,
         column_widths=[0.68, 0.32] if near else None, horizontal_spacing=0.05 if near else None, specs=specs,
     )  # fmt: skip
+    panels, note = fitted(panels)
     for i, panel in enumerate(panels, 1):
         name = "legend" if i == 1 else f"legend{i}"
         for curve in panel.curves:
             style = _style(curve, panel.log) | (
                 {"showlegend": False} if panel.near else {}
             )  # bands are pale: told by near
-            figure.add_scatter(x=curve.time, y=curve.values, legend=name, row=i, col=1, **style)
+            figure.add_scatter(x=single(curve.time), y=single(curve.values), legend=name, row=i, col=1, **style)
         x, y = next(figure.select_xaxes(row=i, col=1)), next(figure.select_yaxes(row=i, col=1))
         x.update(matches="x" if i > 1 else None, showticklabels=i == len(panels), range=_span(drawn))
         y.update(title={"text": panel.unit}, **_scale(panel))
@@ -91,14 +119,55 @@ def chart(drawn: Picture) -> str:
         height=total + FRAME + height(texts), margin={"l": 80, "r": 20, "t": 40 + height(texts), "b": 50},
         plot_bgcolor="white", font={"family": _FONT, "size": 12}, showlegend=True,
     )  # fmt: skip
-    return part(figure)
+    return part(figure) + (f'\n<p class="note">{note}</p>' if note else "")
+
+
+def fitted(panels: Sequence[Panel]) -> tuple[list[Panel], str]:
+    """Panels with at most `POINTS` points in their curves, and what a reader must know of that.
+
+    Points that a line does not need are left out first; then all curves are thinned alike.
+    """
+    lean_ones = [replace(p, curves=_lean(p, p.curves), near=_lean(p, p.near)) for p in panels]
+    sizes = [len(c.time) for p in lean_ones for c in (*p.curves, *p.near)]
+    columns = columns_within(sizes, POINTS)
+    if all(n <= PER_COLUMN * columns for n in sizes):
+        return lean_ones, ""
+    few = [replace(p, curves=_lean(p, p.curves, columns), near=_lean(p, p.near, columns)) for p in lean_ones]
+    return (
+        few,
+        f"at most {POINTS} points: of fast curves the first, smallest, largest and last of each of {columns} columns",
+    )
+
+
+def _lean(panel: Panel, curves: Sequence[Curve], columns: int = COLUMNS) -> tuple[Curve, ...]:
+    """Without points on a line, more of them where they are too many for the columns; on a log axis every point counts."""
+    finite = [c.values[np.isfinite(c.values)] for c in curves]
+    size = max((float(np.ptp(v)) for v in finite if len(v)), default=0.0)
+    found = list[Curve]()
+    for c in curves:
+        time, values = c.time, c.values
+        for coarse in () if panel.log else COARSER:
+            if coarse == 1 or len(time) > PER_COLUMN * columns:
+                time, values = lean(time, values, size * coarse)
+        time, values = thin(time, values, columns)
+        found.append(replace(c, time=time, values=values))
+    return tuple(found)
+
+
+def single(values: Floats) -> Any:
+    """In single precision, if that resolves a hundred-thousandth of their height."""
+    finite = values[np.isfinite(values)]
+    if not len(finite) or _SINGLE * np.abs(finite).max() > 1e-5 * np.ptp(finite) or np.abs(finite).max() > 1e37:
+        return values
+    tiny = np.abs(finite[finite != 0.0]).min(initial=1.0)
+    return values if tiny < 1e-37 else values.astype(np.float32)
 
 
 def _near(figure: Any, panel: Panel, row: int) -> None:
     """A few periods beside the whole, and where they are in it."""
     for curve in panel.near:
         name = "legend" if row == 1 else f"legend{row}"
-        figure.add_scatter(x=curve.time, y=curve.values, legend=name, row=row, col=2, **_style(curve))
+        figure.add_scatter(x=single(curve.time), y=single(curve.values), legend=name, row=row, col=2, **_style(curve))
     x, y = next(figure.select_xaxes(row=row, col=2)), next(figure.select_yaxes(row=row, col=2))
     _title(figure, "in the grey window", x.domain[0], y.domain[1], colour="#777")
     time = next(c.time for c in panel.near if len(c.time))
@@ -121,9 +190,18 @@ def _span(drawn: Picture) -> tuple[float, float]:
 
 
 def part(figure: Any) -> str:
-    """A figure as HTML that uses the page's plotly."""
+    """A figure that the page's plotly draws once it is there: its place, and its data and layout as JSON."""
     config = {"displaylogo": False, "responsive": True, "plotlyServerURL": ""}
-    return figure.to_html(full_html=False, include_plotlyjs=False, include_mathjax=False, config=config)
+    text = json.dumps(json.loads(figure.to_json()) | {"config": config}, separators=(",", ":")).replace("</", "<\\/")
+    high = figure.layout.height or PANEL
+    place = f'<div class="figure" style="height:{high:.0f}px"></div>'
+    return f'{place}\n<script type="application/json" class="figure">{text}</script>'
+
+
+def _library() -> str:
+    """plotly, compressed to a third of its size, and what unpacks it and then draws the figures."""
+    packed = gzip.compress(import_module("plotly.offline").get_plotlyjs().encode(), 9, mtime=0)
+    return f'<script type="text/plain" id="plotly">{base64.b64encode(packed).decode()}</script>\n<script>{_UNPACK}</script>'
 
 
 def _scale(panel: Panel) -> dict[str, Any]:
@@ -152,7 +230,7 @@ def _style(curve: Curve, log: bool = False) -> dict[str, Any]:
     if curve.band is not None:  # as lines, to zoom into
         return {"mode": "lines", "name": name, "opacity": 0.6, "line": {"color": colour, "width": 0.8}}
     dash = DASHES[curve.dash % len(DASHES)]
-    line = {"color": colour, "dash": dash, "width": 1 if log else 1.5}
+    line = {"color": colour, "dash": dash, "width": 1 if log else 1.5, "simplify": False}
     if log:  # between zeros are single points
         return {"mode": "lines+markers", "name": name, "line": line, "marker": {"size": 3}}
     return {"mode": "lines", "name": name, "line": line}

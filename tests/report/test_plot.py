@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
+import re
 import struct
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,13 +19,14 @@ from phfmu.cli import main
 from phfmu.engine.steps import Steps
 from phfmu.pick import pick
 from phfmu.report.history import read_history
+from phfmu.report.html import POINTS, fitted, single, write_html
 from phfmu.report.live_recording import LiveRecording
 from phfmu.report.opening import opened
 from phfmu.report.picture import COLOURS, panel, picture, with_marks
 from phfmu.report.prefix import engineering, scaled
 from phfmu.report.recording import Mark, Signal
 from phfmu.report.result_table import ResultTable
-from phfmu.report.thin import thin
+from phfmu.report.thin import lean, thin
 from phfmu.results.schema import UNIT_KEY
 
 NAMES = ["gen.I[1]", "gen.I[2]", "gen.V_step[1]", "gen.Te", "line.I[1]", "gen.energy.stored", "constraint.velocity.x"]
@@ -174,7 +178,9 @@ def test_html_loads_nothing(folder: Path) -> None:
     assert main(["plot", str(folder / "m.audit.parquet"), "-o", str(folder / "x.html")]) == 0
     text = (folder / "x.html").read_text(encoding="utf-8")
     assert loaded(folder / "x.html") == []
-    assert text.count("Plotly.newPlot(") >= 1 and len(text) > 1_000_000  # the library is within the page
+    assert text.count('<script type="application/json" class="figure">') == 1
+    (packed,) = re.findall(r'<script type="text/plain" id="plotly">([^<]+)</script>', text)
+    assert len(gzip.decompress(base64.b64decode(packed))) > 1_000_000  # the library is within the page
     assert "dc_motor.shaft.power" in text and "terminal.v = -12" in text
 
 
@@ -336,3 +342,42 @@ def test_marks_of_the_same_time_are_one(tmp_path: Path) -> None:
     when = {"t0": np.array([1.0]), "h": np.array([np.nan]), "step": np.array([np.nan])}
     history = History("x", {}, events={("input", "", "u = 1"): when, ("input", "", "v = 2"): when})
     assert marks(history) == [Mark(1.0, "u = 1, v = 2")]
+
+
+def test_a_page_of_many_fast_signals_has_three_megabytes_at_most(tmp_path: Path) -> None:
+    """The library is packed, points on a line are left out, and what is left shares a number of points."""
+    t = np.linspace(0.0, 10.0, 50_000)
+    fast = {f"x{i}.v": 1e3 * np.sin(2 * np.pi * 50.0 * t + i) for i in range(90)}
+    slow = {f"w{i}.v": 377.0 + np.exp(-t) * np.sin(6.0 * t + i) for i in range(6)}
+    columns = {**fast, **slow}
+    units = {n: f"unit{i // 6}" for i, n in enumerate(columns)}
+    rows = LiveRecording("many", list(columns), (), units)
+    rows.add(t, np.column_stack(list(columns.values())))
+    drawn = picture(rows)
+    assert sum(len(p.curves) for p in drawn.panels) == 96
+    write_html(drawn, tmp_path / "many.html")
+    assert (tmp_path / "many.html").stat().st_size < 3e6
+    few, note = fitted(drawn.panels)
+    assert sum(len(c.time) for p in few for c in (*p.curves, *p.near)) <= POINTS and "fast curves" in note
+    for c, lean_one in zip(drawn.panels[-1].curves, few[-1].curves, strict=True):
+        assert len(lean_one.time) < 700 < len(c.time)
+        off = np.abs(np.interp(c.time, lean_one.time, lean_one.values) - c.values).max()
+        assert off < 0.005 * 2.0  # of an axis from 376 to 378
+    for c, thin_one in zip(drawn.panels[0].curves, few[0].curves, strict=True):
+        assert thin_one.values.max() == c.values.max() and thin_one.values.min() == c.values.min()
+
+
+def test_lines_keep_their_corners_gaps_and_jumps() -> None:
+    t = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0])
+    v = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 9.0, 9.0, 9.0, np.nan, 9.0, 9.0])
+    time, values = lean(t, v, 10.0)
+    assert time.tolist() == [0.0, 4.0, 4.0, 6.0, 7.0, 8.0, 9.0] and values[:3].tolist() == [0.0, 4.0, 9.0]
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [([0.0, 1.0], np.float32), ([377.0, 377.001], np.float64), ([5.0, 5.0], np.float64), ([0.0, 1e300], np.float64),
+     ([1e-300, 1.0], np.float64), ([np.nan, np.nan], np.float64)],
+)  # fmt: skip
+def test_single_precision_where_it_shows_all_digits(values: list[float], kind: type) -> None:
+    assert single(np.array(values)).dtype == kind

@@ -160,11 +160,7 @@ def test_a_window_sums_its_steps_and_no_others(place: Path) -> None:
 
 def figures(page: str) -> list[list[dict]]:
     """The traces of the plotly figures of a page."""
-    found = []
-    for m in re.finditer(r'Plotly\.newPlot\(\s*"[\w-]+",\s*', page):
-        if page[m.end()] == "[":
-            found.append(json.JSONDecoder().raw_decode(page, m.end())[0])
-    return found
+    return [json.loads(text)["data"] for text in re.findall(r'class="figure">(\{.*?\})</script>', page, re.DOTALL)]
 
 
 def written(files: list[str], folder: Path, *more: str) -> str:
