@@ -1,6 +1,8 @@
 """One-line diagram of members (boxes), junctions (bars) and external ports (arrows) as SVG; widths are energies."""
 
-from collections import deque
+from __future__ import annotations
+
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -11,10 +13,10 @@ from phfmu.report.prefix import engineering
 #: pixels: box and bar, room between layers, room of an external port, of an edge's end, and of a line at the most
 BOX, BAR, GAP, PORT, END, WIDEST = 116, 8, 190, 96, 24, 13.0
 ARROW, MARGIN, STRAIGHT = 48, 14, 120
-#: width below which a page scrolls a diagram instead of making it smaller
-READABLE = 600
-#: room below a bar with its name
-NAMED = 34
+#: width below which a page scrolls a diagram instead of making it smaller, and beyond which it goes on in another row
+READABLE, PAGE = 600, 1200
+#: room below a bar with its name, and beside one whose name has a mark
+NAMED, BESIDE = 34, 30
 _LINE, _OUTSIDE = "#0072B2", "#009E73"
 
 
@@ -32,9 +34,7 @@ class _Place:
 
     @property
     def width(self) -> float:
-        if self.node.kind == JUNCTION:
-            return BAR
-        return max(BOX, PORT * len(self.above) + 10, 7.6 * len(self.node.name) + 20)
+        return _width_of(self.node, len(self.above))
 
     @property
     def height(self) -> float:
@@ -52,17 +52,34 @@ class _Place:
         return self.x + self.width / 2 * (-1 if side is self.left else 1), y
 
 
+@dataclass
+class _Row:
+    """Parts of a network side by side: nodes with their layers; `marks`: what stands beside a bar that is in two rows."""
+
+    parts: Sequence[dict[Node, int]]
+    ports: Sequence[Passed]
+    marks: Mapping[Node, str] = field(default_factory=dict[Node, str])
+
+
+def _width_of(node: Node, above: int) -> float:
+    """Pixels of a bar, or of a box with so many ports above it."""
+    return BAR if node.kind == JUNCTION else max(BOX, PORT * above + 10, 7.6 * len(node.name) + 20)
+
+
 def one_line(members: Sequence[str], ports: Sequence[Passed], below: Mapping[str, str]) -> str:
     """The SVG; `below` is a text under a member's name. Empty for members without ports."""
     if not ports:
         return ""
-    places = _placed(_layers(members, ports), ports)
     largest = max(abs(p.energy) for p in ports) or 1.0
-    parts = [t for p in ports if p.junction for t in _edge(places, p, largest)]
-    for place in places.values():
-        parts += _bar(place) if place.node.kind == JUNCTION else _box(place, below, largest)
-    width = max(p.x + p.width / 2 for p in places.values()) + MARGIN + 60
-    height = max(p.y + p.height / 2 for p in places.values()) + MARGIN + 18
+    parts, width, height = list[str](), 0.0, 0.0
+    for row in _rows(_layers(members, ports), ports):
+        places = _placed(row, height)
+        parts += [t for p in row.ports if p.junction for t in _edge(places, p, largest)]
+        for place in places.values():
+            mark = row.marks.get(place.node, "")
+            parts += _bar(place, mark) if place.node.kind == JUNCTION else _box(place, below, largest)
+        width = max(width, *(p.x + p.width / 2 + MARGIN + 60 for p in places.values()))
+        height = max(p.y + p.height / 2 + MARGIN + 18 for p in places.values())
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}" role="img" '
         f'style="min-width:{min(width, READABLE):.0f}px" '
@@ -104,9 +121,52 @@ def _distances(start: Node, near: Mapping[Node, list[Node]]) -> dict[Node, int]:
     return found
 
 
-def _placed(parts: Sequence[dict[Node, int]], ports: Sequence[Passed]) -> dict[Node, _Place]:
-    places = {node: _Place(node, layer) for part in parts for node, layer in part.items()}
-    for p in ports:
+def _rows(parts: Sequence[dict[Node, int]], ports: Sequence[Passed]) -> Iterator[_Row]:
+    """Parts that fit the page as one row; a wider one goes on below at its junctions, which stand in both rows."""
+    fitting = [part for part in parts if _wide(part, ports, max(part.values(), default=0)) <= PAGE]
+    if fitting:
+        yield _Row(fitting, _within(ports, set().union(*fitting)))
+    for part in parts:
+        if part in fitting:
+            continue
+        first, last = 0, max(part.values())
+        while first <= last:
+            end = _end(part, ports, first, last)
+            row = {n: k - first for n, k in part.items() if first <= k <= end}
+            marks = {n: "goes on below" for n, k in part.items() if k == end < last}
+            marks |= {n: "from above" for n, k in part.items() if k == first and first}
+            yield _Row([row], _within(ports, set(row)), marks)
+            first = end if end < last else last + 1
+
+
+def _end(part: Mapping[Node, int], ports: Sequence[Passed], first: int, last: int) -> int:
+    """The last layer of a row that begins with the layer `first`: a layer of junctions, unless all fits."""
+    bars = sorted({k for n, k in part.items() if n.kind == JUNCTION and first < k < last})
+    for k in (last, *reversed(bars)):
+        if _wide(part, ports, k, first) <= PAGE:
+            return k
+    return bars[0] if bars else last
+
+
+def _wide(part: Mapping[Node, int], ports: Sequence[Passed], last: int, first: int = 0) -> float:
+    """Pixels of the layers from first to last."""
+    outside = Counter(p.component for p in ports if not p.junction)
+    widths = dict.fromkeys(range(first, last + 1), 0.0)
+    for node, k in part.items():
+        if first <= k <= last:
+            widths[k] = max(widths[k], _width_of(node, outside[node.name]))
+    return sum(widths.values()) + GAP * (len(widths) - 1)
+
+
+def _within(ports: Sequence[Passed], nodes: set[Node]) -> list[Passed]:
+    """Ports between nodes of a row, and of its members to the outside."""
+    ends = [(p, Node(MEMBER, p.component), Node(JUNCTION, p.junction)) for p in ports]
+    return [p for p, member, bar in ends if member in nodes and (not p.junction or bar in nodes)]
+
+
+def _placed(row: _Row, top: float) -> dict[Node, _Place]:
+    places = {node: _Place(node, layer) for part in row.parts for node, layer in part.items()}
+    for p in row.ports:
         member = places[Node(MEMBER, p.component)]
         if not p.junction:
             member.above.append(p)
@@ -115,10 +175,10 @@ def _placed(parts: Sequence[dict[Node, int]], ports: Sequence[Passed]) -> dict[N
         first, second = (member, bar) if member.layer < bar.layer else (bar, member)
         first.right.append(p)
         second.left.append(p)
-    top = float(MARGIN)
-    for part in parts:
+    top += MARGIN
+    for part in row.parts:
         top = _stacked([places[n] for n in part], top)
-    _spread(places)
+    _spread(places, MARGIN + (BESIDE if row.marks else 0))
     for place in places.values():
         for side, far in ((place.left, -1), (place.right, 1)):
             side.sort(key=lambda p, place=place: (_other(places, p, place).y, far))
@@ -146,9 +206,8 @@ def _stacked(part: Sequence[_Place], top: float) -> float:
     return max(n.y + n.height / 2 for n in part) + 30
 
 
-def _spread(places: Mapping[Node, _Place]) -> None:
-    """Layers side by side, as wide as their widest node."""
-    left = float(MARGIN)
+def _spread(places: Mapping[Node, _Place], left: float) -> None:
+    """Layers side by side from `left` on, as wide as their widest node."""
     for k in range(max(p.layer for p in places.values()) + 1):
         nodes = [p for p in places.values() if p.layer == k]
         wide = max(n.width for n in nodes)
@@ -206,10 +265,12 @@ def _box(place: _Place, below: Mapping[str, str], largest: float) -> Iterator[st
         yield _text(x, y + 13, text, "middle", "fill='#555' font-size='10'")
 
 
-def _bar(place: _Place) -> Iterator[str]:
+def _bar(place: _Place, mark: str) -> Iterator[str]:
     x, y, high = place.x, place.y, place.height + 14
     yield f'<rect x="{x - BAR / 2:.1f}" y="{y - high / 2:.1f}" width="{BAR}" height="{high:.1f}" fill="#222"/>'
     yield _text(x, y + high / 2 + 14, place.node.name, "middle", "font-weight='600'")
+    if mark:
+        yield _text(x, y + high / 2 + 27, mark, "middle", "fill='#555' font-size='10'")
 
 
 def _width(p: Passed, largest: float) -> float:

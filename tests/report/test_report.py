@@ -13,7 +13,7 @@ import pytest
 from phfmu.audit import AuditWriter, Booking, Ledger, PortKey, read, summarise
 from phfmu.cli import main
 from phfmu.engine.steps import Steps
-from phfmu.report.diagram import one_line
+from phfmu.report.diagram import PAGE, one_line
 from phfmu.report.flows import (
     CREATED,
     EVENT,
@@ -253,9 +253,10 @@ def test_widths_of_the_diagram_are_energies() -> None:
 
 
 @pytest.mark.parametrize("ring", [False, True])
-def test_no_box_of_the_diagram_covers_another(ring: bool) -> None:
-    """Lines between buses with loads, as a chain and closed to a ring, and a part that stands alone."""
-    n, joined, members = 5, [], ["alone"]
+@pytest.mark.parametrize("n", [2, 5, 8])
+def test_no_box_of_the_diagram_covers_another(n: int, ring: bool) -> None:
+    """Lines between buses with loads, as a chain and closed to a ring, and a part that stands alone; wide ones go on below."""
+    joined, members = [], ["alone"]
     for i in range(n):
         members += [f"gen{i}", f"load{i}", f"line{i}"]
         joined += [
@@ -267,8 +268,13 @@ def test_no_box_of_the_diagram_covers_another(ring: bool) -> None:
             joined += [Passed(f"line{i}", "a", f"bus{i}", 1.0), Passed(f"line{i}", "b", f"bus{(i + 1) % n}", -1.0)]
     svg = drawn(members, joined)
     found = boxes(svg)
-    assert len(found) == len(members) + n and len(list(svg.iter(f"{SVG}path"))) == sum(bool(p.junction) for p in joined)
+    marks = [t.text for t in svg.iter(f"{SVG}text") if t.text in ("goes on below", "from above")]
+    twice = marks.count("goes on below")  # bars in two rows
+    assert twice == marks.count("from above") and bool(twice) == (n > 2)
+    assert len(found) == len(members) + n + twice
+    assert len(list(svg.iter(f"{SVG}path"))) == sum(bool(p.junction) for p in joined)
     width, height = float(svg.get("width") or 0), float(svg.get("height") or 0)
+    assert width < 1.2 * PAGE  # letters of 11 pixels stay readable
     for i, (x, y, w, h) in enumerate(found):
         assert 0 <= x and 0 <= y and x + w <= width and y + h <= height
         for a, b, c, d in found[:i]:
