@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -217,8 +218,7 @@ def compact(stream: Path, target: Path, expected: int | None = None) -> Compacte
 
 def _steps(batch: "pa.RecordBatch", end: float | None) -> tuple[int, float | None]:
     """Steps of a batch, and the end of the last one [s]."""
-    from pyarrow import compute
-
+    compute: Any = import_module("pyarrow.compute")
     network = batch.filter(compute.equal(batch["row"].cast("string"), RowKind.NETWORK.value))
     n = network.num_rows
     return n, end if not n else network["t0"][n - 1].as_py() + network["h"][n - 1].as_py()

@@ -17,6 +17,7 @@ import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -129,11 +130,11 @@ class Decoder:
 
     def _named(self, field: pa.Field, array: pa.Array) -> pa.Array:
         import pyarrow as pa
-        from pyarrow import compute
 
         if not pa.types.is_dictionary(field.type):
             return array
         names = self._names.setdefault(field.name, [])
+        compute: Any = import_module("pyarrow.compute")
         most = compute.max(array).as_py()
         names += [f"name {i} is lost" for i in range(len(names), (-1 if most is None else most) + 1)]
         return pa.DictionaryArray.from_arrays(array, pa.array(names, pa.string()))

@@ -89,6 +89,7 @@ def apart(
 
     holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, held)))
     stuck = [n for n, found in tried.items() if not found.works]
+    exchange: SignalExchange
     exchange, words_of_signals = _signals(args, network, stuck) if holds else _no_signals(args)
     notes += words_of_signals
     most = _most(coupling, schemes.values(), network.units.values(), ORDERS[exchange] if holds else inf)

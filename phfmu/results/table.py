@@ -66,8 +66,8 @@ class Table:
         `units_row`: a second line of units in CSV
         """
         check_table(str(path), "save")
-        told = {"kinds": self.kinds, "labels": self.labels}
-        writer = TableWriter(Path(path), self.names, self.units, units_row=units_row, **told)
+        names, units, kinds, labels = self.names, self.units, self.kinds, self.labels
+        writer = TableWriter(Path(path), names, units, kinds=kinds, labels=labels, units_row=units_row)
         writer.add(self.time, self.values, np.zeros(len(self.time), bool))
         writer.close()
         return Path(path)

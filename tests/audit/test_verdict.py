@@ -106,6 +106,7 @@ class Unit:
     lands = False
     units: dict[str, str] = {}
     kinds: dict[str, SignalKind] = {}
+    labels: dict[str, str] = {}
 
     def __init__(self, pairs: Sequence[float], supplied: float, estimated: bool = False):
         self.names: list[str] = []

@@ -42,7 +42,7 @@ class Joined:
         self.put_off = [m for m in members if isinstance(m, SteppedLast)]
         self._may_end: list[Any] = [m for m in members if hasattr(m, "ended")]
         #: and those that take the accepted step once more
-        self._finished = [m for m in members if isinstance(m, SteppedLast) or getattr(m, "once_more", False)]
+        self._finished: list[Any] = [m for m in members if isinstance(m, SteppedLast) or getattr(m, "once_more", False)]
         self.booking = _booking(network, members)
         self.names = [of_member(m.name, n) for m in members for n in m.names]
         ends = np.cumsum([0, *(m.nu for m in members)]).tolist()
