@@ -137,7 +137,7 @@ class Monolithic:
             return self.taken(self.instance, t0, h, n, first)
         except StepFailure as failure:
             if len(failure.recorded.get("counts", ())):
-                failure.recorded = {"steps": self._steps(self.instance, failure.recorded)}
+                failure.recorded = {"steps": self.steps_of(self.instance, failure.recorded)}
             raise
 
     def land(self, t0: float, h: float, n: int, first: int = 0, changed: bool = True) -> Iterator[Landing]:
@@ -161,7 +161,7 @@ class Monolithic:
         given = self._at_nodes(instance, grid.t0, grid.h, grid.n, grid.first)
         if given is not None:  # inputs are held between events, with their mean over each grid step
             instance.set_input(instance.model.scheme.nodes.b @ given[0])
-        wanted = self._wanted(instance)
+        wanted = self.wanted(instance)
         wanted = wanted if self.between is None else (*wanted, "unknowns")
         changed, (t0, h, n) = changed or given is not None, (grid.t0, grid.h, grid.n)
         for part in instance.land(t0, h, n, wanted, grid.first, changed, pause=grid.pause):
@@ -191,12 +191,12 @@ class Monolithic:
         u = self._inputs.rows(n, inputs)
         given = u if self.followed is None else self._inputs.at_nodes(self.followed, u, self.model, t0, h, first)
         try:
-            rows = self.instance.run(t0, h, n, record=self._wanted(self.instance), inputs=given, first=first)
-            steps = self._steps(self.instance, rows)
+            rows = self.instance.run(t0, h, n, record=self.wanted(self.instance), inputs=given, first=first)
+            steps = self.steps_of(self.instance, rows)
         except StepFailure as failure:
             done = len(failure.recorded.get("counts", ()))
             if done:
-                failure.recorded = {"steps": self._steps(self.instance, failure.recorded)}
+                failure.recorded = {"steps": self.steps_of(self.instance, failure.recorded)}
             self._inputs.u[:] = u[done]
             raise
         self._inputs.u[:] = u[-1]
@@ -211,16 +211,16 @@ class Monolithic:
 
     def taken(self, instance: Any, t0: float, h: float, n: int, first: int = 0) -> Steps:
         """n steps of the instance or of a companion."""
-        wanted, given = self._wanted(instance), self._at_nodes(instance, t0, h, n, first)
+        wanted, given = self.wanted(instance), self._at_nodes(instance, t0, h, n, first)
         if self.between is None:
-            return self._steps(instance, instance.run(t0, h, n, record=wanted, inputs=given, first=first))
+            return self.steps_of(instance, instance.run(t0, h, n, record=wanted, inputs=given, first=first))
         before = instance.row()
         r = instance.run(t0, h, n, record=(*wanted, "unknowns"), first=first)
         return self._filled(instance, before, r, np.asarray(t0 + h * (first + np.arange(n)), np.float64), np.full(n, h))
 
     def _filled(self, instance: Any, before: Array, r: dict[str, Array], t: Array, h: Array) -> Steps:
         """Recorded steps, with rows within them if these are asked for."""
-        steps = self._steps(instance, r)
+        steps = self.steps_of(instance, r)
         if self.between is None:
             return steps
         rows = self.between(instance, before, r, t, h)
@@ -245,11 +245,13 @@ class Monolithic:
             instance.set_node_inputs(given[0])
         instance.do_step(t, h)
 
-    def _wanted(self, instance: Any) -> tuple[str, ...]:
+    def wanted(self, instance: Any) -> tuple[str, ...]:
+        """What `steps_of` needs of a run of the instance."""
         wanted = (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER
         return (*wanted, "unknowns") if self.booking.parts else wanted
 
-    def _steps(self, instance: Any, r: dict[str, Array]) -> Steps:
+    def steps_of(self, instance: Any, r: dict[str, Array]) -> Steps:
+        """The steps that the instance has recorded."""
         steps = Steps.recorded(r, self._columns.pick(r["signals"]))
         if self._accounts is not None:
             names = ("H", "stored", "dissipated", "supplied", "moved", "numerical")

@@ -13,13 +13,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
 from phfmu.discretise.model import Model
+from phfmu.engine.limits import defined
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.network.couplings.monolithic import Monolithic
@@ -29,14 +33,15 @@ from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.radau import Radau
 from phfmu.terms.bare import Remedy
 
+if TYPE_CHECKING:
+    from phfmu.network.run.native_march import NativeMarch
+
 Array = NDArray[np.float64]
 
-SAFETY = 0.9
-SHRINK, GROW = 0.2, 5.0  # limits of the change from step to step
-INTEGRAL, PROPORTIONAL = 0.7, 0.4  # exponents of the PI controller, times 1/(order of the estimate)
-DIGITS = 8  # binary digits of a step size: engines that agree to rounding take the same steps
-ROUNDING = 1e-14  # a step below this part of the time is lost in it
-TINY = 1e-15  # s, where the time is 0
+_LIMITS = defined(Path(__file__).parent / "runtime" / "march.h")
+SAFETY, SHRINK, GROW = _LIMITS["SAFETY"], _LIMITS["SHRINK"], _LIMITS["GROW"]
+INTEGRAL, PROPORTIONAL, LEAST_ERROR = _LIMITS["INTEGRAL"], _LIMITS["PROPORTIONAL"], _LIMITS["LEAST_ERROR"]
+DIGITS, NEAR, LOST, TINY = int(_LIMITS["DIGITS"]), _LIMITS["NEAR"], _LIMITS["LOST"], _LIMITS["TINY"]
 
 
 class ToleranceMissed(StepFailure):
@@ -53,11 +58,23 @@ class ToleranceMissed(StepFailure):
         )
 
 
-class Adaptive:
-    """Error-controlled steps of a `Monolithic`: |error_i| <= rtol |x_i| + atol nominal_i per step.
+@dataclass
+class Control:
+    """What the controller carries from step to step.
 
-    `rejected`: trial steps that were taken back;  `smallest`, `largest`: sizes of accepted steps.
+    `h`: the proposal;  `last`: error of the last accepted step;  `rejected`: trial steps that were taken back;  `smallest`,
+    `largest`: sizes of accepted steps.
     """
+
+    h: float
+    last: float = 1.0
+    rejected: int = 0
+    smallest: float = math.inf
+    largest: float = 0.0
+
+
+class Adaptive:
+    """Error-controlled steps of a `Monolithic`: |error_i| <= rtol |x_i| + atol nominal_i per step."""
 
     def __init__(self, stepper: Monolithic, options: Options, rtol: float):
         self.stepper = stepper
@@ -67,17 +84,34 @@ class Adaptive:
         self.other = stepper.companion(Collocated(k) if lossy else Radau(k))
         self.order = min(model.scheme.order, self.other.model.scheme.order) + 1
         power = max(1.0, self.order / model.scheme.order)
-        self._rtol, self._atol = rtol**power, (rtol if options.atol is None else options.atol) ** power
-        self._min_step, self._max_step = options.min_step, options.max_step
+        self.rtol, self.atol = rtol**power, (rtol if options.atol is None else options.atol) ** power
+        self.min_step, self.max_step = options.min_step, options.max_step
         states = model.declaration.states
-        self._nominal = np.array([v.nominal[j] for v in states for j in range(v.n)])
+        self.nominal = np.array([v.nominal[j] for v in states for j in range(v.n)])
         self._names = [n for v in states for n in v.names()]
-        self.rejected, self.smallest, self.largest = 0, math.inf, 0.0
-        self._h, self._last = _rounded(min(options.step, self._max_step)), 1.0
+        self.control = Control(_rounded(min(options.step, self.max_step)))
 
     def after_event(self) -> None:
         """Forget the last error: what comes is not its continuation."""
-        self._last = 1.0
+        self.control.last = 1.0
+
+    def facts(self) -> dict[str, float]:
+        """Rejected trials, smallest and largest step (s)."""
+        c = self.control
+        return {"rejected": c.rejected, "smallest": c.smallest, "largest": c.largest}
+
+    def march(self) -> NativeMarch | None:
+        """The same steps in compiled code, many a call and recorded; None where only a loop in Python can take them."""
+        return self._compiled(exactly=False)
+
+    def _compiled(self, exactly: bool) -> NativeMarch | None:
+        from phfmu.network.run.native_march import NativeMarch
+
+        return NativeMarch(self, exactly) if NativeMarch.fits(self, exactly) else None
+
+    @cached_property
+    def _sizes(self) -> NativeMarch | None:
+        return self._compiled(exactly=True)
 
     def advance(self, t: float, end: float, restart: bool = False) -> tuple[float, Steps]:
         """One accepted step from t, not beyond `end`: where it ends (`end` to the last bit), and the step.
@@ -103,6 +137,11 @@ class Adaptive:
 
     def sized(self, t: float, end: float) -> tuple[float, float]:
         """Where one accepted step from t ends, and its iterations; guards are not looked at, and the step is not recorded."""
+        if self._sizes is not None:
+            found = self._sizes.take(t, end, 1)
+            if found.failure is not None:
+                raise found.failure
+            return found.ends[0], self._sizes.spent
         own = self.stepper.instance
 
         def take(h: float, spent: list[float]) -> None:
@@ -131,9 +170,12 @@ class Adaptive:
                 self._grow(h, error, limit)
                 return goal, sum(spent)
             own.set_state(state)
-            missed = ToleranceMissed(self.stepper.model.name, t, h, error, self._names[worst], self._advice(t))
-            self._shrink(t, h, max(SHRINK, SAFETY * error ** (-1.0 / self.order)), missed)
+            self._shrink(t, h, max(SHRINK, SAFETY * error ** (-1.0 / self.order)), self.missed(t, h, error, worst))
             limit = 1.0
+
+    def missed(self, t: float, h: float, error: float, worst: int) -> ToleranceMissed:
+        """A step that misses the tolerance `error` times, in the state number `worst`."""
+        return ToleranceMissed(self.stepper.model.name, t, h, error, self._names[worst], self._advice(t))
 
     def _companion_step(self, t: float, h: float, wanted: bool) -> tuple[Steps | None, float]:
         """The trial of the other scheme, its rows if wanted, and its iterations."""
@@ -148,9 +190,10 @@ class Adaptive:
     def _fitted(self, t: float, end: float) -> tuple[float, float]:
         """The proposed size, or what is left up to `end`; half of that if less than two steps are."""
         left = end - t
-        if self._h >= left * (1 - 1e-9):
+        h = self.control.h
+        if h >= left * (1 - NEAR):
             return left, end
-        h = self._h if 2 * self._h <= left else _rounded(left / 2)
+        h = h if 2 * h <= left else _rounded(left / 2)
         return h, t + h
 
     def _error(self, before: Array, x: Array) -> tuple[float, int]:
@@ -158,13 +201,13 @@ class Adaptive:
         if not x.size:
             return 0.0, 0
         size = np.maximum(np.abs(before), np.abs(x))
-        ratio = np.abs(x - self.other.x) / (self._rtol * size + self._atol * self._nominal)
+        ratio = np.abs(x - self.other.x) / (self.rtol * size + self.atol * self.nominal)
         worst = int(np.argmax(ratio))
         return float(ratio[worst]), worst
 
     def _advice(self, t: float) -> str:
         """What is true for this model and its limits."""
-        lower = ", lower --min-step" if self._min_step > _least(t) else ""
+        lower = ", lower --min-step" if self.min_step > _least(t) else ""
         jump = "" if self.stepper.model.declaration.constraints or self.stepper.model.loses_energy else (
             ", or take restart steps (--restart) if the state jumps at an event"
         )  # fmt: skip
@@ -172,20 +215,20 @@ class Adaptive:
 
     def _shrink(self, t: float, h: float, factor: float, reason: Exception) -> None:
         """A smaller proposal; `reason` is raised if the step is as small as it may be."""
-        if h <= max(self._min_step, _least(t)) * (1 + 1e-9):
+        if h <= max(self.min_step, _least(t)) * (1 + NEAR):
             raise reason
-        self.rejected += 1
-        self._h = _rounded(max(factor * h, self._min_step))
+        self.control.rejected += 1
+        self.control.h = _rounded(max(factor * h, self.min_step))
 
     def _grow(self, h: float, error: float, limit: float) -> None:
         """The next proposal by the PI controller; a step cut short by `end` does not lower it."""
-        error = max(error, 1e-10)
-        factor = SAFETY * error ** (-INTEGRAL / self.order) * self._last ** (PROPORTIONAL / self.order)
+        control, error = self.control, max(error, LEAST_ERROR)
+        factor = SAFETY * error ** (-INTEGRAL / self.order) * control.last ** (PROPORTIONAL / self.order)
         proposal = h * min(limit, max(SHRINK, factor))
-        cut = self._h if h < self._h and limit > 1 else 0.0
-        self._h = _rounded(min(max(proposal, cut, self._min_step), self._max_step))
-        self._last = error
-        self.smallest, self.largest = min(self.smallest, h), max(self.largest, h)
+        cut = control.h if h < control.h and limit > 1 else 0.0
+        control.h = _rounded(min(max(proposal, cut, self.min_step), self.max_step))
+        control.last = error
+        control.smallest, control.largest = min(control.smallest, h), max(control.largest, h)
 
 
 def _require_held(model: Model) -> None:
@@ -215,7 +258,7 @@ def _free_nodes(model: Model) -> list[str]:
 
 def _least(t: float) -> float:
     """A step that is not lost in the rounding of t."""
-    return max(ROUNDING * abs(t), TINY)
+    return max(LOST * abs(t), TINY)
 
 
 def _rounded(h: float) -> float:

@@ -28,7 +28,7 @@ NOTHING = 1e-12  # eps below this is this
 
 
 class Ecco:
-    """`smallest`, `largest`: sizes of steps; `rejected`: none.  ValueError for couplings whose junctions make no energy."""
+    """Steps of a `Coupled`; none is rejected.  ValueError for couplings whose junctions make no energy."""
 
     def __init__(self, stepper: Stepper, options: Options, tolerance: float):
         if not isinstance(stepper, Coupled) or stepper.coupling.repeats:
@@ -37,12 +37,19 @@ class Ecco:
         self.stepper, self._tolerance = stepper, tolerance
         self._min_step, self._max_step = options.min_step, options.max_step
         self._h, self._last, self._steps = min(options.step, self._max_step), 1.0, 0
-        self.rejected, self.smallest, self.largest = 0, math.inf, 0.0
+        self._smallest, self._largest = math.inf, 0.0
         self._junctions = list(stepper.booking.junctions.values())
 
     def after_event(self) -> None:
         """Forget the last error: what comes is not its continuation."""
         self._last = 1.0
+
+    def facts(self) -> dict[str, float]:
+        """Rejected trials, smallest and largest step (s)."""
+        return {"rejected": 0, "smallest": self._smallest, "largest": self._largest}
+
+    def march(self) -> None:
+        """Members are stepped one by one: there is no compiled loop."""
 
     def advance(self, t: float, end: float, restart: bool = False) -> tuple[float, Steps]:
         """One step from t, not beyond `end`: where it ends (`end` to the last bit), and the step."""
@@ -50,7 +57,7 @@ class Ecco:
         whole = self._h >= left * (1 - 1e-9)
         h = left if whole else self._h if 2 * self._h <= left else left / 2
         steps = self.stepper.advance(t, h, 1)
-        self.smallest, self.largest = min(self.smallest, h), max(self.largest, h)
+        self._smallest, self._largest = min(self._smallest, h), max(self._largest, h)
         self._steps += 1
         if self._steps >= FIRST:
             self._control(h, self.error(steps))

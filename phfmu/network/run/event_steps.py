@@ -185,9 +185,7 @@ class AdaptiveEventSteps:
 
     def facts(self) -> dict[str, Any]:
         """What the result says about the steps."""
-        a = self._adaptive
-        sizes = {"rejected": a.rejected, "smallest": a.smallest, "largest": a.largest}
-        return sizes | ({"restarted": self._damped.taken} if self._damped else {})
+        return self._adaptive.facts() | ({"restarted": self._damped.taken} if self._damped else {})
 
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
+from functools import cached_property
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,7 @@ from phfmu.network.scene import Event
 if TYPE_CHECKING:
     from phfmu.network.run.adaptive import Adaptive
     from phfmu.network.run.ecco import Ecco
+    from phfmu.network.run.native_march import NativeMarch
 
 Array = NDArray[Any]
 Rows = Iterator[Row]
@@ -165,20 +167,21 @@ class AdaptiveSteps:
         """The rows in (start, end]; `event`: something changed at the start."""
         start, end = stretch.start, stretch.end
         self.adaptive.after_event()
-        times, rows, left, t = [start], [], self.restart if event else 0, start
+        times, rows, left = [start], [], self.restart if event else 0
         try:
             for goal in goals(start, end, self.landing):
-                while t < goal:
-                    t, steps = self.adaptive.advance(t, goal, left > 0)
-                    self._wanted += left > 0
-                    self._restarted += left > 0 and steps.numerical is not None
+                while times[-1] < goal:
+                    ends, steps, failure = self._taken(times[-1], goal, left > 0, self._pace.steps - len(times) + 1)
                     left = max(left - 1, 0)
-                    times.append(t)
-                    rows.append(steps)
-                    if self._pace.full(len(rows)):
+                    times += ends
+                    rows += [] if steps is None else [steps]
+                    if failure is not None:
+                        raise failure
+                    taken = len(times) - 1
+                    if taken >= self._pace.steps or self._pace.full(taken):
                         yield self._booked(times, rows)
-                        self._pace.handed_over(len(rows))
-                        times, rows = [t], []
+                        self._pace.handed_over(taken)
+                        times, rows = times[-1:], []
         except StepFailure as failure:
             if rows:
                 yield self._booked(times, rows)
@@ -189,12 +192,27 @@ class AdaptiveSteps:
 
     def facts(self) -> dict[str, Any]:
         """What the result says about the steps."""
-        a = self.adaptive
-        return {"restarted": self._restarted, "rejected": a.rejected, "smallest": a.smallest, "largest": a.largest}
+        return {"restarted": self._restarted, **self.adaptive.facts()}
 
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""
         return not_damped(self._wanted - self._restarted, self._wanted)
+
+    def _taken(
+        self, t: float, goal: float, damped: bool, room: int
+    ) -> tuple[list[float], Steps | None, StepFailure | None]:
+        """When accepted steps from t ended, at most `room`, the steps, and why there are no more; one if it is to be `damped`."""
+        if self._march is not None and not damped:
+            found = self._march.take(t, goal, room)
+            return found.ends, found.steps, found.failure
+        end, steps = self.adaptive.advance(t, goal, damped)
+        self._wanted += damped
+        self._restarted += damped and steps.numerical is not None
+        return [end], steps, None
+
+    @cached_property
+    def _march(self) -> NativeMarch | None:
+        return self.adaptive.march()
 
     def _booked(self, times: list[float], rows: list[Steps]) -> Row:
         steps, t = Steps.joined(rows), np.array(times)
