@@ -99,7 +99,7 @@ def _arguments(target: str) -> list[str]:
 
 def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
     """A network with units, which is no one model."""
-    from phfmu.fmu.inspect import port_lines
+    from phfmu.fmu.inspect import limit_lines, port_lines
     from phfmu.network.couplings.apart import Apart
     from phfmu.network.couplings.gathered import composed_words, gathered, junction_words
     from phfmu.network.junctions.wires import without_unit
@@ -117,7 +117,7 @@ def _print_apart(s: Scene, network: Network, arguments: list[str]) -> None:
         print(f"junction {j.name}: {', '.join(map(str, j.ends))}; {common}; {exchanged[j.name]}")
     for name, file in network.units.items():
         print(f"\n{name}: {file.found}, FMI {file.interface.version}, {file.description}".rstrip(", "))
-        print("\n".join([*port_lines(file.port_maps), *file.left_out]))
+        print("\n".join([*port_lines(file.port_maps), *limit_lines(file.interface), *file.left_out]))
         if file.starts:
             print(f"set: {', '.join(f'{n} = {v:g}' for n, v in file.starts.items())}")
     for name, declaration in network.declared.items():

@@ -26,7 +26,7 @@ def unit(args: argparse.Namespace) -> Job:
     instance = FMUInstance(
         file.path, file.port_maps, starts=file.starts, isolate=isolate_of(args), tolerance=tolerance_of(args)
     )
-    for line in file.left_out:
+    for line in (*file.left_out, *instance.lacking):
         print(f"phfmu: {args.target}: {line}", file=sys.stderr)
     return Job(fmu_scene(instance), f"FMI {instance.interface.version}", False, lambda: FMUStepper(instance))
 

@@ -46,7 +46,7 @@ class Access:
             self.values.take(given[0])
         else:
             self.values.take_at_nodes(given)
-        self._unit.time, self._unit._h = t + h, h
+        self._unit.steps.time, self._unit.steps.h = t + h, h
         self.books.book(h, np.zeros(0))
 
 

@@ -8,7 +8,7 @@ import tempfile
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -65,11 +65,23 @@ class Archive:
             name = f"binaries/{folder}/{self.interface.identifier}{fmpy.sharedLibraryExtension}"
             if name in self._names:
                 return name
+        self._require_named(folders)
         there = f"the archive has {', '.join(self.platforms) or 'none'}"
         remedy = "Export it with this platform" + (", or run it on one of those" if self.platforms else "")
         if any(n.startswith("sources/") for n in self._names):
             there, remedy = f"{there}, and sources", f"Build them with `fmpy compile {self.path.name}`, or export it"
         raise FMUError(f"{self.path}: no library for this platform ({' or '.join(folders)}); {there}. {remedy}")
+
+    def _require_named(self, folders: Sequence[str]) -> None:
+        """FMUError for libraries of this machine that are not called by the modelIdentifier."""
+        end = fmpy.sharedLibraryExtension
+        found = [n for n in sorted(self._names) for f in folders if n.startswith(f"binaries/{f}/") and n.endswith(end)]
+        if found:
+            raise FMUError(
+                f"{self.path}: its modelIdentifier is '{self.interface.identifier}', so its library would be "
+                f"{PurePosixPath(found[0]).parent}/{self.interface.identifier}{end}; there is {plain(', '.join(found), 200)}. "
+                "Give one of them that name, or export it again"
+            )
 
     @cached_property
     def terminals(self) -> bytes | None:

@@ -17,9 +17,10 @@ from fmpy.fmi2 import (
 )
 
 from phfmu.fmu import description
+from phfmu.fmu.bindings import Lacking, require_essential
 from phfmu.fmu.description import Unit
 from phfmu.fmu.refusal import UnitCallError
-from phfmu.fmu.variables import FMUVariable
+from phfmu.fmu.variables import FMUError, FMUVariable
 from phfmu.fmu.version import Caller
 from phfmu.fmu.xml import Element, etree, number, text_of
 
@@ -89,6 +90,10 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> None:
         real.set("start", number(v.start))
 
 
+class FMU2Library(Lacking, FMU2Slave):
+    """The binding of a library."""
+
+
 def instance(
     library: Path, common: dict[str, Any], log: Callable[[bytes | None], None], loud: bool, early_return: bool
 ) -> FMU2Slave:
@@ -98,7 +103,8 @@ def instance(
     callbacks.logger = fmi2CallbackLoggerTYPE(lambda _environment, _name, _status, _category, text: log(text))
     callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
     callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
-    fmu = FMU2Slave(libraryPath=str(library), **common)
+    fmu = FMU2Library(libraryPath=str(library), **common)
+    require_essential(fmu.absent, "fmi2", "2.0")
     fmu.instantiate(callbacks=callbacks, loggingOn=loud)
     return fmu
 
@@ -131,7 +137,7 @@ def do_step(slave: Caller, t: float, h: float, no_set_prior: bool) -> tuple[floa
 def _discarded(slave: Caller, t: float) -> Any:
     """The last successful time, None if it is not told, and whether the unit asks to end."""
     ended, last = False, None
-    with suppress(UnitCallError):
+    with suppress(FMUError):  # some libraries lack these functions
         ended = bool(slave.call(slave.fmu.getBooleanStatus, _TERMINATED))
         last = t if ended else None
         last = float(slave.call(slave.fmu.getRealStatus, _LAST_SUCCESSFUL_TIME))

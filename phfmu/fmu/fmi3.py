@@ -10,6 +10,7 @@ from typing import Any
 from fmpy.fmi3 import FMU3Slave
 
 from phfmu.fmu import description
+from phfmu.fmu.bindings import Lacking, require_essential
 from phfmu.fmu.description import Unit
 from phfmu.fmu.refusal import UnitCallError
 from phfmu.fmu.variables import FMUVariable
@@ -95,12 +96,17 @@ def _variable(parent: Element, reference: int, v: FMUVariable) -> Element:
     return scalar
 
 
+class FMU3Library(Lacking, FMU3Slave):
+    """The binding of a library."""
+
+
 def instance(
     library: Path, common: dict[str, Any], log: Callable[[bytes | None], None], loud: bool, early_return: bool
 ) -> FMU3Slave:
     """The binding, instantiated; it finds the library in its folder."""
     del library
-    fmu = FMU3Slave(**common)
+    fmu = FMU3Library(**common)
+    require_essential(fmu.absent, "fmi3", "3.0")
     fmu.instantiate(
         loggingOn=loud,
         earlyReturnAllowed=early_return,

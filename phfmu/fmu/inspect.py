@@ -12,8 +12,9 @@ from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.port_tables import ENDING
 from phfmu.fmu.port_units import domain_of, unit_of
 from phfmu.fmu.unit_file import UnitFile, unit_file
-from phfmu.fmu.unit_interface import Scalar
+from phfmu.fmu.unit_interface import Scalar, UnitInterface
 from phfmu.fmu.variables import FMUError
+from phfmu.words import counted
 
 #: pairs of variables that are told
 PAIRS = 4
@@ -39,15 +40,7 @@ def fmu_info(path: str | Path) -> str:
         "gives directional derivatives": face.derivatives,
     }
     lines += [f"{text}: {'yes' if able else 'no'}" for text, able in abilities.items()]
-    lines += [
-        text
-        for text, so in (
-            ("takes steps of one length only", face.one_step),
-            ("can be instantiated once per process only", face.one_instance),
-            ("needs a tool of its maker", face.tool),
-        )
-        if so
-    ]
+    lines += limit_lines(face)
     lines.append(f"energy ledger: {'exact, in the unit' if face.energy else 'none; port work can be estimated'}")
     if face.step is not None:
         lines.append(f"suggested step {face.step:g} s" + (f", stop {face.stop:g} s" if face.stop is not None else ""))
@@ -61,6 +54,23 @@ def fmu_info(path: str | Path) -> str:
             lines.append(f"  {v.name:<32} {_kind(v):<12} {start:<16} {v.description}".rstrip())
     lines += file.left_out
     return "\n".join(lines) + "\n"
+
+
+def limit_lines(face: UnitInterface) -> list[str]:
+    """What the unit asks of an importer, as far as it is not usual."""
+    clocks = f"has {counted(face.clocks, 'clock')}, which {'ticks' if face.clocks == 1 else 'tick'} in Event Mode only"
+    return [
+        text
+        for text, so in (
+            ("takes steps of one length only", face.one_step),
+            ("can be instantiated once per process only", face.one_instance),
+            ("needs a tool of its maker", face.tool),
+            (f"{clocks}: run here, what depends on them stays as it is", face.clocks),
+            ("has an Event Mode, which is not entered here: its events happen within its steps", face.event_mode),
+            ("may return early from doStep, which it is not allowed here", face.early_return and not face.energy),
+        )
+        if so
+    ]
 
 
 def _kind(v: Scalar) -> str:

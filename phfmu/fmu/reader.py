@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.engine.status import EndRequested, Status, StepFailure
+from phfmu.engine.status import Status, StepFailure
 from phfmu.fmu.archive import open_archive
+from phfmu.fmu.bindings import able, told
 from phfmu.fmu.manifest import PortMap
 from phfmu.fmu.node_exchange import NodeExchange
 from phfmu.fmu.port_values import PortValues
@@ -20,13 +21,12 @@ from phfmu.fmu.remote_slave import slave_of
 from phfmu.fmu.saved_states import SavedState, SavedStates, free
 from phfmu.fmu.unit_books import books
 from phfmu.fmu.unit_interface import Scalar, UnitInterface
+from phfmu.fmu.unit_steps import UnitSteps
 from phfmu.fmu.values import Derivative, References
 from phfmu.fmu.variables import FMUError
 from phfmu.fmu.version import VERSIONS
 
 Array = NDArray[np.float64]
-
-ROUNDING = 1e-6  # of a step: the time at its start, summed or multiplied
 
 
 class FMUInstance:
@@ -67,9 +67,14 @@ class FMUInstance:
         self._books = books(self._values)
         self._starts, self._span = dict(starts or {}), (self.interface.start if start is None else start, stop)
         self._asked: dict[tuple[str, ...], References] = {}
-        self.early_return, self._tolerance, self.no_set_prior = early_return, tolerance, no_set_prior
+        self.early_return, self._tolerance = early_return, tolerance
         self._slave = slave_of(archive.extracted, self.name, early_return, isolate)
+        #: lines about what its library lacks of its version, and what is off for it
+        self.lacking = told(self.interface, self._slave.absent)
+        self.interface = able(self.interface, self._slave.absent)
         self._states = SavedStates(self._slave)
+        #: what steps are told, and how the last one ended
+        self.steps = UnitSteps(self.name, self._slave, self._states, self._books, no_set_prior)
         #: values at the nodes of a step, impulses, their derivatives: what engines have as methods of their instances
         self.at_nodes = NodeExchange(self._slave, self._values)
         self._close = weakref.finalize(self, free, self._states, archive)
@@ -91,10 +96,8 @@ class FMUInstance:
         self._slave.leave()
         if inputs is None:
             self._values.begin(self._starts)
-        self.time, self._h = start, 0.0
+        self.steps.begin(start)
         self._books.begin(self._slave)
-        #: whether it has asked to end the simulation; where its last step ended before its end
-        self.ended, self._stopped = False, start - 1.0
 
     def close(self) -> None:
         """Free the unit and its saved states; the instance cannot be used afterwards."""
@@ -127,6 +130,11 @@ class FMUInstance:
     def dead(self) -> bool:
         """Whether it met a fatal error, after which nothing can be called."""
         return self._slave.dead
+
+    @property
+    def time(self) -> float:
+        """Where it is [s]."""
+        return self.steps.time
 
     @property
     def input_sign(self) -> Array:
@@ -172,44 +180,10 @@ class FMUInstance:
 
         The time is t + h unless the unit was made with `early_return`: units of this package then keep the internal steps
         before one that cannot be solved.  Outputs and ledger are those of the step up to there; go on from it.  Where no
-        progress is made twice at one time, that is a failure.  A unit that asks to end the simulation is `ended` after the step;
-        EndRequested where that is before its end, up to which outputs and ledger are told.
+        progress is made twice at one time, that is a failure.  One that asks to end the simulation has `steps.ended` after it;
+        EndRequested where that is before its end.
         """
-        try:
-            self._books.ahead()
-            kept = self.no_set_prior
-            if kept is None:
-                kept = not self._states.reach_before(t - ROUNDING * h)
-            reached, self.ended = self._slave.do_step(t, h, kept)
-            looked = self._books.look()
-        except UnitCallError as error:
-            if self.estimated or error.status is None:  # its words and no remedy of ours
-                raise UnitFailure(self.name, t, h, error.function, error.answer, error.words) from error
-            raise StepFailure(error.status, self.name, t, h, tried=f"in the unit: {error}") from error
-        if not np.isfinite(looked).all():
-            raise self.not_finite(self._books.looked, looked, reached)
-        if reached == t + h:
-            self.time, self._h = reached, h
-            self._books.book(h, looked)
-            return reached
-        return self._part(t, h, reached, looked)
-
-    def _part(self, t: float, h: float, reached: float, looked: Array) -> float:
-        """Of a step that ended before its end."""
-        if reached > t:
-            self.time, self._h = reached, reached - t
-            self._books.book(self._h, looked)
-        if self.ended:
-            raise EndRequested(self.name, t, h, reached, self._slave.last_words())
-        if reached <= t and self._stopped == t:
-            raise UnitFailure(self.name, t, h, "no progress in its step", "no progress", self._slave.last_words())
-        self._stopped = reached
-        return reached
-
-    def not_finite(self, names: Sequence[str], values: Array, t: float) -> UnitFailure:
-        """The failure that names the first of the variables whose value at time t is not finite."""
-        i = int(np.argmin(np.isfinite(values)))
-        return UnitFailure(self.name, t, 0.0, f"'{names[i]}' = {values[i]}", "not finite", list(self._slave.words)[-1:])
+        return self.steps.take(t, h)
 
     def output(self) -> Array:
         """Step-conjugate means of the port outputs (nu)."""
@@ -231,13 +205,13 @@ class FMUInstance:
         StepFailure NO_SENSITIVITY if the unit does not give it: use finite differences.
         """
         if self.estimated or not self.interface.derivatives:
-            raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h)
+            raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self.steps.h)
         s = np.zeros((self.nu, self.nu))
         try:
             for j, d in enumerate(self._derivatives):
                 s[:, j] = self._slave.derivative(d)
         except FMUError as error:
-            raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self._h, tried=str(error)) from error
+            raise StepFailure(Status.NO_SENSITIVITY, self.name, self.time, self.steps.h, tried=str(error)) from error
         return self._values.output_sign[:, None] * s * self._values.input_sign
 
     # -- saved states ---------------------------------------------------------------------------------------
@@ -249,13 +223,13 @@ class FMUInstance:
                 f"{self.name}: the unit cannot save its state, which couplings need that repeat steps; step it last "
                 "(phfmu.network.members.unit_member), take --coupling gauss-seidel, or export it with saved states"
             )
-        memory = {"time": self.time, "h": self._h, "values": self._values.memory(), "books": self._books.memory()}
+        memory = {"time": self.time, "h": self.steps.h, "values": self._values.memory(), "books": self._books.memory()}
         return self._states.keep(self._slave.save(), memory)
 
     def set_state(self, state: SavedState) -> None:
         """Restores what `get_state` gave."""
         self._slave.restore(state.handle)
-        self.time, self._h = state.memory["time"], state.memory["h"]
+        self.steps.time, self.steps.h = state.memory["time"], state.memory["h"]
         self._values.recall(state.memory["values"])
         self._books.recall(state.memory["books"])
 
@@ -288,7 +262,7 @@ class FMUInstance:
         try:
             return self._slave.get(known).copy()
         except UnitCallError as error:
-            if self.estimated and self._h:
+            if self.estimated and self.steps.h:
                 raise UnitFailure(self.name, self.time, 0.0, error.function, error.answer, error.words) from error
             raise
 
@@ -322,4 +296,4 @@ class FMUInstance:
         `moved` (1), the sum over its energies of |change|, is there if the unit tells it; what cannot close is small to it.
         An estimated unit keeps to itself what it dissipates: stored is what was supplied.
         """
-        return self._books.ledger(self._h)
+        return self._books.ledger(self.steps.h)

@@ -70,7 +70,8 @@ class RemoteSlave:
         for thread in self._threads:
             thread.start()
         self._received("start", START)
-        self._message([str(archive.path.resolve()), str(archive.folder), archive.library, name, early_return], "begin")
+        told = [str(archive.path.resolve()), str(archive.folder), archive.library, name, early_return]
+        self.absent: tuple[str, ...] = tuple(self._message(told, "begin"))
 
     # -- the process ------------------------------------------------------------------------------------------
 

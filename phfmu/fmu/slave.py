@@ -40,6 +40,7 @@ class AnySlave(Protocol):
 
     words: deque[str]
     dead: bool
+    absent: tuple[str, ...]
 
     def last_words(self) -> tuple[str, ...]: ...
     def references(self, scalars: Sequence[Scalar]) -> References: ...
@@ -92,6 +93,8 @@ class Slave:
             raise FMUError(f"{archive.path}: {plain(str(error))}{said(self.last_words())}{needs}") from error
         finally:
             exit_guard.current = None
+        #: functions that its library lacks
+        self.absent: tuple[str, ...] = self.fmu.absent
         if self._alone:
             _LIVE[self._alone] += 1
 

@@ -36,10 +36,11 @@ class Scalar:
 class UnitInterface:
     """A unit for Co-Simulation.  `ports` and `energy` are those of the manifest, empty in foreign units.
 
-    `left_out`: what cannot be read or set here, in words.  `nodes`, `weights`: places on [0, 1] and weights of the nodes at
-    which ports take inputs; empty without such inputs.  `impulses`: inputs of which impulses are taken, in the order of
-    the matrix `jump`.  `taken`, `sent`: signal -> its names at the nodes of a step.  `one_step`: it says that all of its steps
-    have to be equal;  `one_instance`: a process can have one of it;  `tool`: it needs a tool of its maker.
+    `left_out`: what cannot be read or set here, in words. `nodes`, `weights`: places on [0, 1] and weights of the nodes at
+    which ports take inputs; empty without such inputs. `impulses`: inputs of which impulses are taken, in the order of the
+    matrix `jump`. `taken`, `sent`: signal -> its names at the nodes of a step. `one_step`: it says that all of its steps
+    have to be equal; `one_instance`: a process can have one of it; `tool`: it needs a tool of its maker. `event_mode`,
+    `early_return`: it has an Event Mode, and may end steps early, where an importer allows that; `clocks`: how many it has.
     """
 
     version: str
@@ -66,6 +67,9 @@ class UnitInterface:
     one_step: bool = False
     one_instance: bool = False
     tool: bool = False
+    event_mode: bool = False
+    early_return: bool = False
+    clocks: int = 0
 
     def scalars(self, names: list[str] | tuple[str, ...], what: str) -> list[Scalar]:
         """The variables; FMUError names those there are not."""

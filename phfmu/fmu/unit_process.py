@@ -141,7 +141,7 @@ def serve() -> None:
     except FMUError as error:
         write(told, (WRONG, str(error)))
         os._exit(0)
-    write(told, (GIVEN, None))
+    write(told, (GIVEN, server.slave.absent))
     while (message := read(asked)) is not None:
         write(told, answer(server, *message))
     sys.stdout.flush()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import fmpy
@@ -83,9 +84,14 @@ def archive(path: Path, files: Mapping[str, bytes | str]) -> Path:
     return path
 
 
-def library() -> bytes:
-    """The library of foreign_unit.c, for both versions."""
-    return compile({CODE.name: CODE, **sources.headers()}).path.read_bytes()
+def library(lacks: Sequence[str] = ()) -> bytes:
+    """The library of foreign_unit.c, for both versions; functions that it `lacks` have other names."""
+    if not lacks:
+        return compile({CODE.name: CODE, **sources.headers()}).path.read_bytes()
+    with tempfile.TemporaryDirectory() as folder:
+        code = Path(folder) / CODE.name
+        code.write_text("".join(f"#define {name} other_{name}\n" for name in lacks) + CODE.read_text())
+        return compile({CODE.name: code, **sources.headers()}).path.read_bytes()
 
 
 #: the terminal of the mass, whose force is of the kind {kind}
@@ -104,10 +110,11 @@ def mass(
     before: str = "",
     terminals: str = "",
     abilities: str = "",
+    lacks: Sequence[str] = (),
 ) -> Path:
     """A mass on a spring as a unit of another tool; `terminals`: the kind of its force in a terminal."""
     more = {"terminalsAndIcons/terminalsAndIcons.xml": TERMINALS.format(kind=terminals)} if terminals else {}
-    return unit(path, version, MASS[version].format(unit=unit_of_force), saves, before, more, abilities)
+    return unit(path, version, MASS[version].format(unit=unit_of_force), saves, before, more, abilities, lacks)
 
 
 def unit(
@@ -118,9 +125,10 @@ def unit(
     before: str = "",
     more: Mapping[str, str] | None = None,
     abilities: str = "",
+    lacks: Sequence[str] = (),
 ) -> Path:
     """A unit with that library for this machine, and `more` files."""
     folder = fmpy.platform if version == "2.0" else fmpy.platform_tuple
     name = f"binaries/{folder}/foreign{fmpy.sharedLibraryExtension}"
     about = description(version, variables, saves=saves, before=before, abilities=abilities)
-    return archive(path, {"modelDescription.xml": about, name: library(), **(more or {})})
+    return archive(path, {"modelDescription.xml": about, name: library(lacks), **(more or {})})

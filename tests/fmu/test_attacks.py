@@ -77,7 +77,7 @@ CALLS: dict[str, Callable[[Any], Any]] = {
     "set input": lambda u: set_one(u, "flange.force", 0.7),
     "set start": lambda u: set_one(u, "q", 0.5),
     "set fixed": lambda u: set_one(u, "m", 2.0),
-    "step": lambda u: u._slave.do_step(0.0, H),
+    "step": lambda u: u._slave.do_step(0.0, H, True),
     "leave": lambda u: u._slave.leave(),
     "terminate": lambda u: u._slave.call(u._slave.fmu.terminate),
     "save": lambda u: u._slave.forget(u._slave.save()),
@@ -89,7 +89,7 @@ CALLS: dict[str, Callable[[Any], Any]] = {
 def brought(unit: Any, mode: str) -> None:
     unit._slave.reset()
     if mode != "instantiated":
-        unit._slave.enter(0.0, None)
+        unit._slave.enter(0.0, None, None)
     if mode in ("step", "terminated"):
         unit._slave.leave()
     if mode == "terminated":
@@ -121,10 +121,10 @@ def test_inputs_set_in_any_mode_are_those_of_the_first_step(units: dict[str, Pat
             brought(unit, mode)
             set_one(unit, "flange.force", 0.7)
             if mode == "instantiated":
-                unit._slave.enter(0.0, None)
+                unit._slave.enter(0.0, None, None)
             if mode != "step":
                 unit._slave.leave()
-            unit._slave.do_step(0.0, H)
+            unit._slave.do_step(0.0, H, True)
             found.add(bits(unit))
         assert len(found) == 1
         unit.reset()

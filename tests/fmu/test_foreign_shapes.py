@@ -136,3 +136,81 @@ def test_folders_with_spaces_and_other_letters(
     foreign.mass(folder / "ä b.fmu", version)
     assert main(["run", scene(folder, "ä b.fmu", "ä b.fmu")]) == 0, capsys.readouterr().err
     assert main(["run", scene(folder, "ä b.fmu", "ä b.fmu"), "--isolate"]) == 0, capsys.readouterr().err
+
+
+STATES = {"2.0": "fmi2{}FMUstate", "3.0": "fmi3{}FMUState"}
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("isolate", [(), ("--isolate",)])
+def test_a_library_without_what_nobody_calls(
+    tmp_path: Path, version: str, isolate: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    verb = {"2.0": "DeSerialize", "3.0": "Deserialize"}[version]
+    missing = STATES[version].format(verb)
+    usual = foreign.mass(tmp_path / "usual.fmu", version)
+    unit = foreign.mass(tmp_path / "pump.fmu", version, lacks=[missing, f"fmi{version[0]}Terminate"])
+    tables = []
+    for path in (usual, unit):
+        table = tmp_path / "o.csv"
+        assert (
+            main(["run", str(path), "--stop", "0.3", "--set", "q=1", "--set", "k=40", "-o", str(table), *isolate]) == 0
+        )
+        tables.append(table.read_text())
+    assert tables[0] == tables[1]
+    said = capsys.readouterr().err
+    assert f"pump.fmu: its library lacks {missing}, fmi{version[0]}Terminate\n" in said
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_capability_whose_functions_are_not_there_is_off(
+    tmp_path: Path, version: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """States that cannot be restored: the unit is stepped last.  Derivatives are found by differences."""
+    missing = STATES[version].format("Set"), f"fmi{version[0]}GetDirectionalDerivative"
+    plural = "s" if version == "3.0" else ""
+    claims = f'providesDirectionalDerivative{plural}="true"'
+    for lacks, off in ((missing[0], "saving its state"), (missing[1], "directional derivatives")):
+        foreign.mass(tmp_path / "pump.fmu", version, abilities=claims, lacks=[lacks])
+        foreign.mass(tmp_path / "other.fmu", version)
+        assert main(["run", scene(tmp_path, "pump.fmu", "other.fmu")]) == 0
+        said = capsys.readouterr().out
+        assert f"one: its library lacks {lacks}; it claims {off}, which is off" in said
+        assert ("one: cannot save its state; it is stepped last" in said) is (lacks == missing[0])
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_library_of_another_kind(tmp_path: Path, version: str, capsys: pytest.CaptureFixture[str]) -> None:
+    name = f"fmi{version[0]}DoStep"
+    unit = foreign.mass(tmp_path / "pump.fmu", version, lacks=[name])
+    assert main(["run", str(unit)]) == 2
+    assert f"pump.fmu: its library lacks {name}, so it is none of FMI {version}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_library_of_another_name(tmp_path: Path, version: str, capsys: pytest.CaptureFixture[str]) -> None:
+    unit = rewritten(
+        foreign.mass(tmp_path / "pump.fmu", version), 'modelIdentifier="foreign"', 'modelIdentifier="pump"'
+    )
+    assert main(["run", str(unit)]) == 2
+    said = capsys.readouterr().err
+    assert "its modelIdentifier is 'pump'" in said and "there is binaries/" in said and "foreign." in said
+    assert "no library for this platform" not in said
+
+
+def test_info_says_what_an_importer_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    able = 'hasEventMode="true" mightReturnEarlyFromDoStep="true"'
+    unit = foreign.mass(tmp_path / "pump.fmu", "3.0", abilities=able)
+    rewritten(
+        unit, "<ModelVariables>", '<ModelVariables><Clock name="tick" valueReference="12" intervalVariability="fixed"/>'
+    )
+    foreign.mass(tmp_path / "other.fmu", "3.0")
+    for target in (str(unit), scene(tmp_path, "pump.fmu", "other.fmu")):
+        assert main(["info", target]) == 0
+        said = capsys.readouterr().out.splitlines()
+        assert "has 1 clock, which ticks in Event Mode only: run here, what depends on them stays as it is" in said
+        assert "has an Event Mode, which is not entered here: its events happen within its steps" in said
+        assert "may return early from doStep, which it is not allowed here" in said
+    assert main(["info", str(tmp_path / "other.fmu")]) == 0
+    said = capsys.readouterr().out
+    assert "Event Mode" not in said and "early" not in said

@@ -96,15 +96,15 @@ def test_an_instance_tells_it(folder: Path, version: str) -> None:
     path = foreign.mass(folder / "pump.fmu", version)
     with FMUInstance(path, starts={"mode": foreign.END_WITHIN, "v": 1.0}) as unit:
         unit.do_step(0.0, 0.3)
-        assert not unit.ended
+        assert not unit.steps.ended
         with pytest.raises(EndRequested, match="asks to end the simulation at t = 0.33 s") as end:
             unit.do_step(0.3, 0.1)
-        assert (end.value.time, end.value.reached, unit.time, unit.ended) == (0.3, 0.33, 0.33, True)
+        assert (end.value.time, end.value.reached, unit.time, unit.steps.ended) == (0.3, 0.33, 0.33, True)
         assert unit.get(["q"])[0] == pytest.approx(0.33)
     if version == "3.0":
         with FMUInstance(path, starts={"mode": foreign.TERMINATE}) as unit:
             unit.do_step(0.0, 0.3)
-            assert unit.do_step(0.3, 0.1) == 0.4 and unit.ended
+            assert unit.do_step(0.3, 0.1) == 0.4 and unit.steps.ended
 
 
 def test_a_step_that_ends_where_it_began_twice_is_a_failure(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

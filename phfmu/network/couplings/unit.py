@@ -101,7 +101,7 @@ class FMUStepper:
             try:
                 self.member.do_step(t0 + (first + k) * h, h)
                 rows.append(self._row())
-                if self.unit.ended:
+                if self.unit.steps.ended:
                     raise EndRequested(self.unit.name, self.unit.time, 0.0, self.unit.time)
             except StepFailure as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}

@@ -91,7 +91,7 @@ class FMUMember:
     @property
     def ended(self) -> bool:
         """Whether it has asked to end the simulation in the last step."""
-        return self.unit.ended
+        return self.unit.steps.ended
 
     @property
     def saves(self) -> bool:
@@ -204,11 +204,11 @@ class FMUMember:
         u = self._u
         self.set_state(self._before)
         self.set_input(u)
-        before, self.unit.no_set_prior = self.unit.no_set_prior, True
+        before, self.unit.steps.no_set_prior = self.unit.steps.no_set_prior, True
         try:
             self.do_step(*self._taken)
         finally:
-            self.unit.no_set_prior = before
+            self.unit.steps.no_set_prior = before
 
     def _require_length(self, t: float, h: float) -> None:
         if not self.unit.interface.one_step:
@@ -282,7 +282,7 @@ class FMUMember:
         values = self.unit.get(self.names)
         if self._watched.size and not np.isfinite(values[self._watched]).all():
             names = [self.names[i] for i in self._watched]
-            raise self.unit.not_finite(names, values[self._watched], self.unit.time)
+            raise self.unit.steps.not_finite(names, values[self._watched], self.unit.time)
         return values
 
     def rest_changes(self) -> list[RestChange]:

@@ -56,7 +56,7 @@ def try_rollback(make: Callable[[], FMUInstance], h: float) -> Rollback:
     with make() as unit:
         if not unit.interface.saves:
             return Rollback(False, "cannot save its state")
-        unit.no_set_prior = True
+        unit.steps.no_set_prior = True
         ahead = _Steps(unit, h)
         try:
             ahead.take(0, ahead.u)
@@ -105,7 +105,7 @@ class _Steps:
         self.names = [*self._told, *(f"mean of {n}" for n in unit.outputs)]
         self.u = unit.start_inputs()
         self.moved = _moved(unit, self.u)
-        unit.no_set_prior = way.no_set_prior
+        unit.steps.no_set_prior = way.no_set_prior
 
     def begin(self) -> None:
         self._state = self._unit.get_state()
@@ -124,9 +124,9 @@ class _Steps:
         if not self._way.once_more:
             return found
         self.back()
-        self._unit.no_set_prior = True
+        self._unit.steps.no_set_prior = True
         found = self.take(k, inputs)
-        self._unit.no_set_prior = self._way.no_set_prior
+        self._unit.steps.no_set_prior = self._way.no_set_prior
         return found
 
 

@@ -9,7 +9,7 @@ from phfmu.fmu.reader import FMUInstance
 from phfmu.fmu.unit_file import UnitFile
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.member import Member
-from phfmu.network.members.rollback import Rollback, response, try_rollback
+from phfmu.network.members.rollback import WAYS, Rollback, response, try_rollback
 from phfmu.network.members.stepped_last import SteppedLast
 
 LAST = "it is stepped last, against a predicted response; what that misses is booked at its junctions"
@@ -34,11 +34,12 @@ def unit_member(name: str, file: UnitFile, h: float, found: Rollback | None = No
     found: what a trial gave; a unit that cannot take steps back is stepped last.  None where no step is taken back.
     """
     notes = [f"{name}: {line}" for line in file.left_out]
-    if found is None:
-        return FMUMember(name, made(name, file)), notes
-    if found.works:
-        notes += [f"{name}: {found.words}"] if found.words else []
-        return FMUMember(name, made(name, file, found.way.no_set_prior), found.way.once_more), notes
     # before the member: some libraries have one instance at a time
-    answer = response(partial(made, name, file), h)
-    return SteppedLast(FMUMember(name, made(name, file)), h, answer), [*notes, f"{name}: {found.words}; {LAST}"]
+    answer = None if found is None or found.works else response(partial(made, name, file), h)
+    way = found.way if found and found.works else WAYS[0]
+    unit = made(name, file, way.no_set_prior)
+    notes += [f"{name}: {line}" for line in unit.lacking]
+    if answer is not None and found is not None:
+        return SteppedLast(FMUMember(name, unit), h, answer), [*notes, f"{name}: {found.words}; {LAST}"]
+    notes += [f"{name}: {found.words}"] if found and found.words else []
+    return FMUMember(name, unit, way.once_more), notes

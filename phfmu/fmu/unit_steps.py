@@ -1,0 +1,71 @@
+"""Steps of an instance of a unit: what each is told of states that are held, and how it may end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.status import EndRequested, StepFailure
+from phfmu.fmu.refusal import UnitCallError, UnitFailure
+from phfmu.fmu.saved_states import SavedStates
+from phfmu.fmu.slave import AnySlave
+from phfmu.fmu.unit_books import Books
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-6  # of a step: the time at its start, summed or multiplied
+
+
+class UnitSteps:
+    """`time`: where the unit is (s);  `h`: length of the last step;  `ended`: it has asked to end the simulation;
+    `no_set_prior`: what steps are told, None: what is so.
+    """
+
+    def __init__(self, name: str, slave: AnySlave, states: SavedStates, books: Books, no_set_prior: bool | None):
+        self._name, self._slave, self._states, self._books = name, slave, states, books
+        self.no_set_prior = no_set_prior
+        self.begin(0.0)
+
+    def begin(self, start: float) -> None:
+        self.time, self.h, self.ended, self._stopped = start, 0.0, False, start - 1.0
+
+    def take(self, t: float, h: float) -> float:
+        """One step, booked; the time reached."""
+        try:
+            self._books.ahead()
+            kept = self.no_set_prior
+            if kept is None:
+                kept = not self._states.reach_before(t - ROUNDING * h)
+            reached, self.ended = self._slave.do_step(t, h, kept)
+            looked = self._books.look()
+        except UnitCallError as error:
+            if self._books.estimated or error.status is None:  # its words and no remedy of ours
+                raise UnitFailure(self._name, t, h, error.function, error.answer, error.words) from error
+            raise StepFailure(error.status, self._name, t, h, tried=f"in the unit: {error}") from error
+        if not np.isfinite(looked).all():
+            raise self.not_finite(self._books.looked, looked, reached)
+        if reached == t + h:
+            self.time, self.h = reached, h
+            self._books.book(h, looked)
+            return reached
+        return self._part(t, h, reached, looked)
+
+    def _part(self, t: float, h: float, reached: float, looked: Array) -> float:
+        """Of a step that ended before its end."""
+        if reached > t:
+            self.time, self.h = reached, reached - t
+            self._books.book(self.h, looked)
+        if self.ended:
+            raise EndRequested(self._name, t, h, reached, self._slave.last_words())
+        if reached <= t and self._stopped == t:
+            raise UnitFailure(self._name, t, h, "no progress in its step", "no progress", self._slave.last_words())
+        self._stopped = reached
+        return reached
+
+    def not_finite(self, names: Sequence[str], values: Array, t: float) -> UnitFailure:
+        """The failure that names the first of the variables whose value at time t is not finite."""
+        i = int(np.argmin(np.isfinite(values)))
+        words = list(self._slave.words)[-1:]
+        return UnitFailure(self._name, t, 0.0, f"'{names[i]}' = {values[i]}", "not finite", words)
