@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from phfmu.fmu import exit_guard
 from phfmu.fmu.unit_interface import UnitInterface
 from phfmu.fmu.variables import FMUError
 
@@ -53,6 +54,7 @@ class Lacking:
         self.absent = tuple(n for n in wanted if not hasattr(self.dll, n))
         for name in self.absent:
             setattr(self.dll, name, Absent(self.instanceName, name))
+        exit_guard.watch(self.dll, self.instanceName)
         super()._loadFunctions()  # pyright: ignore[reportAttributeAccessIssue]
 
 

@@ -19,6 +19,8 @@ CODE = Path(__file__).parent / "foreign_unit.c"
 TERMINATE = 6
 #: die, never answer, print and exit with code 7, print, abort; ask to end within the step over 0.33 s
 CRASH, HANG, LAST_WORDS, PRINT, ABORT, END_WITHIN = range(10, 16)
+#: end the process by _exit(0), exhaust its stack, divide by zero where that is a fault, let later divisions by zero be faults
+LEAVE_AT_ONCE, DEEP, TRAP, TRAPS_ON = range(16, 20)
 
 #: a mass on a spring, which may forget on restore and misbehave by `mode`; {unit}: of the force
 MASS = {

@@ -15,11 +15,14 @@
  * A system of first order, stepped exactly under a held input: 40 `r` (input), 41 `s` = c x + d r (output),
  * 42 `x`, x' = a x + b r, 43 `a`, 44 `b`, 45 `c`, 46 `d` (parameters).
  */
+#define _GNU_SOURCE
+#include <fenv.h>
 #include <math.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "fmi2FunctionTypes.h"
 #include "fmi3FunctionTypes.h"
@@ -42,7 +45,11 @@ enum {
     LAST_WORDS,
     PRINT,
     ABORT,
-    END_WITHIN
+    END_WITHIN,
+    LEAVE_AT_ONCE,
+    DEEP,
+    TRAP,
+    TRAPS_ON
 };
 
 /* the time at which END_WITHIN asks to end */
@@ -94,6 +101,13 @@ static void to_base(unit *m) {
     m->base[2] = m->t;
 }
 
+/* Without end, and not as a loop. */
+static double deep(double x) {
+    volatile double here[64];
+    here[0] = x;
+    return x > 0.0 ? deep(here[0] + 1.0) + here[0] : 0.0;
+}
+
 /* Whether it asks to end the simulation within a step. */
 static int ends_within(const unit *m, double t, double h) {
     return m->mode == END_WITHIN && t < END - 1e-9 && t + h > END + 1e-9;
@@ -128,6 +142,16 @@ static int step(unit *m, double t, double h, int no_set_prior) {
     }
     if (mode == ABORT)
         abort();
+    if (mode == LEAVE_AT_ONCE)
+        _exit(0);
+    if (mode == DEEP)
+        m->t += deep(1.0);
+    if (mode == TRAP || mode == TRAPS_ON) {
+        volatile double zero = 0.0;
+        feenableexcept(FE_DIVBYZERO | FE_INVALID);
+        if (mode == TRAP)
+            m->t += 1.0 / zero;
+    }
     while (mode == HANG)
         ;
     if (mode == LAST_WORDS || mode == PRINT) {
@@ -457,28 +481,28 @@ ABSENT(fmi2GetDirectionalDerivative)
 ABSENT(fmi2GetIntegerStatus)
 ABSENT(fmi2GetRealOutputDerivatives)
 ABSENT(fmi2GetStatus)
-ABSENT(fmi2GetString) ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate)
-    ABSENT(fmi2SerializedFMUstateSize) ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(
-        fmi3ActivateModelPartition) ABSENT(fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState)
-        ABSENT(fmi3EnterConfigurationMode) ABSENT(fmi3EnterContinuousTimeMode) ABSENT(
-            fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(fmi3EvaluateDiscreteStates)
-            ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative) ABSENT(fmi3GetBinary) ABSENT(
-                fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(fmi3GetContinuousStates)
-                ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators) ABSENT(fmi3GetInt16)
-                    ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(fmi3GetIntervalFraction) ABSENT(
-                        fmi3GetNominalsOfContinuousStates) ABSENT(fmi3GetNumberOfContinuousStates)
-                        ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(fmi3GetNumberOfVariableDependencies)
-                            ABSENT(fmi3GetOutputDerivatives) ABSENT(fmi3GetShiftDecimal) ABSENT(
-                                fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(fmi3GetUInt16)
-                                ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8) ABSENT(
-                                    fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
-                                    ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
-                                        ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary) ABSENT(
-                                            fmi3SetClock) ABSENT(fmi3SetContinuousStates) ABSENT(fmi3SetInt16)
-                                            ABSENT(fmi3SetInt8) ABSENT(fmi3SetIntervalDecimal)
-                                                ABSENT(fmi3SetIntervalFraction) ABSENT(fmi3SetShiftDecimal)
-                                                    ABSENT(fmi3SetShiftFraction) ABSENT(fmi3SetString)
-                                                        ABSENT(fmi3SetTime) ABSENT(fmi3SetUInt16)
-                                                            ABSENT(fmi3SetUInt32) ABSENT(fmi3SetUInt64)
-                                                                ABSENT(fmi3SetUInt8)
+ABSENT(fmi2GetString)
+ABSENT(fmi2GetStringStatus) ABSENT(fmi2SerializeFMUstate) ABSENT(fmi2SerializedFMUstateSize)
+    ABSENT(fmi2SetRealInputDerivatives) ABSENT(fmi2SetString) ABSENT(fmi3ActivateModelPartition) ABSENT(
+        fmi3CompletedIntegratorStep) ABSENT(fmi3DeserializeFMUState) ABSENT(fmi3EnterConfigurationMode)
+        ABSENT(fmi3EnterContinuousTimeMode) ABSENT(fmi3EnterEventMode) ABSENT(fmi3EnterStepMode) ABSENT(
+            fmi3EvaluateDiscreteStates) ABSENT(fmi3ExitConfigurationMode) ABSENT(fmi3GetAdjointDerivative)
+            ABSENT(fmi3GetBinary) ABSENT(fmi3GetClock) ABSENT(fmi3GetContinuousStateDerivatives) ABSENT(
+                fmi3GetContinuousStates) ABSENT(fmi3GetDirectionalDerivative) ABSENT(fmi3GetEventIndicators)
+                ABSENT(fmi3GetInt16) ABSENT(fmi3GetInt8) ABSENT(fmi3GetIntervalDecimal) ABSENT(
+                    fmi3GetIntervalFraction) ABSENT(fmi3GetNominalsOfContinuousStates)
+                    ABSENT(fmi3GetNumberOfContinuousStates) ABSENT(fmi3GetNumberOfEventIndicators) ABSENT(
+                        fmi3GetNumberOfVariableDependencies) ABSENT(fmi3GetOutputDerivatives)
+                        ABSENT(fmi3GetShiftDecimal) ABSENT(fmi3GetShiftFraction) ABSENT(fmi3GetString) ABSENT(
+                            fmi3GetUInt16) ABSENT(fmi3GetUInt32) ABSENT(fmi3GetUInt64) ABSENT(fmi3GetUInt8)
+                            ABSENT(fmi3GetVariableDependencies) ABSENT(fmi3InstantiateModelExchange)
+                                ABSENT(fmi3InstantiateScheduledExecution) ABSENT(fmi3SerializeFMUState)
+                                    ABSENT(fmi3SerializedFMUStateSize) ABSENT(fmi3SetBinary)
+                                        ABSENT(fmi3SetClock) ABSENT(fmi3SetContinuousStates)
+                                            ABSENT(fmi3SetInt16) ABSENT(fmi3SetInt8)
+                                                ABSENT(fmi3SetIntervalDecimal) ABSENT(fmi3SetIntervalFraction)
+                                                    ABSENT(fmi3SetShiftDecimal) ABSENT(fmi3SetShiftFraction)
+                                                        ABSENT(fmi3SetString) ABSENT(fmi3SetTime)
+                                                            ABSENT(fmi3SetUInt16) ABSENT(fmi3SetUInt32)
+                                                                ABSENT(fmi3SetUInt64) ABSENT(fmi3SetUInt8)
                                                                     ABSENT(fmi3UpdateDiscreteStates)

@@ -181,6 +181,34 @@ def test_a_unit_that_crashes_is_named(units: dict[str, Path], mode: int, before:
     assert ("Current thread" in done.stderr) is ("faulthandler.enable" in before)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="of the linker and the signals of Linux")
+@pytest.mark.parametrize("version", wide(VERSIONS, "3.0"))
+@pytest.mark.parametrize(
+    ("mode", "said"),
+    [
+        (foreign.LEAVE_AT_ONCE, "ended the process in doStep at t = 0.3 s (its library called _exit)"),
+        (
+            foreign.DEEP,
+            "crashed in doStep at t = 0.3 s (SIGSEGV: it used memory that is not its own, or all of its stack)",
+        ),
+        (foreign.TRAP, "crashed in doStep at t = 0.3 s (SIGFPE: a fault in arithmetic)"),
+        (foreign.TRAPS_ON, "switched on floating-point exceptions, of which one was met between its calls (SIGFPE"),
+    ],
+)
+def test_ends_that_run_no_handler(units: dict[str, Path], version: str, mode: int, said: str, tmp_path: Path) -> None:
+    """The rows before are kept, and a first instance that was freed leaves nothing behind that hides the end of a second."""
+    program = (
+        "import sys\nfrom phfmu import FMUInstance\nfrom phfmu.cli import main\n"
+        "FMUInstance(sys.argv[2]).close()\nsys.exit(main(sys.argv[1:]))"
+    )
+    options = ["--set", f"mode={mode}", "-o", str(tmp_path / "o.csv")]
+    run = [sys.executable, "-c", program, "run", str(units[version]), *options]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3 and f"the unit 'foreign' {said}" in done.stderr and "--isolate" in done.stderr
+    done = subprocess.run([*run, "--isolate"], capture_output=True, text=True, timeout=60)
+    assert (done.returncode == 3) is (mode != foreign.TRAPS_ON)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_crash_between_calls_is_no_units(units: dict[str, Path]) -> None:
