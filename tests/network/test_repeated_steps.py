@@ -264,3 +264,11 @@ def test_steps_that_all_members_end_at_an_event(folder: Path, how: str, tol: flo
     rows = table(folder, "landed.py", "--order", "4", *(["--set", how] if "=" in how else []))
     for name in ("pump.v", "pump.q", "hopper.q", "hopper.p", "spring.e"):
         assert np.abs(rows[name] - usual[name]).max() <= tol, name
+
+
+def test_a_unit_that_refuses_to_save_is_stepped_once_all_the_same(folder: Path) -> None:
+    """Its description claims that it saves, which couplings that step once do not need."""
+    foreign.mass(folder / "pump.fmu", "2.0")
+    usual = table(folder, "scene.py:outputs", "--coupling", "gauss-seidel")
+    rows = table(folder, "scene.py:outputs", "--coupling", "gauss-seidel", "--set", "pump.forgets=3")
+    assert np.array_equal(rows["pump.v"], usual["pump.v"])

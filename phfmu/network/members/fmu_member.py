@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import Status, StepFailure
 from phfmu.engine.steps import StepEvent
 from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.refusal import UnitFailure
+from phfmu.fmu.refusal import UnitCallError, UnitFailure
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.inputs import places
 from phfmu.network.members.unit_happenings import UnitHappenings
@@ -93,9 +94,16 @@ class FMUMember:
         """Whether it has asked to end the simulation in the last step."""
         return self.unit.steps.ended
 
-    @property
+    @cached_property
     def saves(self) -> bool:
-        return self.unit.interface.saves
+        """Whether it does, not only claims it; asked where steps are not repeated, so that it was not tried before."""
+        if not self.unit.interface.saves:
+            return False
+        try:
+            self.unit.get_state()
+        except UnitCallError:
+            return False
+        return True
 
     @property
     def units(self) -> dict[str, str]:
