@@ -26,8 +26,11 @@ def is_ssp(target: str) -> bool:
     return target.lower().endswith((".ssp", ".ssd"))
 
 
-def load(target: str) -> Any:
-    """The component (PHDAE), Network or Scene that `target` names; TargetError or KeyError with the remedy."""
+def load(target: str, lenient: bool = False) -> Any:
+    """The component (PHDAE), Network or Scene that `target` names; TargetError or KeyError with the remedy.
+
+    `lenient`: of a package of SSP, units of measurement that it does not define count as not told; others have none.
+    """
     if ".py:" in target or target.endswith(".py"):
         return _from_file(target)
     if is_fmu(target):
@@ -35,7 +38,7 @@ def load(target: str) -> Any:
     if is_ssp(target):
         from phfmu.ssp.loading import load as load_ssp
 
-        return load_ssp(target)
+        return load_ssp(target, lenient)
     from phfmu.components.library import LIBRARY, build, builder
 
     call = parsed(target, target)
@@ -70,14 +73,17 @@ def require_known(target: str, words: Iterable[str]) -> None:
     raise TargetError(f"no component or scene '{target}' in the library; {close}")
 
 
-def scene(target: str) -> Scene:
-    """The target as a scene; a bare component or network runs 1 s at 1 ms unless the library says otherwise."""
+def scene(target: str, lenient: bool = False) -> Scene:
+    """The target as a scene; a bare component or network runs 1 s at 1 ms unless the library says otherwise.
+
+    `lenient`: as of `load`.
+    """
     from phfmu.components.library import RUNS
     from phfmu.declare.phdae import PHDAE
     from phfmu.network.junctions.network import Network
     from phfmu.network.scene import Scene
 
-    item = load(target)
+    item = load(target, lenient)
     if isinstance(item, Scene):
         return item
     if isinstance(item, PHDAE | Network):

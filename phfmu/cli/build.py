@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from phfmu.cli import job_apart, job_unit, job_whole
 from phfmu.cli.job import Job
+from phfmu.cli.options import lenient_of
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import asked_apart
@@ -26,10 +27,11 @@ def job_of(args: argparse.Namespace) -> Job:
 
     if args.fmi is not None and args.engine != "fmu" and not any(m.endswith("=fmu") for m in args.member):
         raise ValueError(f"--fmi {args.fmi} says what --engine fmu exports; add --engine fmu, or leave out --fmi")
+    lenient = lenient_of(args)
     if is_fmu(args.target):
         _require_whole(args)
         return job_unit.unit(args)
-    s = scene(args.target)
+    s = scene(args.target, lenient)
     s = replace(s, system=with_settings(s.system, settings(args.set)))
     s = replace(s, system=_with_unit_options(args, s.system))
     require_sound_scene(args, s)

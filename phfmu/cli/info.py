@@ -18,24 +18,28 @@ if TYPE_CHECKING:
 
 def add_parser(verbs: Any) -> None:
     from phfmu.cli.codes import TARGET
+    from phfmu.cli.options import add_lenient
 
     parser = verbs.add_parser("info", help="states, ports, parameters with units")
     parser.add_argument("target", help=TARGET)
     parser.add_argument("--all", action="store_true",
                         help=f"every member, junction and variable of a network of more than {FEW} members")  # fmt: skip
+    add_lenient(parser)
     parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
+    from phfmu.cli.options import lenient_of
     from phfmu.network.junctions.network import Network
     from phfmu.target import is_fmu, scene
 
+    lenient = lenient_of(args)
     if is_fmu(args.target):
         from phfmu.fmu.inspect import fmu_info
 
         print(fmu_info(args.target), end="")
         return 0
-    s = scene(args.target)
+    s = scene(args.target, lenient)
     told = _arguments(args.target)
     if isinstance(s.system, Network) and len(s.system.members) > FEW and not args.all:
         _print_run(s, s.name, s.description or s.system.description, told)

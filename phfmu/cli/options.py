@@ -29,6 +29,21 @@ def add_scheme(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_lenient(parser: argparse.ArgumentParser) -> None:
+    """--lenient."""
+    parser.add_argument("--lenient", action="store_true",
+                        help="a unit of measurement that an .ssp or .ssd does not define is told, and unknown")  # fmt: skip
+
+
+def lenient_of(args: argparse.Namespace) -> bool:
+    """--lenient; ValueError for targets that are no package."""
+    from phfmu.target import is_ssp
+
+    if args.lenient and not is_ssp(args.target):
+        raise ValueError(f"{args.target}: --lenient is for packages of SSP (.ssp, .ssd)")
+    return args.lenient
+
+
 def add_steps(parser: argparse.ArgumentParser) -> None:
     """--rtol, --atol, --min-step, --max-step, --restart, --dense."""
     parser.add_argument("--rtol", type=float, help="adapt the step: allowed error of a step relative to each state")

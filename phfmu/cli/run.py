@@ -54,6 +54,7 @@ def add_parser(verbs: Any) -> None:
     options.add_steps(parser)
     add_settings(parser)
     add_no_check(parser)
+    options.add_lenient(parser)
     parser.add_argument("--isolate", action="store_true",
                         help="FMUs in processes of their own: where one ends or hangs, the run has exit code 3")  # fmt: skip
     parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",

@@ -18,20 +18,22 @@ from phfmu.ssp.derived import derived_ports
 from phfmu.ssp.flat import Link, Value, flat, identifier
 from phfmu.ssp.reading import read_structure
 from phfmu.ssp.structure import Component, Joint, SSPError, Structure, Unit
-from phfmu.ssp.units import conversion
+from phfmu.ssp.units import conversion, undefined
 from phfmu.words import meant
 
 #: stop and step, s, of packages and units that do not tell them
 STOP, STEP = 1.0, 1e-3
 
 
-def load(path: str | Path) -> Scene:
+def load(path: str | Path, lenient: bool = False) -> Scene:
     """The scene of a .ssp or .ssd; its notes say what was left out or assumed.
+
+    `lenient`: units of measurement that it does not define count as not told, which is noted.
 
     SSPError (with the file, the entry and the remedy), FMUError or ConnectionError for what cannot be read or joined.
     """
     try:
-        return _load(read_structure(path))
+        return _load(read_structure(path, lenient))
     except SSPError as error:
         text = str(error)
         raise SSPError(text if text.startswith(str(path)) else f"{path}: {text}") from None
@@ -39,7 +41,7 @@ def load(path: str | Path) -> Scene:
 
 def _load(structure: Structure) -> Scene:
     whole, notes = flat(structure), list(structure.notes)
-    units = {name: _unit(c, structure) for name, c in whole.units.items()}
+    units = {name: _unit(c, structure, notes) for name, c in whole.units.items()}
     if not units:
         raise SSPError("the system has no components; add a Component whose source is an FMU")
     told, lines = derived_ports(whole.links, {n: u.port_maps for n, u in units.items()})
@@ -59,7 +61,7 @@ def _load(structure: Structure) -> Scene:
     return Scene(net.name, net, stop, step, description=net.description, notes=tuple(notes), kept=structure.kept)
 
 
-def _unit(component: Component, structure: Structure) -> UnitFile:
+def _unit(component: Component, structure: Structure, notes: list[str]) -> UnitFile:
     """The unit of a component, whose connectors it must have."""
     unit = unit_file(component.files.file(component.source))
     unit = replace(unit, source=f"{component.files.path}/{component.source}")
@@ -77,7 +79,7 @@ def _unit(component: Component, structure: Structure) -> UnitFile:
             )
         told, own = structure.units.get(c.unit), _unit_of(unit, c.name)
         if c.unit and told is None and structure.units:
-            raise SSPError(f"{where} is in '{c.unit}', which Units does not define; {meant(c.unit, structure.units)}")
+            notes += undefined(where, c.unit, structure.lenient, meant(c.unit, structure.units))
         if conversion(told, own, where).factor != 1.0:
             theirs = f"the variable of {component.source} in '{variable.unit}'"
             raise SSPError(f"{where}: unit mismatch: it is in '{c.unit}', {theirs}")

@@ -11,7 +11,7 @@ from phfmu.ssp.names import NUMBERS, tag
 from phfmu.ssp.package import Package, inside
 from phfmu.ssp.schema import require_valid
 from phfmu.ssp.structure import Binding, Linear, SSPError, Unit
-from phfmu.ssp.units import read_units
+from phfmu.ssp.units import read_units, undefined
 
 _SET, _MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
 _TRUTH = {"true": 1.0, "false": 0.0}
@@ -19,13 +19,16 @@ _TRUTH = {"true": 1.0, "false": 0.0}
 
 @dataclass(frozen=True)
 class Source:
-    """Where a description is: its package, its name for messages, and `notes` of what is left out; `component`: file of the
-    unit whose bindings are read."""
+    """Where a description is: its package, its name for messages, and `notes` of what is left out.
+
+    `component`: file of the unit whose bindings are read;  `lenient`: units of measurement that are not defined are not known.
+    """
 
     package: Package
     where: str
     notes: list[str]
     component: str = ""
+    lenient: bool = False
 
 
 def bindings(element: Element, source: Source) -> tuple[Binding, ...]:
@@ -36,7 +39,7 @@ def bindings(element: Element, source: Source) -> tuple[Binding, ...]:
 
 def _binding(element: Element, source: Source) -> Binding:
     root, where = document(element, tag("ssd", "ParameterValues"), "ssv", _SET, source)
-    bare, units_of = _values(root, where, source.notes)
+    bare, units_of = _values(root, where, source)
     prefix = element.get("prefix", "")
     values, units = {prefix + n: v for n, v in bare.items()}, {prefix + n: u for n, u in units_of.items()}
     mapping = element.find(tag("ssd", "ParameterMapping"))
@@ -72,9 +75,9 @@ def document(element: Element, inline: str | None, kind: str, type_: str, source
     return root, where
 
 
-def _values(root: Element, where: str, notes: list[str]) -> tuple[dict[str, float], dict[str, Unit]]:
+def _values(root: Element, where: str, source: Source) -> tuple[dict[str, float], dict[str, Unit]]:
     """Numbers by name, entries of vectors as name[1]; and the units of those that tell theirs."""
-    known = read_units(root, "ssv")
+    notes, known = source.notes, read_units(root, "ssv")
     values: dict[str, float] = {}
     units: dict[str, Unit] = {}
     for p in root.find(tag("ssv", "Parameters")):
@@ -90,7 +93,7 @@ def _values(root: Element, where: str, notes: list[str]) -> tuple[dict[str, floa
         if unit in known:
             units |= dict.fromkeys(names, known[unit])
         elif unit:
-            raise SSPError(f"{where}: the parameter '{name}' is in '{plain(unit, 100)}', which Units does not define")
+            notes += undefined(f"{where}: the parameter '{name}'", unit, source.lenient)
     return values, units
 
 

@@ -39,20 +39,23 @@ TRUE = ("true", "1")
 DEEPEST = 10  # descriptions within each other
 
 
-def read_structure(path: str | Path) -> Structure:
-    """The structure of a .ssp or .ssd, checked against its schema.  SSPError, FMUError say what is wrong."""
+def read_structure(path: str | Path, lenient: bool = False) -> Structure:
+    """The structure of a .ssp or .ssd, checked against its schema.  SSPError, FMUError say what is wrong.
+
+    `lenient`: units of measurement that it does not define count as not told, which is noted.
+    """
     package = open_package(path)
     where = f"{package.path}/{package.structure}" if package.path.name != package.structure else str(package.path)
-    return _read(package, where, [], 0)
+    return _read(package, where, [], 0, lenient)
 
 
-def _read(package: Package, where: str, notes: list[str], depth: int) -> Structure:
+def _read(package: Package, where: str, notes: list[str], depth: int, lenient: bool) -> Structure:
     root = parse(package.read(package.structure), where)
     unchecked = require_valid(root, "ssd", where)
     if unchecked and unchecked not in notes:
         notes.append(unchecked)
     try:
-        return _Reader(Source(package, where, notes), depth).structure(root)
+        return _Reader(Source(package, where, notes, lenient=lenient), depth).structure(root)
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         if not unchecked or isinstance(error, SSPError | FMUError):
             raise
@@ -84,6 +87,7 @@ class _Reader:
             None if step is None else self._number(step, "step"),
             tuple(self.source.notes),
             kept(root, self.source),
+            self.source.lenient,
         )
 
     def system(self, element: Element) -> System:
@@ -151,7 +155,8 @@ class _Reader:
         inner = Within(package, uri) if kind == DEFINITION else open_package(package.file(uri))
         if kind == PACKAGE and chosen:
             inner = Within(inner, chosen)
-        found = _read(inner, f"{package.path}/{plain(source, 200)}", self.source.notes, self.depth + 1)
+        where = f"{package.path}/{plain(source, 200)}"
+        found = _read(inner, where, self.source.notes, self.depth + 1, self.source.lenient)
         for unit in found.units.values():
             if self.units.setdefault(unit.name, unit) != unit:
                 raise SSPError(

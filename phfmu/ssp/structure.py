@@ -166,3 +166,5 @@ class Structure:
     notes: tuple[str, ...] = ()
     #: what no run needs, to be written again (`kept.py`)
     kept: object = None
+    #: whether units of measurement that are not defined count as not told
+    lenient: bool = False

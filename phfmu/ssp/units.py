@@ -29,6 +29,17 @@ def _read(element: Element) -> Unit:
     return Unit(name, factor, offset, tuple(int(base.get(b, "0")) for b in BASE))
 
 
+def undefined(what: str, unit: str, lenient: bool, close: str = "") -> list[str]:
+    """A line about `what`, whose unit of measurement the document does not define: it counts as not told.
+
+    SSPError with the remedy unless that is asked for (`lenient`); `close`: what may have been meant.
+    """
+    words = f"{what} is in '{plain(unit, 100)}', which Units does not define"
+    if not lenient:
+        raise SSPError(f"{words}; {close}{'. ' if close else ''}--lenient goes on, with values taken as they are")
+    return [f"{words}; its values are taken as they are"]
+
+
 def named(text: str) -> Unit | None:
     """What a unit text of this package or of an FMU is; None where it is no unit or cannot be read."""
     if not text or text == "1":

@@ -212,6 +212,36 @@ def test_bad_structures_are_refused_in_one_line(
         load(path)
 
 
+def test_units_of_measurement_that_are_not_defined_may_be_left_open(
+    units: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As connectors and parameters of some tools have them; values are taken as they are, which a line says."""
+    odd = tuple((n, k, "[N]" if u == "N" else u) for n, k, u in MASS)
+    values = binding(inside=f"<ssd:ParameterValues>{parameters(('cart.m', 2.0, '[kg]'))}</ssd:ParameterValues>")
+    (tmp_path / "odd").mkdir(), (tmp_path / "plain").mkdir()
+    path = package(
+        tmp_path / "odd", units, system(component("cart", "mass", odd), BOTH[1], connections=PLAIN, more=values)
+    )
+    lines = (
+        "connector 'flange.force' is in '[N]', which Units does not define",
+        "'cart.m' is in '[kg]', which Units does not define",
+    )
+    for verb in ("run", "info"):
+        assert main([verb, str(path)]) == 2
+        said = capsys.readouterr().err
+        assert lines[1] in said and "--lenient goes on" in said
+        assert main([verb, str(path), "--lenient"]) == 0
+        said = capsys.readouterr().out
+        assert all(said.count(line) == 1 for line in lines)
+    plain = binding(inside=f"<ssd:ParameterValues>{parameters(('cart.m', 2.0, ''))}</ssd:ParameterValues>")
+    same = package(tmp_path / "plain", units, system(*BOTH, connections=PLAIN, more=plain))
+    rows = ran(same), ran(path, "--lenient")
+    np.testing.assert_array_equal(rows[1]["cart.v"], rows[0]["cart.v"])
+    for verb in ("run", "info"):
+        assert main([verb, "oscillator", "--lenient"]) == 2
+        assert "--lenient is for packages of SSP" in capsys.readouterr().err
+
+
 def test_hostile_documents_and_archives_are_refused(units: dict[str, bytes], tmp_path: Path) -> None:
     good = document(system(*BOTH, connections=PLAIN), after=AFTER)
     entity = '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>' + good.replace("pair", "&e;")
