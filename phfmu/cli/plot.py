@@ -8,9 +8,11 @@ from typing import Any
 
 
 def add_parser(verbs: Any) -> None:
-    parser = verbs.add_parser("plot", help="picture of a run or an audit: PNG, or HTML to zoom into")
+    parser = verbs.add_parser("plot", help="picture of a run, an audit or a sweep: PNG, or HTML to zoom into")
     parser.add_argument(
-        "file", metavar="RUN|AUDIT", help="result table (.csv, .parquet) or audit (.parquet) of phfmu run"
+        "file",
+        metavar="RUN|AUDIT|SWEEP",
+        help="result table (.csv, .parquet) or audit (.parquet) of phfmu run; table of phfmu sweep: measures against what varies",
     )
     parser.add_argument("signals", metavar="SIGNAL", nargs="*", default=[],
                         help="names or patterns ('gen.*', '*.I[1]'); default: all but means, ends and books")  # fmt: skip
@@ -29,17 +31,37 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.report.history import read_history
     from phfmu.report.opening import opened
     from phfmu.report.picture import picture, with_marks
+    from phfmu.report.sweep_table import is_sweep
 
     check_picture(args.output, "-o")
     size = _size(args)
+    if is_sweep(args.file):
+        return _sweep(args, size)
     found = opened(args.file)
-    chosen = pick(args.signals, found.names, args.file, HOLDS if isinstance(found, AuditSignals) else "")
+    asked = [found.labelled.get(s, s) for s in args.signals]
+    chosen = pick(asked, found.names, args.file, HOLDS if isinstance(found, AuditSignals) else "")
     span = window(args.window)
     drawn = picture(found, chosen, span)
     if args.events:
         drawn = with_marks(drawn, marks(read_history(args.events)), span)
     draw(drawn, args.output, size)
     for note in drawn.notes:
+        print(note)
+    return FINE
+
+
+def _sweep(args: argparse.Namespace, size: tuple[int, int] | None) -> int:
+    """Measures of a sweep against what varied."""
+    from phfmu.cli.codes import FINE
+    from phfmu.report.sweep_picture import draw_sweep
+    from phfmu.report.sweep_table import read_sweep
+
+    given = [option for option, value in (("--window", args.window), ("--events", args.events)) if value]
+    if given:
+        raise ValueError(f"{given[0]} is about the time of one run; {args.file} is the table of a sweep, leave it out")
+    table = read_sweep(args.file).chosen(args.signals)
+    draw_sweep(table, args.output, size)
+    for note in table.notes:
         print(note)
     return FINE
 

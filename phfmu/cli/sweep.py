@@ -36,7 +36,9 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument("--measure", action="append", default=[], metavar="KIND(SIGNAL)", required=True,
                         help="; ".join(f"{name}: {line}" for name, line in KINDS.items())
                         + "; a pattern such as max(*.w) means one for each signal; may be repeated")  # fmt: skip
-    parser.add_argument("-o", "--output", metavar="FILE", help="table of the runs, FILE.parquet")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", help="table of the runs, .parquet or .csv; phfmu plot draws it"
+    )
     parser.add_argument("--resume", action="store_true", help="go on with a sweep of the same command that ended early")
     parser.add_argument("--keep", metavar="DIR", dest="folder",
                         help="folder for the whole result of each run (000000.parquet, ..), by the run loop: slower")  # fmt: skip
@@ -132,11 +134,11 @@ def _file(args: argparse.Namespace) -> Path | None:
 
     if args.output is None:
         if args.resume:
-            raise ValueError("--resume goes on with the table of -o FILE.parquet; name it")
+            raise ValueError("--resume goes on with the table of -o FILE; name it")
         return None
     path = Path(args.output)
-    if path.suffix != ".parquet":
-        raise ValueError(f"-o {args.output}: expected FILE.parquet")
+    if path.suffix not in (".parquet", ".csv"):
+        raise ValueError(f"-o {args.output}: the ending must be .parquet or .csv")
     if not path.parent.is_dir():
         raise ValueError(f"-o {args.output}: there is no folder {path.parent}")
     return path

@@ -54,6 +54,10 @@ class AuditSignals:
     def kinds(self) -> dict[str, str]:
         return {}
 
+    @property
+    def labelled(self) -> dict[str, str]:
+        return {}
+
     def usual(self) -> list[str]:
         return self.names
 

@@ -41,6 +41,10 @@ class LiveRecording:
         self._marks.append(Mark(time, text))
 
     @property
+    def labelled(self) -> dict[str, str]:
+        return {label: name for name, label in self._labels.items() if label}
+
+    @property
     def rows(self) -> int:
         return sum(map(len, self._time))
 

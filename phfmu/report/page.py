@@ -74,7 +74,8 @@ def write_report(run: Run, path: str | os.PathLike[str], window: tuple[float, fl
             notes += drawn.notes
     if run.table is not None:
         table = ResultTable(run.table)
-        drawn = picture(table, pick(run.signals, table.names, run.table), window)
+        asked = [table.labelled.get(s, s) for s in run.signals]
+        drawn = picture(table, pick(asked, table.names, run.table), window)
         drawn = with_marks(drawn, events, window)
         body += [_heading("Signals"), chart(drawn)]
         notes += drawn.notes

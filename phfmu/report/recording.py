@@ -61,6 +61,11 @@ class Recording(Protocol):
         """Of signals that are told to be something."""
         ...
 
+    @property
+    def labelled(self) -> Mapping[str, str]:
+        """What readers call signals -> their names, where the two differ."""
+        ...
+
     def usual(self) -> list[str]:
         """Names that are drawn when none are asked for."""
         ...

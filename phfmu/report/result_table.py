@@ -19,6 +19,10 @@ class ResultTable:
     def title(self) -> str:
         return self._file.path.name
 
+    @property
+    def labelled(self) -> dict[str, str]:
+        return {label: name for name, label in self._file.labels.items()}
+
     def usual(self) -> list[str]:
         return usual(self.names, self.kinds)
 

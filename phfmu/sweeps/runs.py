@@ -50,7 +50,7 @@ def sweep(
 
     One declaration, one compilation; the runs are shared by `jobs` threads (default: one per core), whose number does not
     change a bit of the results.  options: default the scene's (`Options(stop=.., step=..)` for a component);  engine: "native" or
-    "python";  file: Parquet file of the table, with FILE.parts beside it until all is done, from which `resume` goes on;
+    "python";  file: of the table, .parquet or .csv, with FILE.parts beside it until all is done, from which `resume` goes on;
     scheduler: of a Dask cluster whose workers take the runs; `target` is then a function that gives the scene or component, which
     they call;  keep: folder for the whole result of each run, 000000.parquet and so on, which the run loop takes, not the
     compiled one;  progress: called with the number of runs that are done.
@@ -67,9 +67,9 @@ def sweep(
         outcome = taken(crew, design, parts, progress or (lambda _: None))
     table = _table(task, design, outcome)
     if file is not None and parts is not None:
-        from pyarrow import parquet
+        from pyarrow import csv, parquet
 
-        parquet.write_table(table, file)
+        (csv.write_csv if file.suffix == ".csv" else parquet.write_table)(table, file)
         parts.remove()
     return table
 
