@@ -33,10 +33,13 @@ class Parser(argparse.ArgumentParser):
 
 
 def parsed(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
-    """The arguments; what no option takes is told by the verb, with the option that was meant."""
+    """The arguments, names also after options; what no option takes is told by the verb, with the option that was meant."""
     args, rest = parser.parse_known_args(words)
     if rest:
         verb = parser.verbs[args.verb]
+        if not any(word.startswith("-") for word in rest) and words[0] == args.verb:
+            args, rest = verb.parse_known_intermixed_args(list(words)[1:], argparse.Namespace(verb=args.verb))
+    if rest:
         options = [word for action in verb._actions for word in action.option_strings]
         unknown = next((word for word in rest if word.startswith("-")), None)
         close = meant(unknown.partition("=")[0], options, " ") if unknown else " "

@@ -381,3 +381,9 @@ def test_lines_keep_their_corners_gaps_and_jumps() -> None:
 )  # fmt: skip
 def test_single_precision_where_it_shows_all_digits(values: list[float], kind: type) -> None:
     assert single(np.array(values)).dtype == kind
+
+
+def test_names_may_stand_after_options(folder: Path) -> None:
+    words = ["plot", str(folder / "m.csv"), "-o", str(folder / "after.png"), "w", "--window", "0:1", "terminal.i"]
+    assert main(words) == 0
+    assert main([*words, "terminal.j"]) == 2
