@@ -65,6 +65,8 @@ class Steps:
     signals: Array = field(default_factory=lambda: np.zeros((0, 0)))
     #: rows of it within each step (n x rows x names), None unless asked for
     between: Array | None = None
+    #: unknowns of each step's solve (n x nw), None unless asked for
+    unknowns: Array | None = None
     #: number of a step, and what happened within it, in order
     events: tuple[tuple[int, StepEvent], ...] = ()
 

@@ -51,6 +51,8 @@ class Monolithic:
         self.names = self._columns.names
         #: makes rows within the steps, if asked for: (instance, row before, record, starts, sizes) -> (n x rows x width)
         self.between: Between | None = None
+        #: steps are to tell their unknowns
+        self.unknowns_told = False
         #: free inputs that follow data
         self.followed: Interpolant | None = None
 
@@ -248,7 +250,7 @@ class Monolithic:
     def wanted(self, instance: Any) -> tuple[str, ...]:
         """What `steps_of` needs of a run of the instance."""
         wanted = (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER
-        return (*wanted, "unknowns") if self.booking.parts else wanted
+        return (*wanted, "unknowns") if self.booking.parts or self.unknowns_told else wanted
 
     def steps_of(self, instance: Any, r: dict[str, Array]) -> Steps:
         """The steps that the instance has recorded."""
@@ -258,6 +260,7 @@ class Monolithic:
             terms = self._accounts.by_term(steps.stored, steps.dissipated)
             own = {n: self._by_component(x) for n in names if (x := getattr(steps, n)) is not None}
             steps = replace(steps, terms=terms, **own)
+        steps = replace(steps, unknowns=r["unknowns"]) if self.unknowns_told else steps
         return replace(steps, works=self._lost(instance, r)) if self.booking.parts else steps
 
     def _lost(self, instance: Any, r: dict[str, Array]) -> Array:

@@ -20,6 +20,7 @@ from phfmu.network.run.book import Book
 from phfmu.network.run.march import Pace, goals, monolithic, pieces, step_rows
 from phfmu.network.run.options import Options
 from phfmu.network.run.restart import Restart
+from phfmu.network.run.ringing import Ringing
 from phfmu.network.run.rows import Row
 from phfmu.network.run.stretches import Stretch
 
@@ -35,12 +36,12 @@ CROWD = 3
 class Booked:
     """Books landed steps and what happens at their end; their rows, with one before and one after each event."""
 
-    def __init__(self, stepper: Monolithic | Coupled, book: Book):
-        self.stepper, self.book = stepper, book
+    def __init__(self, stepper: Monolithic | Coupled, book: Book, ringing: Ringing | None = None):
+        self.stepper, self.book, self._ringing = stepper, book, ringing
         #: when the last event of the last rows happened, None without one
         self.event: float | None = None
 
-    def rows(self, parts: Iterable[Landing], also: float = 0.0) -> Rows:
+    def rows(self, parts: Iterable[Landing], also: float = 0.0, *, damped: bool = False) -> Rows:
         """Of parts that `land` of the stepper yields; `also`: iterations of trials that are booked with the first step."""
         self.event = None
         try:
@@ -50,6 +51,8 @@ class Booked:
                         steps = replace(steps, iterations=steps.iterations + np.eye(1, len(size))[0] * also)
                     also = 0.0
                     self.book.add(begun, size, steps)
+                    if self._ringing is not None:
+                        self._ringing.add(steps, damped)
                     yield step_rows(begun, begun + size, steps)
                 if happened is not None:
                     yield self._happened(*happened)
@@ -61,6 +64,8 @@ class Booked:
         """Books it; the row after it."""
         self.event = e.t
         self.book.happened(e)
+        if self._ringing is not None:
+            self._ringing.happened(e.t, e.names)
         self.stepper.check_start()
         return np.array([e.t]), row[None], np.zeros(1, bool)
 
@@ -74,7 +79,8 @@ class EventSteps:
     def __init__(self, stepper: Monolithic | Coupled, book: Book, options: Options):
         _require_fit(options)
         self.stepper, self.step, self.restart = stepper, options.step, options.restart
-        self._booked, self._pace = Booked(stepper, book), Pace()
+        self._ringing = Ringing(stepper, options.step, self.restart)
+        self._booked, self._pace = Booked(stepper, book, self._ringing), Pace()
         self._damped = Restart(monolithic(stepper, "--restart")) if self.restart else None
 
     def takes_inputs(self, name: str) -> bool:
@@ -84,10 +90,11 @@ class EventSteps:
     def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
         changed, left = True, self.restart if event else 0
+        self._ringing.changed(stretch)
         for t, h, n in pieces(stretch.start, stretch.end, self.step):
             first = 0
             while first < n:
-                grid = Grid(t, h, min(self._pace.steps, n - first), first)
+                grid = Grid(t, h, self._ringing.block(min(self._pace.steps, n - first)), first)
                 if self._damped is None:
                     yield from self._booked.rows(self.stepper.land(t, h, grid.n, first, changed))
                     taken = grid.n
@@ -104,7 +111,7 @@ class EventSteps:
         Grid steps that were taken, and damped ones that are left after them.
         """
         if left:
-            yield from self._booked.rows(damped.land(grid.start(0), grid.h, changed))
+            yield from self._booked.rows(damped.land(grid.start(0), grid.h, changed), damped=True)
             return 1, left - 1 if self._booked.event is None else self.restart
         own = damped.stepper
         yield from self._booked.rows(own.landed(own.instance, replace(grid, pause=True), changed))
@@ -112,7 +119,7 @@ class EventSteps:
             return grid.n, 0
         over, rest = _place(grid, t)
         if rest:
-            yield from self._booked.rows(damped.land(t, rest))
+            yield from self._booked.rows(damped.land(t, rest), damped=True)
             over += 1
         return over, self.restart
 
@@ -122,7 +129,7 @@ class EventSteps:
 
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""
-        return self._damped.notes() if self._damped else []
+        return (self._damped.notes() if self._damped else []) + self._ringing.notes()
 
 
 class AdaptiveEventSteps:

@@ -21,6 +21,7 @@ from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.run.book import Book
 from phfmu.network.run.options import Options
 from phfmu.network.run.restart import Restart, not_damped, require_fit
+from phfmu.network.run.ringing import Ringing
 from phfmu.network.run.rows import Row
 from phfmu.network.run.stretches import Stretch
 from phfmu.network.scene import Event
@@ -88,6 +89,7 @@ class FixedSteps:
         self._cut: list[float] = []
         self._pace = Pace()
         self._longest = 0.0
+        self._ringing = Ringing(stepper, options.step, self.restart)
 
     def takes_inputs(self, name: str) -> bool:
         """Whether the steps of one stretch may have different values of `name`, a free input."""
@@ -97,13 +99,14 @@ class FixedSteps:
     def over(self, stretch: Stretch, event: bool) -> Rows:
         """The rows in (start, end]; `event`: something changed at the start."""
         left = self.restart if event else 0
+        self._ringing.changed(stretch)
         for t, h, n in pieces(stretch.start, stretch.end, self.step):
             if h < self.step * (1 - 1e-9):
                 self._cut.append(h)
             first = 0
             while first < n:
                 damped = left > 0 and self._damped is not None
-                count = 1 if damped else min(self._pace.steps, n - first)
+                count = 1 if damped else self._ringing.block(min(self._pace.steps, n - first))
                 inputs = [
                     (k - first, e) for k, e in stretch.inputs[_from(stretch, first) : _from(stretch, first + count)]
                 ]
@@ -118,7 +121,7 @@ class FixedSteps:
     def notes(self) -> list[str]:
         """What was not as asked for, one line each."""
         cut = [_shorter(self._cut, self.book.steps, self.step)] if self._cut else []
-        return cut + (self._damped.notes() if self._damped else [])
+        return cut + (self._damped.notes() if self._damped else []) + self._ringing.notes()
 
     def _booked(self, t: float, h: float, first: int, n: int, damped: bool, inputs: list[tuple[int, Event]]) -> Rows:
         """The rows of steps first..first+n-1 of the grid t + k h; those before one that fails, too.
@@ -141,6 +144,7 @@ class FixedSteps:
             self.book.failed(failure)
             raise
         self._longest = max(self._longest, h)
+        self._ringing.add(steps, damped)
         self.book.inputs(inputs)
         yield self._added(t, h, first, steps)
 
