@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Job:
     """What a command line asks to run; `label`: for the run's head line; `whole`: one composed model, not units or members;
-    `notes`: what is not as asked for, one line each, also of what `build` finds.
+    `notes`: what is not as asked for, one line each, also of what `build` finds;  `order`: of the whole, None where units do
+    not tell it.
 
     `build` makes the stepper, which may compile: what can be refused before should be.
     """
@@ -25,6 +26,7 @@ class Job:
     whole: bool
     build: Callable[[], Stepper]
     notes: list[str] = field(default_factory=list)
+    order: float | None = None
 
 
 def label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf, held: str = "") -> str:

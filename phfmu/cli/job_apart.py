@@ -97,7 +97,8 @@ def apart(
     said = coupling.words + _number(network) + SAID[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
     notes += _order_lost(args.order, coupling, most)
-    return Job(s, head, False, build, notes)
+    order = None if network.units or not schemes else min(most, *(scheme.order for scheme in schemes.values()))
+    return Job(s, head, False, build, notes, order)
 
 
 def _gathered(args: argparse.Namespace, network: Network) -> Network:

@@ -33,7 +33,7 @@ def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]
         model = build_model(declaration, scheme)
         return Monolithic(model, instance_of(model, engine))
 
-    return Job(s, label([scheme], f"{engine} engine", MONOLITHIC.name), engine != "fmu", build, why)
+    return Job(s, label([scheme], f"{engine} engine", MONOLITHIC.name), engine != "fmu", build, why, scheme.order)
 
 
 def _by_term(declaration: PHDAE, scheme: Scheme, engine: str) -> PHDAE:

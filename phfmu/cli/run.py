@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -90,6 +91,9 @@ def add_parser(verbs: Any) -> None:
                         help="move an inconsistent start onto its constraints instead of refusing it")  # fmt: skip
     parser.add_argument("--keep", action="append", default=[], metavar="NAME",
                         help="a state that --project leaves as it is (v: all of v); may be repeated")  # fmt: skip
+    parser.add_argument("--accuracy", action="store_true",
+                        help="run again with half the step and tell by how much each signal changes, and the error of this "
+                        "run that follows")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
     parser.set_defaults(call=call)
 
@@ -100,7 +104,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.audit import audit_table
     from phfmu.audit.sheet_names import ROWS
     from phfmu.audit.violation import ViolationKind
-    from phfmu.cli import options
+    from phfmu.cli import accuracy, options
     from phfmu.cli.build import job_of
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.interrupt import Signals
@@ -111,6 +115,7 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.network.run.loop import run
     from phfmu.target import is_fmu
 
+    accuracy.require_fit(args)
     outputs, job = Outputs(args), job_of(args)
     chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
     stepper = job.build()
@@ -130,9 +135,12 @@ def call(args: argparse.Namespace) -> int:
         marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
         outputs.begin({"target": args.target, "run": label})
         columns = partial(outputs.columns, marks, args.dense is not None)
+        record = accuracy.recorded(args, chosen.step)
         options_here = replace(
-            chosen, sink=outputs.sink, progress=progress, columns=columns, keep=outputs.keep, happened=outputs.happened
-        )
+            chosen, sink=outputs.sink, progress=progress,
+            columns=both(columns, record and record.columns), keep=both(outputs.keep, record and record.keep),
+            happened=both(outputs.happened, record and record.event),
+        )  # fmt: skip
         result = run(stepper, options_here, inputs=rows, interpolate=args.interpolate)
         seconds = perf_counter() - begun - outputs.seconds
     summary = result.ledger.summary()
@@ -141,6 +149,8 @@ def call(args: argparse.Namespace) -> int:
         _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
         if chosen.audited:
             print(audit_table(summary, most=ROWS), end="")
+    if record is not None:
+        accuracy.print_accuracy(args, record, job.order, chosen)
     if not summary.closed:
         places = dict.fromkeys(v.name for v in summary.violations)
         print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
@@ -149,6 +159,18 @@ def call(args: argparse.Namespace) -> int:
             _print_signs_lost(scene, [*events, *given], result, lost)
         return LEDGER
     return FINE
+
+
+def both(first: Callable[..., None], second: Callable[..., None] | None) -> Callable[..., None]:
+    """A call of both, of one where there is no second."""
+    if second is None:
+        return first
+
+    def call(*values: Any) -> None:
+        first(*values)
+        second(*values)
+
+    return call
 
 
 def _every(text: str | None) -> int | float | None:
