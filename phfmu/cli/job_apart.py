@@ -34,7 +34,7 @@ def apart(
 ) -> Job:
     from phfmu.network.couplings.apart import Apart, held_wires
     from phfmu.network.couplings.gathered import composed_words
-    from phfmu.network.couplings.held_signals import ORDERS
+    from phfmu.network.couplings.held_signals import ORDER_OF_EVENTS, ORDERS
     from phfmu.network.couplings.named import named_coupling
 
     sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
@@ -47,10 +47,14 @@ def apart(
     step = s.step if args.step is None else args.step
     threads, notes = threads_asked(args), [*why, *filter(None, [composed_words(network), _without_unit(s, declared)])]
 
-    some_fmu, whole = "fmu" in map(stepping.engine_of, schemes), Apart(network)
+    inside = [n for n, scheme in schemes.items() if stepping.engine_of(n) == "fmu" or stepping.parts_of(n) > 1
+              or not scheme.node_values]  # fmt: skip
+    some_fmu, whole = "fmu" in map(stepping.engine_of, schemes), Apart(network, inside)
     with_impulses = whole.kicked(args.project) if some_fmu and coupling.nodes else set()
 
     def at_nodes(name: str) -> bool:
+        if name in whole.landing_alone:
+            return False
         in_unit = stepping.engine_of(name) == "fmu"
         return coupling.nodes and (_node_inputs if in_unit else _node_values)(schemes[name])
 
@@ -71,7 +75,7 @@ def apart(
         if stepping.engine_of(name) == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
 
-            extra = _node_inputs(schemes[name]), schemes[name].node_values and name in with_impulses
+            extra = at_nodes(name) and _node_inputs(schemes[name]), at_nodes(name) and name in with_impulses
             return FMUMember(name, as_fmu(own, schemes[name], args.fmi, step / parts, *extra))
         model = build_model(own, schemes[name])
         return EngineMember(name, model, instance_of(model, stepping.engine_of(name)), parts)
@@ -92,11 +96,13 @@ def apart(
     exchange: SignalExchange
     exchange, words_of_signals = _signals(args, network, stuck) if holds else _no_signals(args)
     notes += words_of_signals
-    most = _most(coupling, schemes.values(), network.units.values(), ORDERS[exchange] if holds else inf)
+    of_signals = min(ORDERS[exchange] if holds else inf, ORDER_OF_EVENTS if whole.events_by_signals else inf)
+    alone = [n for n in whole.held if n in network.declared] if coupling.nodes else []
+    most = _most(coupling, schemes.values(), network.units.values(), of_signals, alone)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
     said = coupling.words + _number(network) + SAID[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
-    notes += _order_lost(args.order, coupling, most)
+    notes += _order_lost(args.order, coupling, most, [whole.why_held(n) for n in alone])
     order = None if network.units or not schemes else min(most, *(scheme.order for scheme in schemes.values()))
     return Job(s, head, False, build, notes, order)
 
@@ -155,20 +161,26 @@ def _no_signals(args: argparse.Namespace) -> tuple[SignalExchange, list[str]]:
     return "extrapolated", []
 
 
-def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float) -> float:
-    """The order that members stepped apart keep together at most; `signals`: that of what is held between them."""
+def _most(
+    coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float, held: Sequence[str]
+) -> float:
+    """The order that members stepped apart keep together at most; `signals`: that of what is held between them.
+
+    held: declared members that take held inputs, since they land alone
+    """
     nodes = [u.k for u in units]
-    at_nodes = coupling.nodes and all(s.node_values for s in schemes) and all(nodes)
+    at_nodes = coupling.nodes and all(s.node_values for s in schemes) and all(nodes) and not held
     if at_nodes and signals == inf:
         return 2 * min(nodes, default=inf)
     return min(coupling.order, signals)
 
 
-def _order_lost(asked: int | None, coupling: Named, most: float) -> list[str]:
-    """A line if the coupling does not keep the order that was asked for."""
+def _order_lost(asked: int | None, coupling: Named, most: float, why: list[str]) -> list[str]:
+    """A line if the coupling does not keep the order that was asked for, and lines that say why."""
     if asked is None or asked <= most:
         return []
     values = "one value per step, held" if most <= coupling.order else "as many values per step as its units take"
     return [
-        f"--order {asked} is that of the members: {coupling.words} joins them by {values}, so the run is of order {most:g}"
+        f"--order {asked} is that of the members: {coupling.words} joins them by {values}, so the run is of order {most:g}",
+        *why,
     ]

@@ -7,16 +7,22 @@ from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.declare.phdae import PHDAE
+from phfmu.declare.variable import _sx
+from phfmu.events.event_plan import at_instant
 from phfmu.network.couplings.bare_columns import Bare, bare
+from phfmu.network.couplings.held_signals import ORDER_OF_EVENTS
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.relations import bent
 from phfmu.network.junctions.interface import Interface, interface
 from phfmu.network.junctions.network import Network
 from phfmu.network.junctions.wires import Wire
 from phfmu.network.members.node_values import DeclaredOffer
+from phfmu.terms.extract import extract
 from phfmu.terms.port_impulses import Impulse
 
 if TYPE_CHECKING:
@@ -26,13 +32,47 @@ if TYPE_CHECKING:
 class Apart:
     """A network whose members are stepped apart."""
 
-    def __init__(self, network: Network):
+    def __init__(self, network: Network, inside: Collection[str] = ()):
+        """`inside`: members whose events happen inside their steps anyway: exported as units, or in several parts a step."""
         self.network = network
+        self._barred = self._bars(inside)
         #: members that take one held value a step
         self.held = [n for n, u in network.units.items() if not u.k]
-        switched = [n for n, d in network.declared.items() if d.switches]
-        if switched and (network.units or network.wires or bent(network, network.declared)):
-            self.held += switched
+        if self._barred:
+            self.held += [n for n, d in network.declared.items() if d.switches]
+        #: members with state events that do so -> why
+        self.landing_alone = self._landing_alone(inside)
+        self.held += self.landing_alone
+
+    def _bars(self, inside: Collection[str]) -> str:
+        """Why the events of all members are not looked at as one; "" if they may be, or if there is no need."""
+        network = self.network
+        if not any(d.switches or d.state_events for d in network.declared.values()):
+            return ""
+        if network.wires:
+            return "signals between members are held over a step"
+        others = [*network.units, *inside]
+        return f"{others[0]} has steps of its own" if others else bent(network, network.declared)
+
+    def _landing_alone(self, inside: Collection[str]) -> dict[str, str]:
+        """Members whose state events are looked at inside their steps; the rule of `Exchange`, for declarations."""
+        network = self.network
+        own = {n: d for n, d in network.declared.items() if d.state_events and not d.switches}
+        reading = [n for n, d in own.items() if reads_others(d)]
+        if not own or (not self._barred and (reading or any(d.switches for d in network.declared.values()))):
+            return {}
+        if network.wires:
+            return dict.fromkeys(own, f"whose events happen inside its step, since {self._barred}")
+        alone = dict.fromkeys(reading, f"whose guards read what others give, and {self._barred}")
+        alone |= {n: "whose events happen inside its step" for n in own if n in inside}
+        self.held += alone
+        face, found = self._columns_with_impulses()
+        for j in network.junctions:
+            if face.sums[j.name].start in found.columns:
+                bare_there = "that do not go with the impulses of a bare node"
+                alone |= {e.member: bare_there for e in j.ends if e.member in own and e.member not in alone}
+        self.held = [n for n in self.held if n not in alone]
+        return alone
 
     @cached_property
     def wires(self) -> list[Wire]:
@@ -44,13 +84,26 @@ class Apart:
         declared = self.network.declared.items()
         return {*self.held, *(n for n, d in declared if d.state_events or not at_nodes(n))}
 
+    @property
+    def events_by_signals(self) -> list[str]:
+        """Members with state events that take or give held signals."""
+        ends = {n for w in self.network.wires for n in (w.source, w.target)}
+        return [n for n in self.landing_alone if n in ends]
+
     def order(self) -> str:
         """What `--order` is composed and apart."""
         held, units = self.held, self.network.units
+        if self.network.wires:  # which say more than that events happen inside steps then
+            held = [n for n in held if n not in self.landing_alone]
         which = f"{', '.join(held)} take{'s' if len(held) == 1 else ''} held inputs"
         if units:
             most = min(Newton.order if held or self.wires else inf, *(2 * (u.k or 1) for u in units.values()))
             return f"at most {most:g} with --coupling newton{f'; {which}' if held else ', that of its units'}"
+        if self.events_by_signals:
+            return (
+                f"--order composed; {ORDER_OF_EVENTS} apart: signals are held over a step, and the events of "
+                f"{', '.join(self.events_by_signals)} follow them or are told by them"
+            )
         if held:
             return f"--order composed; {Newton.order} with --coupling newton: {which}"
         if self.wires:
@@ -68,7 +121,7 @@ class Apart:
             pair = " and a pair of impulses" if own.start in found.columns else ""
             why = "" if pair else found.why.get(j.name)
             text = f"{values}, no impulses ({why})" if why else f"{values}{pair}, order {order}"
-            out[j.name] = "; ".join([text, *map(self._why_held, one)])
+            out[j.name] = "; ".join([text, *map(self.why_held, one)])
         return out
 
     def kicked(self, projected: bool = False) -> set[str]:
@@ -88,9 +141,11 @@ class Apart:
         """Junctions of inductive branches alone that need impulses and exchange none."""
         return {name for name, why in self._bare[1].why.items() if why}
 
-    def _why_held(self, member: str) -> str:
+    def why_held(self, member: str) -> str:
         """Why a member takes one value a step."""
         unit = self.network.units.get(member)
+        if member in self.landing_alone:
+            return f"{member or 'the composed member'} has state events {self.landing_alone[member]}: it takes the mean of its inputs"
         if unit is not None and unit.interface.energy:
             return f"{member} was exported without inputs at nodes (--node-inputs, --order 4)"
         if unit is not None:
@@ -99,7 +154,10 @@ class Apart:
 
     @cached_property
     def _bare(self) -> tuple[Interface, Bare]:
-        """The columns that carry impulses where members offer what their declarations, or manifests, say."""
+        return self._columns_with_impulses()
+
+    def _columns_with_impulses(self) -> tuple[Interface, Bare]:
+        """The columns that carry impulses where members that are not held offer what their declarations, or manifests, say."""
         network = self.network
         offers = {
             n: FileOffer(n, network.units[n]) if n in network.units else DeclaredOffer(n, network.declared[n])
@@ -113,6 +171,14 @@ class Apart:
         switched = {n for n, d in network.declared.items() if d.switches}
         taking = [None if n in self.held or n in switched or not o.ports else o for n, o in offers.items()]
         return face, bare(network, face, places, taking)
+
+
+def reads_others(declaration: PHDAE) -> bool:
+    """Whether guards read algebraic variables or inputs, which the polynomial of a member's states does not tell."""
+    terms = extract(declaration)
+    there = ca.vertcat(*(v.sx for v in declaration.algebraics), *(ca.vec(p.u) for p in declaration.ports if p.external))
+    guards = (at_instant(terms, ca.SX(_sx(e.guard.expr)), e.guard.name) for e in declaration.state_events)
+    return any(ca.depends_on(g, there) for g in guards)
 
 
 def held_wires(network: Network, held: Collection[str]) -> list[Wire]:

@@ -32,6 +32,8 @@ SignalExchange = Literal["extrapolated", "held", "agreed"]
 #: the order that follows
 ORDER = 2
 ORDERS: dict[SignalExchange, int] = {"extrapolated": ORDER, "held": 1, "agreed": ORDER}
+#: where state events follow signals or signals follow what events set: one is seen at the next step
+ORDER_OF_EVENTS = 1
 
 
 @dataclass(frozen=True)

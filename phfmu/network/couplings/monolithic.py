@@ -153,6 +153,7 @@ class Monolithic:
         """`land` of the instance or of a companion; a grid that pauses ends with the first event."""
         if self.followed is not None and grid.n > 1:
             for k in range(grid.first, grid.first + grid.n):
+                paused = False
                 for part in self.landed(instance, replace(grid, n=1, first=k), changed):
                     yield part
                     paused = grid.pause and part[3] is not None

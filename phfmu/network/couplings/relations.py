@@ -24,13 +24,13 @@ Ints = NDArray[np.intp]
 
 
 def all_together(joined: Joined, shared: SharedJumps) -> bool:
-    """Whether members land with all others by the events of the composed declaration: some have ideal switches, or jumps that
-    act on other members and guards that read what these give.
+    """Whether members land with all others by the events of the composed declaration: some have ideal switches, or guards that
+    read what others give, in steps of order 4 and 6 or beside jumps that act on others.
 
     Their members that are nothing but switches are made relations then.  ValueError where that is the only way, and is barred.
     """
     switched = [m for m in joined.members if isinstance(m, EngineMember) and m.model.modes is not None]
-    reading = any(isinstance(m, EngineMember) and not m.guards_states and m.name in shared.of for m in joined.members)
+    reading = any(isinstance(m, EngineMember) and _reads(m, shared) for m in joined.members)
     if not switched and not reading:
         return False
     barred = _barred(joined)
@@ -45,6 +45,11 @@ def all_together(joined: Joined, shared: SharedJumps) -> bool:
     for m in joined.members:
         m.together = m.model.events is not None  # type: ignore[attr-defined]
     return True
+
+
+def _reads(m: EngineMember, shared: SharedJumps) -> bool:
+    """Whether guards of a member read what others give, so that no polynomial of its own tells where they are zero."""
+    return m.model.events is not None and not m.guards_states and (m.model.step.k > 1 or m.name in shared.of)
 
 
 def _barred(joined: Joined) -> str:

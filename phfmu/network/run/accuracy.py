@@ -50,7 +50,9 @@ class Record:
         self._kept = 0
         self.low = self.high = np.zeros(0)
 
-    def columns(self, names: Sequence[str], units: Sequence[str], kinds: Sequence[str]) -> None:
+    def columns(
+        self, names: Sequence[str], units: Sequence[str], kinds: Sequence[str], labels: Mapping[str, str] | None = None
+    ) -> None:
         """What the columns are, before the first row."""
         self.names, self.units, self.kinds = list(names), list(units), list(kinds)
         self.low, self.high = np.full(len(names), inf), np.full(len(names), -inf)
@@ -103,7 +105,9 @@ class Again(Record):
         self.lengths = np.full(len(self.at), np.nan)
         self._end: tuple[Array, Array] | None = None
 
-    def columns(self, names: Sequence[str], units: Sequence[str], kinds: Sequence[str]) -> None:
+    def columns(
+        self, names: Sequence[str], units: Sequence[str], kinds: Sequence[str], labels: Mapping[str, str] | None = None
+    ) -> None:
         super().columns(names, units, kinds)
         self.rows, self.before = (np.full((len(self.at), len(names)), np.nan) for _ in range(2))
 
