@@ -1,0 +1,202 @@
+"""Switching at given instants, for hundreds of periods: no event lost, none twice, whatever the clock of the steps.
+
+The guards of a chopper are functions of time alone, zero at instants of which many are grid points, or beside one by what a
+sum of steps has rounded.  The reference solves each stretch between two instants exactly, by matrix exponentials.
+"""
+
+from __future__ import annotations
+
+from math import ceil, exp
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from phfmu import (
+    PHDAE,
+    Collocated,
+    Event,
+    Guard,
+    Monolithic,
+    NativeInstance,
+    Options,
+    PythonInstance,
+    StateEvent,
+    SwitchedInstance,
+    build_model,
+    energy,
+    parameter,
+    run,
+    skew,
+    state,
+    time,
+)
+from phfmu.components.scenes.buck import buck
+
+ENGINES = {"native": NativeInstance, "python": PythonInstance}
+F, L, C, R, COIL = 20e3, 100e-6, 47e-6, 4.0, 0.05
+
+
+def exact(stop: float, duty: Any, r: float = R) -> NDArray[np.float64]:
+    """[flux of the coil, charge of the capacitor] at `stop`; `duty`: of the period that begins at t."""
+
+    def over(x: NDArray[np.float64], h: float, u: float) -> NDArray[np.float64]:
+        A = np.array([[-COIL / L, -1 / C, u], [1 / L, -1 / (r * C), 0.0], [0.0, 0.0, 0.0]])
+        return (expm(A * h) @ [*x, 1.0])[:2]
+
+    x = np.zeros(2)
+    for n in range(ceil(stop * F - 1e-9)):
+        t = n / F
+        on = min(duty(t) / F, stop - t)
+        x, left = over(x, on, 24.0), min(1 / F, stop - t) - on
+        if left <= 0:
+            break
+        if over(x, left, -0.1)[0] > 0:  # the diode conducts until the next period
+            x = over(x, left, -0.1)
+            continue
+        ends = brentq(lambda h, x=x: over(x, h, -0.1)[0], 1e-12, left, xtol=1e-22, rtol=1e-15) if x[0] > 0 else 0.0
+        x = np.array([0.0, over(x, ends, -0.1)[1] * exp(-(left - ends) / (r * C))])
+    return x
+
+
+def stepped(model: Any, engine: str, h: float) -> Any:
+    made = SwitchedInstance(model, ENGINES[engine])
+    made.prepare(h)
+    made.initialise()
+    return made
+
+
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("engine", "stop", "k"),
+    [
+        ("native", 0.03, 1),
+        ("native", 0.03, 3),
+        pytest.param("native", 0.03, 2, marks=SLOW),
+        *(pytest.param("python", 6e-3, k, marks=SLOW) for k in (1, 2, 3)),
+    ],
+)
+def test_a_converter_runs_on_for_hundreds_of_periods(engine: str, stop: float, k: int) -> None:
+    """Every period has both events; the state is that of the exact stretches, of the order of the scheme."""
+    scene = buck()
+    model = build_model(scene.declaration(), Collocated(k))
+    whole, errors = exact(stop, lambda t: 0.6 if t > 1.5e-3 - 1e-9 else 0.4), []
+    for h in (5e-6, 2.5e-6):
+        made = stepped(model, engine, h)
+        result = run(Monolithic(model, made), Options(stop=stop, step=h, events=scene.events))
+        begins = [n for n in result.notes if "chopper.begins" in n]
+        ends = [n for n in result.notes if "chopper.ends" in n]
+        assert len(begins) in (round(stop * F), round(stop * F) + 1) and len(ends) == round(stop * F)
+        errors.append(abs(made.x / whole - 1).max())
+    assert errors[1] < {1: 3e-4, 2: 2e-7, 3: 1e-10}[k]
+    assert errors[0] / errors[1] > 0.8 * 4**k or errors[0] < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("engine", "h"),
+    [
+        *(("native", h) for h in (1e-6, 3e-6, 5e-6, 1e-4)),
+        ("python", 5e-6),
+        *(pytest.param("python", h, marks=SLOW) for h in (1e-6, 3e-6, 1e-4)),
+    ],
+)
+def test_summed_clocks_come_beside_every_instant_and_lose_none(engine: str, h: float) -> None:
+    """t += h ends 1.6e-18 s before or behind an instant of switching: that instant is there once."""
+    model = build_model(buck(later=None).declaration(), Collocated(2))
+    made, parts, stop = (
+        stepped(model, engine, 5e-6),
+        ceil(h / 5e-6 - 1e-9),
+        6e-3 if h > 1e-6 and engine == "native" else 3e-3,
+    )
+    t, found = 0.0, list[tuple[float, str]]()
+    while t < stop - 0.3 / F:
+        made.do_step(t, h, parts)
+        t += h
+        found += [(e.t, model.events.names[i]) for e in made.happened for i in e.events]
+    for name, part in (("chopper.begins", 0.0), ("chopper.ends", 0.4)):
+        at = [time for time, n in found if n == name]
+        expected = (np.arange(ceil(t * F + 0.5)) + part) / F
+        assert at == pytest.approx(expected[: len(at)], rel=1e-13, abs=1e-18)
+        assert len(at) == np.sum(expected <= t * (1 + 1e-12))
+    assert made.x == pytest.approx(exact(t, lambda _: 0.4), rel=1e-6, abs=1e-10)
+
+
+def test_light_load_blocks_the_diode_at_the_zeros_of_its_current() -> None:
+    """Discontinuous conduction: three events a period, at instants and at zeros of the state."""
+    scene = buck(R=100.0, later=None)
+    model = build_model(scene.declaration(), Collocated(3))
+    made = stepped(model, "native", 2.5e-6)
+    result = run(Monolithic(model, made), Options(stop=0.03, step=2.5e-6))
+    assert made.x == pytest.approx(exact(0.03, lambda _: 0.4, 100.0), rel=1e-9, abs=1e-13)
+    opened = [n for n in result.notes if "diode.opens" in n]
+    assert len(opened) > 300
+
+
+def pendulum_with_gate(late: float) -> PHDAE:
+    """An oscillator; at each zero of cos(2 pi 50 (t - late)) a mode changes, back and forth, which changes nothing else."""
+    import casadi as ca
+
+    q, p, up = state("q", start=1.0), state("p"), parameter("up", 1.0)
+    g = ca.cos(2 * np.pi * 50.0 * (time - late))
+    events = (
+        StateEvent(Guard("down", g, -1), when={"up": 1.0}, sets={"up": 0.0}),
+        StateEvent(Guard("up", g, 1), when={"up": 0.0}, sets={"up": 1.0}),
+    )
+    return PHDAE(
+        "gated",
+        states=(q, p),
+        parameters=(up,),
+        energies=(energy(p**2 / 2 + 50 * q**2),),
+        structure=(skew(q, p, 1.0 + 0 * up.sx),),
+        state_events=events,
+    )
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("after", [0.0, 1000.0])
+def test_opposite_guards_of_one_function_take_turns(engine: str, after: float) -> None:
+    """They are zero together; which side they are on there is rounding, that of the time at t = 1000 s too."""
+    model = build_model(pendulum_with_gate(after), Collocated(1))
+    made = ENGINES[engine](model)
+    made.set_x(after, [1.0, 0.0])
+    h, n = 1e-3, 400
+    t, found = after, list[float]()
+    for _ in range(n):
+        made.do_step(t, h)
+        t += h
+        found += [e.t for e in made.happened]
+    at = after + (np.arange(len(found)) + 0.5) / 100.0
+    assert found == pytest.approx(at, rel=1e-14, abs=1e-12)
+    assert len(found) == 40
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_what_is_set_beyond_zero_happens_at_once_all_the_same(engine: str) -> None:
+    """A mode that is set while its guard is far beyond zero: the event happens at the start of the step, once."""
+    model = build_model(buck(later=None).declaration(), Collocated(1))
+    made = stepped(model, engine, 5e-6)
+    for k in range(6):
+        made.do_step(k * 5e-6, 5e-6)
+    p = made.parameters
+    names = [n for v in model.declaration.parameters for n in v.names()]
+    p[names.index("chopper.conducts")] = 1.0
+    made.set_parameters(p)
+    made.do_step(3e-5, 5e-6)
+    told = [model.events.names[i] for e in made.happened for i in e.events]
+    assert told == ["chopper.ends"] and made.mode[0] == 0
+
+
+def test_an_event_of_the_scene_at_an_instant_of_switching() -> None:
+    """Duty and frequency change exactly where a period begins: one event of each kind, the run goes on."""
+    scene = buck(later=None)
+    model = build_model(scene.declaration(), Collocated(2))
+    made = stepped(model, "native", 5e-6)
+    events = tuple(Event(n * 1e-3, "chopper.duty", d) for n, d in enumerate((0.3, 0.7, 0.5, 0.6), 1))
+    run(Monolithic(model, made), Options(stop=6e-3, step=5e-6, events=events))
+    duties = {0: 0.4, 1: 0.3, 2: 0.7, 3: 0.5, 4: 0.6, 5: 0.6}
+    assert made.x == pytest.approx(exact(6e-3, lambda t: duties[int(t * 1e3 + 1e-9)]), rel=2e-7)
