@@ -14,6 +14,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from phfmu.files import beside, remains, require_writable
 
 from .blocks import Decoder, Found, messages
@@ -218,10 +220,15 @@ def compact(stream: Path, target: Path, expected: int | None = None) -> Compacte
 
 def _steps(batch: "pa.RecordBatch", end: float | None) -> tuple[int, float | None]:
     """Steps of a batch, and the end of the last one [s]."""
-    compute: Any = import_module("pyarrow.compute")
-    network = batch.filter(compute.equal(batch["row"].cast("string"), RowKind.NETWORK.value))
-    n = network.num_rows
-    return n, end if not n else network["t0"][n - 1].as_py() + network["h"][n - 1].as_py()
+    kinds = batch["row"].dictionary.to_pylist()
+    if RowKind.NETWORK not in kinds:
+        return 0, end
+    codes = batch["row"].indices.fill_null(-1).to_numpy(zero_copy_only=False)
+    network = np.flatnonzero(codes == kinds.index(RowKind.NETWORK))
+    if not len(network):
+        return 0, end
+    last = int(network[-1])
+    return len(network), batch["t0"][last].as_py() + batch["h"][last].as_py()
 
 
 def _table(batches: list["pa.RecordBatch"], schema: "pa.Schema") -> "pa.Table":

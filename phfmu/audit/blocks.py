@@ -112,6 +112,7 @@ class Decoder:
         self.schema = schema
         codes = [pa.field(f.name, f.type.index_type if pa.types.is_dictionary(f.type) else f.type) for f in schema]
         self._codes, self._names = pa.schema(codes), dict[str, list[str]]()
+        self._known: dict[str, pa.Array] = {}  # the names as Arrow has them
 
     def batch(self, data: bytes, names: Names) -> pa.RecordBatch | None:
         """The rows of a block; None where it has none."""
@@ -121,6 +122,7 @@ class Decoder:
             known = self._names.setdefault(column, [])
             known += [f"name {i} is lost" for i in range(len(known), first)]
             known[first : first + len(told)] = told
+            self._known.pop(column, None)
         for message in messages(data):
             if message.type == "record batch":
                 found = pa.ipc.read_record_batch(message, self._codes)
@@ -137,7 +139,10 @@ class Decoder:
         compute: Any = import_module("pyarrow.compute")
         most = compute.max(array).as_py()
         names += [f"name {i} is lost" for i in range(len(names), (-1 if most is None else most) + 1)]
-        return pa.DictionaryArray.from_arrays(array, pa.array(names, pa.string()))
+        known = self._known.get(field.name)
+        if known is None or len(known) < len(names):
+            known = self._known[field.name] = pa.array(names, pa.string())
+        return pa.DictionaryArray.from_arrays(array, known)
 
 
 def messages(data: bytes) -> Iterator[Any]:
