@@ -136,9 +136,8 @@ class Decoder:
         if not pa.types.is_dictionary(field.type):
             return array
         names = self._names.setdefault(field.name, [])
-        compute: Any = import_module("pyarrow.compute")
-        most = compute.max(array).as_py()
-        names += [f"name {i} is lost" for i in range(len(names), (-1 if most is None else most) + 1)]
+        most = int(array.fill_null(-1).to_numpy(zero_copy_only=False).max(initial=-1))
+        names += [f"name {i} is lost" for i in range(len(names), most + 1)]
         known = self._known.get(field.name)
         if known is None or len(known) < len(names):
             known = self._known[field.name] = pa.array(names, pa.string())

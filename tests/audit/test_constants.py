@@ -97,7 +97,7 @@ def test_a_constant_in_H_hides_no_made_energy_and_raises_no_alarm(name: str, how
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", ["ode", "index 1 varying"])
 def test_long_runs_beside_a_constant_stay_closed(name: str) -> None:
     """1e5 steps: what rounding adds up stays far below the bound on the sum."""
     found = summary(name, "summand", 2, drawn(np.random.default_rng(1)), sound=True, steps=100_000)
@@ -118,13 +118,13 @@ def test_what_is_small_in_every_step_is_told_of_the_run() -> None:
     assert found.violations[0].size == pytest.approx(50 * (np.exp(1.0) - 1), rel=0.05)
 
 
-#: scenes by how many times their stop: those with 5e4 steps or more of machines once
+#: scenes by how many times their stop: those of machines, which have thousands of steps, a part of it
 LIBRARY = {
     **dict.fromkeys(("bouncing_ball", "buffer", "hard_stop", "clutch_engagement", "two_point_control"), 10.0),
     **dict.fromkeys(
         ("breaker_opening", "rectifier", "six_pulse", "bead", "oscillator", "drive", "speed_control"), 10.0
     ),
-    **dict.fromkeys(("smib", "smib_folded", "ladder", "two_machine"), 1.0),
+    **dict.fromkeys(("smib", "smib_folded", "ladder", "two_machine"), 0.3),
 }
 
 

@@ -14,6 +14,7 @@ from pyarrow import compute
 from phfmu.audit import AuditWriter, Ledger, read, recover, summarise
 from phfmu.audit.archive import Stream
 from phfmu.audit.blocks import Found
+from phfmu.audit.seal import _MARK
 from phfmu.audit.violation import ViolationKind
 from phfmu.cli import main
 from tests.audit.arrays import BOOKING, book, run_arrays, write_run
@@ -49,7 +50,7 @@ def rows_of(table: pa.Table) -> list[tuple]:
     )
 
 
-@pytest.mark.parametrize("stride", [1499, pytest.param(61, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [1499, pytest.param(113, marks=pytest.mark.slow)])
 def test_one_flipped_bit_costs_one_block_at_most(stream: Path, stride: int) -> None:
     """Before and after it every row is there, with its names; the stream stays where something failed."""
     data, whole = stream.read_bytes(), rows_of(read(stream))
@@ -123,7 +124,7 @@ def test_a_damaged_archive_is_refused_before_it_is_read(tmp_path: Path, stride: 
         except ValueError as error:
             assert "is damaged" in str(error)
             continue
-        assert b"phfmu.seal " not in bad.read_bytes(), at  # the mark itself was hit, and nothing else
+        assert not _MARK.search(bad.read_bytes()), at  # the mark itself was hit, and nothing else
     assert harmless <= 2
 
 
