@@ -93,12 +93,9 @@ def apart(
 
     holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, held)))
     stuck = [n for n, found in tried.items() if not found.works]
-    exchange: SignalExchange
-    exchange, words_of_signals = _signals(args, network, stuck) if holds else _no_signals(args)
-    notes += words_of_signals
-    of_signals = min(ORDERS[exchange] if holds else inf, ORDER_OF_EVENTS if whole.events_by_signals else inf)
-    alone = [n for n in whole.held if n in network.declared] if coupling.nodes else []
-    most = _most(coupling, schemes.values(), network.units.values(), of_signals, alone)
+    exchange, lines = _signals(args, network, stuck, holds)
+    notes += lines
+    most = _most(coupling, schemes.values(), network.units.values(), ORDERS[exchange] if holds else inf)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
     said = coupling.words + _number(network) + SAID[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
@@ -140,34 +137,29 @@ def _node_inputs(scheme: Scheme) -> bool:
     return scheme.node_values and scheme.order > 2
 
 
-def _signals(args: argparse.Namespace, network: Network, stuck: Sequence[str]) -> tuple[SignalExchange, list[str]]:
-    """What held signals are over a step, and lines about what they are not: `stuck` units cannot take steps back."""
-    ends = {end for w in network.wires for end in (w.source, w.target)}
+def _signals(
+    args: argparse.Namespace, network: Network, stuck: Sequence[str], held: bool
+) -> tuple[SignalExchange, list[str]]:
+    """What signals are over a step if some are `held`, and lines about what they are not: `stuck` units cannot take steps back.
+
+    ValueError where they are to be held and there are none.
+    """
+    if args.signals_held and not held:
+        raise ValueError(
+            f"{args.target}: --signals-held is for signals that members hold over steps, and there are none"
+        )
     if args.signals_held:
         return "held", []
-    if args.coupling != NEWTON.name or not ends & set(network.units):
+    ends = {end for w in network.wires for end in (w.source, w.target)}
+    if args.coupling != NEWTON.name or not held or not ends & set(network.units):
         return "extrapolated", []
     if stuck:
         return "extrapolated", [f"signals are not iterated: {', '.join(stuck)} cannot take steps back"]
     return "agreed", []
 
 
-def _no_signals(args: argparse.Namespace) -> tuple[SignalExchange, list[str]]:
-    """ValueError where they are to be held."""
-    if args.signals_held:
-        raise ValueError(
-            f"{args.target}: --signals-held is for signals that members hold over steps, and there are none"
-        )
-    return "extrapolated", []
-
-
-def _most(
-    coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float, held: Sequence[str]
-) -> float:
-    """The order that members stepped apart keep together at most; `signals`: that of what is held between them.
-
-    held: declared members that take held inputs, since they land alone
-    """
+def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float) -> float:
+    """The order that members stepped apart keep together at most; `signals`: that of what is held between them."""
     nodes = [u.k for u in units]
     at_nodes = coupling.nodes and all(s.node_values for s in schemes) and all(nodes) and not held
     if at_nodes and signals == inf:
