@@ -93,9 +93,12 @@ def apart(
 
     holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, held)))
     stuck = [n for n, found in tried.items() if not found.works]
+    exchange: SignalExchange
     exchange, lines = _signals(args, network, stuck, holds)
     notes += lines
-    most = _most(coupling, schemes.values(), network.units.values(), ORDERS[exchange] if holds else inf)
+    of_signals = min(ORDERS[exchange] if holds else inf, ORDER_OF_EVENTS if whole.events_by_signals else inf)
+    alone = [n for n in whole.held if n in network.declared] if coupling.nodes else []
+    most = _most(coupling, schemes.values(), network.units.values(), of_signals, alone)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
     said = coupling.words + _number(network) + SAID[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
@@ -158,8 +161,13 @@ def _signals(
     return "agreed", []
 
 
-def _most(coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float) -> float:
-    """The order that members stepped apart keep together at most; `signals`: that of what is held between them."""
+def _most(
+    coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float, held: Sequence[str]
+) -> float:
+    """The order that members stepped apart keep together at most; `signals`: that of what is held between them.
+
+    held: declared members that take held inputs, since they land alone
+    """
     nodes = [u.k for u in units]
     at_nodes = coupling.nodes and all(s.node_values for s in schemes) and all(nodes) and not held
     if at_nodes and signals == inf:

@@ -145,7 +145,8 @@ class Apart:
         """Why a member takes one value a step."""
         unit = self.network.units.get(member)
         if member in self.landing_alone:
-            return f"{member or 'the composed member'} has state events {self.landing_alone[member]}: it takes the mean of its inputs"
+            events = f"has state events {self.landing_alone[member]}: it takes the mean of its inputs"
+            return f"{member or 'the composed member'} {events}"
         if unit is not None and unit.interface.energy:
             return f"{member} was exported without inputs at nodes (--node-inputs, --order 4)"
         if unit is not None:
