@@ -94,9 +94,13 @@ class FMUMember:
         """Whether it has asked to end the simulation in the last step."""
         return self.unit.steps.ended
 
-    @cached_property
+    @property
     def saves(self) -> bool:
         """Whether it does, not only claims it; asked where steps are not repeated, so that it was not tried before."""
+        return self._saves_indeed
+
+    @cached_property
+    def _saves_indeed(self) -> bool:
         if not self.unit.interface.saves:
             return False
         try:
