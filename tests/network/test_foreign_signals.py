@@ -43,11 +43,16 @@ def pair(folder: Path, one: Values, two: Values, saves: bool = True) -> Network:
 
 
 def ran(
-    net: Network, h: float, signals: SignalExchange, stop: float = 2.0, coupling: Callable[..., Any] = newton
+    net: Network,
+    h: float,
+    signals: SignalExchange,
+    stop: float = 2.0,
+    coupling: Callable[..., Any] = newton,
+    once_more: bool = False,
 ) -> Any:
     with ExitStack() as stack:
         units = [
-            FMUMember(n, stack.enter_context(FMUInstance(f.path, starts=f.starts, start=0.0, name=n)))
+            FMUMember(n, stack.enter_context(FMUInstance(f.path, starts=f.starts, start=0.0, name=n)), once_more)
             for n, f in net.units.items()
         ]
         return run(Coupled(net, list(units), coupling, signals=signals), Options(stop=stop, step=h))
@@ -93,6 +98,14 @@ def test_an_algebraic_loop_is_solved(tmp_path: Path) -> None:
     assert np.abs(sent).max() < 1e-9
     for signals in ("held", "extrapolated"):
         assert missed(net, one, two, 0.01, signals) > 1e6
+
+
+def test_units_that_take_the_accepted_step_once_more(tmp_path: Path) -> None:
+    """They take it under the inputs that were agreed on, and send what these make of their outputs."""
+    net = pair(tmp_path, ONE | {"d": 1.5}, TWO | {"d": -2.0})
+    once, twice = (ran(net, 0.01, "agreed", once_more=more) for more in (False, True))
+    for name in ("one.x", "one.s", "two.s"):
+        np.testing.assert_allclose(twice.column(name), once.column(name), rtol=1e-8, atol=1e-9)
 
 
 def test_large_gains_need_no_short_steps(tmp_path: Path) -> None:

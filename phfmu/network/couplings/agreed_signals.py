@@ -54,6 +54,8 @@ class AgreedSignals:
         self._joined, self._signals = joined, signals
         self._matrix: Array | None = None
         self._most = np.zeros(len(signals.held))
+        #: the signals that the last step agreed on
+        self.found: Array | None = None
 
     def at_instant(self, xi: Array) -> None:
         """Signals where no step is taken: outputs may follow inputs at once.  As sampled where none agree; xi: of junctions."""
@@ -77,7 +79,8 @@ class AgreedSignals:
             taken = take(Step(step.t, step.h, self._joined.states()))
             return self._signals.sent_under(w, end(taken)), taken
 
-        return self._solved(self._signals.ahead(step.h), sent, step, self._matrix)[1]
+        self.found, taken = self._solved(self._signals.ahead(step.h), sent, step, self._matrix)
+        return taken
 
     def _solved(
         self, w: Array, sent: Callable[[Array], tuple[Array, Taken]], step: Step, matrix: Array | None

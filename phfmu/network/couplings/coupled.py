@@ -298,7 +298,7 @@ class Coupled:
         try:
             self.last = self._stepped(Step(t, h, states))
             self.joined.finish()
-            self._signals.stepped(h, xi_at_end(self._exchange, self.last))
+            self._signals.stepped(h, xi_at_end(self._exchange, self.last), self._agreed and self._agreed.found)
             if self._signals.held:
                 self._grown.watch(t + h, self._signals.now)
             known = self._known(t, h)

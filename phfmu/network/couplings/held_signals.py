@@ -134,10 +134,12 @@ class HeldSignals:
         found[self._numbers] = w
         return found
 
-    def stepped(self, h: float, xi: Array) -> None:
-        """After a step of length h: samples at its end, where the junction unknowns are xi."""
+    def stepped(self, h: float, xi: Array, w: Array | None = None) -> None:
+        """After a step of length h: samples at its end, where the junction unknowns are xi; w: what held signals agreed on."""
         if self.wires:
             self._before, self._last = self._now.copy(), h
+            if w is not None:
+                self._write(self._held, self._whole(w), xi)
             self.sample(xi)
 
     def state(self) -> tuple[Array, Array | None, float]:
