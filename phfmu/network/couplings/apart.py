@@ -143,15 +143,14 @@ class Apart:
 
     def why_held(self, member: str) -> str:
         """Why a member takes one value a step."""
-        unit = self.network.units.get(member)
+        unit, called = self.network.units.get(member), member or "the composed member"
         if member in self.landing_alone:
-            events = f"has state events {self.landing_alone[member]}: it takes the mean of its inputs"
-            return f"{member or 'the composed member'} {events}"
+            return f"{called} has state events {self.landing_alone[member]}: it takes the mean of its inputs"
         if unit is not None and unit.interface.energy:
             return f"{member} was exported without inputs at nodes (--node-inputs, --order 4)"
         if unit is not None:
             return f"{member} is a unit of another tool, which takes held inputs"
-        return f"{member} has ideal switches, whose modes change within its step: it takes the mean of its inputs"
+        return f"{called} has ideal switches, whose modes change within its step: it takes the mean of its inputs"
 
     @cached_property
     def _bare(self) -> tuple[Interface, Bare]:
