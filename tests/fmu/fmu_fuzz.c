@@ -1,8 +1,10 @@
 /* A host that keeps to no rule: calls of random functions in random order with random arguments, on units of
  * one version compiled into it together with sanitizers.
  *
- *     fmu_fuzz TOKEN CALLS SEED STEP NVARIABLE
+ *     fmu_fuzz TOKEN CALLS SEED STEP NVARIABLE LIVELY
  *
+ * Of LIVELY+1 calls LIVELY are those of a simulation: steps from where the last one ended, mostly of a usual
+ * length, inputs and parameters of usual sizes, states saved and restored; the others are any.
  * Pointers are valid, or NULL where C allows a call to find out; everything else may be wrong. Prints how
  * often each function was called and was refused. Exit code 1: a value was read that is not finite, although
  * the call said OK; 2: a call that must fail did not. -DFMI=2 or 3. */
@@ -32,11 +34,15 @@ static double step_size;
 static unsigned nvariable;
 static unit units[UNITS];
 static double clocks[UNITS]; /* where the last step of a unit ended */
+static int running[UNITS];   /* whether it may take one */
 static void *states[STATES];
+static double state_clocks[STATES];
+static int state_running[STATES];
 static unsigned char blob[BLOB];
 static size_t blob_size;
 static long calls[32], refused[32], messages;
-static int failure;
+static int failure, usual;
+static unsigned lively;
 
 static uint64_t draw(void) { /* xorshift64* */
     seed ^= seed >> 12;
@@ -54,7 +60,7 @@ static double number(void) {
     const double odd[] = {0.0,      -0.0,    NAN,    INFINITY, -INFINITY, DBL_MAX,
                           -DBL_MAX, DBL_MIN, 5e-324, 1e150,    -1e200,    1e-200};
     double u = (double)(draw() >> 11) / 9007199254740992.0 * 2.0 - 1.0;
-    switch (below(8)) {
+    switch (usual ? 7 : below(8)) {
     case 0:
         return odd[below(sizeof(odd) / sizeof(odd[0]))];
     case 1:
@@ -97,8 +103,8 @@ static void logger(fmi3InstanceEnvironment e, fmi3Status status, fmi3String cate
 #endif
 
 static unit instantiate(void) {
-    const char *with = below(8) ? token : text();
-    const char *name = below(8) ? "unit" : text();
+    const char *with = usual || below(8) ? token : text();
+    const char *name = usual || below(8) ? "unit" : text();
 #if FMI == 2
     return fmi2Instantiate(name, below(16) ? fmi2CoSimulation : fmi2ModelExchange, with, text(),
                            below(16) ? &callbacks : NULL, 0, (int)below(2));
@@ -109,13 +115,13 @@ static unit instantiate(void) {
 }
 
 static int set_up(unit c, unsigned i) {
-    double start = below(4) ? 0.0 : number();
-    clocks[i] = start;
+    double start = usual || below(4) ? 0.0 : number();
+    clocks[i] = start; /* where the last step of a unit that is started ends */
 #if FMI == 2
-    return below(2) ? (int)fmi2SetupExperiment(c, 0, 0.0, start, !below(4), number())
-                    : (int)fmi2EnterInitializationMode(c);
+    return !usual && below(2) ? (int)fmi2SetupExperiment(c, 0, 0.0, start, !below(4), number())
+                              : (int)fmi2EnterInitializationMode(c);
 #else
-    return (int)fmi3EnterInitializationMode(c, false, 0.0, start, !below(4), number());
+    return (int)fmi3EnterInitializationMode(c, false, 0.0, start, !usual && below(4) == 0, number());
 #endif
 }
 
@@ -136,7 +142,7 @@ static int get(unit c) {
 }
 
 static int set(unit c) {
-    unsigned ref[BATCH], n = below(BATCH + 1);
+    unsigned ref[BATCH], n = usual ? 1 : below(BATCH + 1);
     double value[BATCH];
     for (unsigned i = 0; i < n; i++) {
         ref[i] = reference();
@@ -148,23 +154,24 @@ static int set(unit c) {
 
 /* Up to forty internal steps: what a caller asks for beyond that is its own time. */
 static int do_step(unit c, unsigned i) {
-    double t = below(4) ? clocks[i] : number(),
-           h = below(4) ? step_size * (double)(1 + below(40)) / 8.0 : number();
+    double t = usual || below(4) ? clocks[i] : number(),
+           h = usual || below(4) ? step_size * (double)(1 + below(40)) / 8.0 : number();
+    double last;
     int status;
     if (h > 5.0 * step_size && h < 1e9 * step_size)
         h = 5.0 * step_size;
+    last = t + h; /* unless it returns early */
 #if FMI == 2
     status = (int)fmi2DoStep(c, t, h, 1);
 #else
     bool flag[3];
-    double last;
     if (below(16))
         status = (int)fmi3DoStep(c, t, h, true, &flag[0], &flag[1], &flag[2], &last);
     else
         status = (int)fmi3DoStep(c, t, h, true, NULL, NULL, NULL, NULL);
 #endif
     if (status == 0) {
-        clocks[i] = t + h;
+        clocks[i] = last;
         if (!(h > 0.0) || !isfinite(t + h))
             failure = 2;
     }
@@ -206,7 +213,7 @@ static int serialize(unit c, void *state) {
 
 /* From the bytes of the last serialization, often damaged. */
 static int deserialize(unit c, void **state) {
-    int damaged = below(2) && blob_size > 0, status;
+    int damaged = !usual && below(2) && blob_size > 0, status;
     if (damaged)
         blob[below((unsigned)blob_size)] ^= (unsigned char)(1 + below(255));
     status = (int)OF(DeSerializeFMUstate, DeserializeFMUState)(
@@ -260,8 +267,10 @@ static int call(unsigned what, unsigned i) {
         if (below(4)) /* seldom: what happens in a long life */
             return 0;
         OF(FreeInstance, FreeInstance)(c);
-        if (c)
+        if (c) {
             units[i] = NULL;
+            running[i] = 0;
+        }
         return 0;
     case 2:
         return set_up(c, i);
@@ -270,11 +279,19 @@ static int call(unsigned what, unsigned i) {
         return (int)fmi2EnterInitializationMode(c);
 #endif
     case 4:
-        return (int)OF(ExitInitializationMode, ExitInitializationMode)(c);
+        status = (int)OF(ExitInitializationMode, ExitInitializationMode)(c);
+        running[i] = running[i] || status == 0;
+        return status;
     case 5:
-        return below(16) ? 0 : (int)OF(Terminate, Terminate)(c);
+        if (below(16))
+            return 0;
+        running[i] = 0;
+        return (int)OF(Terminate, Terminate)(c);
     case 6:
-        return below(4) ? 0 : (int)OF(Reset, Reset)(c);
+        if (below(4))
+            return 0;
+        clocks[i] = running[i] = 0;
+        return (int)OF(Reset, Reset)(c);
     case 7:
     case 8:
         return get(c);
@@ -288,9 +305,18 @@ static int call(unsigned what, unsigned i) {
     case 14:
         return derivative(c);
     case 15:
-        return (int)OF(GetFMUstate, GetFMUState)(c, below(64) ? state : NULL);
+        status = (int)OF(GetFMUstate, GetFMUState)(c, below(64) ? state : NULL);
+        if (status == 0) {
+            state_clocks[state - states] = clocks[i];
+            state_running[state - states] = running[i];
+        }
+        return status;
     case 16:
         status = (int)OF(SetFMUstate, SetFMUState)(c, *state);
+        if (status == 0) {
+            clocks[i] = state_clocks[state - states];
+            running[i] = state_running[state - states];
+        }
         break;
     case 17:
         return below(4) ? 0 : (int)OF(FreeFMUstate, FreeFMUState)(c, state);
@@ -308,18 +334,36 @@ static int call(unsigned what, unsigned i) {
 
 #define KINDS 22
 
+/* A unit that is not stepping is started as importers do. */
+static void begin(unsigned i) {
+    if (!units[i])
+        units[i] = instantiate();
+    if (!units[i])
+        return;
+    OF(Reset, Reset)(units[i]);
+    (void)set_up(units[i], i);
+    (void)call(4, i);
+}
+
 int main(int argc, char **argv) {
     long total = 0;
-    if (argc != 6)
+    if (argc != 7)
         return 3;
     token = argv[1];
     seed = strtoull(argv[3], NULL, 10) * 2654435761ULL + 1;
     step_size = atof(argv[4]);
     nvariable = (unsigned)atoi(argv[5]);
+    lively = (unsigned)atoi(argv[6]);
     for (long k = 0, n = atol(argv[2]); k < n && !failure; k++, total++) {
-        unsigned what = below(KINDS);
+        static const unsigned simulation[] = {7, 9, 11, 11, 11, 11, 15, 16};
+        unsigned what;
+        usual = below(lively + 1) > 0;
+        what = usual ? simulation[below(sizeof(simulation) / sizeof(simulation[0]))] : below(KINDS);
+        unsigned i = below(UNITS);
+        if (usual && !running[i])
+            begin(i);
         calls[what]++;
-        refused[what] += call(what, below(UNITS)) != 0;
+        refused[what] += call(what, i) != 0;
     }
     for (int i = 0; i < UNITS; i++)
         if (units[i])

@@ -6,7 +6,8 @@
  * INPUT_REFERENCE -1: no input. MORE: lengths of steps that follow the N, joined by commas, or -; after each
  * of them values are printed again. VERSION 3.0-early: the unit may return early. Where it does, or discards
  * a step, the last successful time and the values there are printed, and the run ends; VERSION 3.0-events: it
- * goes on from there to the end of the step. */
+ * goes on from there to the end of the step. VERSION 2.0-sums, 3.0-sums: the clock of the host is t += STEP.
+ */
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -50,7 +51,7 @@ static void *symbol(void *library, const char *name) {
 
 typedef struct plan {
     double h, u, more[64], t;
-    int n, nmore, input, m, early, on;
+    int n, nmore, input, m, early, on, sums;
     unsigned ref[1024];
 } plan;
 
@@ -87,7 +88,7 @@ static int run2(void *library, const char *token, plan *p) {
             status = 0;
         }
         MUST(status);
-        p->t = k < p->n ? (k + 1) * h : p->t + h;
+        p->t = k < p->n && !p->sums ? (k + 1) * h : p->t + h;
         for (int i = 0; k + 1 >= p->n && i < p->m; i++) {
             double value;
             MUST(get(c, &p->ref[i], 1, &value));
@@ -117,7 +118,8 @@ static int run3(void *library, const char *token, plan *p) {
         MUST(set(c, &in, 1, &p->u, 1));
     MUST(leave(c));
     for (int k = 0; k < p->n + p->nmore; k++) {
-        const double h = k < p->n ? p->h : p->more[k - p->n], end = k < p->n ? (k + 1) * h : p->t + h;
+        const double h = k < p->n ? p->h : p->more[k - p->n],
+                     end = k < p->n && !p->sums ? (k + 1) * h : p->t + h;
         bool event, stop, early = false;
         double last, t = p->t, part = h;
         do {
@@ -158,6 +160,7 @@ int main(int argc, char **argv) {
         return 1;
     }
     p.on = strcmp(argv[2], "3.0-events") == 0;
+    p.sums = strcmp(argv[2], "2.0-sums") == 0 || strcmp(argv[2], "3.0-sums") == 0;
     p.early = p.on || strcmp(argv[2], "3.0-early") == 0;
     p.h = atof(argv[4]);
     p.n = atoi(argv[5]);
@@ -168,5 +171,5 @@ int main(int argc, char **argv) {
         p.more[p.nmore++] = atof(more);
     for (int i = 0; i < p.m; i++)
         p.ref[i] = (unsigned)atoi(argv[9 + i]);
-    return (strcmp(argv[2], "2.0") == 0 ? run2 : run3)(library, argv[3], &p);
+    return (argv[2][0] == '2' ? run2 : run3)(library, argv[3], &p);
 }

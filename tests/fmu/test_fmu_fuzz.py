@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,21 +22,47 @@ KINDS = (
     "instantiate free setup enter exit terminate reset get get set set step step step derivative save restore forget "
     "serialize deserialize logging others"
 ).split()
-CALLS = 250_000
+
+#: scheme, step, inputs at nodes, and how many calls of a simulation there are beside each that is any
 MODELS = {
-    "dc_motor": (Collocated(2), 1e-4, True),
-    "four_particle": (None, 0.01, False),
-    "bouncing_ball": (Collocated(2), 0.02, False),
-    "breaker_opening": (Collocated(2), 1e-4, False),
-    "rectifier": (Collocated(2), 5e-4, False),
+    "dc_motor": (Collocated(2), 1e-4, True, 0),
+    "four_particle": (None, 0.01, False, 0),
+    "bouncing_ball": (Collocated(2), 0.02, False, 0),
+    "breaker_opening": (Collocated(2), 1e-4, False, 0),
+    "rectifier": (Collocated(2), 5e-4, False, 0),
 }
+#: with modes of ideal switches: they change only in units that live for some time
+SWITCHED = {
+    ("rectifier", "2.0"): (Collocated(2), 5e-4, False, 8),
+    ("buck", "3.0"): (Collocated(1), 5e-6, False, 8),
+    ("hard_stop", "3.0"): (Collocated(1), 0.01, False, 8),
+}
+#: seeds, and calls of each
+RUNS = {0: ((7,), 250_000), 8: ((1, 2), 100_000)}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("name", MODELS)
 def test_calls_without_rules(sanitizers: str, tmp_path: Path, name: str, version: str) -> None:
-    scheme, step, nodes = MODELS[name]
+    accepted = called(sanitizers, tmp_path, (name, version), MODELS[name])
+    idle = [kind for kind, n in accepted.items() if n == 0 and not (kind == "others" and version == "3.0")]
+    assert not idle, "each kind of call gets through now and then"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "version"), SWITCHED)
+def test_calls_without_rules_between_those_of_simulations(
+    sanitizers: str, tmp_path: Path, name: str, version: str
+) -> None:
+    """Units with ideal switches, which step on in between, so that their modes change, are saved, restored and refused."""
+    accepted = called(sanitizers, tmp_path, (name, version), SWITCHED[name, version])
+    assert accepted["step"] > 3000, "steps get through"
+
+
+def called(sanitizers: str, tmp_path: Path, unit: tuple[str, str], how: tuple[Any, float, bool, int]) -> dict[str, int]:
+    """How many calls of each kind were accepted, printed; fails if one read outside of its memory or gave what is not finite."""
+    (name, version), (scheme, step, nodes, lively) = unit, how
     found = build(name)
     model = build_model(found.declaration() if isinstance(found, Scene) else found, scheme)
     (path,) = export(model, tmp_path, (version,), step=step, node_inputs=nodes)
@@ -45,15 +72,16 @@ def test_calls_without_rules(sanitizers: str, tmp_path: Path, name: str, version
     flags = ["-std=c11", "-O1", "-g", "-DPH_API=", f"-DFMI={version[0]}", "-isystem", str(sources.HEADERS), *SANITIZE]
     files = [*map(str, sorted((tmp_path / "unit" / "sources").glob("*.c"))), str(HERE / "fmu_fuzz.c")]
     subprocess.run([sanitizers, *flags, *files, "-o", "fuzz", "-lm"], cwd=tmp_path, check=True)
-    command = ["./fuzz", about.token, str(CALLS), "7", repr(step), str(len(about.variables))]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, f"{done.returncode}: {done.stderr[-4000:]}"
-    total, *rows = [line.split() for line in done.stdout.splitlines()]
-    assert int(total[1]) == CALLS
-    for kind, row in zip(KINDS, rows, strict=True):
-        print(f"{name} {version} {kind:12s} called {row[1]:>8s} refused {row[2]:>8s}")
     accepted = {kind: 0 for kind in KINDS}
-    for kind, row in zip(KINDS, rows, strict=True):
-        accepted[kind] += int(row[1]) - int(row[2])
-    idle = [kind for kind, n in accepted.items() if n == 0 and not (kind == "others" and version == "3.0")]
-    assert not idle, "each kind of call gets through now and then"
+    seeds, calls = RUNS[lively]
+    for seed in seeds:
+        command = ["./fuzz", about.token, str(calls), str(seed), repr(step), str(len(about.variables)), str(lively)]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, f"seed {seed}: {done.returncode}: {done.stderr[-4000:]}"
+        total, *rows = [line.split() for line in done.stdout.splitlines()]
+        assert int(total[1]) == calls
+        for kind, row in zip(KINDS, rows, strict=True):
+            print(f"{name} {version} seed {seed} {kind:12s} called {row[1]:>8s} refused {row[2]:>8s}")
+            accepted[kind] += int(row[1]) - int(row[2])
+    print(f"{name} {version}: {len(seeds) * calls} calls, {accepted['step']} steps accepted")
+    return accepted

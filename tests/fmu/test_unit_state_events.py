@@ -207,6 +207,8 @@ def test_an_event_that_cannot_happen_discards_the_step(tmp_path: Path, version: 
         with pytest.raises(UnitFailure, match="'floor': it would jump with .c. = 4.42945, more than its most = 0.5"):
             unit.do_step(0.4, 0.1)
         assert unit.values() == before
+        with pytest.raises(UnitFailure, match="was discarded before, with the same inputs"):
+            unit.do_step(0.4, 0.1)  # as importers do that take a discard for a pause
         unit.do_step(0.4, 0.01)
 
 

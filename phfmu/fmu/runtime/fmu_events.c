@@ -30,11 +30,16 @@ static double next_event(const fmu *f) {
     return f->phase.passed < f->about->nevent ? f->about->events[f->phase.passed].time : INFINITY;
 }
 
+/* Whether there is one left until t, which may be infinite. */
+static int due(const fmu *f, double t) {
+    return f->phase.passed < f->about->nevent && next_event(f) <= t;
+}
+
 int fmu_events_until(fmu *f, double t) {
-    if (!(next_event(f) <= t))
+    if (!due(f, t))
         return PH_OK;
     fmu_parameters(f);
-    for (; next_event(f) <= t; f->phase.passed++) {
+    for (; due(f, t); f->phase.passed++) {
         const fmu_event *event = &f->about->events[f->phase.passed];
         f->p[f->about->variables[event->variable].first] = event->value;
     }
