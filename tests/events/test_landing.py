@@ -286,3 +286,13 @@ def test_guards_of_time_and_of_inputs(engine):
     found = [p.happened for p in engine(build_model(body, Collocated(2))).land(0.0, 0.125, 8) if p.happened]
     assert [h.events for h in found] == [(0,), (1,)]
     assert [h.t for h in found] == [pytest.approx(0.3137, abs=1e-15), pytest.approx(0.4, abs=1e-14)]  # q = t^2
+
+
+@pytest.mark.parametrize("engine", [NativeInstance, PythonInstance])
+def test_a_bounce_without_end_is_told_of_rest_first(engine):
+    """Zeno: the ball of the library, at whose floor nothing says what holds at rest."""
+    scene = build("bouncing_ball").declaration()
+    endless = replace(scene, state_events=tuple(replace(e, rest={}) for e in scene.state_events))
+    with pytest.raises(EventRefused) as refused:
+        list(engine(build_model(endless, Collocated(1))).land(0.0, 0.02, 250))
+    assert "Next: declare what holds where a bounce comes to rest (StateEvent(rest=..)" in str(refused.value)

@@ -87,12 +87,15 @@ static void reason(const ph_event_refusal *r, char *text, size_t size) {
         snprintf(text, size, "their jumps together gain %.6g J: their restitutions differ", r->value);
         break;
     case PH_REFUSED_PILE:
-        snprintf(text, size, "%d events fall into one step", PH_MOST_EVENTS);
+        snprintf(text, size, "%d events fall into one step: the model does not say where they come to rest",
+                 PH_MOST_EVENTS);
         break;
     case PH_REFUSED_SLIDES:
-        snprintf(text, size,
-                 "%d events fall into one step, at one instant: it would bounce or slide without end",
-                 PH_MOST_EVENTS);
+        snprintf(
+            text, size,
+            "%d events fall into one step, at one instant: the model does not say where a bounce comes to "
+            "rest, or it slides",
+            PH_MOST_EVENTS);
         break;
     default:
         snprintf(text, size, "it happens again at the same instant, after each event was tried");
@@ -105,7 +108,7 @@ int fmu_landing_refused(const fmu *f, const char *function) {
 }
 
 int fmu_landing_told(const fmu *f, const char *function, const ph_event_refusal *r) {
-    char text[128], names[256] = "";
+    char text[192], names[256] = "";
     size_t used = 0;
     for (int i = 0; i < f->about->landing->events->n && used < sizeof(names); i++)
         if (r->fired[i])
