@@ -31,8 +31,8 @@ REASONS = (
     (
         f"{int(LIMITS['MOST_EVENTS'])} events fall into one step, at one instant, the last {{names}}: each drives the state back "
         "over a guard, where it would bounce without end or slide along (Coulomb friction, a relay without hysteresis)",
-        "declare what holds where a bounce comes to rest (StateEvent(rest=..), a Switch with a restitution has it); sliding has no "
-        "mode: round the force off (F tanh(v/v0) for F sign(v)), give a relay a hysteresis",
+        "declare what holds where a bounce comes to rest (StateEvent(rest=..), a Switch with a restitution has it); sliding "
+        "has no mode: round the force off (F tanh(v/v0) for F sign(v)), give a relay a hysteresis",
     ),
     (
         "after {names} no mode of the switches obeys their laws",
