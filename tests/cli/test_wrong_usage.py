@@ -37,7 +37,7 @@ WRONG = [
     ),
     (
         "sweep mass --vary m=1:2:3 --measure max(v) --resume",
-        "--resume goes on with the table of -o FILE.parquet; name it",
+        "--resume goes on with the table of -o FILE; name it",
     ),
     ("audit absent.parquet", "no audit file 'absent.parquet'; write one with: phfmu run"),
     ("audit empty.parquet", "empty.parquet is not an audit log"),

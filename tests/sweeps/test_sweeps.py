@@ -264,7 +264,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], compile
         (["--vary", "m[1]=-1:1:3"], 2, "refused for its values"),
         (["--vary", "k31=1"], 2, "did you mean"),
         (["--vary", "k13=1", "--jobs", "0"], 2, "--jobs 0"),
-        (["--vary", "k13=1", "-o", "s.csv"], 2, "expected FILE.parquet"),
+        (["--vary", "k13=1", "-o", "s.txt"], 2, "the ending must be .parquet or .csv"),
         (["--vary", "k13=1", "--resume"], 2, "name it"),
         (["--vary", "q[1]=5"], 3, "inconsistent start"),
     ],
