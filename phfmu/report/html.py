@@ -49,6 +49,7 @@ _UNPACK = """
     const {data, layout, config} = JSON.parse(figure.textContent);
     await Plotly.newPlot(figure.previousElementSibling, data, layout, config);
   }
+  document.body.dataset.drawn = "all";
 })().catch(error => {
   const text = "This picture needs a browser from 2023 on: " + error;
   for (const place of document.querySelectorAll("div.figure")) place.textContent = text;

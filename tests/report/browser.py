@@ -64,7 +64,13 @@ def main(path: str, picture: str) -> int:
         app.quit()
 
     def loaded(_: bool) -> None:
-        QTimer.singleShot(1500, lambda: page.runJavaScript(FOUND, 0, told))  # scripts draw after the page is there
+        page.runJavaScript("document.body.dataset.drawn || ''", 0, drawn)  # scripts draw after the page is there
+
+    def drawn(all_figures: str) -> None:
+        if all_figures:
+            QTimer.singleShot(500, lambda: page.runJavaScript(FOUND, 0, told))
+        else:
+            QTimer.singleShot(100, lambda: loaded(True))
 
     view.loadFinished.connect(loaded)
     view.load(QUrl.fromLocalFile(os.path.abspath(path)))
