@@ -11,7 +11,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
-from phfmu.fmu import exit_guard, hang_guard
+from phfmu.fmu import exit_guard, hang_guard, process_state
 from phfmu.fmu.archive import Extracted
 from phfmu.fmu.refusal import UnitCallError, said
 from phfmu.fmu.unit_interface import Scalar
@@ -84,6 +84,9 @@ class Slave:
             )
         if exit_guard.arm():
             hang_guard.arm()
+        self._foreign = not ours
+        if self._foreign:
+            process_state.arm()
         exit_guard.current = (name, "the start of its library", ())
         try:
             library = archive.folder / archive.library
@@ -93,10 +96,15 @@ class Slave:
             raise FMUError(f"{archive.path}: {plain(str(error))}{said(self.last_words())}{needs}") from error
         finally:
             exit_guard.current = None
+            self._look("the start of its library")
         #: functions that its library lacks
         self.absent: tuple[str, ...] = self.fmu.absent
         if self._alone:
             _LIVE[self._alone] += 1
+
+    def _look(self, function: str) -> None:
+        if self._foreign:
+            process_state.look(self.name, function)
 
     def _log(self, text: bytes | None) -> None:
         words = (text or b"")[: 4 * LONGEST].decode("utf-8", "replace").strip()
@@ -175,9 +183,11 @@ class Slave:
     def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
         """Into Initialization Mode; `tolerance`: relative, of the experiment, which a unit with steps of its own may follow."""
         self._names.enter(self, start, stop, tolerance)
+        self._look("enterInitializationMode")
 
     def leave(self) -> None:
         self.call(self.fmu.exitInitializationMode)
+        self._look("exitInitializationMode")
 
     def do_step(self, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]:
         """The time reached, t + h unless the unit may return early or asks to end the simulation, and whether it does.
@@ -185,7 +195,11 @@ class Slave:
         no_set_prior: noSetFMUStatePriorToCurrentPoint, the promise that no state of a time before t will be restored.
         UnitCallError also if it returns early where it may not.
         """
-        reached, ended = self._names.do_step(self, t, h, no_set_prior)
+        try:
+            reached, ended = self._names.do_step(self, t, h, no_set_prior)
+        finally:
+            if self._foreign:
+                process_state.look_quickly(self.name, t)
         return (_within(t, h, reached), True) if ended else (reached, False)
 
     def reset(self) -> None:
@@ -215,6 +229,7 @@ class Slave:
     def free(self) -> None:
         if not self.dead:
             self.call(self.fmu.freeInstance)
+            self._look("freeInstance")
             if self._alone:
                 _LIVE[self._alone] -= 1
 

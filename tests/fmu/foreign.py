@@ -21,6 +21,8 @@ TERMINATE = 6
 CRASH, HANG, LAST_WORDS, PRINT, ABORT, END_WITHIN = range(10, 16)
 #: end the process by _exit(0), exhaust its stack, divide by zero where that is a fault, let later divisions by zero be faults
 LEAVE_AT_ONCE, DEEP, TRAP, TRAPS_ON = range(16, 20)
+#: what stays with the process: round upward, ignore, block and take signals, make a copy of it that comes back too
+ROUND, IGNORE, FORK = range(40, 43)
 
 #: a mass on a spring, which may forget on restore and misbehave by `mode`; {unit}: of the force
 MASS = {

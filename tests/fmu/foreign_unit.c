@@ -49,7 +49,10 @@ enum {
     LEAVE_AT_ONCE,
     DEEP,
     TRAP,
-    TRAPS_ON
+    TRAPS_ON,
+    ROUND = 40, /* every later number upward */
+    IGNORE,     /* SIGTERM ignored, SIGHUP blocked, SIGINT taken */
+    FORK        /* a copy of the process comes back too */
 };
 
 /* the time at which END_WITHIN asks to end */
@@ -113,6 +116,33 @@ static int ends_within(const unit *m, double t, double h) {
     return m->mode == END_WITHIN && t < END - 1e-9 && t + h > END + 1e-9;
 }
 
+static void nothing(int number) {
+    (void)number;
+}
+
+/* What stays with the process. */
+static void spoil(int mode) {
+    sigset_t blocked;
+    if (mode == ROUND)
+        fesetround(FE_UPWARD);
+    if (mode == FORK)
+        fork();
+    if (mode != IGNORE)
+        return;
+    signal(SIGTERM, SIG_IGN);
+    signal(SIGINT, nothing);
+    sigemptyset(&blocked);
+    sigaddset(&blocked, SIGHUP);
+    sigprocmask(SIG_BLOCK, &blocked, NULL);
+}
+
+/* A library may do so as it is loaded. */
+__attribute__((constructor)) static void loaded(void) {
+    const char *mode = getenv("FOREIGN_UNIT_SPOILS");
+    if (mode)
+        spoil(atoi(mode));
+}
+
 static int step(unit *m, double t, double h, int no_set_prior) {
     static char long_text[5000];
     int mode = t >= 0.25 ? m->mode : FINE;
@@ -152,6 +182,7 @@ static int step(unit *m, double t, double h, int no_set_prior) {
         if (mode == TRAP)
             m->t += 1.0 / zero;
     }
+    spoil(mode);
     while (mode == HANG)
         ;
     if (mode == LAST_WORDS || mode == PRINT) {
