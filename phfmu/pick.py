@@ -14,10 +14,25 @@ def pick(patterns: Sequence[str], names: Sequence[str], where: str, hint: str = 
     """
     found: dict[str, None] = {}
     for pattern in patterns:
-        wanted = re.compile(re.escape(pattern).replace(r"\*", ".*").replace(r"\?", "."))
+        wanted = _compiled(pattern)
         chosen = [n for n in names if wanted.fullmatch(n) or wanted.fullmatch(n.partition("[")[0])]
         if not chosen:
             known = [*names, *dict.fromkeys(n.partition("[")[0] for n in names)]
-            raise ValueError(f"{where} has no signal '{pattern}'; {meant(pattern, known)}{hint and f'; {hint}'}")
+            raise ValueError(
+                f"{where} has no signal '{_short(pattern)}'; {meant(_short(pattern), known)}{hint and f'; {hint}'}"
+            )
         found |= dict.fromkeys(chosen)
     return list(found)
+
+
+def _compiled(pattern: str) -> re.Pattern[str]:
+    """What stands between two stars is taken at its first place and never looked for again: no number of stars takes long."""
+    first, *rest = [re.escape(part).replace(r"\?", ".") for part in re.split(r"\*+", pattern)]
+    if not rest:
+        return re.compile(first)
+    *between, last = rest
+    return re.compile(f"{first}{''.join(f'(?>.*?{part})' for part in between)}.*{last}")
+
+
+def _short(pattern: str, most: int = 100) -> str:
+    return pattern if len(pattern) <= most else f"{pattern[: most - 3]}..."
