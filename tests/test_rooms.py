@@ -15,7 +15,7 @@ TESTS = Path(__file__).parent
 
 #: from the ground up; a room may import those before it
 ROOMS = (
-    "words", "files", "processors", "html", "pick", "declare", "terms", "gradients", "plan", "schemes", "schur",
+    "words", "files", "processors", "html", "pick", "interrupt", "declare", "terms", "gradients", "plan", "schemes", "schur",
     "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu",
     "network.junctions", "network.scene",
     "network.members", "network.couplings", "network.run", "network.check_scene", "ssp", "components", "arguments", "target",

@@ -5,6 +5,7 @@ Exit codes: `codes.py`.
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import signal
@@ -13,6 +14,7 @@ from collections.abc import Sequence
 
 from phfmu.cli.codes import FINE, NO_CONVERGENCE, USAGE
 from phfmu.cli.parser import Parser, parsed
+from phfmu.interrupt import raising
 
 
 def _parser() -> Parser:
@@ -72,6 +74,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nphfmu: required: VERB; start with `phfmu list`", file=sys.stderr)
         return USAGE
     args = parsed(parser, words)
+    with raising():
+        return _called(args)
+
+
+def _called(args: argparse.Namespace) -> int:
+    """The exit code of the verb."""
     if os.environ.get("PHFMU_TRACEBACK"):
         return args.call(args)
     try:

@@ -107,11 +107,11 @@ def call(args: argparse.Namespace) -> int:
     from phfmu.cli import accuracy, options
     from phfmu.cli.build import job_of
     from phfmu.cli.codes import FINE, LEDGER
-    from phfmu.cli.interrupt import Signals
     from phfmu.cli.outputs import Outputs
     from phfmu.cli.progress import Bar
     from phfmu.cli.sound import require_sound_scene
     from phfmu.cli.timeline import timeline
+    from phfmu.interrupt import Signals
     from phfmu.network.run.loop import run
     from phfmu.target import is_fmu
 

@@ -10,13 +10,17 @@ import hashlib
 import os
 import re
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+from phfmu import interrupt
 from phfmu.engine import cache
 from phfmu.processors import processors
 
@@ -74,21 +78,49 @@ def build(files: Mapping[str, bytes], tools: Toolchain, end: str) -> Path:
         work = _Work(root, Path(folder), tools, files)
         for name, content in files.items():
             (work.folder / name).write_bytes(content)
-        with ThreadPoolExecutor(processors()) as pool:
-            objects = list(pool.map(work.object, sorted(n for n in files if n.endswith(".c"))))
+        objects = work.objects(sorted(n for n in files if n.endswith(".c")))
         result = "library" + end
         work.run(*tools.link, *objects, "-o", result, "-lm")
         return cache.put(root, tools.library_key(files), work.folder / result)
 
 
+#: compilers have processes of their own, which are ended together
+_APART: dict[str, Any] = {"process_group": 0} if hasattr(os, "killpg") else {}
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    if _APART:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+
+
 @dataclass(frozen=True)
 class _Work:
-    """A private folder with the sources; `root`: the cache."""
+    """A private folder with the sources; `root`: the cache, `running`: compilers that are at work."""
 
     root: Path
     folder: Path
     tools: Toolchain
     files: Mapping[str, bytes]
+    running: list[subprocess.Popen[str]] = field(default_factory=list)
+
+    def objects(self, names: list[str]) -> list[str]:
+        """Those of the sources, side by side; a signal that ends the work ends the compilers too."""
+        with ThreadPoolExecutor(processors()) as pool:
+            futures = [pool.submit(self.object, name) for name in names]
+            try:
+                while True:
+                    done, waiting = wait(futures, interrupt.SLICE, FIRST_EXCEPTION)
+                    made = [f.result() for f in futures if f in done]
+                    if not waiting:
+                        return made
+                    interrupt.check()
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in [*self.running]:
+                    _end(process)
 
     def object(self, name: str) -> str:
         """The object of one source, in the folder: from the cache, else compiled and put there."""
@@ -107,6 +139,17 @@ class _Work:
         """What zig keeps of its own C library is cached; of what it compiles here, `cache.py` keeps enough."""
         own = {"ZIG_GLOBAL_CACHE_DIR": str(self.root / "zig"), "ZIG_LOCAL_CACHE_DIR": str(self.folder / "zig")}
         command = [*self.tools.program, *self.tools.options, *options]
-        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, env=os.environ | own)
-        if done.returncode != 0:
-            raise CompileError(f"{self.tools.version} failed ({done.returncode}):\n{done.stderr[-4000:]}")
+        pipe = subprocess.PIPE
+        with subprocess.Popen(
+            command, cwd=self.folder, stdout=pipe, stderr=pipe, text=True, env=os.environ | own, **_APART
+        ) as process:
+            self.running.append(process)
+            try:
+                _, said = process.communicate()
+            except BaseException:
+                _end(process)
+                raise
+            finally:
+                self.running.remove(process)
+        if process.returncode != 0:
+            raise CompileError(f"{self.tools.version} failed ({process.returncode}):\n{said[-4000:]}")

@@ -11,12 +11,14 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import phfmu
+from phfmu import interrupt
 from phfmu.fmu.archive import Extracted
 from phfmu.fmu.refusal import UnitCallError, UnitFailure
 from phfmu.fmu.slave import KEPT, LONGEST, QUOTED, AnySlave, Slave
@@ -114,9 +116,13 @@ class RemoteSlave:
 
     def _received(self, function: str, timeout: float) -> Any:
         try:
-            found = self._answers.get(timeout=timeout)
+            found = self._awaited(timeout)
         except queue.Empty:
             raise self._lost(f"{function}: no answer in {timeout:g} s", "hang") from None
+        except KeyboardInterrupt:  # its answer would be taken for that of the next call
+            self.dead = True
+            self._process.kill()
+            raise
         if found is None:
             raise self._lost(f"{function}: {self._end()}", "gone")
         kind, what = found
@@ -127,6 +133,16 @@ class RemoteSlave:
             self.words.extend(words)
             raise UnitCallError(self.name, called, reply, words)
         raise FMUError(what)
+
+    def _awaited(self, timeout: float) -> Any:
+        """The next answer; queue.Empty if there is none in so many s, Interrupted if a signal comes before."""
+        late = monotonic() + timeout
+        while (left := late - monotonic()) > interrupt.SLICE:
+            try:
+                return self._answers.get(timeout=interrupt.SLICE)
+            except queue.Empty:
+                interrupt.check()
+        return self._answers.get(timeout=max(left, 0.0))
 
     def _end(self) -> str:
         """How the process ended, in words."""

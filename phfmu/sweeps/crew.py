@@ -27,6 +27,7 @@ class Runs(Protocol):
     """Takes one run after the other."""
 
     def take(self, rows: NDArray[Any], first: int = 0) -> Outcome: ...
+    def stop(self) -> None: ...
 
 
 class Crew(Protocol):
@@ -40,32 +41,30 @@ class Crew(Protocol):
 
 
 class Threads:
-    """`make` gives each thread runs of its own; the first ones are made here, which compiles."""
+    """`make` gives each thread runs of its own; the first ones are made here, which compiles.
+
+    The main thread takes none, so that it hears of signals; when it leaves, runs under way end with their present step.
+    """
 
     def __init__(self, make: Callable[[], Runs], jobs: int):
         self._make, self.size = make, jobs
 
     @contextmanager
     def at_work(self, blocks: int) -> Iterator[Submit]:
-        own, first = local(), self._make()
-        if self.size == 1 or blocks <= 1:
-            yield lambda rows, number: _done(first.take(rows, number))
-            return
+        own, made, first = local(), list[Runs](), [self._make()]
 
         def begin() -> None:
-            own.runs = self._make()
+            own.runs = first.pop() if first else self._make()
+            made.append(own.runs)
 
         pool = ThreadPoolExecutor(min(self.size, blocks), initializer=begin)
         try:
             yield lambda rows, number: pool.submit(lambda: own.runs.take(rows, number))
         finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _done(outcome: Outcome) -> Future[Outcome]:
-    future: Future[Outcome] = Future()
-    future.set_result(outcome)
-    return future
+            pool.shutdown(wait=False, cancel_futures=True)
+            for runs in made:
+                runs.stop()
+            pool.shutdown(wait=True)
 
 
 @dataclass(frozen=True)

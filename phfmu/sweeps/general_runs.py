@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from phfmu.engine.status import StepFailure
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.run.loop import run
-from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, STATE, Places
 from phfmu.sweeps.task import Task
 
@@ -22,13 +23,21 @@ class GeneralRuns:
 
     def __init__(self, task: Task, engine: type, keep: Path | None = None):
         self._task, self._instance, places = task, engine(task.model), Places(task.model)
-        self._keep = keep
+        self._keep, self._stopped = keep, False
         self._places = [(p, j) for j, name in enumerate(task.names) for p in places.of(name)]
         self._free = [(name, j) for j, name in enumerate(task.names) if places.of(name)[0].kind == INPUT]
 
     def take(self, rows: NDArray[Any], first: int = 0) -> Outcome:
         """Runs with these values (n x names), of which the first has this number."""
         return Outcome.joined([self._one(row, first + i) for i, row in enumerate(np.asarray(rows, float))])
+
+    def stop(self) -> None:
+        """From another thread: runs under way end with Stopped."""
+        self._stopped = True
+
+    def _goes_on(self, _: float) -> None:
+        if self._stopped:
+            raise Stopped
 
     def _one(self, row: NDArray[Any], number: int) -> Outcome:
         task, model = self._task, self._task.model
@@ -45,7 +54,7 @@ class GeneralRuns:
             stepper = Monolithic(model, i)
             for name, value in ((n, row[j]) for n, j in self._free):
                 stepper.set_value(name, value)
-            found = run(stepper, task.options)
+            found = run(stepper, replace(task.options, progress=self._goes_on))
         except (StepFailure, InconsistentState) as error:
             return Outcome(np.full((1, len(task.measures)), np.nan), np.zeros(1, int), np.zeros(1), (str(error),))
         if self._keep is not None:

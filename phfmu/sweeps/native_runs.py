@@ -22,7 +22,7 @@ from phfmu.network.members.columns import Columns
 from phfmu.network.members.consistent import InconsistentState, require_consistent
 from phfmu.network.run.loop import segments
 from phfmu.network.run.march import pieces
-from phfmu.sweeps.outcome import Outcome
+from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, Places
 from phfmu.sweeps.task import Task
 from phfmu.sweeps.words import KINDS
@@ -31,6 +31,8 @@ RUNTIME = Path(__file__).parent / "runtime"
 #: kind of structure -> the field of `ph_runs` that lists them
 LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measure": "measures"}
 HEADER = Header((RUNTIME / "runs.h",), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"), "ph_runs_calls")
+#: what runs.c answers for runs that were told to stop
+STOPPED = -2
 #: of each component, what the judge remembers
 SUMS = ("constant", "reach", "change", "now", "carry", "play", "stirred", "missed", "missed_carry", "squares")
 #: rows of the ledger in the order of runs.c
@@ -61,7 +63,7 @@ class NativeRuns:
     def __init__(self, task: Task):
         self._model, self._width, self._count = task.model, len(task.names), len(task.measures)
         self._instance = NativeInstance(task.model)
-        self._memory = Structures(HEADER)
+        self._memory, self._stop = Structures(HEADER), np.zeros(1, np.intc)
         self._lib = _library()
         self._held, places = Constants(task.model), Places(task.model)
         named = [(p, j) for j, n in enumerate(task.names) for p in places.of(n)]
@@ -80,6 +82,8 @@ class NativeRuns:
                 n - begun, values[begun:].ctypes.data, facts[begun:].ctypes.data, done,
             )  # fmt: skip
             begun += done.value
+            if code == STOPPED:
+                raise Stopped
             if code:
                 errors[begun] = self._why(code)
                 begun += 1
@@ -93,6 +97,10 @@ class NativeRuns:
                 p[place] = row[column]
             own[:] = self._held.at(p) or 0.0
         return found
+
+    def stop(self) -> None:
+        """From another thread: runs under way end with Stopped."""
+        self._stop[0] = 1
 
     def _why(self, code: int) -> str:
         try:
@@ -135,6 +143,7 @@ class NativeRuns:
             "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": energies,
             "refresh": any(ends <= first < energies for _, first, _ in measured),
             "t0": o.t0, "length": o.stop - o.t0, "rtol": o.audit_rtol,
+            "stop": self._stop.ctypes.data,
             "p0": model.p0, "x0": model.x0, "u0": model.u0, "tolerance": CONSISTENCY * np.asarray(model.check_scale),
             "owner": plan.pair_owner, "row": [enums()["ph_row"].index(n) for n in ROWS],
             **lists, **{name: np.zeros(size) for name, size in work.items()},

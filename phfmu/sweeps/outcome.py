@@ -10,6 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+class Stopped(Exception):
+    """Whoever waited for the runs has left; nobody hears of them."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """n runs: measures (n x measures; nan of a run that failed), steps (n), by how much of what is allowed the ledger of a run

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phfmu import __version__
+from phfmu.files import beside
 from phfmu.processors import processors
 from phfmu.sweeps.design import Design
 from phfmu.sweeps.outcome import Outcome
@@ -64,14 +65,33 @@ def sweep(
         keep.mkdir(parents=True, exist_ok=True)
     with _crew(recipe, task, jobs, scheduler) as crew:  # before the parts: without a cluster those of before stay
         parts = None if file is None else Parts(file, _key(task, recipe, design), resume=resume)
-        outcome = taken(crew, design, parts, progress or (lambda _: None))
+        try:
+            outcome = taken(crew, design, parts, progress or (lambda _: None))
+        except (KeyboardInterrupt, OSError) as stop:
+            stop.add_note(
+                parts.told(len(design.rows)) if parts is not None else "nothing of it is kept: it has no -o FILE"
+            )
+            raise
     table = _table(task, design, outcome)
     if file is not None and parts is not None:
-        from pyarrow import csv, parquet
-
-        (csv.write_csv if file.suffix == ".csv" else parquet.write_table)(table, file)
-        parts.remove()
+        _write(table, file, parts)
     return table
+
+
+def _write(table: pa.Table, file: Path, parts: Parts) -> None:
+    """Whole or not at all; until it is there the parts stay."""
+    from pyarrow import csv, parquet
+
+    written = beside(file)
+    try:
+        (csv.write_csv if file.suffix == ".csv" else parquet.write_table)(table, written)
+        written.replace(file)
+    except OSError as error:
+        error.add_note(parts.told(len(table)))
+        raise
+    finally:
+        written.unlink(missing_ok=True)
+    parts.remove()
 
 
 def _crew(recipe: Recipe, task: Task, jobs: int | None, scheduler: Scheduler | None) -> AbstractContextManager[Crew]:

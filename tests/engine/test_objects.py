@@ -45,13 +45,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiler: None) -> P
 @pytest.fixture
 def compiled(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
     """The sources compiled since the last call, in alphabetical order."""
-    run, said = subprocess.run, list[str]()
+    run, said = subprocess.Popen, list[str]()
 
     def watched(command, **more):
-        said.extend([command[command.index("-c") + 1]] if "-c" in command else [])
+        sources = [word for word in command if word.endswith(".c")]
+        said.extend(sources if "-c" in command else [])
         return run(command, **more)
 
-    monkeypatch.setattr(objects.subprocess, "run", watched)
+    monkeypatch.setattr(objects.subprocess, "Popen", watched)
 
     def since() -> list[str]:
         found = sorted(said)
@@ -211,12 +212,12 @@ def test_the_first_library_does_not_wait_for_a_run_time_it_does_not_need(
 def test_no_interpreter_is_started_for_every_source(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     """`python -m ziglang` would cost half as much as the compilation of a small file."""
     pytest.importorskip("ziglang")
-    run, programs = subprocess.run, set[str]()
+    run, programs = subprocess.Popen, set[str]()
 
     def watched(command, **more):
         programs.add(command[0])
         return run(command, **more)
 
-    monkeypatch.setattr(objects.subprocess, "run", watched)
+    monkeypatch.setattr(objects.subprocess, "Popen", watched)
     compile(SOURCES, compiler="zig")
     assert [Path(p).stem for p in programs] == ["zig"]

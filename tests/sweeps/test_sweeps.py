@@ -231,7 +231,7 @@ def test_a_sweep_that_was_interrupted_is_taken_up_again(tmp_path: Path, compiler
 
     with pytest.raises(KeyboardInterrupt):
         sweep(four(), runs, ["last(v[1])"], file=file, progress=stop)
-    assert not file.exists() and list(tmp_path.glob("s.parquet.parts/*.npz"))
+    assert not file.exists() and list(tmp_path.glob("s.parquet.parts/*.part"))
     with pytest.raises(ValueError, match="holds another sweep"):
         sweep(four(), runs, ["last(v[2])"], file=file, resume=True)
     other = Scene("four", build("four_particle").with_starts({"eta0": 0.7}), 0.5, 0.01)
@@ -291,6 +291,8 @@ def test_finished_runs_are_counted_once() -> None:
         def take(self, rows: np.ndarray, first: int = 0) -> Outcome:
             n = len(rows)
             return Outcome(np.zeros((n, 1)), np.ones(n, int), np.zeros(n), Errors([""] * n))
+
+        def stop(self) -> None: ...
 
     seen: list[int] = []
     design, blocks = grid({"m": np.arange(1.0, 513.0)}), 8

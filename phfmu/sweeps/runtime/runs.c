@@ -224,7 +224,9 @@ static int one(const ph_runs *s, const double *row, double *out, double *facts) 
         }
         for (int n = 0; n < r->n && !status; n++) {
             double missing;
-            status = c->step(s->in, r->t + (double)n * r->h, r->h);
+            status = *(const volatile int *)s->stop ? PH_RUNS_STOPPED : 0;
+            if (!status)
+                status = c->step(s->in, r->t + (double)n * r->h, r->h);
             if (!status && s->refresh)
                 status = c->refresh(s->in);
             if (status)

@@ -6,6 +6,7 @@
 
 /* Beside those of ph_status: the start violates a hidden constraint. */
 #define PH_RUNS_INCONSISTENT -1
+#define PH_RUNS_STOPPED -2
 
 /* Functions of the library of the model. */
 typedef struct ph_runs_calls {
@@ -78,12 +79,13 @@ typedef struct ph_runs {
     const ph_runs_stretch *stretches;
     const ph_runs_change *changes;
     const ph_runs_measure *measures;
-    double *p;     /* np, what the instance has */
-    double *x;     /* nx */
-    double *u;     /* nu */
-    double *value; /* nmeasure, as are the next two: sums and extremes, */
-    double *held;  /* the last value, */
-    double *time;  /* the time of the extreme */
+    const int *stop; /* 1 from when on no step is wanted any more, by whoever waits for the runs */
+    double *p;       /* np, what the instance has */
+    double *x;       /* nx */
+    double *u;       /* nu */
+    double *value;   /* nmeasure, as are the next two: sums and extremes, */
+    double *held;    /* the last value, */
+    double *time;    /* the time of the extreme */
     /* ncomp, as are all of the next: what of H is constant */
     double *constant;
     double *reach;        /* most energy in play so far */

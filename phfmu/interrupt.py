@@ -1,0 +1,96 @@
+"""Signals that end what is going on: Ctrl-C, SIGTERM and the end of the terminal are heard wherever the time is spent.
+
+Outside of runs such a signal raises at once (`raising`).  A run keeps the first one (`Signals`) until it is between two blocks
+of steps, so that nothing of it is lost; what else may take long on the way, a compiler or a unit in a process of its own, asks
+for it (`check`).  Waits that a handler cannot end are taken in slices of `SLICE` s.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+#: Ctrl-C, the end asked for by another process, the end of the terminal
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+#: s
+SLICE = 0.2
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal ended the run; `number` is the signal's."""
+
+    def __init__(self, number: int):
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+class Signals:
+    """While entered, the first signal is kept for `check`; a second one ends the run wherever it is.
+
+    A signal that is ignored (nohup) stays so; outside the main thread nothing changes.
+    """
+
+    def __init__(self) -> None:
+        self._number: int | None = None
+        self._before: dict[int, Any] = {}
+        self._outer: Signals | None = None
+
+    def __enter__(self) -> Signals:
+        global _current
+        self._outer, _current = _current, self
+        self._before = _handled(self._take, NAMES)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        global _current
+        _current = self._outer
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def check(self) -> None:
+        """Interrupted if a signal came."""
+        if self._number is not None:
+            raise Interrupted(self._number)
+
+    def _take(self, number: int, _: object) -> None:
+        if self._number is not None:
+            raise Interrupted(number)
+        self._number = number
+
+
+_current: Signals | None = None
+
+
+def check() -> None:
+    """Interrupted in the main thread if a signal came that is kept: for waits that lose nothing of what was accepted."""
+    if _current is not None and threading.current_thread() is threading.main_thread():
+        _current.check()
+
+
+@contextmanager
+def raising() -> Iterator[None]:
+    """The signals that Python would end by without a word raise Interrupted; SIGINT does so by itself."""
+
+    def take(number: int, _: object) -> None:
+        raise Interrupted(number)
+
+    before = _handled(take, [name for name in NAMES if name != "SIGINT"], only=signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _handled(take: Any, names: Any, only: Any = None) -> dict[int, Any]:
+    """Handlers that `take` took the place of: not of signals that are ignored, nor, if given, of others than `only`."""
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (getattr(signal, name) for name in names if hasattr(signal, name)):
+            known = signal.getsignal(number)
+            if known is not signal.SIG_IGN and (only is None or known == only):
+                before[number] = signal.signal(number, take)
+    return before
