@@ -17,6 +17,11 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+from phfmu.engine import trust
+
+#: bytes without which nothing can be built
+ROOM = 1 << 20
+
 
 def cache_folder() -> Path:
     """PHFMU_CACHE_DIR, else the user cache folder of the platform / phfmu. Not created here."""
@@ -31,11 +36,15 @@ def cache_folder() -> Path:
     return base / "phfmu"
 
 
+class CacheFull(OSError):
+    """There is no room left in the folder of a cache."""
+
+
 def find(key: str, ending: str) -> Path | None:
     """The sound library that was put under `key`; damaged ones are removed."""
     folder = cache_folder()
     for root in (_private(folder), folder) if folder in _refused else (folder,):
-        if _distrust(root) is None:
+        if trust.distrust(root, root / "lib", root / "lib" / key) is None:
             for path in _sound(root / "lib" / key, ending):
                 return path
     return None
@@ -44,7 +53,7 @@ def find(key: str, ending: str) -> Path | None:
 def _sound(folder: Path, ending: str) -> Iterator[Path]:
     with suppress(OSError):
         for path in sorted(folder.glob(f"*{ending}")):
-            if hashlib.sha256(path.read_bytes()).hexdigest() == path.stem:
+            if trust.distrust_one(path) is None and hashlib.sha256(path.read_bytes()).hexdigest() == path.stem:
                 yield path
             else:
                 path.unlink()
@@ -54,6 +63,9 @@ def put(root: Path, key: str, library: Path) -> Path:
     """Move a library of the same file system to its place; whole or not at all, also beside others that do the same."""
     path = root / "lib" / key / f"{hashlib.sha256(library.read_bytes()).hexdigest()}{library.suffix}"
     path.parent.mkdir(mode=0o700, exist_ok=True)
+    with suppress(OSError):
+        path.parent.chmod(0o700)  # what others put there before is not theirs to change any more, and not taken
+    library.chmod(0o755)  # also where the umask lets others write to new files
     try:
         os.replace(library, path)
     except PermissionError:  # Windows: another process has the same library loaded
@@ -67,15 +79,29 @@ def writable() -> Path:
     folder = cache_folder()
     if folder in _refused:
         return _private(folder)
-    reason = _distrust(folder)
+    reason = trust.distrust(folder, folder / "lib")
     if reason is None:
         try:
             for made in (folder, folder / "lib"):
                 made.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder / "lib"):
-                return folder
+            require_room(folder, 1)
+            return folder
         except OSError as error:
             reason = f"it cannot be written ({error.strerror})"
+    return refused(folder, reason)
+
+
+def require_room(root: Path, size: int = ROOM) -> None:
+    """CacheFull where so many bytes cannot be written; those without which nothing is built, after something was not."""
+    try:
+        with tempfile.TemporaryFile(dir=root / "lib") as f:
+            f.write(bytes(size))
+    except OSError as error:
+        raise CacheFull(error.errno, error.strerror, str(root)) from error
+
+
+def refused(folder: Path, reason: str) -> Path:
+    """Says why the cache is not used from now on; the private folder used instead."""
     _refused.add(folder)
     print(
         f"phfmu: the cache {folder} is not used: {reason}; building in a temporary folder (PHFMU_CACHE_DIR names another)",
@@ -95,19 +121,3 @@ def _private(_: Path) -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     (folder / "lib").mkdir()
     return folder
-
-
-def _distrust(folder: Path) -> str | None:
-    """Why others could put files there, if they could."""
-    if not hasattr(os, "geteuid"):
-        return None
-    for part in (folder, folder / "lib"):
-        try:
-            found = part.stat()
-        except OSError:
-            return None
-        if found.st_uid not in (os.geteuid(), 0):
-            return f"{part} belongs to another user (uid {found.st_uid})"
-        if found.st_mode & 0o002:
-            return f"anybody can write to {part}"
-    return None

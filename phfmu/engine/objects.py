@@ -68,20 +68,28 @@ def needed(name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def build(files: Mapping[str, bytes], tools: Toolchain, end: str) -> Path:
-    """Library of all `files` that end in .c, put into the cache.
+    """Library of all `files` that end in .c, put into the cache; where that is full, into a folder that ends with the process.
 
     Everything happens in a private folder whose results are moved into the cache whole: nobody sees half a file.
     Only relative names are told to the compiler, so that objects are the same wherever the folder is.
     """
     root = cache.writable()
+    try:
+        return _built(root, files, tools, end)
+    except cache.CacheFull as full:
+        if root != cache.cache_folder():
+            raise
+        return _built(cache.refused(root, f"it has no room ({full.strerror})"), files, tools, end)
+
+
+def _built(root: Path, files: Mapping[str, bytes], tools: Toolchain, end: str) -> Path:
+    """The library in this cache; CacheFull if there is no room."""
     with tempfile.TemporaryDirectory(dir=root / "lib") as folder:
-        work = _Work(root, Path(folder), tools, files)
-        for name, content in files.items():
-            (work.folder / name).write_bytes(content)
-        objects = work.objects(sorted(n for n in files if n.endswith(".c")))
-        result = "library" + end
-        work.run(*tools.link, *objects, "-o", result, "-lm")
-        return cache.put(root, tools.library_key(files), work.folder / result)
+        try:
+            return _Work(root, Path(folder), tools, files).library(end)
+        except (OSError, CompileError):
+            cache.require_room(root)
+            raise
 
 
 #: compilers have processes of their own, which are ended together
@@ -105,6 +113,15 @@ class _Work:
     tools: Toolchain
     files: Mapping[str, bytes]
     running: list[subprocess.Popen[str]] = field(default_factory=list)
+
+    def library(self, end: str) -> Path:
+        """In the cache."""
+        for name, content in self.files.items():
+            (self.folder / name).write_bytes(content)
+        objects = self.objects(sorted(n for n in self.files if n.endswith(".c")))
+        result = "library" + end
+        self.run(*self.tools.link, *objects, "-o", result, "-lm")
+        return cache.put(self.root, self.tools.library_key(self.files), self.folder / result)
 
     def objects(self, names: list[str]) -> list[str]:
         """Those of the sources, side by side; a signal that ends the work ends the compilers too."""

@@ -99,6 +99,61 @@ def test_a_cache_that_anybody_can_write_is_not_used(folder: Path, part: str) -> 
     assert loaded() == (path, True, "")
 
 
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no such permissions")
+@pytest.mark.parametrize("part", ["key", "library"])
+def test_what_others_could_change_in_a_cache_is_not_loaded(folder: Path, part: str) -> None:
+    path, *_ = loaded()
+    os.chmod(path.parent if part == "key" else path, 0o777)
+    again, reused, err = loaded()
+    assert not reused and err == ""
+    assert again.stat().st_mode & 0o022 == 0 and loaded() == (again, True, "")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give a group a folder")
+def test_a_cache_of_a_group_is_not_used(folder: Path) -> None:
+    """But one of the group that a user has alone is."""
+    path, *_ = loaded()
+    os.chmod(folder, 0o775)
+    assert loaded() == (path, True, "")
+    os.chown(folder, -1, 12345)
+    again, reused, err = loaded()
+    assert not reused and not again.is_relative_to(folder) and f"its group can write to {folder} (gid 12345)" in err
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no such permissions")
+@pytest.mark.parametrize(("mode", "used"), [(0o777, False), (0o1777, True), (0o755, True)])
+def test_a_folder_above_the_cache_that_anybody_can_write(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, mode: int, used: bool
+) -> None:
+    """Who can move the cache away can put another one in its place, unless a sticky bit is there, as in /tmp."""
+    above = folder.parent / "above"
+    above.mkdir()
+    (above / "mine").mkdir(mode=0o700)
+    shutil.move(folder, above / "mine" / "cache")
+    monkeypatch.setenv("PHFMU_CACHE_DIR", str(above / "mine" / "cache"))
+    os.chmod(above, mode)
+    path, _, err = loaded()
+    assert path.is_relative_to(above) is used
+    assert (err == "") if used else f"anybody can write to {above}" in err
+
+
+def test_a_full_cache_is_named_and_the_library_is_built_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiler: None
+) -> None:
+    small = tmp_path / "small"
+    small.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8k,mode=700", "tmpfs", small], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("a small file system cannot be mounted here")
+    try:
+        monkeypatch.setenv("PHFMU_CACHE_DIR", str(small / "cache"))
+        path, reused, err = loaded()
+        assert not reused and not path.is_relative_to(small)
+        assert err.count("\n") == 1 and str(small) in err and "No space left on device" in err
+    finally:
+        subprocess.run(["umount", small], check=True)
+
+
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give a folder away")
 def test_a_cache_of_another_user_is_not_used(folder: Path) -> None:
     loaded()
