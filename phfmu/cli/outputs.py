@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
@@ -11,10 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phfmu.cli.options import audit_file
+from phfmu.cli.progress import ahead
 from phfmu.fmu import exit_guard
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
+    from phfmu.network.run.options import Options
     from phfmu.network.scene import Event
     from phfmu.report.live_recording import LiveRecording
     from phfmu.results.writer import TableWriter
@@ -34,7 +37,7 @@ class Outputs:
         self._table_path = self._audit_path = None
         self.table: TableWriter | None = None
         self.sink: AuditWriter | None = None
-        self._units_row, self._title = args.units_row, ""
+        self._units_row, self._quiet, self._title = args.units_row, args.quiet, ""
         self._picture: Path | None = None
         self._drawn: LiveRecording | None = None
         #: wall time spent on the result table
@@ -70,10 +73,12 @@ class Outputs:
             self.sink = AuditWriter(self._audit_path, about, self._table_path)
 
     def columns(
-        self, events: Sequence[Event], marked: bool, names: Sequence[str], units: Sequence[str], kinds: Sequence[str],
+        self, options: Options, events: Sequence[Event], names: Sequence[str], units: Sequence[str], kinds: Sequence[str],
         labels: Sequence[str],
     ) -> None:  # fmt: skip
-        """Open table and picture of its rows; `marked`: rows within steps are among them."""
+        """Open table and picture of the rows of a run with these options and events, and say what is coming if that is much."""
+        for line in () if self._quiet else ahead(options, len(names), self._table_path):
+            print(f"phfmu: {line}", file=sys.stderr)
         if self._picture:
             from phfmu.report.live_recording import LiveRecording
             from phfmu.report.recording import Mark
@@ -84,6 +89,7 @@ class Outputs:
         if self._table_path:
             from phfmu.results.writer import TableWriter
 
+            marked = options.dense is not None
             self.table = TableWriter(self._table_path, names, units, marked, self._units_row, kinds, labels)
 
     def keep(self, time: np.ndarray, values: np.ndarray, inside: np.ndarray) -> None:

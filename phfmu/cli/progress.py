@@ -1,10 +1,20 @@
-"""How far long work has come: told on a terminal, nothing in a pipe."""
+"""How far long work has come: told on a terminal, nothing in a pipe; and before a very long run, what is coming, anywhere."""
 
 from __future__ import annotations
 
+import shutil
 import sys
 from contextlib import ExitStack
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.network.run.options import Options
+
+#: a run of so many steps is told of before it starts
+LONG = 10_000_000
+#: bytes of a number in a table, by its ending, as measured on tables of runs
+BYTES = {".csv": 16, ".parquet": 7}
 
 
 class Bar(ExitStack):
@@ -38,3 +48,39 @@ class Line:
 
     def __exit__(self, *_: object) -> None:
         self("")
+
+
+def ahead(options: Options, columns: int, table: Path | None) -> list[str]:
+    """Lines about what a run of equal steps with so many columns takes and writes, where that is very much or next to nothing."""
+    if options.adaptive:
+        return []
+    length = options.stop - options.t0
+    steps, apart = length / options.step, options.every
+    rows = steps * (1 if options.dense is None else options.dense + 1)
+    if apart is not None:
+        rows = min(rows, rows / apart if isinstance(apart, int) else length / apart)
+    lines = []
+    if rows < 1 and table is not None:
+        lines.append(
+            f"--every {apart:g}: no such row within the run of {steps:.3g} steps; its first and its last are kept"
+        )
+    if steps >= LONG or (rows >= LONG and table is not None):
+        lines.append(f"{steps:.3g} steps to come" + (_written(rows, columns + 1, table) if table is not None else ""))
+    return lines
+
+
+def _written(rows: float, columns: int, table: Path) -> str:
+    size, free = rows * columns * BYTES[table.suffix], shutil.disk_usage(table.parent).free
+    text = (
+        f"; {table.name}: {rows:.3g} rows of {columns} columns, about {_bytes(size)}, of {_bytes(free)} that are free"
+    )
+    return text if rows < LONG else f"{text} (--every N keeps every Nth row, --signals some columns)"
+
+
+def _bytes(size: float) -> str:
+    """1500000 -> 1.5 MB."""
+    for unit in ("B", "kB", "MB", "GB", "TB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} PB"

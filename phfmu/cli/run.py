@@ -134,7 +134,7 @@ def call(args: argparse.Namespace) -> int:
 
         marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
         outputs.begin({"target": args.target, "run": label})
-        columns = partial(outputs.columns, marks, args.dense is not None)
+        columns = partial(outputs.columns, chosen, marks)
         record = accuracy.recorded(args, chosen.step)
         options_here = replace(
             chosen, sink=outputs.sink, progress=progress,

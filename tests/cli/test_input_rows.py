@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from time import process_time
@@ -107,3 +109,57 @@ def test_data_that_begin_late_or_end_early_are_told(go: Run) -> None:
     assert "in.csv: begins at t = 0.05 s, the start values hold before" in said
     assert "in.csv: ends at t = 0.49 s, its last row holds until the end at 1 s" in said
     assert "ends at" not in go("--stop", "0.5", "--step", "0.01", "--input", "in.csv")[1]
+
+
+#: reads a file of inputs and says by how many bytes a row the memory grew, all that is imported being there before
+GROWTH = """
+import resource, sys
+import pyarrow.parquet
+from phfmu.network.run.input_file import read_inputs
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+read_inputs(sys.argv[2], ["flange.force"])
+before = peak()
+rows = len(read_inputs(sys.argv[1], ["flange.force"]).time)
+print(rows, (peak() - before) / rows, peak() / 1e6)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems count the memory of a process in other units")
+@pytest.mark.parametrize(
+    ("rows", "ending"),
+    [(300_000, ".csv"), *(pytest.param(3_000_000, e, marks=pytest.mark.slow) for e in (".csv", ".parquet"))],
+)
+def test_inputs_take_little_more_memory_than_their_numbers(tmp_path: Path, rows: int, ending: str) -> None:
+    """16 bytes a row are the numbers; lists of words and of places took 480."""
+    t = 1e-3 * np.arange(rows)
+    long, short = tmp_path / f"long{ending}", tmp_path / f"short{ending}"
+    for path, n in ((long, rows), (short, 10)):
+        if ending == ".parquet":
+            pq.write_table(pa.table({"time": t[:n], "flange.force": t[:n]}), path)
+        else:
+            with path.open("w") as f:
+                f.write("time,flange.force\n")
+                f.writelines(f"{v:.3f},{v:.6f}\n" for v in t[:n].tolist())
+    command = [sys.executable, "-c", GROWTH, str(long), str(short)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    found, each, peak = map(float, done.stdout.split())
+    assert found == rows and each < 100 and peak < 300, done.stdout
+
+
+def test_places_of_mistakes_are_right_in_every_block(go: Run) -> None:
+    """Empty lines and comments count; rows are read by blocks, whose edges are no places."""
+    good = [f"{i},1" for i in range(40_000)]
+    for line in (16_385, 16_386, 16_387, 39_990):
+        rows = [*good]
+        rows[line - 4] = "x,1"
+        Path("in.csv").write_text("\n".join(["time,flange.force", "# a comment", "", *rows]))
+        assert f"in.csv, line {line}, column time: 'x' is not a number" in go("--input", "in.csv")[1]
+    back = [*good]
+    back[20_000] = "5,1"
+    Path("in.csv").write_text("\n".join(["time,flange.force", *back]))
+    assert "in.csv, line 20002: time 5 after 19999" in go("--input", "in.csv")[1]
+    t = np.arange(40_000.0)
+    t[30_000] = np.inf
+    pq.write_table(pa.table({"time": t, "flange.force": np.zeros(40_000)}), "in.parquet")
+    assert "in.parquet, row 30001, column time: inf is not finite" in go("--input", "in.parquet")[1]

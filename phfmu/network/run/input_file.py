@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from array import array
+from collections.abc import Iterator
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,81 +14,106 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
     from phfmu.network.run.input_rows import InputRows
 
 Array = NDArray[Any]
 
 
+#: rows that are read at a time
+BLOCK = 16384
+
+#: numbers (rows x columns), and where each of their rows stands in the file
+Block = tuple[Array, Array]
+
+
 def read_inputs(path: str, known: list[str]) -> InputRows:
-    """A table like the output, CSV or Parquet: `time`, then settable names; ValueError names line, column and value."""
+    """A table like the output, CSV or Parquet: `time`, then settable names; ValueError names line, column and value.
+
+    It is read by blocks of rows: what the memory holds of it are its numbers.
+    """
     from phfmu.network.run.input_rows import InputRows, require_times
 
-    header, places, numbers = (_parquet if Path(path).suffix == ".parquet" else _csv)(path)
+    parquet = Path(path).suffix == ".parquet"
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"--input {path}: no such file")
+    header, blocks = (_parquet if parquet else _csv)(path)
     if not header or header[0] != "time":
         raise ValueError(f"{path}: the first column must be 'time', then one per input, separated by commas")
     names = _names(path, header[1:], known)
+    numbers, places = array("d"), array("q")
+    for values, where in blocks:
+        numbers.frombytes(values.astype(float).tobytes())
+        places.frombytes(where.astype(np.int64).tobytes())
     if not places:
         raise ValueError(f"{path} has no rows below its header; give the values at one time at least")
-    values = numbers()
-    require_times(values[:, 0], path, places)
-    return InputRows(names, values[:, 0], values[:, 1:], path)
+    table = np.frombuffer(numbers).reshape(-1, len(header))
+    require_times(table[:, 0], path, lambda i: f"{'row' if parquet else 'line'} {places[i]}")
+    return InputRows(names, table[:, 0], table[:, 1:], path)
 
 
-#: names of the columns, where each row stands, and what reads the numbers
-Source = tuple[list[str], list[str], Callable[[], Array]]
-
-
-def _csv(path: str) -> Source:
+def _csv(path: str) -> tuple[list[str], Iterator[Block]]:
     rows = _rows(path)
-    header = [n.strip() for n in rows[0][1]] if rows else []
-    texts = [row for _, row in rows[1:]]
-    places = [f"line {line}" for line, _ in rows[1:]]
-
-    def numbers() -> Array:
-        with suppress(ValueError):
-            values = np.array(texts, float)
-            if values.shape == (len(texts), len(header)) and np.isfinite(values).all():
-                return values
-        return np.array([_numbers(f"{path}, {p}", header, r) for p, r in zip(places, texts, strict=True)])
-
-    return header, places, numbers
+    _, first = next(rows, (0, []))
+    header = [n.strip() for n in first]
+    return header, _csv_blocks(path, header, rows)
 
 
-def _parquet(path: str) -> Source:
+def _csv_blocks(path: str, header: list[str], rows: Iterator[tuple[int, list[str]]]) -> Iterator[Block]:
+    while block := list(islice(rows, BLOCK)):
+        lines, texts = [line for line, _ in block], [row for _, row in block]
+        yield _converted(path, header, lines, texts), np.array(lines)
+
+
+def _converted(path: str, header: list[str], lines: list[int], texts: list[list[str]]) -> Array:
+    """All at once where all are numbers, else one by one, for the message."""
+    with suppress(ValueError):
+        values = np.array(texts, float)
+        if values.shape == (len(texts), len(header)) and np.isfinite(values).all():
+            return values
+    return np.array([_numbers(f"{path}, line {n}", header, r) for n, r in zip(lines, texts, strict=True)])
+
+
+def _parquet(path: str) -> tuple[list[str], Iterator[Block]]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"--input {path}: no such file")
     try:
-        table = pq.read_table(path)
+        file = pq.ParquetFile(path)
     except (pa.ArrowException, OSError) as error:
         raise ValueError(f"{path} is not a Parquet file: {error}") from error
-    header = list(table.column_names)
-
-    def numbers() -> Array:
-        columns = []
-        for name, column in zip(header, table.columns, strict=True):
-            if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
-                raise ValueError(f"{path}, column {name}: {column.type} is not a number")
-            values = column.cast(pa.float64()).to_numpy()
-            bad = np.flatnonzero(~np.isfinite(values))
-            if bad.size:
-                raise ValueError(f"{path}, row {bad[0] + 1}, column {name}: {values[bad[0]]} is not finite")
-            columns.append(values)
-        return np.column_stack(columns)
-
-    return header, [f"row {i + 1}" for i in range(table.num_rows)], numbers
+    return list(file.schema_arrow.names), _parquet_blocks(path, file)
 
 
-def _rows(path: str) -> list[tuple[int, list[str]]]:
+def _parquet_blocks(path: str, file: pq.ParquetFile) -> Iterator[Block]:
+    import pyarrow as pa
+
+    for field in file.schema_arrow:
+        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
+            raise ValueError(f"{path}, column {field.name}: {field.type} is not a number")
+    first = 1
+    try:
+        for batch in file.iter_batches(BLOCK):
+            columns = [c.cast(pa.float64()).to_numpy(zero_copy_only=False) for c in batch.columns]
+            values = np.column_stack(columns)
+            for i, j in np.argwhere(~np.isfinite(values))[:1]:
+                name = file.schema_arrow.names[j]
+                raise ValueError(f"{path}, row {first + i}, column {name}: {values[i, j]} is not finite")
+            yield values, np.arange(first, first + len(values))
+            first += len(values)
+    except (pa.ArrowException, OSError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from error
+
+
+def _rows(path: str) -> Iterator[tuple[int, list[str]]]:
     """Line numbers and fields, without empty lines and comments."""
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"--input {path}: no such file")
     with open(path, newline="", encoding="utf-8-sig") as file:
         reader = csv.reader(file)
         try:
-            return [(reader.line_num, r) for r in reader if r and not r[0].startswith("#")]
+            for row in reader:
+                if row and not row[0].startswith("#"):
+                    yield reader.line_num, row
         except (UnicodeDecodeError, csv.Error) as error:
             raise ValueError(f"{path} is not a CSV file in UTF-8: {error}") from error
 

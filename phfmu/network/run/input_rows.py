@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,7 +118,7 @@ def input_rows(data: Any, known: Sequence[str]) -> InputRows:
                 f"inputs: {n} has the shape {columns[n].shape}, time {time.shape}; expected one value per time"
             )
     found = InputRows(own, time, np.column_stack([columns[n] for n in own]))
-    require_times(found.time, found.source, [f"row {i + 1}" for i in range(len(time))])
+    require_times(found.time, found.source, lambda i: f"row {i + 1}")
     bad = np.argwhere(~np.isfinite(found.values))
     if bad.size:
         i, j = bad[0]
@@ -126,12 +126,12 @@ def input_rows(data: Any, known: Sequence[str]) -> InputRows:
     return found
 
 
-def require_times(time: Array, source: str, places: Sequence[str]) -> None:
-    """ValueError where times decrease or are not finite; equal ones are a jump."""
+def require_times(time: Array, source: str, place: Callable[[int], str]) -> None:
+    """ValueError where times decrease or are not finite; equal ones are a jump; `place`: what row i is called."""
     wrong = np.flatnonzero(~(np.diff(time) >= 0))
     if wrong.size:
         i = wrong[0] + 1
-        raise ValueError(f"{source}, {places[i]}: time {time[i]:.9g} after {time[i - 1]:.9g}; times must not decrease")
+        raise ValueError(f"{source}, {place(i)}: time {time[i]:.9g} after {time[i - 1]:.9g}; times must not decrease")
     if not np.isfinite(time).all():
         raise ValueError(f"{source}: time {time[~np.isfinite(time)][0]} is not finite")
 

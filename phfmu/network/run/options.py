@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from phfmu.network.scene import Event
 
+#: most rows within a step, which are in memory together
+DENSEST = 10_000
+
 #: takes (times, values, whether each row lies within a step)
 Keep = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], None]
 
@@ -78,8 +81,10 @@ class Options:
                 raise ValueError(f"event {e.name} = {e.value} at t = {e.t} s: time and value must be finite")
         if self.restart < 0:
             raise ValueError(f"--restart {self.restart}: expected a number of steps from 0")
-        if self.dense is not None and self.dense < 1:
-            raise ValueError(f"--dense {self.dense}: expected a number of rows per step from 1")
+        if self.dense is not None and not 1 <= self.dense <= DENSEST:
+            raise ValueError(
+                f"--dense {self.dense}: expected a number of rows per step from 1 to {DENSEST}; for more take a shorter step"
+            )
         if self.every is not None and not (isfinite(self.every) and self.every > 0):
             raise ValueError(f"--every {self.every:g}: expected a number of rows from 1, or a time in s above 0")
         if self.kept and not self.project:

@@ -13,6 +13,9 @@ Array = NDArray[Any]
 #: (times, values, whether each row lies within a step)
 Row = tuple[Array, Array, Array]
 
+#: rows that can be counted
+MOST = 2**62
+
 #: of the distance of rows in time: what a row may be early
 CLOSE = 1e-9
 
@@ -58,7 +61,7 @@ class Rows:
         if isinstance(every, int):
             number = self._seen + np.arange(len(time))
             self._seen += len(time)
-            return number % every == 0
+            return number % min(every, MOST) == 0
         place = np.floor((time - self._t0) / every + CLOSE)
         kept = np.diff(place, prepend=self._place) > 0  # the first row at or after each multiple
         self._place = float(place[-1])
