@@ -20,11 +20,12 @@ SLICE = 0.2
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal ended the run; `number` is the signal's."""
+    """A signal ended the run; `number` is the signal's, `recorded` what was taken before by the call that it ended."""
 
     def __init__(self, number: int):
         super().__init__(signal.Signals(number).name)
         self.number = number
+        self.recorded: dict[str, Any] = {}
 
 
 class Signals:

@@ -126,8 +126,8 @@ class _Work:
     def objects(self, names: list[str]) -> list[str]:
         """Those of the sources, side by side; a signal that ends the work ends the compilers too."""
         with ThreadPoolExecutor(processors()) as pool:
-            futures = [pool.submit(self.object, name) for name in names]
             try:
+                futures = [pool.submit(self.object, name) for name in names]
                 while True:
                     done, waiting = wait(futures, interrupt.SLICE, FIRST_EXCEPTION)
                     made = [f.result() for f in futures if f in done]

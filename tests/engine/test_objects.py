@@ -221,3 +221,32 @@ def test_no_interpreter_is_started_for_every_source(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(objects.subprocess, "Popen", watched)
     compile(SOURCES, compiler="zig")
     assert [Path(p).stem for p in programs] == ["zig"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_signal_ends_a_build_and_its_compilers(folder: Path, tmp_path: Path, kept: bool) -> None:
+    """Where signals raise, and within a run, where the first one is kept for those who ask."""
+    slow, begun = tmp_path / "cc", tmp_path / "begun"
+    slow.write_text(f'#!/bin/sh\n[ "$1" = --version ] && echo slow && exit\necho $$ >> {begun}\nsleep 300\n')
+    slow.chmod(0o755)
+    code = (
+        "import signal, sys\nfrom phfmu.engine.compile import compile\nfrom phfmu.interrupt import Signals, raising\n"
+        f"with {'Signals' if kept else 'raising'}():\n    compile({SOURCES!r}, compiler='cc')"
+    )
+    here = os.environ | {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
+    run = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, env=here)
+    try:
+        late = time.monotonic() + 60
+        while not begun.exists() and time.monotonic() < late:
+            time.sleep(0.05)
+        run.send_signal(signal.SIGTERM)
+        _, err = run.communicate(timeout=30)
+    finally:
+        run.kill()
+        run.wait()
+    assert "phfmu.interrupt.Interrupted: SIGTERM" in err
+    for process in map(int, begun.read_text().split()):
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+    assert not list((folder / "lib").glob("tmp*"))

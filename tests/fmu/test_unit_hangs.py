@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -53,3 +54,25 @@ def test_a_second_signal_ends_a_run_whose_unit_hangs(tmp_path: Path, number: sig
         late.cancel()
         run.kill()
         run.wait()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_one_signal_ends_a_run_that_waits_for_a_unit_in_a_process_of_its_own(tmp_path: Path) -> None:
+    """The rows of the steps before are kept, and nobody waits until the call is late."""
+    path = foreign.mass(tmp_path / "pump.fmu", "3.0")
+    table = tmp_path / "rows.csv"
+    line = ["run", str(path), "--set", f"mode={foreign.HANG}", "--isolate-timeout", "600", "-o", str(table)]
+    code = "import sys; from phfmu.cli import main; sys.exit(main(sys.argv[1:]))"
+    run = subprocess.Popen([sys.executable, "-c", code, *line], stderr=subprocess.PIPE, text=True)
+    try:
+        begun = time.monotonic()
+        while not list(tmp_path.glob("rows.csv.*")) and time.monotonic() < begun + 60:
+            time.sleep(0.1)
+        time.sleep(2.0)  # three steps, and the one that hangs
+        run.send_signal(signal.SIGTERM)
+        _, err = run.communicate(timeout=30)
+    finally:
+        run.kill()
+        run.wait()
+    assert run.returncode == 143 and "phfmu: interrupted (SIGTERM)" in err and "Traceback" not in err
+    assert table.read_text().splitlines()[-1].startswith("0.3")

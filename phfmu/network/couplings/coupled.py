@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import EndRequested, StepFailure
 from phfmu.engine.steps import Steps
+from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.agreed_signals import AgreedSignals
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged
 from phfmu.network.couplings.end_sums import EndSums
@@ -263,7 +264,7 @@ class Coupled:
                 t = t0 + (first + done) * h
                 parts.append(Steps.stacked([self._step(t, h)]))
                 self._require_wanted(t + h)
-            except StepFailure as failure:
+            except (StepFailure, Interrupted) as failure:
                 failure.recorded = {"steps": Steps.joined(parts)} if parts else {}
                 raise
             done += 1

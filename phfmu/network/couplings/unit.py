@@ -12,6 +12,7 @@ from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.status import EndRequested, StepFailure
 from phfmu.engine.steps import Steps
 from phfmu.fmu.reader import FMUInstance
+from phfmu.interrupt import Interrupted
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.signals import SignalKind
 from phfmu.words import meant
@@ -103,7 +104,7 @@ class FMUStepper:
                 rows.append(self._row())
                 if self.unit.steps.ended:
                     raise EndRequested(self.unit.name, self.unit.time, 0.0, self.unit.time)
-            except StepFailure as failure:
+            except (StepFailure, Interrupted) as failure:
                 failure.recorded = {"steps": Steps.stacked(rows)} if rows else {}
                 if isinstance(failure, EndRequested) and failure.reached > failure.time:
                     failure.last = Steps.stacked([self._row()])

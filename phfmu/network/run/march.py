@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.status import StepFailure
 from phfmu.engine.steps import Steps
+from phfmu.interrupt import Interrupted
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.stepper import Stepper
 from phfmu.network.run.book import Book
@@ -142,6 +143,10 @@ class FixedSteps:
             if kept is not None:
                 yield self._added(t, h, first, kept)
             self.book.failed(failure)
+            raise
+        except Interrupted as stop:
+            if "steps" in stop.recorded:
+                yield self._added(t, h, first, stop.recorded["steps"])
             raise
         self._longest = max(self._longest, h)
         self._ringing.add(steps, damped)
