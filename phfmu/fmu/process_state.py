@@ -1,10 +1,10 @@
 """What belongs to the process stays as it was, whatever the library of a foreign unit does to it.
 
 A library may change the rounding of every later number (`fesetround`, or flushing of denormal numbers, which some compilers
-switch on as a library is loaded), ignore or block the signals that end this process, or make a copy of it (`fork`) that comes
-back from the call.  All of it is looked at after the library was loaded and after it was initialised; after a step the
-arithmetic and the copy at once, and signals as often as a person would notice.  Windows has other calls for all of these;
-nothing is done there.
+switch on as a library is loaded), make faults of floating-point exceptions, ignore or block the signals that end this process,
+or make a copy of it (`fork`) that comes back from the call.  All of it is put back after the library was loaded and after it was
+initialised; after a step the arithmetic and the copy at once, and signals as often as a person would notice.  Windows has other
+calls for all of these; nothing is done there.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
-import sys
 import threading
 import time
 from contextlib import suppress
 from ctypes.util import find_library
+from functools import partial
 from typing import Any
 
 #: s between looks at what no number depends on
@@ -27,18 +27,18 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGPIPE", "SIGCHLD", "SIGAL
 _SIGNALS = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
 _SIZE = 512  # bytes, more than any fenv_t and struct sigaction
 
-_ONE, _LITTLE, _HALF, _SMALLEST = 1.0, 1e-30, 0.5, sys.float_info.min
-
 
 class _Before:
     """The process as it was before the first foreign library."""
 
     def __init__(self) -> None:
-        self.maths = ctypes.CDLL(find_library("m"))
+        maths = ctypes.CDLL(find_library("m"))
+        maths.fesetenv.argtypes = [ctypes.c_void_p]
         self.library = ctypes.CDLL(None)
         self.arithmetic = ctypes.create_string_buffer(_SIZE)
-        self.maths.fegetenv(self.arithmetic)
-        self.plain = _is_plain()
+        maths.fegetenv(self.arithmetic)
+        #: rounding, denormal numbers and which exceptions are faults, as they were
+        self.put_back = partial(maths.fesetenv, ctypes.addressof(self.arithmetic))
         self.blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         self._action = ctypes.create_string_buffer(_SIZE)
         #: the function of the interpreter that hears signals which have a handler in Python
@@ -77,7 +77,7 @@ def look(unit: str, function: str) -> None:
         return
     if os.getpid() != _before.process:
         _end_copy(unit, function)
-    _before.maths.fesetenv(_before.arithmetic)
+    _before.put_back()
     _next_look = time.monotonic() + PAUSE
     if threading.current_thread() is threading.main_thread():
         _hear_again(_before)
@@ -87,13 +87,9 @@ def look_quickly(unit: str, t: float) -> None:
     """The same after a step from time t: signals only now and then."""
     if _before is None:
         return
-    if os.getpid() != _before.process or (_before.plain and not _is_plain()) or time.monotonic() > _next_look:
+    _before.put_back()
+    if os.getpid() != _before.process or time.monotonic() > _next_look:
         look(unit, f"doStep at t = {t:.9g} s")
-
-
-def _is_plain() -> bool:
-    """Rounding to nearest, with denormal numbers."""
-    return _ONE + _LITTLE == _ONE and _ONE - _LITTLE == _ONE and _SMALLEST * _HALF > 0.0
 
 
 def _hear_again(before: _Before) -> None:
