@@ -72,9 +72,9 @@ def _again(args: argparse.Namespace, record: Record, factor: float) -> Again:
     """The same run with other steps; its rows at the times of the record."""
     from phfmu.cli import options
     from phfmu.cli.build import job_of
-    from phfmu.interrupt import Signals
     from phfmu.cli.progress import Bar
     from phfmu.cli.timeline import timeline
+    from phfmu.interrupt import Signals
     from phfmu.network.run.accuracy import Again
     from phfmu.network.run.loop import run
 
