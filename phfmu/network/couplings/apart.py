@@ -145,7 +145,8 @@ class Apart:
         """Why a member takes one value a step."""
         unit, called = self.network.units.get(member), member or "the composed member"
         if member in self.landing_alone:
-            return f"{called} has state events {self.landing_alone[member]}: it takes the mean of its inputs"
+            own = member or "the composed member"
+            return f"{own} has state events {self.landing_alone[member]}: it takes the mean of its inputs"
         if unit is not None and unit.interface.energy:
             return f"{member} was exported without inputs at nodes (--node-inputs, --order 4)"
         if unit is not None:
