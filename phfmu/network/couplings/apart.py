@@ -102,7 +102,7 @@ class Apart:
         if self.events_by_signals:
             return (
                 f"--order composed; {ORDER_OF_EVENTS} apart: signals are held over a step, and the events of "
-                f"{', '.join(self.events_by_signals)} follow them or are told by them"
+                f"{', '.join(self.events_by_signals)} follow them or are told by them{f'; {which}' if held else ''}"
             )
         if held:
             return f"--order composed; {Newton.order} with --coupling newton: {which}"
