@@ -32,7 +32,7 @@ class SavedStates:
 
     def reach_before(self, t: float) -> bool:
         """Whether one is held that belongs to a time before t, so that it may be restored."""
-        return any(time < t for _, time in self._handles.values())
+        return bool(self._handles) and any(time < t for _, time in self._handles.values())
 
     def _forget(self, key: int) -> None:
         kept = self._handles.pop(key, None)
