@@ -75,7 +75,8 @@ def apart(
         if stepping.engine_of(name) == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
 
-            extra = at_nodes(name) and _node_inputs(schemes[name]), at_nodes(name) and name in with_impulses
+            alone, scheme = name in whole.landing_alone, schemes[name]
+            extra = at_nodes(name) and _node_inputs(scheme), not alone and scheme.node_values and name in with_impulses
             return FMUMember(name, as_fmu(own, schemes[name], args.fmi, step / parts, *extra))
         model = build_model(own, schemes[name])
         return EngineMember(name, model, instance_of(model, stepping.engine_of(name)), parts)

@@ -136,3 +136,12 @@ def test_every_scene_of_the_library_stays_closed(name: str, order: str, capsys: 
     assert main(["run", name, "--order", order, "--stop", str(LIBRARY[name] * build(name).stop)]) == 0, (
         capsys.readouterr().err
     )
+
+
+def test_energies_without_digits_are_not_judged() -> None:
+    """A swing of 1e-160 m: its energies are below the smallest number that has all its digits."""
+    q, p = ph.state("q", unit="m", start=1e-160), ph.state("p", unit="kg.m/s", start=1e-162)
+    H = energy(50 * q[0] ** 2 + p[0] ** 2 / 2)
+    swing = PHDAE("swing", (q, p), energies=(H,), structure=(ph.skew(q, p, 1.0),))
+    found = run(Monolithic(model := build_model(swing), NativeInstance(model)), Options(stop=10.0, step=0.1))
+    assert found.ledger.summary().violations == []

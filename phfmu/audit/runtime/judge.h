@@ -15,6 +15,9 @@
 /* The sum over a run may be this many times the root of the sum of the squares of what its steps are allowed.
  */
 #define PH_RUN 4
+/* What is allowed always: of energies below it squares, and in the end they themselves, have no digits left.
+ */
+#define PH_LEAST 1e-140
 
 /* The larger; NaN where a is not a number. */
 static inline double ph_most(double a, double b) {
@@ -31,7 +34,7 @@ static inline double ph_in_play(double inside, double stored, double supplied, d
 /* What a residual may be in a step; `reach`: the most in play so far, the sum of the changes of H included;
  * `varying`: what of H is not constant, and of a relation what is in play in the network. */
 static inline double ph_allowed(double rtol, double in_play, double reach, double varying) {
-    return rtol * in_play + PH_FLOOR * DBL_EPSILON * reach + PH_ULPS * DBL_EPSILON * varying;
+    return rtol * in_play + (PH_FLOOR * DBL_EPSILON * reach + PH_LEAST) + PH_ULPS * DBL_EPSILON * varying;
 }
 
 /* What the sum of the residuals may be; `squares`: the sum of the squares of what the steps are allowed. */
