@@ -133,6 +133,7 @@ def hold_values(plan: Plan) -> dict[str, Any]:
     own[row[row == col]] = np.flatnonzero(row == col)
     return {
         "nhold": len(hold),
+        "vanishing": int(hold.vanishing),
         "hold_ptr": np.cumsum([0] + [len(r) for r in hold.rows]),
         "hold_row": rows,
         "hold_own": own[rows],

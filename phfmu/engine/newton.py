@@ -67,9 +67,12 @@ class Newton:
         """The values of `bare` to try in turn: where there are constraints without delta, then with it.
 
         Near a loss of rank, and beside light masses, delta is as large as what is left of the constraints, and Newton's
-        method crawls; where pivots are lost to rounding it leads past them.
+        method crawls; where pivots are lost to rounding it leads past them.  Beside vanishing masses it comes first: without
+        it their motion is that of the rounding of forces.
         """
-        return (True, False) if len(self.plan.hold) else (False,)
+        if not len(self.plan.hold):
+            return (False,)
+        return (False, True) if self.plan.hold.vanishing else (True, False)
 
     def residual(self, w: Array, fixed: Fixed) -> Array:
         """Rows [0, nw) at w; `fixed` = (x, [u | h], p, h)."""
@@ -151,7 +154,8 @@ class Newton:
         from there it goes on without, and what it finds is taken.
         """
         found = self._iterated(w, fixed, damped)
-        if found.status is not Status.OK or self.bare or not len(self.plan.hold) or found.update <= TOLERANCE:
+        hold = self.plan.hold
+        if found.status is not Status.OK or self.bare or not len(hold) or hold.vanishing or found.update <= TOLERANCE:
             return found
         self.bare = True
         better = self._iterated(found.w, fixed, False)

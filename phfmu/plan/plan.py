@@ -94,12 +94,14 @@ class Holds:
     """Holonomic constraints whose rows may rest: redundant ones are left out, w[row] = 0 in their place.
 
     `rows`: of each its k nodes, then the velocity level if the scheme has one;  `rests`: redundant at the start;
-    `size`: natural size of the velocity constraint, against which one that rests is still redundant.
+    `size`: natural size of the velocity constraint, against which one that rests is still redundant;
+    `vanishing`: a mass they act on is so small that rounding of the forces moves it: Newton's method begins with delta.
     """
 
     rows: tuple[tuple[int, ...], ...] = ()
     rests: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     size: Floats = field(default_factory=lambda: np.zeros(0))
+    vanishing: bool = False
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -118,8 +120,8 @@ class Plan:
     `order[j]`: j-th pivot column, `pivot_row[j]`: its preferred row or -1.
     `mean_*`: algebraic reports a[mean_a] = sum mean_c h^mean_pow w[mean_w].
     `work_*`: pairs that get the energy R[work_row] beside h sum b y u.
-    `regularised`: entries of A that get +delta after row scaling, in the factor only; with `hold` an
-    attempt that fails is made again without it.
+    `regularised`: entries of A that get +delta after row scaling, in the factor only; with `hold` attempts are
+    made without it first, with it first where masses are vanishing.
     `hold`: constraints whose rows may rest; none where the scheme cannot leave rows out.
     `schur`: what the fast solver of constrained particles needs besides, or None where it does not apply.
     `carries`: 1 if the reported algebraic variables belong to the end of a step and enter the next one; else they are

@@ -6,6 +6,7 @@ its mass would lose the solution to rounding.  Its shift is an unknown of its ow
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 
@@ -26,6 +27,8 @@ from phfmu.terms.velocities import velocity_of
 LIGHT = 1e-6
 #: ratio of masses from which on constraint forces swing the lighter ones faster than steps that suit the heavier ones
 UNEVEN = 1e3
+#: ratio of masses from which on the rounding of forces moves the lighter ones
+VANISHING = 1e12
 
 
 class Weight(Enum):
@@ -57,13 +60,23 @@ def prepare(terms: Terms) -> Terms:
 
 def uneven(terms: Terms) -> bool:
     """Whether the masses of the velocities that constraints act on, light ones aside, are UNEVEN."""
+    values = [m for m in _acted_on(terms, [t for t in terms.of(MASS) if not is_light(t)]) if m > 0]
+    return bool(values) and max(values) >= UNEVEN * min(values)
+
+
+def vanishing(terms: Terms) -> bool:
+    """Whether one of the masses of the velocities that constraints act on is VANISHING beside another."""
+    values = _acted_on(terms, terms.of(MASS))
+    return bool(values) and max(values) >= VANISHING * min(values)
+
+
+def _acted_on(terms: Terms, kept: Sequence[Term]) -> list[float]:
+    """Masses of the velocities that constraints act on: those of the mass terms `kept`, and 1 where there is none."""
     velocity = velocity_of(terms)
     shifted = {velocity[q] for t in terms.of(CONSTRAINT) for q in t.index[Value.STATE] if q in velocity}
-    masses = [t for t in terms.of(MASS) if t.rows[0].index in shifted]
-    unit = shifted - {t.rows[0].index for t in masses} - set(terms.solved_costates())
-    values = [m for m in _values(terms, [t for t in masses if not is_light(t)]).values() if m > 0]
-    values += [1.0] if unit else []
-    return bool(values) and max(values) >= UNEVEN * min(values)
+    unit = shifted - {t.rows[0].index for t in terms.of(MASS)} - set(terms.solved_costates())
+    values = _values(terms, [t for t in kept if t.rows[0].index in shifted]).values()
+    return [*values, *([1.0] if unit else [])]
 
 
 def _with_masses(term: Term, masses: list[Term | None], light: NDArray[np.bool_]) -> Term:

@@ -13,6 +13,7 @@ from phfmu.plan.plan import Holds
 from phfmu.plan.planner import Maps
 from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
+from phfmu.schemes.inertia import vanishing
 from phfmu.terms.located import Row
 from phfmu.terms.rest import ConstraintsAtStart
 from phfmu.terms.term import Term, Terms
@@ -193,4 +194,4 @@ def node_holds(layout: Layout, *levels: Role) -> Holds:
         for a in found.sizes
     ]
     rests = np.array([a in found.resting for a in found.sizes], bool)
-    return Holds(tuple(rows), rests, np.array(list(found.sizes.values())))
+    return Holds(tuple(rows), rests, np.array(list(found.sizes.values())), vanishing(layout.terms))

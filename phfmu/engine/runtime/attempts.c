@@ -35,7 +35,7 @@ static void start_rest(ph_system *s) {
 static int solve(ph_system *s, ph_newton_kind kind) {
     const size_t bytes = sizeof(double) * (size_t)s->plan->nw;
     int status = ph_newton(s, kind);
-    if (status || s->bare || s->plan->nhold == 0 || s->update <= PH_TOLERANCE)
+    if (status || s->bare || s->plan->nhold == 0 || s->plan->vanishing || s->update <= PH_TOLERANCE)
         return status;
     memcpy(s->loose, s->y, bytes);
     ph_newton_bare(s, 1);
@@ -49,10 +49,13 @@ static int solve(ph_system *s, ph_newton_kind kind) {
 }
 
 /* Newton's method for a step h, from the last step or from rest; where there are constraints without delta,
- * then with it; nothing where there were enough iterations. */
+ * then with it, and the other way round where masses are vanishing; nothing where there were enough
+ * iterations. */
 static int attempt(ph_system *s, double h, int rest, ph_newton_kind kind) {
+    const int ways = 1 + (s->plan->nhold > 0);
     int status = PH_NO_CONVERGENCE;
-    for (int bare = s->plan->nhold > 0; status && bare >= 0; bare--) {
+    for (int i = 0; status && i < ways; i++) {
+        const int bare = ways == 2 && i == s->plan->vanishing;
         if (s->count[PH_ITERATIONS] >= s->most)
             return PH_NO_CONVERGENCE;
         ph_newton_bare(s, bare);
