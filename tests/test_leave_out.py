@@ -49,17 +49,18 @@ written = []
 def hook(event, arguments):
     if event == "open" and isinstance(arguments[0], str) and set(str(arguments[1] or "r")) & set("wax+"):
         written.append(arguments[0])
-main(["run", "oscillator", "--stop", "0.1", "--quiet", "--engine", ENGINE])
+main(["run", "oscillator", "--stop", "0.1", "--quiet", "--engine", ENGINE, *MORE])
 sys.addaudithook(hook)
-main(["run", "oscillator", "--stop", "0.1", "--quiet", "--engine", ENGINE])
+main(["run", "oscillator", "--stop", "0.1", "--quiet", "--engine", ENGINE, *MORE])
 print("written", *written)
 print("loaded", *[m for m in ("fmpy", "lxml", "pyarrow", "matplotlib", "rich") if m in sys.modules])
 """
 
 
+@pytest.mark.parametrize("more", [[], ["--coupling", "newton"]], ids=["composed", "apart"])
 @pytest.mark.parametrize("engine", wide(["native", "python"], "native"))
-def test_a_run_without_audit_writes_no_file_and_loads_no_table_library(engine):
-    lines = python(RUN.replace("ENGINE", repr(engine)), "-B").splitlines()
+def test_a_run_without_audit_and_units_writes_no_file_and_loads_no_reader_of_either(engine, more):
+    lines = python(RUN.replace("ENGINE", repr(engine)).replace("MORE", repr(more)), "-B").splitlines()
     assert lines[-2:] == ["written", "loaded"]
 
 

@@ -65,9 +65,10 @@ def apart(
         from phfmu.declare.phdae import PHDAE
         from phfmu.discretise.model import build_model
         from phfmu.network.members.engine_member import EngineMember
-        from phfmu.network.members.unit_member import unit_member
 
         if not isinstance(declaration, PHDAE):
+            from phfmu.network.members.unit_member import unit_member
+
             made, lines = unit_member(name, declaration, step, tried.get(name))
             notes.extend(lines)
             return made

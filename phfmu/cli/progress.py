@@ -60,7 +60,7 @@ def ahead(options: Options, columns: int, table: Path | None) -> list[str]:
     if apart is not None:
         rows = min(rows, rows / apart if isinstance(apart, int) else length / apart)
     lines = []
-    if rows < 1 and table is not None:
+    if apart is not None and rows < 1 and table is not None:
         lines.append(
             f"--every {apart:g}: no such row within the run of {steps:.3g} steps; its first and its last are kept"
         )

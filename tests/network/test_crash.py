@@ -289,7 +289,7 @@ def test_a_refused_start_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
     before = [Path(name).read_bytes() for name in files[1::2]]
     assert main(["run", "mass", "--engine", "python", "--step", "nan", *files]) == 2
     assert [Path(name).read_bytes() for name in files[1::2]] == before
-    assert sorted(os.listdir()) == ["a.parquet", "o.csv"]
+    assert sorted(os.listdir()) == ["a.parquet", "o.columns.json", "o.csv"]
 
 
 # -- full disks ----------------------------------------------------------------------------------------------

@@ -12,15 +12,17 @@ free motion is uniform.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
 from phfmu.engine.steps import StepEvent
-from phfmu.network.members.fmu_member import FMUMember
 from phfmu.signals import SignalKind
+
+if TYPE_CHECKING:
+    from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]
 

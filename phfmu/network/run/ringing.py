@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from phfmu.discretise.within import polynomial_of
 from phfmu.engine.steps import Steps
-from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.signals import of_member
@@ -164,8 +163,11 @@ def _states(stepper: Stepper) -> dict[str, float]:
     models: list[tuple[str, Model]] = []
     if isinstance(stepper, Monolithic):
         models = [("", stepper.model)]
-    elif isinstance(stepper, Coupled):
-        models = [(m.name, m.model) for m in stepper.joined.members if isinstance(m, EngineMember)]
+    else:
+        from phfmu.network.couplings.coupled import Coupled
+
+        members = stepper.joined.members if isinstance(stepper, Coupled) else []
+        models = [(m.name, m.model) for m in members if isinstance(m, EngineMember)]
     return {
         of_member(member, name) if member else name: abs(nominal) or 1.0
         for member, model in models
