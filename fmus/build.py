@@ -14,7 +14,7 @@ from pathlib import Path
 
 from phfmu import Model, Scene, build_model, export
 from phfmu.components.library import build
-from phfmu.fmu.description import Unit
+from phfmu.fmu.export.description import Unit
 from phfmu.fmu.version import FMI3
 from phfmu.schemes.named import named_scheme
 

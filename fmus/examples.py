@@ -25,7 +25,7 @@ from fmpy.validation import validate_fmu
 
 from phfmu import Event, Model, Monolithic, NativeInstance, Options, Scene, __version__, build_model, export, run
 from phfmu.components.library import build
-from phfmu.fmu.export import PLATFORMS
+from phfmu.fmu.export.export import PLATFORMS
 from phfmu.schemes.named import named_scheme
 
 HERE = Path(__file__).parent

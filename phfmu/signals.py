@@ -14,7 +14,7 @@ import numpy as np
 from phfmu.declare.elements import labelled
 from phfmu.declare.phdae import ACCOUNT
 from phfmu.declare.port import conjugate
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import VariableKind
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE

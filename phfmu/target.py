@@ -80,7 +80,7 @@ def scene(target: str, lenient: bool = False) -> Scene:
     """
     from phfmu.components.library import RUNS
     from phfmu.declare.phdae import PHDAE
-    from phfmu.network.junctions.network import Network
+    from phfmu.network.network import Network
     from phfmu.network.scene import Scene
 
     item = load(target, lenient)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from phfmu.engine.compile import CompilerMissing, require_compiler
+from phfmu.engine.build.compile import CompilerMissing, require_compiler
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -12,7 +12,7 @@ from phfmu.components.electrical.switches import diode
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.bouncing_ball import bouncing_ball
-from phfmu.engine.library import build as build_library
+from phfmu.engine.native.library import build as build_library
 from tests.wide import wide
 
 HEAVY = ("numpy", "casadi", "scipy", "fmpy", "lxml", "pyarrow", "matplotlib", "plotly", "rich", "ziglang")
@@ -91,8 +91,8 @@ def test_constraints_bring_their_columns_and_nothing_else_does():
 
 
 def test_the_compiler_is_announced_only_when_it_runs(tmp_path, monkeypatch):
-    from phfmu.engine import objects
-    from phfmu.engine.codegen import kernel_table
+    from phfmu.engine.build import objects
+    from phfmu.engine.build.codegen import kernel_table
     from phfmu.engine.model import kernels
 
     model, said = build_model(mass()), []

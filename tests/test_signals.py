@@ -8,7 +8,7 @@ from pathlib import Path
 import phfmu
 from phfmu import Monolithic, PythonInstance, build_model
 from phfmu.components.library import build
-from phfmu.fmu.variables import variables
+from phfmu.fmu.export.variables import variables
 from phfmu.signals import CONSTRAINT, END, ENERGY, LEDGER, MEAN, STEP_LEDGER, quantities, total
 
 ROOT = Path(phfmu.__file__).parent

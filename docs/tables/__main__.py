@@ -13,7 +13,7 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
-from phfmu.bench import machine
+from phfmu.studies.bench import machine
 
 machine.one_thread()  # before numpy is imported
 

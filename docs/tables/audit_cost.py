@@ -14,13 +14,13 @@ from pages import Made, table
 
 from phfmu import Collocated, Monolithic, NativeInstance, Options, Scene, build_model, default_scheme, run
 from phfmu.audit import AuditWriter
-from phfmu.bench import coupling, machine
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.stepper import Stepper
+from phfmu.studies.bench import coupling, machine
 
 ROUNDS = 15
 KEPT = ("none", "summary", "full")
@@ -33,7 +33,7 @@ def composed(declaration: Any) -> Callable[[], Stepper]:
 
 def units(scene: Scene) -> Callable[[], Stepper]:
     """Members of the scene as FMUs of their own."""
-    from phfmu.cli.engines import as_fmu
+    from phfmu.cli.stepping import as_fmu
     from phfmu.network.members.fmu_member import FMUMember
 
     net: Any = scene.system

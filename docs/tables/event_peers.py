@@ -15,7 +15,7 @@ import numpy as np
 from events import instance, known, landed
 from pages import Array, Made, independent, table
 
-from phfmu.bench.machine import load, processor, versions
+from phfmu.studies.bench.machine import load, processor, versions
 
 TURNS = 9  # of which the median counts
 #: grid steps of our own runs, tolerances of the others

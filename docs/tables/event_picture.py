@@ -14,8 +14,8 @@ from phfmu import Collocated, NativeInstance, Options, build_model
 from phfmu.audit import AuditWriter, read
 from phfmu.components.library import builder
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
-from phfmu.network.run.result import Result
+from phfmu.runs.loop import run
+from phfmu.runs.result import Result
 
 STOP, STEP, OPENS, CHOP = 0.095, 1e-4, 80.0, 2000.0
 PHASES = {1: ("a", "#1f6fb4"), 2: ("b", "#d1711b"), 3: ("c", "#5b8c3a")}

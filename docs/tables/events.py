@@ -13,7 +13,7 @@ from phfmu import Collocated, Coupled, EngineMember, Event, NativeInstance, Opti
 from phfmu.components.library import build, builder
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
+from phfmu.runs.loop import run
 
 
 @dataclass(frozen=True)

@@ -176,7 +176,7 @@ def text(path: Path) -> str:
 
 
 def module(name: str) -> str:
-    """phfmu/fmu/reader.py -> fmu.reader."""
+    """phfmu/fmu/importer/reader.py -> fmu.reader."""
     parts = name.removeprefix("phfmu/").removesuffix(".py").split("/")
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 

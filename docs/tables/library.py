@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pages import Made
 
-from phfmu.bench.orders import measure
-from phfmu.bench.orders import table as markdown
+from phfmu.studies.bench.orders import measure
+from phfmu.studies.bench.orders import table as markdown
 
 
 def orders() -> Made:

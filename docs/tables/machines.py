@@ -12,7 +12,7 @@ from phfmu import Scene
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib, smib_folded
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 
 
 def oscillator_coupling() -> Made:

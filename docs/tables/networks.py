@@ -9,7 +9,7 @@ from pages import Array, Made, table
 
 from phfmu import Collocated, Coupled, EngineMember, Monolithic, NativeInstance, Options, Scene, build_model, run
 from phfmu.network.couplings.coupling_table import COUPLINGS
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 
 
 def couplings() -> Made:

@@ -10,7 +10,7 @@ import numpy as np
 from pages import DOCS, Made, declared, table
 
 from phfmu import Coupled, EngineMember, NativeInstance, Network, Options, PythonInstance, build_model, run
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 
 STEP, VOLTAGE = 2e-3, 24.0
 COIL, PLATES, LOST, BANK, LEAK = "#1f6fb4", "#5b8c3a", "#b9402f", "#d1711b", "#8a6bb1"

@@ -14,8 +14,8 @@ from phfmu import PHDAE, NativeInstance, Options, PythonInstance, build_model, d
 from phfmu.audit import AuditWriter, read
 from phfmu.components.library import build
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
-from phfmu.network.run.result import Result
+from phfmu.runs.loop import run
+from phfmu.runs.result import Result
 
 IMAGES = DOCS / "img"
 COLOURS = {"gen": "#1f6fb4", "line": "#d1711b", "grid": "#5b8c3a"}

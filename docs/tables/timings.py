@@ -12,8 +12,8 @@ from typing import Any
 
 from pages import DOCS, Made, table
 
-from phfmu.bench import machine
-from phfmu.bench.families import FAMILIES, member
+from phfmu.studies.bench import machine
+from phfmu.studies.bench.families import FAMILIES, member
 from phfmu.target import scene
 
 RESULTS = DOCS / "results"
@@ -25,9 +25,9 @@ def numbers(text: str) -> tuple[float, ...]:
 
 def work_precision(target: str, steps: str, errors: str, stop: float, repeat: int, peers: tuple[str, ...]) -> Made:
     """One comparison of `phfmu bench`: rows, ratios at equal errors, machine; its picture."""
-    from phfmu.bench.problem import problem_of
-    from phfmu.bench.report import write_png
-    from phfmu.bench.run import Choice, compare
+    from phfmu.studies.bench.problem import problem_of
+    from phfmu.studies.bench.report import write_png
+    from phfmu.studies.bench.run import Choice, compare
 
     problem = problem_of(member(target) or scene(target), times=(1.0,), stop=stop, judged=("q",))
     choice = Choice(steps=numbers(steps), errors=numbers(errors), repeat=repeat, peers=peers)
@@ -82,7 +82,7 @@ def chain_50() -> Made:
 
 def scaling(name: str, sizes: Sequence[int]) -> Made:
     """Sizes of a family with fitted exponents."""
-    from phfmu.bench.scaling import GROWTH, exponent, run
+    from phfmu.studies.bench.scaling import GROWTH, exponent, run
 
     before, found = machine.load(), list(run(FAMILIES[name], sizes))
     rows: list[list[Any]] = [
@@ -100,7 +100,7 @@ def scaling(name: str, sizes: Sequence[int]) -> Made:
 
 def draw_scaling() -> Sequence[Path]:
     """The tables on the page about scaling as one picture."""
-    from phfmu.bench.scaling import Size, write_png
+    from phfmu.studies.bench.scaling import Size, write_png
 
     page, sizes = (RESULTS / "scaling.md").read_text(encoding="utf-8"), []
     for name, body in re.findall(r"docs/tables scaling_(\w+)\n\n((?:\|.*\n)+)", page):

@@ -4,30 +4,35 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .analysis import summarise, verdict
-    from .archive import Recovered, metadata, read, recover
-    from .booked_steps import BookedSteps, book_steps
-    from .booking import Booking, PartKey, PortKey
-    from .events import EventRow
-    from .judge import DEFAULT_RTOL, Judge
-    from .ledger import Ledger
-    from .report import audit_table
-    from .sink import Sink
-    from .stream import AuditWriter
-    from .summary import ComponentSummary, JunctionSummary, LedgerSummary, NetworkSummary, PartSummary, PortSummary
-    from .violation import Violation
+    from phfmu.audit.analysis import summarise, verdict
+    from phfmu.audit.booked_steps import BookedSteps, book_steps
+    from phfmu.audit.booking import Booking, PartKey, PortKey
+    from phfmu.audit.events import EventRow
+    from phfmu.audit.judge import DEFAULT_RTOL, Judge
+    from phfmu.audit.ledger import Ledger, Sink
+    from phfmu.audit.log.archive import Recovered, metadata, read, recover
+    from phfmu.audit.log.stream import AuditWriter
+    from phfmu.audit.report import audit_table
+    from phfmu.audit.summary import (
+        ComponentSummary,
+        JunctionSummary,
+        LedgerSummary,
+        NetworkSummary,
+        PartSummary,
+        PortSummary,
+    )
+    from phfmu.audit.violation import Violation
 
 _HOME = {
     "analysis": ("summarise", "verdict"),
-    "archive": ("Recovered", "metadata", "read", "recover"),
+    "log.archive": ("Recovered", "metadata", "read", "recover"),
     "booked_steps": ("BookedSteps", "book_steps"),
     "booking": ("Booking", "PartKey", "PortKey"),
     "judge": ("DEFAULT_RTOL", "Judge"),
-    "ledger": ("Ledger",),
+    "ledger": ("Ledger", "Sink"),
     "report": ("audit_table",),
     "events": ("EventRow",),
-    "sink": ("Sink",),
-    "stream": ("AuditWriter",),
+    "log.stream": ("AuditWriter",),
     "summary": (
         *("ComponentSummary", "JunctionSummary", "LedgerSummary", "NetworkSummary", "PartSummary"),
         "PortSummary",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from .kinds import LedgerVerdict
-from .summary import LedgerSummary
+from phfmu.audit.kinds import LedgerVerdict
+from phfmu.audit.summary import LedgerSummary
 
 
 @dataclass(frozen=True)

@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.steps import Steps
-
-from .booked_steps import book_steps
-from .booking import Booking, PartKey, PortKey, TermKey
-from .contradictions import Contradictions
-from .judge import DEFAULT_RTOL
-from .kinds import Quality, RowKind
-from .ledger import Ledger
-from .reading import Batches, Interned, LogRows
-from .summary import LedgerSummary
-from .sums import Floats
-from .violation import Violation
-from .window import Window, judged_by
+from phfmu.audit.booked_steps import book_steps
+from phfmu.audit.booking import Booking, PartKey, PortKey, TermKey
+from phfmu.audit.contradictions import Contradictions
+from phfmu.audit.judge import DEFAULT_RTOL
+from phfmu.audit.kinds import Quality, RowKind
+from phfmu.audit.ledger import Ledger
+from phfmu.audit.log.reading import Batches, Interned, LogRows
+from phfmu.audit.log.window import Window, judged_by
+from phfmu.audit.summary import LedgerSummary
+from phfmu.audit.summing.sums import Floats
+from phfmu.audit.violation import Violation
+from phfmu.outcome.steps import Steps
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from phfmu.engine.steps import Steps, balance
-
-from .booking import Booking
-from .sums import Floats, Ints, across, across_each, plain
+from phfmu.audit.booking import Booking
+from phfmu.audit.summing.sums import Floats, Ints, across, across_each, plain
+from phfmu.outcome.steps import Steps, balance
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from .kinds import Quality
+from phfmu.audit.kinds import Quality
 
 #: the part of a junction's energy that projecting impulses take from the states of a composed model: a loss, or nothing
 PROJECTION = "projection"

@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from phfmu.audit.booked_steps import BookedSteps
+from phfmu.audit.judge import EPS, ULPS
+from phfmu.audit.kinds import RowKind
+from phfmu.audit.ledger import Ledger
+from phfmu.audit.log.reading import Interned, LogRows
+from phfmu.audit.summing.sums import Floats
+from phfmu.audit.violation import Violation, ViolationKind
 from phfmu.words import counted
-
-from .booked_steps import BookedSteps
-from .judge import EPS, ULPS
-from .kinds import RowKind
-from .ledger import Ledger
-from .reading import Interned, LogRows
-from .sums import Floats
-from .violation import Violation, ViolationKind
 
 
 class Contradictions:

@@ -19,13 +19,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.limits import defined
-
-from .booked_steps import BookedSteps
-from .booking import PROJECTION, Booking
-from .kinds import Quality
-from .sums import CompensatedSum, Floats, add, all_finite, largest_so_far, plain, ratio, rows
-from .violation import Violation, ViolationKind
+from phfmu.audit.booked_steps import BookedSteps
+from phfmu.audit.booking import PROJECTION, Booking
+from phfmu.audit.kinds import Quality
+from phfmu.audit.summing.sums import CompensatedSum, Floats, add, all_finite, largest_so_far, plain, ratio, rows
+from phfmu.audit.violation import Violation, ViolationKind
+from phfmu.outcome.limits import defined
 
 DEFAULT_RTOL = 1e-11
 EPS = float(np.finfo(float).eps)

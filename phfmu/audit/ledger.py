@@ -9,27 +9,24 @@ Per step (power positive INTO the component)
 `numerical` is the loss of a damping scheme (Radau IIA restart steps); absent elsewhere.
 `external` is what ports without a junction supplied. A component without a row of its own (a foreign FMU that
 reports no energy) lies outside the balance: what it takes from a junction leaves through `external`.
+
+What takes the rows of a ledger.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from phfmu.engine.steps import Steps
-from phfmu.words import counted
-
-from .booked_steps import BookedSteps, book_steps
-from .booking import Booking, TermKey
-from .events import EventCount, EventRow
-from .judge import DEFAULT_RTOL, Judge
-from .kinds import Quality
-from .run_sums import RunSums
-from .sink import Sink
-from .summary import (
+from phfmu.audit.booked_steps import BookedSteps, book_steps
+from phfmu.audit.booking import Booking, TermKey
+from phfmu.audit.events import EventCount, EventRow
+from phfmu.audit.judge import DEFAULT_RTOL, Judge
+from phfmu.audit.kinds import Quality
+from phfmu.audit.summary import (
     ComponentSummary,
     JunctionSummary,
     LedgerSummary,
@@ -38,11 +35,25 @@ from .summary import (
     PortSummary,
     TermSummary,
 )
-from .sums import Floats, compiled, ratio, use_compiled
-from .violation import COMPONENT, JUNCTION, NETWORK, Violation, word
+from phfmu.audit.summing.run_sums import RunSums
+from phfmu.audit.summing.sums import Floats, compiled, ratio, use_compiled
+from phfmu.audit.violation import COMPONENT, JUNCTION, NETWORK, Violation, word
+from phfmu.outcome.steps import Steps
+from phfmu.words import counted
 
 if TYPE_CHECKING:
-    from .ordinary import Ordinary
+    from phfmu.audit.summing.ordinary import Ordinary
+
+
+class Sink(Protocol):
+    """Where rows go while the run is under way; `AuditWriter` is one."""
+
+    def write_steps(self, block: BookedSteps) -> None: ...
+
+    def write_event(self, event: EventRow) -> None: ...
+
+    def flush(self) -> None: ...
+
 
 #: numbers to add up and to judge after which a compiled library is worth its start, a few milliseconds
 LONG = 1 << 16
@@ -71,7 +82,7 @@ class Ledger:
 
     def _repr_html_(self) -> str:
         """For notebooks: the tables that `phfmu run` prints."""
-        from .report import audit_html
+        from phfmu.audit.report import audit_html
 
         return audit_html(self.summary())
 
@@ -123,7 +134,7 @@ class Ledger:
             return False
         own = self._ordinary
         if own is None or own.booking is not booking:
-            from .ordinary import Ordinary
+            from phfmu.audit.summing.ordinary import Ordinary
 
             own = self._ordinary = Ordinary(library, booking, self._sums, self._judge)
         worst = own.take(steps, H0)

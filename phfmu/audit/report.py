@@ -1,29 +1,61 @@
-"""Where the energy went, as text and as CSV."""
+"""Where the energy went, as text and as CSV.
+
+Sheets of large networks: the rows that matter most, and one for the sum of all others.
+"""
+
+from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from phfmu.audit.alarms import Alarms, alarms
+from phfmu.audit.analysis import summarise
+from phfmu.audit.events import EventRow
+from phfmu.audit.judge import DEFAULT_RTOL
+from phfmu.audit.kinds import CellKind, LedgerVerdict, RowKind
+from phfmu.audit.sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
+from phfmu.audit.summary import LedgerSummary
 from phfmu.html import ROWS, grid, paragraph
 from phfmu.words import counted, shown
-
-from .alarms import Alarms, alarms
-from .analysis import summarise
-from .events import EventRow
-from .judge import DEFAULT_RTOL
-from .kinds import CellKind, LedgerVerdict, RowKind
-from .sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
-from .shortened import shortened
-from .summary import LedgerSummary
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from rich.table import Table
 
 
+def shortened(sheet: Sheet, most: int) -> Sheet:
+    """At most `most` rows in their order: those that do not close, then those with the most energy; the last is all others."""
+    n = len(sheet.rows)
+    if n <= most:
+        return sheet
+    weight = [_weight(sheet.columns, row) for row in sheet.rows]
+    told = set(sorted(range(n), key=lambda i: weight[i], reverse=True)[: most - 1])
+    others = [row for i, row in enumerate(sheet.rows) if i not in told]
+    cells = [_together(c, [row[j] for row in others]) for j, c in enumerate(sheet.columns)]
+    kept = [row for i, row in enumerate(sheet.rows) if i in told]
+    return Sheet(sheet.title, sheet.columns, (*kept, (f"{len(others)} others", *cells[1:])))
+
+
+def _weight(columns: Sequence[Column], row: Sequence[Any]) -> tuple[bool, float]:
+    energies = [abs(v) for c, v in zip(columns, row, strict=True) if c.kind is CellKind.ENERGY and v is not None]
+    return LedgerVerdict.VIOLATED in row, max((e for e in energies if not math.isnan(e)), default=0.0)
+
+
+def _together(column: Column, values: Sequence[Any]) -> Any:
+    """Energies add up, of the worst the worst remains, and a word that all share."""
+    there = [v for v in values if v is not None]
+    if column.kind is CellKind.ENERGY and column.adds:
+        return math.fsum(there)
+    if column.kind in (CellKind.ENERGY, CellKind.RATIO):
+        return max(there, key=abs, default=None)
+    return values[0] if len(set(values)) == 1 else None
+
+
 def audit_table(
-    source: "pa.Table | LedgerSummary",
+    source: pa.Table | LedgerSummary,
     rtol: float = DEFAULT_RTOL,
     *,
     width: int = 120,
@@ -140,7 +172,7 @@ def _happened(summary: LedgerSummary) -> str:
     return f"events: {parts}" if parts else ""
 
 
-def _drawn(sheet: Sheet, scale: Scale) -> "Table":
+def _drawn(sheet: Sheet, scale: Scale) -> Table:
     first, *others = sheet.columns
     table = _table(first.header)
     for c in others:
@@ -179,7 +211,7 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.2g} %"
 
 
-def _table(title: str) -> "Table":
+def _table(title: str) -> Table:
     from rich.box import Box
     from rich.table import Table
 

@@ -1,6 +1,6 @@
 """Units and kinds of tables by the names users know; imports little, so that the command line stays fast."""
 
-from .kinds import RowKind
+from phfmu.audit.kinds import RowKind
 
 #: units an audit may be read in, in J
 UNITS = {

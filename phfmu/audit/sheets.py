@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .events import EventRow
-from .kinds import CellKind, Quality, RowKind
-from .sheet_names import UNITS
-from .summary import LedgerSummary
+from phfmu.audit.events import EventRow
+from phfmu.audit.kinds import CellKind, Quality, RowKind
+from phfmu.audit.sheet_names import UNITS
+from phfmu.audit.summary import LedgerSummary
 
 
 @dataclass(frozen=True)

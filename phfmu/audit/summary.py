@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass, field
 
-from .judge import DEFAULT_RTOL
-from .kinds import LedgerVerdict, Quality
-from .violation import COMPONENT, Violation
+from phfmu.audit.judge import DEFAULT_RTOL
+from phfmu.audit.kinds import LedgerVerdict, Quality
+from phfmu.audit.violation import COMPONENT, Violation
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from .summary import LedgerSummary
+from phfmu.audit.summary import LedgerSummary
 
 
 class Unbooked:

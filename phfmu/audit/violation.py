@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from .kinds import LedgerVerdict, Quality
-from .sums import ratio
+from phfmu.audit.kinds import LedgerVerdict, Quality
+from phfmu.audit.summing.sums import ratio
 
 
 class ViolationKind(StrEnum):

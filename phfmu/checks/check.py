@@ -11,24 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from phfmu.checks.bounds import bounded, constants
-from phfmu.checks.closing import closing
 from phfmu.checks.dimensions import dimensions
-from phfmu.checks.energies import closed_pairs, energies
-from phfmu.checks.equations import equations, unused, velocities
+from phfmu.checks.energies import bounded, closed_pairs, constants, energies
+from phfmu.checks.equations import equations, moving, unused, velocities
+from phfmu.checks.events import closing, state_events, switches
 from phfmu.checks.friction import friction
 from phfmu.checks.matrices import costates, finite, masses, passivity, skew_symmetry, symmetry
-from phfmu.checks.moving import moving
-from phfmu.checks.names import names, nominals, shared_symbols, units
+from phfmu.checks.names import names, nominals, ranges, shared_symbols, units
 from phfmu.checks.pieces import continuous, kinks
-from phfmu.checks.ranges import ranges
 from phfmu.checks.sample import Sample
-from phfmu.checks.state_events import state_events
-from phfmu.checks.switches import switches
 from phfmu.declare.entries import Entries, normal_form
-from phfmu.declare.error import DeclarationError
+from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.phdae import PHDAE, require_declaration
-from phfmu.declare.problem import Problem
 from phfmu.declare.starts import starts
 from phfmu.events.modes import Modes
 

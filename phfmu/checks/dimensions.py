@@ -17,8 +17,8 @@ from phfmu.checks.sample import Sample
 from phfmu.declare.dimension import JOULE, NONE, SECOND, WATT, Dimension, Known, Number, Walk, counted_numbers, of_unit
 from phfmu.declare.entries import Entries, Entry
 from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.error import Problem
 from phfmu.declare.port import Port
-from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable, time
 
 #: the dimension an entry (row, column) should have, and what it is, in words

@@ -1,4 +1,7 @@
-"""Rules on equations: variables and ports occur, constraints act on velocities, the system can be solved."""
+"""Rules on equations: variables and ports occur, constraints act on velocities, the system can be solved.
+
+Warnings: constraints that a source moves, which steps meet at their nodes only.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,19 @@ import numpy as np
 
 from phfmu.declare.entries import Entries, key
 from phfmu.declare.entry_kind import EntryKind
-from phfmu.declare.error import DeclarationError
+from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.junction_words import junction_words
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.problem import Problem
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value, _sx, time
 from phfmu.discretise.model import CONSISTENCY, Model, build_model
-from phfmu.engine.python import PythonInstance
-from phfmu.engine.status import Status, StepFailure, remedy
+from phfmu.engine.reference.python import PythonInstance
+from phfmu.outcome.status import Status, StepFailure, remedy
 from phfmu.schemes.scheme import Scheme
-from phfmu.terms.hidden import Level
+from phfmu.terms.canonical import components
+from phfmu.terms.extract import extract
+from phfmu.terms.hidden import Hidden, Level
+from phfmu.terms.rows import costate_symbols, flow_expressions
+from phfmu.terms.term import CONSTRAINT
 
 
 def unused(entries: Entries) -> list[Problem]:
@@ -163,4 +169,35 @@ def hidden(model: Model, observables: np.ndarray) -> list[Problem]:
                         f"{said} at the start, allowed {CONSISTENCY * size:.3g} (natural size {size:.3g})",
                         "choose start values (states, sources, inputs) that satisfy it")
             )  # fmt: skip
+    return found
+
+
+def moving(model: PHDAE) -> list[Problem]:
+    """Hidden constraints of the states that depend on time: a capacitor on an ideal source, a shaft that is driven."""
+    if not any(p.source is not None and ca.depends_on(ca.SX(_sx(p.source)), time) for p in model.ports):
+        return []
+    terms = extract(model)
+    holonomic, hidden = {t.rows[0].index for t in terms.of(CONSTRAINT)}, terms.found(Hidden)
+    checks, rows = set(hidden.checks) - holonomic, sorted(hidden.rows)
+    if not checks:
+        return []
+    inputs = [ca.SX(_sx(q.port.source))[q.j] if q.port.source is not None else q.port.u[q.j] for q in terms.pairs]
+    z = costate_symbols(model)
+    g = flow_expressions(terms, z, ca.vertcat(ca.SX(0, 1), *inputs))[1][rows]
+    shared = ca.DM(ca.jacobian_sparsity(g, ca.vertcat(*(v.sx for v in model.algebraics))), 1)
+    parts = components(ca.SX(ca.mtimes(shared, shared.T)) + ca.SX.eye(len(rows)))
+    found = []
+    for part in parts:
+        tied = sorted(set(ca.jacobian_sparsity(g[part], z).get_triplet()[1]))
+        if not tied or not ca.depends_on(g[part], time) or not checks.intersection(rows[i] for i in part):
+            continue
+        names = ", ".join(f"'{terms.state_names[i]}'" for i in tied[:4])
+        found.append(
+            Problem(
+                "order", model.name,
+                f"{names} {'is' if len(tied) == 1 else 'are'} tied to a source that moves with time, where the switches between "
+                "are closed; steps meet it at their nodes only, with order k + 1 (k odd) or k (k even) in place of 2k",
+                "put the resistance or the inductance of the source between", "warning",
+            )
+        )  # fmt: skip
     return found

@@ -8,7 +8,7 @@ import numpy as np
 from phfmu.checks.sample import Sample
 from phfmu.declare.entries import Entries, Entry
 from phfmu.declare.entry_kind import EntryKind
-from phfmu.declare.problem import Problem
+from phfmu.declare.error import Problem
 from phfmu.declare.variable import key
 
 #: velocities on both sides of zero, as parts of what is typical

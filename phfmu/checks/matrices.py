@@ -1,20 +1,24 @@
-"""Rules on matrices at sampled points: J skew, R symmetric and semidefinite, E regular, given z right."""
+"""Rules on matrices at sampled points: J skew, R symmetric and semidefinite, E regular, given z right.
+
+Where R is not positive semidefinite in a given state: what a negative dissipation comes from.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.checks.sample import Sample, places
-from phfmu.declare.entries import Entries, Entry
+from phfmu.declare.entries import Entries, Entry, normal_form
 from phfmu.declare.entry_kind import EntryKind
-from phfmu.declare.problem import Problem
+from phfmu.declare.error import Problem
+from phfmu.declare.phdae import PHDAE
 from phfmu.declare.regular import undetermined
-from phfmu.declare.value import Value
-from phfmu.declare.variable import key
+from phfmu.declare.variable import Value, key
 
 RELATIVE = 1e-9  # of the numbers compared
 FLOOR = 1e-12  # of the largest entry of a block: rounding of entries that cancel to zero
@@ -241,3 +245,44 @@ def _derived(entries: Entries, sample: Sample) -> list[Problem]:
                 )
             )  # fmt: skip
     return found
+
+
+@dataclass(frozen=True)
+class SignLost:
+    """A group of blocks of R that share rows: its owner, entries and rows, its lowest eigenvalue, the row closest to the
+    direction of that, and the values the blocks depend on."""
+
+    owner: str
+    entry: str
+    rows: tuple[str, ...]
+    eigenvalue: float
+    along: str
+    values: Mapping[str, float]
+
+    def __str__(self) -> str:
+        text = f"{self.entry} has the eigenvalue {self.eigenvalue:.6g}, mostly along '{self.along}'"
+        shown = [f"{name} = {value:.6g}" for name, value in list(self.values.items())[:6]]
+        return f"{text}, at {', '.join(shown)}" if shown else text
+
+
+def sign_lost(model: PHDAE, values: Mapping[str, float], t: float = 0.0, owner: str | None = None) -> list[SignLost]:
+    """The groups of R (of one `owner`) with a negative eigenvalue at time t; the lowest first.
+
+    `values`: by scalar name those of states, algebraic variables, inputs and parameters that are not as declared; names the
+    model does not have are skipped.
+    """
+    known = {*(n for v in (*model.states, *model.algebraics, *model.parameters) for n in (v.name, *v.names()))}
+    known |= {n for p in model.ports for n in p.input_names()}
+    entries = Entries(model.with_starts({n: float(v) for n, v in values.items() if n in known}))
+    normal_form(entries)
+    sample = Sample(entries, t=t)
+    found = []
+    for blocks, names, total in summed(entries, sample):
+        owners = {b.origin.owner for b in blocks}
+        _, value, direction = lowest(total[0])
+        if not value or (owner is not None and owner not in owners):
+            continue
+        label = "; ".join(dict.fromkeys(b.label for b in blocks))
+        at = sample.at_start(ca.vertcat(*(ca.vec(b.expr) for b in blocks)))
+        found.append(SignLost(min(owners), label, tuple(names), float(value), names[direction], at))
+    return sorted(found, key=lambda s: s.eigenvalue)

@@ -1,4 +1,7 @@
-"""Rules on what is declared: names, units, nominal values."""
+"""Rules on what is declared: names, units, nominal values.
+
+The rule on values of parameters.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from phfmu.checks.sample import Sample
+from phfmu.declare.entries import Entries
+from phfmu.declare.error import Problem
 from phfmu.declare.model_name import model_name
+from phfmu.declare.parameter_limits import declared_limits, limits_of
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.problem import Problem
 from phfmu.declare.starts import variables
 from phfmu.declare.units import UnitError, is_power, parse_unit
 
@@ -165,3 +171,22 @@ def nominals(model: PHDAE) -> list[Problem]:
                 )
             )
     return found
+
+
+def ranges(entries: Entries, sample: Sample) -> list[Problem]:
+    """Parameters are within their limits, declared or derived; each is told once, at its first value outside."""
+    variables = entries.model.parameters
+    positive = all(value > 0 for s in sample.settings for value in s.parameters)
+    limits = declared_limits(entries.model) if positive else limits_of(entries)
+    found: dict[str, Problem] = {}
+    scalars = [(name, v.unit) for v in variables for name in v.names()]
+    for setting in sample.settings:
+        for (name, unit), value in zip(scalars, setting.parameters, strict=True):
+            limit = limits.get(name)
+            if limit is None or limit.allows(value) or name in found:
+                continue
+            text = f"is {value:g}{'' if unit == '1' else ' ' + unit}{' ' * bool(setting.since)}{setting.since}"
+            why = f" ({limit.because})" if limit.because else ""
+            remedy = f"give {name} a value {limit}" + (", or declare min=-inf if this is meant" if limit.waived else "")
+            found[name] = Problem("limit", f"parameter '{name}'", f"{text}; it must be {limit}{why}", remedy)
+    return list(found.values())

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from phfmu.checks.sample import Sample, Setting
 from phfmu.declare.entries import Entries
 from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.error import Problem
 from phfmu.declare.operations import analytic, piecewise, switches
-from phfmu.declare.problem import Problem
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 
 POINTS = 129  # of a line on which pieces are looked for
 REACH = 3.0  # half its length, in sizes of the states

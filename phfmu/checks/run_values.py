@@ -14,15 +14,14 @@ import casadi as ca
 import numpy as np
 
 from phfmu.checks.matrices import finite, masses, passivity, skew_symmetry, symmetry
-from phfmu.checks.names import units
+from phfmu.checks.names import ranges, units
 from phfmu.checks.pieces import continuous
-from phfmu.checks.ranges import ranges
 from phfmu.checks.sample import Sample, Setting
 from phfmu.declare.alike import first_alike
 from phfmu.declare.entries import Entries, Entry, normal_form
 from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.problem import Problem
 from phfmu.declare.starts import starts
 
 

@@ -19,7 +19,7 @@ from phfmu.interrupt import raising
 
 def _parser() -> Parser:
     from phfmu import __version__
-    from phfmu.cli import (
+    from phfmu.cli.verbs import (
         audit,
         bench,
         check,
@@ -96,7 +96,7 @@ def _called(args: argparse.Namespace) -> int:
 
 def _report(error: Exception) -> int:
     """What went wrong on stderr, a line for each problem, and the exit code."""
-    from phfmu.engine.status import StepFailure
+    from phfmu.outcome.status import StepFailure
 
     text = error.args[0] if isinstance(error, KeyError) and error.args else str(error)
     known = (ValueError, KeyError, OSError, RuntimeError)

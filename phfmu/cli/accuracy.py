@@ -6,12 +6,12 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from phfmu.engine.status import StepFailure
+from phfmu.outcome.status import StepFailure
 from phfmu.words import counted
 
 if TYPE_CHECKING:
-    from phfmu.network.run.accuracy import Accuracy, Again, Change, Record
-    from phfmu.network.run.options import Options
+    from phfmu.runs.accuracy import Accuracy, Again, Change, Record
+    from phfmu.runs.options import Options
 
 #: most signals of which lines are printed
 LINES = 20
@@ -37,7 +37,7 @@ def recorded(args: argparse.Namespace, step: float) -> Record | None:
     """What keeps the rows of the run that is to be compared, None without --accuracy."""
     if not args.accuracy:
         return None
-    from phfmu.network.run.accuracy import Record
+    from phfmu.runs.accuracy import Record
 
     return Record(step)
 
@@ -47,7 +47,7 @@ def print_accuracy(args: argparse.Namespace, record: Record, order: float | None
 
     order: as declared, None for units, whose errors are taken to be of order 1.  StepFailure of the finer run.
     """
-    from phfmu.network.run.accuracy import accuracy
+    from phfmu.runs.accuracy import accuracy
 
     notes, coarser, ratio = list[str](), None, 2.0 if order is None else 2.0**order
     try:
@@ -71,12 +71,12 @@ def print_accuracy(args: argparse.Namespace, record: Record, order: float | None
 def _again(args: argparse.Namespace, record: Record, factor: float) -> Again:
     """The same run with other steps; its rows at the times of the record."""
     from phfmu.cli import options
-    from phfmu.cli.build import job_of
+    from phfmu.cli.job import job_of
     from phfmu.cli.progress import Bar
     from phfmu.cli.timeline import timeline
     from phfmu.interrupt import Signals
-    from phfmu.network.run.accuracy import Again
-    from phfmu.network.run.loop import run
+    from phfmu.runs.accuracy import Again
+    from phfmu.runs.loop import run
 
     args, rows = _changed(args, record.step, factor), Again(record, record.step)
     job = job_of(args)

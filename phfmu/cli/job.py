@@ -1,15 +1,53 @@
-"""What a command line asks to run, and how its head line says it."""
+"""What a command line asks to run, and how its head line says it.
+
+A run of one composed model.
+
+A run of one FMU.
+
+A run of members that are stepped apart and coupled.
+
+The run that a command line asks for: of one composed model, of members apart, or of an FMU.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+import argparse
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import TYPE_CHECKING, Any
 
+from phfmu.cli import job as job_apart
+from phfmu.cli import job as job_unit
+from phfmu.cli import job as job_whole
+from phfmu.cli.options import lenient_of, scheme_of
+from phfmu.cli.settings import settings, with_settings
+from phfmu.cli.sound import require_sound_scene
+from phfmu.cli.stepping import (
+    Stepping,
+    as_fmu,
+    asked_apart,
+    engine_of,
+    engines_asked,
+    instance_of,
+    parts_asked,
+    threads_asked,
+)
+from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS, MONOLITHIC, NEWTON, CouplingRow
+from phfmu.target import is_fmu, scene
+
 if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.fmu.importer.unit_file import UnitFile
+    from phfmu.network.couplings.named import Named
+    from phfmu.network.couplings.signals.held_signals import SignalExchange
     from phfmu.network.couplings.stepper import Stepper
+    from phfmu.network.members.member import Member
+    from phfmu.network.members.rollback import Rollback
+    from phfmu.network.network import Network
     from phfmu.network.scene import Scene
+    from phfmu.schemes.scheme import Scheme
 
 
 @dataclass(frozen=True)
@@ -38,3 +76,349 @@ def label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf,
     own = min(s.order for s in schemes)
     why = f" (members of order {own}, {held})" if own > most else ""
     return f"{names}, order {min(most, own)}{why}{gradient}, {engine}, {coupling}"
+
+
+def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]) -> Job:
+    scheme, engine = scheme_of(args, declaration), engine_of(args.engine)
+    if getattr(args, "audit_detail", False):
+        declaration = _by_term(declaration, scheme, engine)
+
+    def build() -> Stepper:
+        from phfmu.discretise.model import build_model
+        from phfmu.network.couplings.monolithic import Monolithic
+
+        if engine == "fmu":
+            from phfmu.network.couplings.unit import FMUStepper
+
+            return FMUStepper(as_fmu(declaration, scheme, args.fmi, s.step if args.step is None else args.step))
+        model = build_model(declaration, scheme)
+        return Monolithic(model, instance_of(model, engine))
+
+    return Job(s, label([scheme], f"{engine} engine", MONOLITHIC.name), engine != "fmu", build, why, scheme.order)
+
+
+def _by_term(declaration: PHDAE, scheme: Scheme, engine: str) -> PHDAE:
+    """The declaration with an account for each energy and resistor; ValueError where these are not told apart."""
+    from phfmu.discretise.accounts import by_term
+
+    if engine == "fmu":
+        raise ValueError("--audit-detail: an FMU tells the sums of its energies only; take --engine native or python")
+    if scheme.joint:
+        raise ValueError("--audit-detail: a joint gradient makes one term of all energies; leave out one of the two")
+    return by_term(declaration)
+
+
+#: s that a call into a unit in a process of its own may take, unless told
+ISOLATE = 60.0
+
+
+def unit(args: argparse.Namespace) -> Job:
+    from phfmu.fmu.importer.reader import FMUInstance
+    from phfmu.fmu.importer.unit_file import unit_file
+    from phfmu.network.couplings.unit import FMUStepper
+    from phfmu.network.scene import fmu_scene
+
+    _refuse_compiled_in(args)
+    file = unit_file(args.target).with_starts(settings(args.set))
+    instance = FMUInstance(
+        file.path, file.port_maps, starts=file.starts, isolate=isolate_of(args), tolerance=tolerance_of(args)
+    )
+    for line in (*file.left_out, *instance.lacking):
+        print(f"phfmu: {args.target}: {line}", file=sys.stderr)
+    return Job(fmu_scene(instance), f"FMI {instance.interface.version}", False, lambda: FMUStepper(instance))
+
+
+def isolate_of(args: argparse.Namespace) -> float | None:
+    """s that a call into a unit in a process of its own may take; None: units run in this process."""
+    seconds = args.isolate_timeout
+    if seconds is not None and not seconds > 0:
+        raise ValueError(f"--isolate-timeout {seconds:g} s must be positive")
+    return ISOLATE if seconds is None and args.isolate else seconds
+
+
+def tolerance_of(args: argparse.Namespace) -> float | None:
+    """The relative tolerance that units are told of; None: their own."""
+    value = args.unit_tolerance
+    if value is not None and not 0 < value < inf:
+        raise ValueError(f"--unit-tolerance {value:g}: expected a positive number, e.g. 1e-6")
+    return value
+
+
+def _refuse_compiled_in(args: argparse.Namespace) -> None:
+    """ValueError for options that an FMU has compiled in."""
+    if asked_apart(args):
+        raise ValueError(
+            f"{args.target}: --member and --parts are for members of a network; an FMU has none to choose for"
+        )
+    whole = (row.name for row in COUPLINGS.values() if not row.apart)
+    usual = {"order": (None, 2), "scheme": ("auto",), "gradient": ("per-term",), "closure": (None,),
+             "engine": ("auto", "fmu"), "coupling": (None, *whole)}  # fmt: skip
+    for option, values in usual.items():
+        asked = getattr(args, option)
+        if asked not in values:
+            raise ValueError(
+                f"{args.target}: --{option} {asked} has no effect on an FMU, its method is compiled in; "
+                "run the declaration, or export it with the options you want"
+            )
+
+
+#: of signals, for the head line
+SAID: dict[SignalExchange, str] = {"extrapolated": "", "held": ", signals held", "agreed": ", signals iterated"}
+
+
+def apart(
+    args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
+) -> Job:
+    from phfmu.network.couplings.apart import Apart, held_wires
+    from phfmu.network.couplings.gathered import composed_words
+    from phfmu.network.couplings.named import named_coupling
+    from phfmu.network.couplings.signals.held_signals import ORDER_OF_EVENTS, ORDERS
+
+    sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
+    network = _gathered(args, declared)
+    coupling = named_coupling(name, network, sequence, args.unconverged)
+    schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
+
+    own_engines = {member: engine_of(e) for member, e in engines_asked(args, declared).items()}
+    stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, declared))
+    step = s.step if args.step is None else args.step
+    threads, notes = threads_asked(args), [*why, *filter(None, [composed_words(network), _without_unit(s, declared)])]
+
+    inside = [n for n, scheme in schemes.items() if stepping.engine_of(n) == "fmu" or stepping.parts_of(n) > 1
+              or not scheme.node_values]  # fmt: skip
+    some_fmu, whole = "fmu" in map(stepping.engine_of, schemes), Apart(network, inside)
+    with_impulses = whole.kicked(args.project) if some_fmu and coupling.nodes else set()
+
+    def at_nodes(name: str) -> bool:
+        if name in whole.landing_alone:
+            return False
+        in_unit = stepping.engine_of(name) == "fmu"
+        return coupling.nodes and (_node_inputs if in_unit else _node_values)(schemes[name])
+
+    held = whole.holding(at_nodes)
+    separate = network.separate(held)
+
+    def member(name: str, declaration: PHDAE | UnitFile) -> Member:
+        from phfmu.declare.phdae import PHDAE
+        from phfmu.discretise.model import build_model
+        from phfmu.network.members.engine_member import EngineMember
+
+        if not isinstance(declaration, PHDAE):
+            from phfmu.network.members.unit_member import unit_member
+
+            made, lines = unit_member(name, declaration, step, tried.get(name))
+            notes.extend(lines)
+            return made
+        own, parts = separate[name], stepping.parts_of(name)
+        if stepping.engine_of(name) == "fmu":
+            from phfmu.network.members.fmu_member import FMUMember
+
+            alone, scheme = name in whole.landing_alone, schemes[name]
+            extra = at_nodes(name) and _node_inputs(scheme), not alone and scheme.node_values and name in with_impulses
+            return FMUMember(name, as_fmu(own, schemes[name], args.fmi, step / parts, *extra))
+        model = build_model(own, schemes[name])
+        return EngineMember(name, model, instance_of(model, stepping.engine_of(name)), parts)
+
+    def build() -> Stepper:
+        from phfmu.network.couplings.coupled import Coupled
+
+        return Coupled(
+            network,
+            [member(name, d) for name, d in network.members.items()],
+            coupling.make,
+            threads=threads,
+            signals=exchange,
+        )
+
+    holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, held)))
+    stuck = [n for n, found in tried.items() if not found.works]
+    exchange: SignalExchange
+    exchange, lines = _signals(args, network, stuck, holds)
+    notes += lines
+    of_signals = min(ORDERS[exchange] if holds else inf, ORDER_OF_EVENTS if whole.events_by_signals else inf)
+    alone = [n for n in whole.held if n in network.declared] if coupling.nodes else []
+    most = _most(coupling, schemes.values(), network.units.values(), of_signals, alone)
+    words = coupling.held if most <= coupling.order else f"units of order {most:g}"
+    said = coupling.words + _number(network) + SAID[exchange]
+    head = label(list(schemes.values()), stepping.words, said, most, words)
+    notes += _order_lost(args.order, coupling, most, [whole.why_held(n) for n in alone])
+    order = None if network.units or not schemes else min(most, *(scheme.order for scheme in schemes.values()))
+    return Job(s, head, False, build, notes, order)
+
+
+def _gathered(args: argparse.Namespace, network: Network) -> Network:
+    """Beside units, declared members that meet are one composed member, but those that are asked for apart."""
+    from phfmu.network.couplings.gathered import gathered
+
+    if args.sequence or args.engine == "fmu":
+        return network
+    return gathered(network, [item.partition("=")[0].strip() for item in (*args.member, *args.parts)])
+
+
+def _without_unit(s: Scene, network: Network) -> str:
+    """A line about signals whose unit of measurement is not known; packages of other tools have rules of their own."""
+    from phfmu.network.wires import without_unit
+
+    return without_unit(network.members, network.wires) if s.kept is None else ""
+
+
+def _number(network: Network) -> str:
+    """How many members are composed to one, for the head line."""
+    from phfmu.network.couplings.gathered import composed_members
+
+    n = len(composed_members(network))
+    return f" ({n} members composed)" if n else ""
+
+
+def _node_values(scheme: Scheme) -> bool:
+    return scheme.node_values
+
+
+def _node_inputs(scheme: Scheme) -> bool:
+    """Whether the unit of a member is exported with inputs at nodes: where steps have more than one."""
+    return scheme.node_values and scheme.order > 2
+
+
+def _signals(
+    args: argparse.Namespace, network: Network, stuck: Sequence[str], held: bool
+) -> tuple[SignalExchange, list[str]]:
+    """What signals are over a step if some are `held`, and lines about what they are not: `stuck` units cannot take steps back.
+
+    ValueError where they are to be held and there are none.
+    """
+    if args.signals_held and not held:
+        raise ValueError(
+            f"{args.target}: --signals-held is for signals that members hold over steps, and there are none"
+        )
+    if args.signals_held:
+        return "held", []
+    ends = {end for w in network.wires for end in (w.source, w.target)}
+    if args.coupling != NEWTON.name or not held or not ends & set(network.units):
+        return "extrapolated", []
+    if stuck:
+        return "extrapolated", [f"signals are not iterated: {', '.join(stuck)} cannot take steps back"]
+    return "agreed", []
+
+
+def _most(
+    coupling: Named, schemes: Iterable[Scheme], units: Iterable[UnitFile], signals: float, held: Sequence[str]
+) -> float:
+    """The order that members stepped apart keep together at most; `signals`: that of what is held between them.
+
+    held: declared members that take held inputs, since they land alone
+    """
+    nodes = [u.k for u in units]
+    at_nodes = coupling.nodes and all(s.node_values for s in schemes) and all(nodes) and not held
+    if at_nodes and signals == inf:
+        return 2 * min(nodes, default=inf)
+    return min(coupling.order, signals)
+
+
+def _order_lost(asked: int | None, coupling: Named, most: float, why: list[str]) -> list[str]:
+    """A line if the coupling does not keep the order that was asked for, and lines that say why."""
+    if asked is None or asked <= most:
+        return []
+    values = "one value per step, held" if most <= coupling.order else "as many values per step as its units take"
+    return [
+        f"--order {asked} is that of the members: {coupling.words} joins them by {values}, so the run is of order {most:g}",
+        *why,
+    ]
+
+
+def job_of(args: argparse.Namespace) -> Job:
+    """The scene, with its settings checked, and how it is stepped."""
+    from phfmu.network.network import Network
+
+    if args.fmi is not None and args.engine != "fmu" and not any(m.endswith("=fmu") for m in args.member):
+        raise ValueError(f"--fmi {args.fmi} says what --engine fmu exports; add --engine fmu, or leave out --fmi")
+    lenient = lenient_of(args)
+    if is_fmu(args.target):
+        _require_whole(args)
+        return job_unit.unit(args)
+    s = scene(args.target, lenient)
+    s = replace(s, system=with_settings(s.system, settings(args.set)))
+    s = replace(s, system=_with_unit_options(args, s.system))
+    require_sound_scene(args, s)
+    tried = _tried(args, s)
+    row, why = _coupling(args, s, {n: found.words for n, found in tried.items() if not found.works})
+    if asked_apart(args) and (not row.apart or not isinstance(s.system, Network)):
+        raise ValueError(f"{args.target}: --member and --parts are for members of a network that are stepped apart")
+    if not row.apart and args.threads is not None:
+        raise ValueError(
+            f"--threads {args.threads} is for members that are stepped apart (--coupling newton); this is one model"
+        )
+    if not row.apart and args.signals_held:
+        raise ValueError(
+            f"{args.target}: --signals-held is for members that are stepped apart (--coupling newton); in one model signals "
+            "are exact at every instant"
+        )
+    if not row.apart:
+        return job_whole.whole(args, s, s.declaration(), why)
+    _require_whole(args)
+    if not isinstance(s.system, Network):
+        raise ValueError(f"{args.target} is a single component; --coupling {row.name} needs a network of members")
+    return job_apart.apart(args, s, s.system, row.name, [*s.notes, *why], tried if row.kind.repeats else {})
+
+
+def _require_whole(args: argparse.Namespace) -> None:
+    """ValueError for details that only one composed model has."""
+    if getattr(args, "audit_detail", False):
+        raise ValueError(
+            f"{args.target}: --audit-detail tells energies and resistors of one composed model by themselves; members that are "
+            "stepped apart, and FMUs, tell their sums: take --coupling monolithic, or leave it out"
+        )
+
+
+def composed(args: argparse.Namespace) -> Scene:
+    """The scene of a verb that takes one composed model, with its settings; ValueError if there are units in it."""
+    if is_fmu(args.target):
+        raise ValueError(
+            f"{args.target} is a unit; phfmu {args.verb} takes what is declared: a name of the library or file.py:function"
+        )
+    s = scene(args.target)
+    if s.units:
+        raise ValueError(
+            f"{args.target} has units in it ({', '.join(s.units)}); phfmu {args.verb} takes what is declared"
+        )
+    return replace(s, system=with_settings(s.system, settings(args.set)))
+
+
+def _with_unit_options(args: argparse.Namespace, system: Any) -> Any:
+    """The system with its units in processes of their own, or with a tolerance, if that is asked for."""
+    from phfmu.network.network import Network
+
+    seconds, tolerance = job_unit.isolate_of(args), job_unit.tolerance_of(args)
+    if seconds is None and tolerance is None:
+        return system
+    if not isinstance(system, Network) or not system.units:
+        option = "--isolate" if tolerance is None else "--unit-tolerance"
+        raise ValueError(f"{args.target}: {option} is for FMUs, and there is none in it")
+    own = {n: replace(file, isolate=seconds, tolerance=tolerance) for n, file in system.units.items()}
+    return replace(system, members={n: own.get(n, m) for n, m in system.members.items()})
+
+
+def _tried(args: argparse.Namespace, s: Scene) -> dict[str, Rollback]:
+    """Whether units can take steps back, where the coupling may ask it of them."""
+    if not s.units:
+        return {}
+    from phfmu.network.couplings.named import repeats
+
+    if not repeats(args.coupling):
+        return {}
+    from phfmu.network.members.unit_member import tried
+
+    return tried(s.units, s.step if args.step is None else args.step)
+
+
+def _coupling(args: argparse.Namespace, s: Scene, stuck: Mapping[str, str]) -> tuple[CouplingRow, list[str]]:
+    """The coupling asked for, or the one that fits and the line that says why; one model without a word if nobody asked."""
+    from phfmu.network.couplings.auto import choose
+    from phfmu.network.network import Network
+
+    if args.coupling not in (None, AUTO.name):
+        return COUPLINGS[args.coupling], []
+    if not isinstance(s.system, Network):
+        return MONOLITHIC, []
+    found = choose(s.system, asked_apart(args), stuck)
+    silent = args.coupling is None and found.row is MONOLITHIC
+    return found.row, [] if silent else [f"coupling {found.row.name}: {found.why}"]

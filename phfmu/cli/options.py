@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
-    from phfmu.network.run.options import Options
     from phfmu.network.scene import Scene
+    from phfmu.runs.options import Options
     from phfmu.schemes.scheme import Scheme
 
 
@@ -72,7 +72,7 @@ def audit_file(args: argparse.Namespace) -> str | None:
 
 def of_run(args: argparse.Namespace, scene: Scene, *, whole: bool) -> Options:
     """The options of a run that its events and outputs are still to be added to; the scene's restarts need one composed model."""
-    from phfmu.network.run.options import Options
+    from phfmu.runs.options import Options
 
     stop = scene.stop if args.stop is None else args.stop
     step = scene.step if args.step is None else args.step

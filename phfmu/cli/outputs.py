@@ -13,14 +13,14 @@ import numpy as np
 
 from phfmu.cli.options import audit_file
 from phfmu.cli.progress import ahead
-from phfmu.fmu import exit_guard
+from phfmu.fmu.isolation import exit_guard
 
 if TYPE_CHECKING:
     from phfmu.audit import AuditWriter
-    from phfmu.network.run.options import Options
     from phfmu.network.scene import Event
     from phfmu.report.live_recording import LiveRecording
     from phfmu.results.writer import TableWriter
+    from phfmu.runs.options import Options
 
 
 class Outputs:
@@ -50,12 +50,12 @@ class Outputs:
             check_table(args.output)
             self._table_path = Path(args.output).absolute()
         if audit:
-            from phfmu.audit.archive import require_free
+            from phfmu.audit.log.archive import require_free
 
             require_free(audit, f"--audit {audit}")
             self._audit_path = Path(audit).absolute()
         if args.plot:
-            from phfmu.report.draw import check_picture
+            from phfmu.report.picture.draw import check_picture
 
             check_picture(args.plot, "--plot")
             self._picture = Path(args.plot).absolute()
@@ -145,8 +145,8 @@ class Outputs:
         """The picture of the rows, if it was asked for and there are any."""
         if self._picture is None or self._drawn is None or not self._drawn.rows:
             return []
-        from phfmu.report.draw import draw
-        from phfmu.report.picture import picture
+        from phfmu.report.picture.draw import draw
+        from phfmu.report.picture.picture import picture
 
         drawn = picture(self._drawn)
         draw(drawn, self._picture)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phfmu.network.run.options import Options
+    from phfmu.runs.options import Options
 
 #: a run of so many steps is told of before it starts
 LONG = 10_000_000

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from phfmu.words import meant
 
 if TYPE_CHECKING:
-    from phfmu.network.junctions.junction import End
-    from phfmu.network.junctions.network import Network
+    from phfmu.network.junction import End
+    from phfmu.network.network import Network
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def settings(items: list[str]) -> dict[str, float]:
 
 def with_settings(system: Any, values: dict[str, float]) -> Any:
     """`system` with these starts; KeyError for a name that it has not, or that a junction or signal feeds."""
-    from phfmu.network.junctions.network import Network
+    from phfmu.network.network import Network
 
     if not values:
         return system

@@ -36,7 +36,7 @@ def require_sound(args: argparse.Namespace, declaration: PHDAE, events: Sequence
 
 def require_sound_scene(args: argparse.Namespace, s: Scene, events: Sequence[Event] | None = None) -> None:
     """`require_sound` of the whole, or, where units are in it, of each declared member."""
-    from phfmu.network.junctions.network import Network
+    from phfmu.network.network import Network
 
     network = s.system if isinstance(s.system, Network) else None
     members = network.declared if network is not None else {}

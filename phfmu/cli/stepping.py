@@ -1,16 +1,22 @@
-"""How the declared members of a network are stepped: each with an engine of its own, in internal steps of its own."""
+"""How the declared members of a network are stepped: each with an engine of its own, in internal steps of its own.
+
+The engine that steps a model: Python, native, or a unit that is exported for the run.
+"""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from phfmu.words import meant
 
 if TYPE_CHECKING:
-    from phfmu.network.junctions.network import Network
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.network.network import Network
+
 
 ENGINES = ("auto", "python", "native", "fmu")
 
@@ -93,3 +99,65 @@ def _pairs(items: list[str], option: str, what: str, network: Network) -> dict[s
             raise ValueError(f"{option} {item}: there is {option} {name}={out[name]} already")
         out[name] = value
     return out
+
+
+def engine_of(engine: str) -> str:
+    """`auto` resolved: native if a compiler is found, else python, which is said on stderr."""
+    if engine != "auto":
+        return engine
+    from phfmu.engine.build.compile import CompilerMissing, require_compiler
+
+    try:
+        require_compiler()
+    except CompilerMissing as error:
+        print(f"phfmu: no C compiler ({error}); using the Python engine", file=sys.stderr)
+        return "python"
+    return "native"
+
+
+def instance_of(model: Any, engine: str) -> Any:
+    """A Python or native instance of a discretised model."""
+    from phfmu.engine.switched import stepped
+
+    if engine == "python":
+        from phfmu.engine.reference.python import PythonInstance
+
+        return stepped(model, PythonInstance)
+    from phfmu.engine.native.native import NativeInstance
+
+    return stepped(model, lambda m: NativeInstance(m, _announce))
+
+
+def _announce() -> None:
+    """The first run of a set of equations on a machine waits for the compiler; say so on a terminal."""
+    if sys.stderr.isatty():
+        print("phfmu: compiling the equations for this machine, once (--engine python runs without)", file=sys.stderr)
+
+
+def as_fmu(
+    declaration: PHDAE,
+    scheme: Any,
+    fmi: str | None,
+    step: float,
+    node_inputs: bool = False,
+    impulses: bool = False,
+) -> Any:
+    """The declaration exported to a temporary folder and loaded again."""
+    import atexit
+    import shutil
+    import tempfile
+
+    from phfmu.discretise.model import build_model
+    from phfmu.fmu.export.export import export
+    from phfmu.fmu.importer.reader import FMUInstance
+    from phfmu.fmu.version import LATEST
+
+    folder = tempfile.mkdtemp(prefix="phfmu-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    model, versions = build_model(declaration, scheme), (fmi or LATEST,)
+    modes = {*model.declaration.modes}  # which state events set, inside the unit
+    tunable = [n for v in declaration.parameters if not v.signal for n in v.names() if n not in modes]
+    (path,) = export(
+        model, folder, versions, step=step, node_inputs=node_inputs, impulses=impulses, tunable=tunable
+    )  # fmt: skip
+    return FMUInstance(path)

@@ -12,12 +12,10 @@ import casadi as ca
 from phfmu.declare.coefficients import stacked
 from phfmu.declare.energy import ClosedPair
 from phfmu.declare.entry_kind import EntryKind
+from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.problem import Problem
-from phfmu.declare.value import Value
-from phfmu.declare.variable import Variable, _sx, key, time
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Value, Variable, VariableKind, _sx, key, time
 
 _ENERGY = (Value.STATE, Value.PARAMETER)
 _ALL = (Value.STATE, Value.COSTATE, Value.ALGEBRAIC, Value.INPUT, Value.PARAMETER, Value.TIME)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.problem import Problem
 
 #: the longest name of a model: with what export adds it stays a file name everywhere
 LONGEST = 200

@@ -19,8 +19,7 @@ from phfmu.declare.energy import EnergyKind
 from phfmu.declare.entries import Entries, normal_form
 from phfmu.declare.entry_kind import EntryKind
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.value import Value
-from phfmu.declare.variable import Variable
+from phfmu.declare.variable import Value, Variable
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.problem import Problem
 from phfmu.declare.variable import Variable
 
 

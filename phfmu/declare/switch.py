@@ -17,8 +17,7 @@ import casadi as ca
 
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import Guard, Jump, Law, StateEvent
-from phfmu.declare.variable import Variable, _sx
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Variable, VariableKind, _sx
 
 if TYPE_CHECKING:
     from phfmu.declare.port import Port

@@ -1,4 +1,9 @@
-"""Variables of a declaration: states, algebraic variables and parameters, scalar or vector."""
+"""Variables of a declaration: states, algebraic variables and parameters, scalar or vector.
+
+What the symbols of a declaration stand for.
+
+What a variable of a declaration is.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,7 @@ import operator
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum, StrEnum
 from typing import Any, Protocol
 
 import casadi as ca
@@ -13,7 +19,28 @@ import numpy as np
 
 from phfmu.declare.elements import element_names, labelled
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.variable_kind import VariableKind
+
+
+class Value(Enum):
+    """A kind of value that expressions of a declaration are made of."""
+
+    STATE = "x"
+    COSTATE = "z"
+    ALGEBRAIC = "a"
+    INPUT = "u"  # of a scalar port pair
+    PARAMETER = "p"
+    TIME = "t"
+    INCREMENT = "d"  # of a state over a step: closed-form pairs are given with it
+    INVARIANT = "c"  # C of a strain energy phi(C)
+
+
+class VariableKind(StrEnum):
+    """By its part in E(x) x' = (J - R) z + B u: in x1, in x2, or held constant."""
+
+    STATE = "state"
+    ALGEBRAIC = "algebraic"
+    PARAMETER = "parameter"
+
 
 # NumPy's functions of an expression are expressions, as the notice says of symbols; it concerns arrays of numbers.
 warnings.filterwarnings("ignore", r"\s*casadi: a numpy function was called", FutureWarning)

@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.value import Value
-from phfmu.discretise.instant_kernels import InstantKernels
-from phfmu.discretise.rates import RATE
+from phfmu.declare.variable import Value
+from phfmu.discretise.instant_kernels import RATE, InstantKernels
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Plan
 from phfmu.plan.planner import Maps, make_plan

@@ -1,11 +1,14 @@
-"""A discretised model: the step plan, the instant plan and the start values, everything an engine needs."""
+"""A discretised model: the step plan, the instant plan and the start values, everything an engine needs.
+
+The discretised model of every mode of a declaration with switches, built when it is first stepped.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from functools import wraps
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 from weakref import WeakValueDictionary
 
 import casadi as ca
@@ -18,11 +21,10 @@ from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.declare.starts import starts
 from phfmu.declare.variable import Variable, _sx
 from phfmu.discretise.instant import instant_plan
-from phfmu.discretise.mode_models import ModeModels
 from phfmu.discretise.onestep import step_plan
 from phfmu.discretise.scales import check_scales
 from phfmu.events.event_plan import EventPlan, event_plan
-from phfmu.events.modes import Modes
+from phfmu.events.modes import Mode, Modes
 from phfmu.events.polynomial import Polynomial
 from phfmu.html import grid
 from phfmu.plan.plan import Kernel, Plan
@@ -31,7 +33,28 @@ from phfmu.schemes.scheme import Scheme
 from phfmu.schemes.two_level import TwoLevel
 from phfmu.terms.extract import extract
 from phfmu.terms.hidden import Check
-from phfmu.terms.rest import at_start, hold_names
+from phfmu.terms.rank import at_start, hold_names
+
+M = TypeVar("M")
+
+
+class ModeModels(Generic[M]):
+    """Models by mode; `make` discretises a declaration without switches."""
+
+    def __init__(self, modes: Modes, make: Callable[[PHDAE], M]):
+        self.modes, self._make = modes, make
+        self._known: dict[Mode, M] = {}
+
+    def __getitem__(self, mode: Mode) -> M:
+        if mode not in self._known:
+            self._known[mode] = self._make(self.modes.declared(mode))
+        return self._known[mode]
+
+    @property
+    def known(self) -> list[Mode]:
+        """Modes that were built, in that order."""
+        return list(self._known)
+
 
 Array = NDArray[np.float64]
 P = ParamSpec("P")

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from phfmu.declare.alike import first_alike
 from phfmu.declare.phdae import PHDAE
-from phfmu.engine.state import State
-from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.reference.state import State
 from phfmu.gradients.quadrature import gauss
+from phfmu.outcome.status import Status, StepFailure
 from phfmu.terms.port_impulses import Impulse, PortForms, PortImpulse, port_impulses
 
 Array = NDArray[np.float64]

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phfmu.engine.event_step import require_no_events
+from phfmu.engine.landing.event_step import require_no_events
 from phfmu.engine.model import Model, require_built, require_one_mode
 from phfmu.engine.record import Grid, recordable
-from phfmu.events.happened import Happened, Landed
+from phfmu.outcome.steps import Happened, Landed
 
 if TYPE_CHECKING:
     from phfmu.engine.impulses import Ports
-    from phfmu.engine.native_landing import NativeLanding
+    from phfmu.engine.native.native_landing import NativeLanding
     from phfmu.engine.node_sensitivity import NodeSensitivity
     from phfmu.engine.rest_changes import RestChange
     from phfmu.terms.port_impulses import PortImpulse

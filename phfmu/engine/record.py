@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import StepFailure
-from phfmu.events.happened import Happened
+from phfmu.outcome.status import StepFailure
+from phfmu.outcome.steps import Happened
 from phfmu.words import meant
 
 Array = NDArray[Any]

@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phfmu.discretise.model import Model
-from phfmu.engine.event_step import MERGED, MergedStep, merged
 from phfmu.engine.instance import Signals
-from phfmu.engine.landing import Change, landed
-from phfmu.engine.limits import is_sliver
-from phfmu.engine.mode_change import decide
+from phfmu.engine.landing.event_step import MERGED, MergedStep, merged
+from phfmu.engine.landing.landing import Change, landed
+from phfmu.engine.landing.mode_change import decide
 from phfmu.engine.record import Grid, recordable
-from phfmu.engine.status import Status, StepFailure
-from phfmu.events.happened import Happened, Landed
 from phfmu.events.modes import Mode
 from phfmu.events.switch_system import At
+from phfmu.outcome.limits import is_sliver
+from phfmu.outcome.status import Status, StepFailure
+from phfmu.outcome.steps import Happened, Landed
 from phfmu.terms.canonical import member
 
 if TYPE_CHECKING:
-    from phfmu.engine.native_modes import NativeModes
+    from phfmu.engine.native.native_modes import NativeModes
     from phfmu.engine.node_sensitivity import NodeSensitivity
 
 Array = NDArray[Any]
@@ -99,7 +99,7 @@ class SwitchedInstance(Signals):
 
     @cached_property
     def _native(self) -> NativeModes:
-        from phfmu.engine.native_modes import NativeModes
+        from phfmu.engine.native.native_modes import NativeModes
 
         return NativeModes(self)
 

@@ -15,8 +15,7 @@ import numpy as np
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.value import Value
-from phfmu.declare.variable import _sx
+from phfmu.declare.variable import Value, _sx
 from phfmu.events.jump_tables import JumpTables, jump_tables
 from phfmu.events.polynomial import Polynomial
 from phfmu.plan.address import READ, Address, row

@@ -16,11 +16,10 @@ import casadi as ca
 from phfmu.declare.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import Jump, StateEvent
-from phfmu.declare.variable import _sx
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import VariableKind, _sx
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import Locator, components
-from phfmu.terms.component_energies import component_energies
+from phfmu.terms.extract_energy import component_energies
 from phfmu.terms.held import Held, held, rates
 from phfmu.terms.term import CLOSED, MASS_BLOCK, Terms
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import StateEvent
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.events.jump_columns import jump_columns
 from phfmu.plan.address import Address, row
 from phfmu.plan.plan import Floats, Group, Ints, Powers

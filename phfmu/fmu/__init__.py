@@ -1,4 +1,4 @@
-"""Functional Mock-up Units: `export.export` writes them, FMUInstance steps them."""
+"""Functional Mock-up Units: `export` writes them, FMUInstance steps them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phfmu.fmu.manifest import PortMap
-    from phfmu.fmu.reader import FMUInstance
-    from phfmu.fmu.variables import FMUError
+    from phfmu.fmu.export.manifest import PortMap
+    from phfmu.fmu.export.variables import FMUError
+    from phfmu.fmu.importer.reader import FMUInstance
 
-_HOME = {"PortMap": "manifest", "FMUInstance": "reader", "FMUError": "variables"}
+_HOME = {"PortMap": "export.manifest", "FMUInstance": "importer.reader", "FMUError": "export.variables"}
 
 __all__ = ["FMUError", "FMUInstance", "PortMap"]
 

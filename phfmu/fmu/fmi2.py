@@ -16,11 +16,11 @@ from fmpy.fmi2 import (
     fmi2CallbackLoggerTYPE,
 )
 
-from phfmu.fmu import description
-from phfmu.fmu.bindings import Lacking, require_essential
-from phfmu.fmu.description import Unit
-from phfmu.fmu.refusal import UnitCallError
-from phfmu.fmu.variables import FMUError, FMUVariable
+from phfmu.fmu.export import description
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.variables import FMUError, FMUVariable
+from phfmu.fmu.importer.bindings import Lacking, require_essential
+from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.version import Caller
 from phfmu.fmu.xml import Element, etree, number, text_of
 

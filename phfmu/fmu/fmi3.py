@@ -9,11 +9,11 @@ from typing import Any
 
 from fmpy.fmi3 import FMU3Slave
 
-from phfmu.fmu import description
-from phfmu.fmu.bindings import Lacking, require_essential
-from phfmu.fmu.description import Unit
-from phfmu.fmu.refusal import UnitCallError
-from phfmu.fmu.variables import FMUVariable
+from phfmu.fmu.export import description
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.variables import FMUVariable
+from phfmu.fmu.importer.bindings import Lacking, require_essential
+from phfmu.fmu.importer.refusal import UnitCallError
 from phfmu.fmu.version import Caller
 from phfmu.fmu.xml import Element, etree, number, text_of
 

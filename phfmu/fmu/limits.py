@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
 
 #: multiplies every limit, for a large unit that is trusted
 FACTOR = "PHFMU_LIMITS"

@@ -8,7 +8,7 @@ from typing import IO, Any, Protocol
 from lxml import etree as _etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from phfmu.fmu import limits
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
 
 #: lxml has no type information
 etree: Any = _etree

@@ -27,8 +27,7 @@ from phfmu.declare.transform.inverse import inverted
 from phfmu.declare.transform.maps import Maps
 from phfmu.declare.transform.transformation import SystemTransformation
 from phfmu.declare.transform.transformed import transformed
-from phfmu.declare.variable import Variable, key, slices
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Variable, VariableKind, key, slices
 from phfmu.gradients.discrete import discrete_gradient, discrete_jacobian
 
 TwoPointMatrix = Callable[[ca.SX, ca.SX], ca.SX]

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from phfmu.declare.error import DeclarationError
-from phfmu.declare.problem import Problem
+from phfmu.declare.error import DeclarationError, Problem
 from phfmu.importers.definite import RELATIVE, Sparse, csc, descent, in_words
 
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.observable import Observable, observable
 from phfmu.declare.port import Domain, Port
-from phfmu.declare.variable import Variable, algebraic, make_variable, state
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Variable, VariableKind, algebraic, make_variable, state
 from phfmu.importers.coordinates import Coordinates
 from phfmu.importers.definite import Sparse, csc
 from phfmu.importers.given import Given, symbolic

@@ -13,8 +13,7 @@ from phfmu.declare.energy import energy
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.variable import Variable, algebraic, parameter, state
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Variable, VariableKind, algebraic, parameter, state
 from phfmu.importers.naming import PLAIN, entries, scalar_names
 from phfmu.importers.sympy_expressions import Converter
 

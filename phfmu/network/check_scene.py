@@ -10,9 +10,9 @@ import numpy as np
 
 from phfmu.checks.check import check
 from phfmu.checks.run_values import check_values
+from phfmu.declare.error import Problem
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.problem import Problem
-from phfmu.network.junctions.network import Network
+from phfmu.network.network import Network
 from phfmu.network.scene import Scene
 
 

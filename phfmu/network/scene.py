@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from phfmu.declare.phdae import PHDAE, require_declaration
 from phfmu.html import grid
-from phfmu.network.junctions.network import Network
+from phfmu.network.network import Network
 from phfmu.words import counted
 
 if TYPE_CHECKING:
-    from phfmu.fmu.reader import FMUInstance
-    from phfmu.fmu.unit_file import UnitFile
+    from phfmu.fmu.importer.reader import FMUInstance
+    from phfmu.fmu.importer.unit_file import UnitFile
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Event:
 class Scene:
     """What `phfmu run NAME` runs: stop time and step in seconds, events of the first kind; the grid lands on them.
 
-    `restart`: damping steps after each event, see `phfmu.network.run.restart`.  `notes`: what of the file that the scene was
+    `restart`: damping steps after each event, see `phfmu.runs.restart`.  `notes`: what of the file that the scene was
     read from is not in it, a line each.  `kept`: what that file says besides, for who writes it again.
     """
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT
 from phfmu.terms.term import Term
 

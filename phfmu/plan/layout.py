@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown
 from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.term import Terms

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.plan.layout import Layout
 from phfmu.plan.ordering import StructurallySingular, elimination_order
 from phfmu.plan.plan import Group, Holds, Ints, Kernel, Plan, Products

@@ -1,16 +1,21 @@
-"""Specification of one kernel: local expressions and the addresses of their arguments and results."""
+"""Specification of one kernel: local expressions and the addresses of their arguments and results.
+
+Local arguments of a term, created on demand.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
 
-from phfmu.plan.address import Address, Old, states_then_time
+from phfmu.declare.variable import Value
+from phfmu.plan.address import Address, Old, Place, states_then_time
 from phfmu.plan.plan import Kernel
+from phfmu.terms.term import Term
 
 #: (address, power of h, expression)
 Result = tuple[Address, int, ca.SX]
@@ -75,3 +80,31 @@ def substituted(exprs: Sequence[ca.SX], pairs: Sequence[tuple[ca.SX, ca.SX]]) ->
     old = [o for o, _ in pairs if o.numel()]
     new = [n for o, n in pairs if o.numel()]
     return ca.substitute(list(exprs), old, new) if old else list(exprs)
+
+
+@dataclass
+class Arguments:
+    """Symbols of a term's arguments at k nodes, in a fixed order, with their addresses."""
+
+    term: Term
+    k: int
+    y: list[tuple[Address, ca.SX]] = field(default_factory=list)
+
+    def symbol(self, place: Place, j: int = 0, node: int = 0) -> ca.SX:
+        """An argument as a fresh scalar symbol."""
+        s = ca.SX.sym("y")  # kernels that differ in names only are one
+        self.y.append((Address(place, j, node), s))
+        return s
+
+    def matrix(self, place: Place, n: int) -> ca.SX:
+        """n x k symbols of one place, node by node."""
+        return ca.horzcat(*(ca.vertcat(*(self.symbol(place, j, i) for j in range(n))) for i in range(self.k)))
+
+    @property
+    def x(self) -> ca.SX:
+        """Old states of the term, then time if it depends on it."""
+        return ca.vertcat(self.term.symbols(Value.STATE), self.term.symbols(Value.TIME))
+
+    @property
+    def p(self) -> ca.SX:
+        return self.term.symbols(Value.PARAMETER)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from phfmu.report.history import Columns, History
-from phfmu.report.prefix import engineering
+from phfmu.report.page.history import Columns, History
+from phfmu.report.picture.prefix import engineering
 from phfmu.report.recording import Floats, Mark, Signal, together
 
 POWER, LOSS, STORED = (

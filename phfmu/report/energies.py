@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from phfmu.report.choice import again
-from phfmu.report.prefix import engineering
+from phfmu.report.picture.choice import again
+from phfmu.report.picture.prefix import engineering
 from phfmu.report.recording import Recording, Signal
 from phfmu.signals import ENERGY, total
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from phfmu.report.choice import usual
 from phfmu.report.energies import energy_columns
+from phfmu.report.picture.choice import usual
 from phfmu.report.recording import Floats, Mark, Signal, together
 from phfmu.results.kinds import kinds_by_name
 

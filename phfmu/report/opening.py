@@ -3,9 +3,9 @@
 import os
 from pathlib import Path
 
-from phfmu.audit.archive import SCHEMA_KEY
+from phfmu.audit.log.archive import SCHEMA_KEY
 from phfmu.report.audit_signals import AuditSignals
-from phfmu.report.history import read_history
+from phfmu.report.page.history import read_history
 from phfmu.report.recording import Recording
 from phfmu.report.result_table import ResultTable
 

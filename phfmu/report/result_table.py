@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 
-from phfmu.report.choice import usual
+from phfmu.report.picture.choice import usual
 from phfmu.report.recording import Mark, Signal
 from phfmu.results.file import ResultFile
 

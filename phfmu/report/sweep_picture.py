@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.report.extra import require
-from phfmu.report.html import part, write_page
-from phfmu.report.png import DPI
+from phfmu.report.picture.extra import require
+from phfmu.report.picture.html import part, write_page
+from phfmu.report.picture.png import DPI
 from phfmu.report.recording import Floats
 from phfmu.report.sweep_table import SweepTable, logarithmic
 

@@ -16,13 +16,12 @@ from dataclasses import replace
 import casadi as ca
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.address import Address, algebraic, with_algebraics
-from phfmu.plan.arguments import Arguments
 from phfmu.plan.layout import Layout
 from phfmu.plan.planner import Maps
-from phfmu.plan.spec import Spec
+from phfmu.plan.spec import Arguments, Spec
 from phfmu.plan.unknown import ALGEBRAIC, Role, Unknown, of_algebraics
 from phfmu.schemes.scheme import node_maps
 from phfmu.terms.term import EMPTY, Term, TermKind, Terms

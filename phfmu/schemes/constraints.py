@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import degree, piecewise
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients.gradients import QUOTIENT_GUARD, general, guarded, projected
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.plan.address import (
@@ -28,9 +28,8 @@ from phfmu.plan.address import (
     row,
     step_size,
 )
-from phfmu.plan.arguments import Arguments
 from phfmu.plan.layout import Layout
-from phfmu.plan.spec import Result, Spec, substituted
+from phfmu.plan.spec import Arguments, Result, Spec, substituted
 from phfmu.plan.unknown import Role
 from phfmu.schemes.velocities import (
     force,

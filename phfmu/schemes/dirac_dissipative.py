@@ -23,7 +23,7 @@ import numpy as np
 from phfmu.declare.energy import EnergyKind
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import degree
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
 from phfmu.gradients.quadrature import nodes
@@ -38,10 +38,9 @@ from phfmu.plan.address import (
     row,
     with_algebraics,
 )
-from phfmu.plan.arguments import Arguments
 from phfmu.plan.layout import Layout
 from phfmu.plan.planner import Maps
-from phfmu.plan.spec import Spec, substituted
+from phfmu.plan.spec import Arguments, Spec, substituted
 from phfmu.plan.unknown import COSTATE, Unknown
 from phfmu.schemes import closure, minimal
 from phfmu.schemes.closure import carried

@@ -22,13 +22,12 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import Nodes, gauss
 from phfmu.plan.address import Address, Place, increment
-from phfmu.plan.arguments import Arguments
 from phfmu.plan.layout import Layout
 from phfmu.plan.planner import Maps
-from phfmu.plan.spec import Result, Spec
+from phfmu.plan.spec import Arguments, Result, Spec
 from phfmu.plan.unknown import Role, Unknown, of_algebraics, of_states
 from phfmu.terms.bare import IMPULSE, Finder, Remedy
 from phfmu.terms.canonical import component

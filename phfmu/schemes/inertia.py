@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.address import Address, costate_row, increment, own_costate, row
-from phfmu.plan.arguments import Arguments
-from phfmu.plan.spec import Spec
+from phfmu.plan.spec import Arguments, Spec
 from phfmu.terms.rank import constraint_jacobian, null_vectors
 from phfmu.terms.term import CONSTRAINT, EMPTY, ENERGY, JOINT, MASS, Term, Terms
 from phfmu.terms.velocities import velocity_of

@@ -14,7 +14,7 @@ from functools import cache
 
 import casadi as ca
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.plan.address import (
     Address,
     Place,
@@ -28,9 +28,8 @@ from phfmu.plan.address import (
     row,
     with_algebraics,
 )
-from phfmu.plan.arguments import Arguments
 from phfmu.plan.layout import Layout
-from phfmu.plan.spec import Result, Spec, substituted
+from phfmu.plan.spec import Arguments, Result, Spec, substituted
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
 from phfmu.schemes import closure
 from phfmu.schemes.closure import carried

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from phfmu.declare.error import DeclarationError
+from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.problem import Problem
 from phfmu.gradients.gradient_names import GRADIENTS
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.dirac_dissipative import DiracDissipative

@@ -12,13 +12,12 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.energy import EnergyKind
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients import gradients
 from phfmu.gradients.discrete import Summand, node_gradients
 from phfmu.gradients.quadrature import Nodes
 from phfmu.plan.address import READ, Address, costate_row, gradient, increment, row, source, step_size
-from phfmu.plan.arguments import Arguments
-from phfmu.plan.spec import Result, Spec, substituted
+from phfmu.plan.spec import Arguments, Result, Spec, substituted
 from phfmu.schemes import constraints
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, EMPTY, ENERGY, FLOW, JOINT, MASS, MASS_BLOCK, SOURCE, EnergyForm, Term

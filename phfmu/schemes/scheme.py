@@ -15,7 +15,7 @@ from phfmu.plan.spec import Spec
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT, Role, Unknown, of_algebraics, of_states
 from phfmu.schemes.inertia import vanishing
 from phfmu.terms.located import Row
-from phfmu.terms.rest import ConstraintsAtStart
+from phfmu.terms.rank import ConstraintsAtStart
 from phfmu.terms.term import Term, Terms
 
 #: (row, Y index, value, power of h)

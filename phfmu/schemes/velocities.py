@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.plan.address import time
 from phfmu.plan.layout import Layout
 from phfmu.plan.unknown import ALGEBRAIC, COSTATE, INCREMENT

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from phfmu.declare.operations import ANALYTIC, degree
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients.gradients import stress
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.differences import Differences, differences

@@ -16,7 +16,7 @@ import numpy as np
 
 from phfmu.declare.energy import EnergyKind
 from phfmu.declare.operations import degree, piecewise
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Floats, Ints, Plan
@@ -28,7 +28,7 @@ from phfmu.schur.elimination import Elimination, Pattern, eliminate, factor_patt
 from phfmu.schur.lane_groups import Instances, LaneGroup, Tiles, tiled
 from phfmu.schur.lanes import Lanes, NoLanes
 from phfmu.terms.located import Constant, Row
-from phfmu.terms.rest import ConstraintsAtStart
+from phfmu.terms.rank import ConstraintsAtStart
 from phfmu.terms.term import CONSTRAINT, ENERGY, FLOW, MASS, OBSERVABLE, EnergyForm, Term
 from phfmu.terms.velocities import velocity_of
 

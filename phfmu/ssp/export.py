@@ -9,9 +9,9 @@ from pathlib import Path
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.discretise.model import build_model
-from phfmu.fmu.export import export
-from phfmu.fmu.unit_file import UnitFile, unit_file
-from phfmu.network.junctions.network import Network
+from phfmu.fmu.export.export import export
+from phfmu.fmu.importer.unit_file import UnitFile, unit_file
+from phfmu.network.network import Network
 from phfmu.network.scene import Scene
 from phfmu.schemes.scheme import Scheme
 from phfmu.ssp.flat import identifier
@@ -24,7 +24,7 @@ from phfmu.words import meant
 
 @dataclass(frozen=True)
 class Options:
-    """How units are exported: step, s; FMI version; platforms as in `phfmu.fmu.export`; `schemes`: by member; `outward`:
+    """How units are exported: step, s; FMI version; platforms as in `phfmu.fmu.export.export`; `schemes`: by member; `outward`:
     ports (`member.port`) whose flow counts out of their unit."""
 
     step: float

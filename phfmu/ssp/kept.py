@@ -13,7 +13,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from urllib.parse import unquote
 
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.xml import Element
 from phfmu.ssp.flat import identifier
 from phfmu.ssp.names import PORTS, tag

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import cast
 
 from phfmu.declare.port import Port
-from phfmu.fmu.unit_file import UnitFile, unit_file
-from phfmu.network.junctions.junction import Kind
-from phfmu.network.junctions.network import Network
-from phfmu.network.junctions.wires import Wire, in_order
+from phfmu.fmu.importer.unit_file import UnitFile, unit_file
+from phfmu.network.junction import Kind
+from phfmu.network.network import Network
 from phfmu.network.scene import Scene
-from phfmu.ssp.bonds import Bond, End, Ports, bonds, joins_plainly
-from phfmu.ssp.derived import derived_ports
+from phfmu.network.wires import Wire, in_order
+from phfmu.ssp.bonds import Bond, End, Ports, bonds, derived_ports, joins_plainly
 from phfmu.ssp.flat import Link, Value, flat, identifier
 from phfmu.ssp.reading import read_structure
 from phfmu.ssp.structure import Component, Joint, SSPError, Structure, Unit

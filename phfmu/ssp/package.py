@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
-from phfmu.fmu import archive, limits
-from phfmu.fmu.port_tables import ENDING
+from phfmu.fmu import limits
+from phfmu.fmu.importer import archive
+from phfmu.fmu.importer.port_tables import ENDING
 from phfmu.fmu.words import plain
 from phfmu.ssp.names import STRUCTURE
 from phfmu.ssp.structure import SSPError

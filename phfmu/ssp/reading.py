@@ -8,7 +8,7 @@ from math import isfinite, prod
 from pathlib import Path
 
 from phfmu.fmu import limits
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, parse
 from phfmu.ssp.kept import kept

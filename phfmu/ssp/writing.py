@@ -2,31 +2,65 @@
 
 Ports that fit plainly are connected variable by variable, with the factor -1 where flows meet that both count inward, so that any
 importer joins them; our annotation names all junctions, also those of several ports, which connections cannot say.
+
+The file beside a unit that tells its ports, written: what `phfmu.fmu.importer.port_tables` reads.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
 from math import copysign, isclose
 from pathlib import Path
 
-from phfmu.fmu.description import generation_date, generation_tool
-from phfmu.fmu.manifest import PortMap
-from phfmu.fmu.package import write
-from phfmu.fmu.port_tables import ENDING
-from phfmu.fmu.unit_file import UnitFile
-from phfmu.fmu.unit_interface import Scalar
+from phfmu.declare.port import Given, conjugate
+from phfmu.declare.units import UnitError, parse_unit, unit_text
+from phfmu.fmu.export.description import generation_date, generation_tool
+from phfmu.fmu.export.manifest import PortMap
+from phfmu.fmu.export.package import write
+from phfmu.fmu.importer.port_tables import ENDING
+from phfmu.fmu.importer.unit_file import UnitFile
+from phfmu.fmu.importer.unit_interface import Scalar
 from phfmu.fmu.words import plain
 from phfmu.fmu.xml import Element, etree, number, text_of
-from phfmu.network.junctions.junction import Junction
-from phfmu.network.junctions.network import Network
-from phfmu.network.junctions.wires import Wire
+from phfmu.network.junction import Junction
+from phfmu.network.network import Network
+from phfmu.network.wires import Wire
 from phfmu.ssp.bonds import joins_plainly
 from phfmu.ssp.kept import CONNECTION, CONNECTOR, META, VERBATIM, Kept
 from phfmu.ssp.names import NAMESPACES, PORTS, ROOTS, STRUCTURE, tag
-from phfmu.ssp.sidecar import sidecar_text
 from phfmu.ssp.units import write_units
+
+
+def sidecar_text(ports: Iterable[PortMap]) -> str:
+    """TOML with a table per port."""
+    return "\n".join(_table(p) for p in ports)
+
+
+def _scaled(unit: str, factor: float) -> str:
+    """`factor` times a unit as a text, e.g. kN; empty where there is none: the unit's own definitions tell it then."""
+    known = parse_unit(unit)
+    text = unit_text(known.without_angle(), factor * known.factor)
+    try:
+        parse_unit(text)
+    except UnitError:
+        return ""
+    return text
+
+
+def _table(p: PortMap) -> str:
+    effort, flow = (p.inputs, p.outputs) if p.given == "effort" else (p.outputs, p.inputs)
+    told = {"effort": effort, "flow": flow, "displacement": p.displacements}
+    # text and lists of text are written alike in JSON and TOML; without a list a port is a scalar
+    lines = [f"{k} = {json.dumps(v if p.vector or len(v) > 1 else ''.join(v))}" for k, v in told.items() if v]
+    factors: dict[Given, float] = {p.given: p.input_factor, conjugate(p.given): p.output_factor}
+    for member, factor in factors.items():
+        if factor != 1.0 and (text := _scaled(p.domain.unit(member), factor)):
+            lines.append(f"{member}_unit = {json.dumps(text)}")
+    domain = ", ".join(f"{k} = {json.dumps(v)}" for k, v in asdict(p.domain).items())
+    return "\n".join([f"[{p.name}]", *lines, f"sign = {int(p.sign)}", f"domain = {{ {domain} }}", ""])
+
 
 #: name of all parameter sets: some importers apply one set by its name
 VALUES = "parameters"

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import StepFailure
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.consistent import InconsistentState
-from phfmu.network.run.loop import run
+from phfmu.outcome.status import StepFailure
+from phfmu.runs.loop import run
 from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, STATE, Places
 from phfmu.sweeps.task import Task

@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from phfmu.audit.judge import HEADER as HEADER_OF_JUDGE
 from phfmu.discretise.model import CONSISTENCY
-from phfmu.engine.compile import compile, host_flags
-from phfmu.engine.library import enums, runtime_sources
-from phfmu.engine.native import NativeInstance
-from phfmu.engine.status import StepFailure
-from phfmu.engine.structures import Header, Structures
-from phfmu.network.members.booking import Constants
-from phfmu.network.members.columns import Columns
+from phfmu.engine.build.compile import compile, host_flags
+from phfmu.engine.native.library import enums, runtime_sources
+from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.native.structures import Header, Structures
+from phfmu.network.members.columns import Columns, Constants
 from phfmu.network.members.consistent import InconsistentState, require_consistent
-from phfmu.network.run.loop import segments
-from phfmu.network.run.march import pieces
+from phfmu.outcome.status import StepFailure
+from phfmu.runs.loop import segments
+from phfmu.runs.march import pieces
 from phfmu.sweeps.outcome import Outcome, Stopped
 from phfmu.sweeps.places import INPUT, PARAMETER, Places
 from phfmu.sweeps.task import Task

@@ -11,8 +11,8 @@ from phfmu.sweeps.task import Task
 
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
-    from phfmu.network.run.options import Options
     from phfmu.network.scene import Scene
+    from phfmu.runs.options import Options
     from phfmu.schemes.scheme import Scheme
     from phfmu.sweeps.crew import Runs
 
@@ -35,8 +35,8 @@ class Recipe:
         """Declared, discretised and checked; KeyError, ValueError, DeclarationError."""
         from phfmu.declare.phdae import require_declaration
         from phfmu.discretise.model import build_model
-        from phfmu.network.run.options import Options
         from phfmu.network.scene import Scene
+        from phfmu.runs.options import Options
         from phfmu.signals import quantities
         from phfmu.sweeps.measures import measures
         from phfmu.sweeps.places import Places
@@ -70,7 +70,7 @@ class Recipe:
         task = task or self.task()
         if self.engine == "native" and fits(task) and self.keep is None:
             return NativeRuns(task)
-        from phfmu.engine.native import NativeInstance
-        from phfmu.engine.python import PythonInstance
+        from phfmu.engine.native.native import NativeInstance
+        from phfmu.engine.reference.python import PythonInstance
 
         return GeneralRuns(task, NativeInstance if self.engine == "native" else PythonInstance, self.keep)

@@ -24,7 +24,7 @@ from phfmu.sweeps.task import Task
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from phfmu.network.run.options import Options
+    from phfmu.runs.options import Options
     from phfmu.schemes.scheme import Scheme
     from phfmu.sweeps.crew import Crew, Scheduler
 

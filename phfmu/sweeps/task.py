@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from phfmu.discretise.model import Model
-from phfmu.network.run.options import Options
+from phfmu.runs.options import Options
 from phfmu.sweeps.measures import Measure
 
 

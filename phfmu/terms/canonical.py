@@ -10,8 +10,7 @@ import casadi as ca
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import ACCOUNT, PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.value import Value
-from phfmu.declare.variable import Variable, time
+from phfmu.declare.variable import Value, Variable, time
 from phfmu.terms.located import RowAt, ValueAt
 from phfmu.terms.term import Pair, Term, TermKind
 

@@ -1,4 +1,7 @@
-"""Extraction of the energies: terms with their costates E^-T grad H."""
+"""Extraction of the energies: terms with their costates E^-T grad H.
+
+H of every component of a model.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.operations import degree, piecewise
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.summands import summands
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.terms.canonical import Locator, make_term, member
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import ENERGY, JOINT, EnergyForm, Terms
@@ -111,3 +114,14 @@ def _states_of(expr: ca.SX, locator: Locator) -> list[tuple[ca.SX, int]]:
                 "the energy", f"depends on '{s}'", "H may depend on states and parameters only", "symbol"
             )
     return found
+
+
+def component_energies(terms: Terms) -> list[ca.SX]:
+    """By the members of `terms`."""
+    model = terms.model
+    out = [ca.SX(0) for _ in terms.members]
+    for e in model.energies:
+        out[member(terms.members, e.owner)] += e.expr
+    for pair in model.closed:
+        out[member(terms.members, pair.owner)] += pair.hamiltonian
+    return out

@@ -12,9 +12,7 @@ from phfmu.declare.coefficients import coefficient
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.value import Value
-from phfmu.declare.variable import Variable, _sx
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Value, Variable, VariableKind, _sx
 from phfmu.terms.canonical import Locator, components, make_term, member, scalars
 from phfmu.terms.located import EFFORT_OF, ROW_OF, Constant, Row, RowAt, ValueAt
 from phfmu.terms.term import FLOW, SOURCE, Terms

@@ -9,8 +9,7 @@ from phfmu.declare.coefficients import square, stacked
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.regular import undetermined
-from phfmu.declare.value import Value
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Value, VariableKind
 from phfmu.terms.canonical import Locator, make_term, member, scalars
 from phfmu.terms.located import Row, RowAt
 from phfmu.terms.term import CLOSED, MASS, MASS_BLOCK, Terms

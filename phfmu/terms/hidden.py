@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import casadi as ca
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.terms.located import Row, RowAt, ValueAt
 from phfmu.terms.term import FLOW, Term, Terms
 

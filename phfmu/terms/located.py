@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 
 
 class Row(Enum):

@@ -18,8 +18,7 @@ from enum import StrEnum
 import casadi as ca
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.value import Value
-from phfmu.declare.variable import time
+from phfmu.declare.variable import Value, time
 from phfmu.terms.bare import depends
 from phfmu.terms.canonical import components
 from phfmu.terms.extract import extract

@@ -1,15 +1,18 @@
-"""Rank of the holonomic constraints at the start: which rows depend on others, and whether they contradict them."""
+"""Rank of the holonomic constraints at the start: which rows depend on others, and whether they contradict them.
+
+Constraints at rest: which of redundant rows are left out at the start.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.terms.term import CONSTRAINT, Term, Terms
 from phfmu.terms.velocities import velocity_of
 from phfmu.words import folded
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csc_matrix, csr_matrix
 
     from phfmu.declare.phdae import PHDAE
+
 
 Array = NDArray[np.float64]
 
@@ -224,3 +228,32 @@ def _evaluated(terms: Terms) -> list[tuple[Term, tuple[float, Array]]]:
         g, grad = known[t.key](x[list(t.index[Value.STATE])], p[list(t.indices(Value.PARAMETER))], time)
         out.append((t, (float(g), np.array(grad).ravel())))
     return out
+
+
+@dataclass(frozen=True)
+class ConstraintsAtStart:
+    """Of the holonomic constraints: multiplier -> natural size of Dg v;  multipliers of those that rest."""
+
+    sizes: dict[int, float] = field(default_factory=dict)
+    resting: frozenset[int] = frozenset()
+
+
+def at_start(terms: Terms) -> Terms:
+    """The terms with what they have to know of their constraints at the start: sizes, and which rest."""
+    owner = [t.rows[0].index for t in terms.of(CONSTRAINT)]
+    if not owner:
+        return terms
+    states = terms.model.states
+    moving = [max(n, abs(s)) for v in states for n, s in zip(v.nominal, v.start, strict=True)]
+    jacobian = constraint_jacobian(terms)
+    sizes = abs(jacobian) @ np.array(moving)
+    sizes[sizes == 0.0] = np.max(sizes, initial=0.0) or 1.0  # no gradient here, perhaps later
+    rests = [owner[i] for d in dependences(jacobian) for i in d.resting]
+    return terms.having(ConstraintsAtStart(dict(zip(owner, sizes.tolist(), strict=True)), frozenset(rests)))
+
+
+def hold_names(terms: Terms) -> tuple[str, ...]:
+    """The constraints in order: multiplier, and what the declaration calls it."""
+    labels = constraint_labels(terms.model)
+    own = [terms.algebraic_names[a] for a in terms.found(ConstraintsAtStart).sizes]
+    return tuple(f"{n} ({labels[n]})" if n in labels else n for n in own)

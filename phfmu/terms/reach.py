@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.terms.hidden import contained, variable_at
 from phfmu.terms.located import Row
 from phfmu.terms.term import CLOSED, CONSTRAINT, FLOW, MASS_BLOCK, Term, Terms

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 import casadi as ca
 
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.value import Value
-from phfmu.declare.variable import time
+from phfmu.declare.variable import Value, time
 from phfmu.terms.extract_energy import divided
 from phfmu.terms.hidden import Check, Hidden, Level
 from phfmu.terms.located import Row

@@ -16,7 +16,7 @@ import casadi as ca
 from phfmu.declare.energy import EnergyKind
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.port import Port
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.terms.located import Constant, RowAt
 
 #: no symbols

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.terms.located import Constant, Row
 from phfmu.terms.term import Terms
 

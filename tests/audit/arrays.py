@@ -10,7 +10,7 @@ from phfmu.audit import (
     Ledger,
     PortKey,
 )
-from phfmu.engine.steps import Steps
+from phfmu.outcome.steps import Steps
 
 # two members on a bus that leaks a little; b's port there has two pairs, and b has a port to the outside
 BOOKING = Booking(

@@ -23,8 +23,8 @@ from phfmu.audit import (
     summarise,
     verdict,
 )
-from phfmu.audit.sums import CompensatedSum
-from phfmu.engine.steps import Steps, balance
+from phfmu.audit.summing.sums import CompensatedSum
+from phfmu.outcome.steps import Steps, balance
 from tests.audit.arrays import BOOKING, add_blocks, book, run_arrays
 
 # closure

@@ -24,10 +24,11 @@ from phfmu import (
     build_model,
     run,
 )
-from phfmu.audit import AuditWriter, audit_table, summarise, sums
+from phfmu.audit import AuditWriter, audit_table, summarise
 from phfmu.audit.alarms import Alarms, alarms
+from phfmu.audit.log.window import Window
 from phfmu.audit.sheets import Scale, fitting, flowed, shares, sheets
-from phfmu.audit.window import Window
+from phfmu.audit.summing import sums
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
 
@@ -173,7 +174,7 @@ def test_a_junction_through_which_nothing_passes_is_closed() -> None:
 def test_a_junction_that_creates_energy_is_found_beside_quiet_ones() -> None:
     """The rounding that members explain is far below a coupling's error."""
     from phfmu.audit import Booking, Ledger, PortKey
-    from phfmu.engine.steps import Steps
+    from phfmu.outcome.steps import Steps
 
     ports = (PortKey("a", "p", junction="j"), PortKey("b", "p", junction="j"))
     for error, closed in ((1e-16, True), (1e-9, False)):

@@ -152,7 +152,7 @@ def test_rows_that_are_missing_are_found(tmp_path: Path):
 
 def test_a_log_is_judged_in_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Four times the steps, the same memory; rows of a step may lie in different row groups."""
-    monkeypatch.setattr("phfmu.audit.reading.BATCH_ROWS", 1 << 11)
+    monkeypatch.setattr("phfmu.audit.log.reading.BATCH_ROWS", 1 << 11)
     peak = []
     for n in (1_500, 6_000):
         path = tmp_path / f"{n}.parquet"
@@ -179,7 +179,7 @@ def test_a_log_that_unpacks_to_too_much_is_refused_before_it_is_read(tmp_path: P
     table = pa.table(columns).replace_schema_metadata(schema.metadata)
     pa.parquet.write_table(table, tmp_path / "bomb.parquet", compression="zstd", use_dictionary=False)
     assert (tmp_path / "bomb.parquet").stat().st_size < 20_000
-    monkeypatch.setattr("phfmu.audit.reading.COLUMN_BYTES", 1 << 20)
+    monkeypatch.setattr("phfmu.audit.log.reading.COLUMN_BYTES", 1 << 20)
     with pytest.raises(
         ValueError, match=r"row group 0 unpacks its column 'row' from \d+ to \d+ bytes; at most 1048576"
     ):

@@ -16,7 +16,7 @@ from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.declare.energy import Energy
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
+from phfmu.runs.loop import run
 from tests.test_random_models import STRUCTURES, N, declaration
 from tests.wide import wide
 

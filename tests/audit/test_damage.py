@@ -12,9 +12,9 @@ import pytest
 from pyarrow import compute
 
 from phfmu.audit import AuditWriter, Ledger, read, recover, summarise
-from phfmu.audit.archive import Stream
-from phfmu.audit.blocks import Found
-from phfmu.audit.seal import _MARK
+from phfmu.audit.log.archive import Stream
+from phfmu.audit.log.blocks import Found
+from phfmu.audit.log.seal import _MARK
 from phfmu.audit.violation import ViolationKind
 from phfmu.cli import main
 from tests.audit.arrays import BOOKING, book, run_arrays, write_run
@@ -25,7 +25,7 @@ BLOCKS, ROWS = 8, 41  # of 5 steps each and an event, after the header
 @pytest.fixture
 def stream(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The stream of a run that is killed: new names come in every block."""
-    monkeypatch.setattr("phfmu.audit.stream.FLUSH_SECONDS", 60.0)  # blocks end where this ends them
+    monkeypatch.setattr("phfmu.audit.log.stream.FLUSH_SECONDS", 60.0)  # blocks end where this ends them
     path = tmp_path / "whole.arrows"
     writer = AuditWriter(path.with_suffix(".parquet"), {"target": "two"})
     ledger, arrays = Ledger(writer), run_arrays(5 * BLOCKS)

@@ -8,14 +8,14 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from phfmu.audit import Booking, Ledger, PortKey, read, summarise
-from phfmu.audit.columns import COLUMNS, FIELDS
 from phfmu.audit.kinds import ColumnType, LedgerVerdict, Quality, RowKind
+from phfmu.audit.log.columns import COLUMNS, FIELDS
+from phfmu.audit.log.stream import AuditWriter
 from phfmu.audit.report import audit_csv
 from phfmu.audit.sheet_names import KINDS
 from phfmu.audit.sheets import all_sheets
-from phfmu.audit.stream import AuditWriter
 from phfmu.audit.violation import ViolationKind
-from phfmu.engine.steps import Steps
+from phfmu.outcome.steps import Steps
 
 
 def booked(path: Path) -> Ledger:

@@ -125,7 +125,7 @@ def test_empty_run(tmp_path: Path):
 @pytest.mark.parametrize("stride", [709, pytest.param(97, marks=pytest.mark.slow)])
 def test_torn_stream_gives_back_every_complete_batch(tmp_path: Path, stride: int, monkeypatch: pytest.MonkeyPatch):
     """Cut at many bytes: the recovered rows are always a prefix, never fewer for a later cut."""
-    monkeypatch.setattr("phfmu.audit.stream.FLUSH_SECONDS", 60.0)  # batches end where this test ends them
+    monkeypatch.setattr("phfmu.audit.log.stream.FLUSH_SECONDS", 60.0)  # batches end where this test ends them
     stream = tmp_path / "whole.audit.arrows"
     with AuditWriter(stream.with_suffix(".parquet")) as sink:
         ledger = Ledger(sink)
@@ -184,7 +184,7 @@ WRITER = """
 import sys
 import numpy as np
 from phfmu.audit import AuditWriter, Booking, Ledger
-from phfmu.engine.steps import Steps
+from phfmu.outcome.steps import Steps
 ledger, k, none = Ledger(AuditWriter(sys.argv[1])), 0, np.zeros((1, 1))
 while True:
     ledger.add(Booking(("a",)), [k], [0.1 * k], 0.1, Steps(none + 1.0, none, none, none, np.zeros((1, 0))))

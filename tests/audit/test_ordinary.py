@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 
 from phfmu import Monolithic, NativeInstance, build_model, default_scheme
-from phfmu.audit import Booking, Ledger, LedgerSummary, PartKey, PortKey, sums
+from phfmu.audit import Booking, Ledger, LedgerSummary, PartKey, PortKey
 from phfmu.audit.booking import PROJECTION
 from phfmu.audit.kinds import Quality
+from phfmu.audit.summing import sums
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.smib import smib
 from phfmu.declare.phdae import PHDAE
-from phfmu.engine.steps import Steps
-from phfmu.network.run.book import Book
+from phfmu.outcome.steps import Steps
+from phfmu.runs.book import Book
 
 pytestmark = pytest.mark.usefixtures("compiler")
 SIZES = (1, 7, 40, 152)
@@ -91,7 +92,7 @@ def booked(booking: Booking, steps: Steps, size: int, jump: float = 0.0) -> Ledg
 
 def both(booking: Booking, steps: Steps, size: int, monkeypatch: pytest.MonkeyPatch) -> tuple[LedgerSummary, int]:
     """What compiled code says, which is what arrays say; how many blocks it took."""
-    from phfmu.audit.ordinary import Ordinary
+    from phfmu.audit.summing.ordinary import Ordinary
 
     taken, take = [], Ordinary.take
     monkeypatch.setattr(Ordinary, "take", lambda *a: taken.append(take(*a)) or taken[-1])

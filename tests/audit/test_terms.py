@@ -17,8 +17,8 @@ from phfmu.components.mechanical.translational import mass
 from phfmu.discretise.accounts import by_term
 from phfmu.engine.switched import stepped
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
-from phfmu.network.run.result import Result
+from phfmu.runs.loop import run
+from phfmu.runs.result import Result
 from tests.wide import wide
 
 ENGINES = {"python": PythonInstance, "native": NativeInstance}

@@ -15,11 +15,11 @@ from phfmu.audit import AuditWriter, BookedSteps, EventRow, LedgerSummary, read,
 from phfmu.audit.booking import Booking, PortKey
 from phfmu.audit.kinds import Quality
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.engine.steps import Steps
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.scene import Event
+from phfmu.outcome.steps import Steps
 from phfmu.signals import SignalKind
 from tests.engines import ENGINES
 from tests.wide import wide

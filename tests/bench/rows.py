@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from phfmu import Scene
-from phfmu.bench.peers import Functions
-from phfmu.bench.problem import Problem
 from phfmu.components.library import build
 from phfmu.declare.phdae import PHDAE
-from phfmu.network.junctions.network import Network
+from phfmu.network.network import Network
+from phfmu.studies.bench.peers import Functions
+from phfmu.studies.bench.problem import Problem
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 
@@ -33,7 +33,7 @@ def rows(name: str) -> dict[float, np.ndarray]:
 
 
 def solved(p: Problem) -> Problem:
-    from phfmu.bench.peers import solve_reference
+    from phfmu.studies.bench.peers import solve_reference
 
     solve_reference(p, Functions(p))
     return p

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from phfmu import NativeInstance, Scene, algebraic, build_model, damping, energy, skew, state
-from phfmu.bench import own
-from phfmu.bench.candidate import Candidate, NotAvailable, Run
-from phfmu.bench.peers import Functions, _Scipy
-from phfmu.bench.problem import Judged, Problem, problem_of
-from phfmu.bench.reduced import reduced
-from phfmu.bench.work_precision import Row, Table, cost_at, costs_at, front, measure
 from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.declare.block import block
 from phfmu.declare.phdae import PHDAE
+from phfmu.studies.bench import own
+from phfmu.studies.bench.candidate import Candidate, NotAvailable, Run
+from phfmu.studies.bench.peers import Functions, _Scipy
+from phfmu.studies.bench.problem import Judged, Problem, problem_of
+from phfmu.studies.bench.reduced import reduced
+from phfmu.studies.bench.work_precision import Row, Table, cost_at, costs_at, front, measure
 from tests.bench.rows import REFERENCE, declaration, rows, solved
 from tests.wide import wide
 

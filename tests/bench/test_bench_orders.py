@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from phfmu import DeclarationError, build_model
-from phfmu.bench.orders import Method, measure, methods, span, table, targets
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.schemes.named import named_scheme
+from phfmu.studies.bench.orders import Method, measure, methods, span, table, targets
 from tests.wide import wide
 
 
@@ -45,7 +45,7 @@ def test_rows_have_slopes_and_words():
 @pytest.mark.parametrize("name", wide(["dc_motor", "four_particle"], "dc_motor"))
 def test_every_refusal_in_the_table_has_a_word(name):
     """A DeclarationError of a new kind would show as `no`: it needs a word in REASONS."""
-    from phfmu.bench.orders import REASONS
+    from phfmu.studies.bench.orders import REASONS
 
     declaration = build(name)
     for m in methods():

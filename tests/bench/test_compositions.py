@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from phfmu import Collocated, DeclarationError, NativeInstance, PythonInstance, TwoLevel, build_model
-from phfmu.bench.compositions import KAHAN_LI, SUZUKI, Composed
 from phfmu.components.library import build
 from phfmu.components.mechanical.chain import chain
+from phfmu.studies.bench.compositions import KAHAN_LI, SUZUKI, Composed
 from tests.engines import ENGINES
 from tests.wide import slow
 

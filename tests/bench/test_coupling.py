@@ -9,8 +9,8 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from phfmu.bench import coupling, crews, own_time
 from phfmu.network.couplings.coupled import Coupled
+from phfmu.studies.bench import coupling, crews, own_time
 
 
 @pytest.mark.slow

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from phfmu.bench.paper import convergence, four_particle_models, statements
 from phfmu.cli import FINE, main
 from phfmu.components.mechanical.four_particle import four_particle
+from phfmu.studies.bench.paper import convergence, four_particle_models, statements
 
 
 @pytest.fixture(scope="module")

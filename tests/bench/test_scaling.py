@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from phfmu import NativeInstance, build_model
-from phfmu.bench.families import FAMILIES
-from phfmu.bench.scaling import Size, exponent
 from phfmu.cli import FINE, USAGE, main
 from phfmu.components.mechanical.net import net
 from phfmu.components.scenes.ladder import ladder
-from phfmu.engine.codegen import kernel_table
+from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.model import kernels
+from phfmu.studies.bench.families import FAMILIES
+from phfmu.studies.bench.scaling import Size, exponent
 from tests.wide import wide
 
 
@@ -78,7 +78,7 @@ def test_code_is_the_same_and_memory_linear(name: str, compiler: None) -> None:
 
 def test_planned_pivots_are_distinct() -> None:
     """Also where two columns want one row (the bare bus of the grid): a trial factor with them stays sparse."""
-    from phfmu.engine.derived import capacity
+    from phfmu.engine.build.derived import capacity
 
     plans = [build_model(ladder(n).declaration()).step for n in (4, 12)]
     for p in plans:

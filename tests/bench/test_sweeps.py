@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from phfmu.bench import sweeps
-from phfmu.bench.sweeps import AT_ENDS, FEW, MANY, Case, measure, table
+from phfmu.studies.bench import sweeps
+from phfmu.studies.bench.sweeps import AT_ENDS, FEW, MANY, Case, measure, table
 
 
 @pytest.mark.slow

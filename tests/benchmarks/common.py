@@ -11,7 +11,7 @@ import numpy as np
 
 from phfmu import PHDAE
 from phfmu.discretise.model import build_model, default_scheme
-from phfmu.engine.native import NativeInstance
+from phfmu.engine.native.native import NativeInstance
 
 
 def rounds(jobs: Mapping[str, Callable[[], object]], repeats: int) -> list[dict[str, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from phfmu.components.mechanical.fekete import fekete
 from phfmu.discretise.model import build_model, default_scheme
-from phfmu.engine.native import NativeInstance
+from phfmu.engine.native.native import NativeInstance
 
 #: positions of the first two charges at t = 1000 s: Mazzia, Magherini, Test Set for IVP Solvers (2008)
 PUBLISHED = (-0.4070263380333202, 0.3463758772791802, 0.8451942450030429, 0.0775293475252155, -0.2628662719972299,

@@ -19,9 +19,9 @@ from common import Run
 
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.model import build_model, default_scheme
-from phfmu.fmu.export import export
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.sources import HEADERS
+from phfmu.fmu.export.export import export
+from phfmu.fmu.export.sources import HEADERS
+from phfmu.fmu.importer.reader import FMUInstance
 
 HOST = Path(__file__).parents[1] / "fmu" / "fmu_host.c"
 STEPS, H = 300_000, 0.0143

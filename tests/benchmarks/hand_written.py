@@ -9,7 +9,7 @@ import numpy as np
 from common import Run, medians, quartiles, rounds
 
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.engine.compile import compile, host_flags
+from phfmu.engine.build.compile import compile, host_flags
 from phfmu.gradients.quadrature import nodes
 
 

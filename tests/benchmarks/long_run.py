@@ -8,7 +8,7 @@ import numpy as np
 
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.model import build_model, default_scheme
-from phfmu.engine.native import NativeInstance
+from phfmu.engine.native.native import NativeInstance
 
 
 def main(steps: int = 1_000_000, h: float = 0.01) -> None:

@@ -23,14 +23,14 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.checks.bounds import bounded, constants
+from phfmu.checks.energies import bounded, constants
 from phfmu.checks.pieces import continuous, kinks
 from phfmu.checks.sample import Sample
 from phfmu.components.library import LIBRARY, build
 from phfmu.declare.energy import Energy
 from phfmu.declare.entries import Entries, normal_form
-from phfmu.fmu.export import export
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.export.export import export
+from phfmu.fmu.importer.reader import FMUInstance
 from tests.checks.kinked import (
     OPERATIONS,
     STOPS,

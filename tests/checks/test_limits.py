@@ -33,7 +33,7 @@ from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
 from phfmu.declare.parameter_limits import Limit, limits
-from phfmu.fmu.description import Unit
+from phfmu.fmu.export.description import Unit
 from phfmu.fmu.version import VERSIONS
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phfmu import PHDAE, Monolithic, Options, PythonInstance, build_model, check, damping, energy, run, state, time
-from phfmu.checks.sign_lost import sign_lost
+from phfmu.checks.matrices import sign_lost
 from phfmu.cli import main
 
 MODEL = '''

@@ -8,7 +8,7 @@ import pytest
 
 from phfmu.cli import main
 from phfmu.cli.progress import ahead
-from phfmu.network.run.options import Options
+from phfmu.runs.options import Options
 
 
 def test_a_long_run_says_how_many_rows_are_coming_and_how_large(tmp_path: Path) -> None:

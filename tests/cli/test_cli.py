@@ -121,7 +121,7 @@ def test_targets_in_a_file(cli: Cli) -> None:
 
 
 def test_a_run_without_a_compiler(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phfmu.engine import compile as found
+    from phfmu.engine.build import compile as found
 
     def missing() -> None:
         raise found.CompilerMissing("none here")

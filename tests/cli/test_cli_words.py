@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from phfmu.components.library import LIBRARY, build
-from phfmu.network.run.input_file import read_inputs
 from phfmu.results.writer import TableWriter
+from phfmu.runs.input_file import read_inputs
 from tests.cli.commands import Cli
 from tests.wide import wide
 

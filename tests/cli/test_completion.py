@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from phfmu.cli import main
-from phfmu.cli.completion import SHELLS, targets
+from phfmu.cli.verbs.completion import SHELLS, targets
 from phfmu.components.library import LIBRARY
 
 CALL = "import sys; sys.argv[0] = 'phfmu'; from phfmu.cli import main; raise SystemExit(main())"

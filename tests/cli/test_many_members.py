@@ -11,8 +11,8 @@ import pytest
 
 import phfmu.discretise.model as discretise
 from phfmu import Network
+from phfmu.audit.report import shortened
 from phfmu.audit.sheets import Column, Sheet
-from phfmu.audit.shortened import shortened
 from phfmu.cli import main
 
 STAR = """
@@ -104,7 +104,7 @@ def test_the_last_row_of_a_shortened_table_is_the_sum_of_all_others() -> None:
 
 def test_many_junctions_are_made_in_linear_time_and_joined_ends_are_known() -> None:
     from phfmu.components.mechanical.translational import mass, spring
-    from phfmu.network.junctions.junction import ConnectionError
+    from phfmu.network.junction import ConnectionError
 
     net = Network("n")
     net.add("a", mass(1.0))

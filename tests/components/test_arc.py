@@ -24,7 +24,7 @@ from phfmu import (
 from phfmu.components.electrical.breaker import breaker
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.resistor import resistor
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 from tests.engines import ENGINES
 from tests.wide import slow, wide
 

@@ -245,7 +245,7 @@ def test_driven_machine_converges_to_the_reference(name, coordinates, k):
 @pytest.mark.parametrize("coordinates", wide(["abc-flux", "current"], "current"))
 @pytest.mark.parametrize("name", machine_names())
 def test_without_losses_and_voltages_energy_and_fluxes_stay(name, coordinates):
-    from phfmu.engine.native import NativeInstance
+    from phfmu.engine.native.native import NativeInstance
 
     data = machine_set(name, Ra=0.0, R_rotor=[0.0] * 3)
     point = start_of(data)

@@ -16,7 +16,7 @@ from phfmu.components.scenes.two_machine import two_machine
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 from tests.wide import wide
 
 RATED = 18881.48  # A, peak, of kundur555_1q

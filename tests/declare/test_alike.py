@@ -24,7 +24,7 @@ from phfmu import (
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.declare.alike import first_alike, form
-from phfmu.engine.compiled import compiled
+from phfmu.engine.native.compiled import compiled
 
 
 def coil(law=lambda x, a: a * x**2, unit="V.s", r=2.0, turns=1.0) -> PHDAE:

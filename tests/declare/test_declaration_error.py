@@ -34,7 +34,7 @@ from phfmu.schemes.named import named_scheme
 from tests.sources import nodes
 
 #: it asks what a user reads
-READERS = {"stress/case.py"}
+READERS = {"studies/stress/case.py"}
 
 
 def error_of(call: Callable[[], object]) -> DeclarationError:

@@ -43,8 +43,8 @@ from phfmu import (
 from phfmu.cli import main
 from phfmu.components.electrical.dc_motor import dc_motor
 from phfmu.declare.error import DeclarationError
-from phfmu.declare.variable_kind import VariableKind
-from phfmu.fmu.description import Unit
+from phfmu.declare.variable import VariableKind
+from phfmu.fmu.export.description import Unit
 from phfmu.network.check_scene import check_scene
 
 

@@ -17,7 +17,7 @@ from phfmu.components.electrical.machine_data import MachineDataError, machine_s
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.junctions.junction import ConnectionError
+from phfmu.network.junction import ConnectionError
 from tests.sources import nodes
 
 ROOT = Path(phfmu.__file__).parent

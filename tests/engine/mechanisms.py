@@ -1,4 +1,4 @@
-"""Systems whose constraints repeat each other, or lose rank for an instant, for tests; more in phfmu/stress/mechanisms.py."""
+"""Systems whose constraints repeat each other, or lose rank for an instant, for tests."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from phfmu import PHDAE
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.stress.mechanisms import G
+from phfmu.studies.stress.mechanisms import G
 
 
 def hung(scales: Sequence[float]) -> PHDAE:

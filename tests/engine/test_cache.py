@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from phfmu.engine.compile import compile
+from phfmu.engine.build.compile import compile
 
 #: the system's where there is one: it needs no cache of its own
 COMPILER = "cc" if any(shutil.which(name) for name in ("cc", "gcc", "clang")) else None
@@ -18,7 +18,7 @@ COMPILER = "cc" if any(shutil.which(name) for name in ("cc", "gcc", "clang")) el
 #: compiles and calls a library in a process of its own, which a damaged one would end
 LOADS = """
 import ctypes, sys
-from phfmu.engine.compile import compile
+from phfmu.engine.build.compile import compile
 text = '__attribute__((visibility("default"))) int answer(void) { return 42; }'
 built = compile({"answer.c": text}, compiler=sys.argv[1] or None)
 print(built.path, built.reused, ctypes.CDLL(str(built.path)).answer())
@@ -29,7 +29,7 @@ CALL = [sys.executable, "-c", LOADS, COMPILER or ""]
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiler: None) -> Path:
     """An empty cache; the compiler keeps what it has built of its own run time."""
-    from phfmu.engine import cache
+    from phfmu.engine.build import cache
 
     made, known = tmp_path / "cache", cache.cache_folder()
     made.mkdir(mode=0o700)

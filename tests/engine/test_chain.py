@@ -27,7 +27,7 @@ from phfmu import (
 from phfmu.components.library import build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.model import Model
-from phfmu.engine.library import build as build_library
+from phfmu.engine.native.library import build as build_library
 from phfmu.schemes.named import named_scheme
 from tests.engines import ENGINES
 from tests.wide import wide
@@ -214,7 +214,7 @@ def test_with_inputs_at_nodes_it_is_with_respect_to_all_of_them_together(models,
 
 
 def test_a_library_with_tangents_is_made_when_they_are_asked_for(models, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phfmu.engine import native_chain
+    from phfmu.engine.native import derivatives as native_chain
 
     made: list[object] = []
     monkeypatch.setattr(native_chain, "build", lambda *a, **k: made.append(a) or build_library(*a, **k))

@@ -8,7 +8,7 @@ import pytest
 from phfmu import NativeInstance, PythonInstance, Status, StepFailure, TwoLevel, build_model
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
-from phfmu.engine.limits import LIMITS
+from phfmu.outcome.limits import LIMITS
 from tests.engines import ENGINES
 
 #: the attempt that is under way may end: 30 iterations, or 120 where it grows from an eighth of the step

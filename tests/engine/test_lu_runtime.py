@@ -14,9 +14,9 @@ from scipy.sparse.linalg import splu
 
 from phfmu import Collocated, PythonInstance, TwoLevel, build_model
 from phfmu.components.mechanical.chain import chain
-from phfmu.engine.compile import compile
-from phfmu.engine.status import Status
-from phfmu.engine.tables import RUNTIME
+from phfmu.engine.build.compile import compile
+from phfmu.engine.build.tables import RUNTIME
+from phfmu.outcome.status import Status
 
 DRIVER = """
 #include <stdlib.h>

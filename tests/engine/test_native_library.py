@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phfmu.engine.codegen import kernel_table
-from phfmu.engine.compile import CompileError, CompilerMissing, compile, host_flags
-from phfmu.engine.library import load, runtime_sources
+from phfmu.engine.build.codegen import kernel_table
+from phfmu.engine.build.compile import CompileError, CompilerMissing, compile, host_flags
+from phfmu.engine.build.tables import CTables, c_text, ctypes_structures, stamp
 from phfmu.engine.model import kernels
-from phfmu.engine.native import NativeInstance
-from phfmu.engine.status import Status
-from phfmu.engine.tables import CTables, c_text, ctypes_structures, stamp
+from phfmu.engine.native.library import load, runtime_sources
+from phfmu.engine.native.native import NativeInstance
+from phfmu.outcome.status import Status
 from tests.engine.hand_made import (
     bar,
     oscillator,
@@ -28,7 +28,7 @@ from tests.wide import wide
 def test_instances_of_a_model_share_its_library_and_tables_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     model = oscillator()
     first = NativeInstance(model)
-    monkeypatch.setattr("phfmu.engine.compiled.kernel_table", None)  # is not made again
+    monkeypatch.setattr("phfmu.engine.native.compiled.kernel_table", None)  # is not made again
     second = NativeInstance(model)
     state = second.get_state()
     first.do_step(0.0, 0.1)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, fsolve
 
-from phfmu.engine.derived import capacity
-from phfmu.engine.native import NativeInstance
-from phfmu.engine.status import Status, StepFailure
+from phfmu.engine.build.derived import capacity
+from phfmu.engine.native.native import NativeInstance
+from phfmu.outcome.status import Status, StepFailure
 from tests.engine.hand_made import (
     A2,
     C2,

@@ -11,10 +11,10 @@ import pytest
 import phfmu.engine
 from phfmu import PHDAE, NativeInstance, PythonInstance, Status, StepFailure, TwoLevel, build_model
 from phfmu.components.mechanical.four_particle import four_particle
-from phfmu.engine import newton
-from phfmu.engine.limits import LIMITS
+from phfmu.engine.reference import newton
+from phfmu.outcome.limits import LIMITS
 from phfmu.schemes.named import named_scheme
-from phfmu.stress.mechanisms import doubled
+from phfmu.studies.stress.mechanisms import doubled
 from tests.engines import ENGINES
 
 ENGINE = Path(phfmu.engine.__path__[0])
@@ -69,10 +69,12 @@ def test_both_engines_name_the_same_floor():
 def test_no_constant_of_the_solvers_stands_twice() -> None:
     """A number that both engines go by is defined in step_limits.h; neither a Python file nor its C twin has it too."""
     number = r"(\w+) (?:= )?[(]?\d"
-    twins = [p for p in ENGINE.glob("*.py") if (ENGINE / "runtime" / f"{p.stem}.c").exists()]
+    twins = [p for p in (ENGINE / "reference").glob("*.py") if (ENGINE / "runtime" / f"{p.stem}.c").exists()]
     assert {p.stem for p in twins} >= {"newton", "attempts", "rest", "rest_start"}
     python = {
-        (p.name, n) for p in [*twins, ENGINE / "solves.py"] for n in re.findall(f"^{number}", p.read_text(), re.M)
+        (p.name, n)
+        for p in [*twins, ENGINE / "reference" / "solves.py"]
+        for n in re.findall(f"^{number}", p.read_text(), re.M)
     }
     sources = [*(ENGINE / "runtime").glob("*.[ch]")]
     c = {n.removeprefix("PH_") for p in sources for n in re.findall(f"^#define {number}", p.read_text(), re.M)}

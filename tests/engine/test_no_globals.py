@@ -9,8 +9,8 @@ import pytest
 
 from phfmu import NativeInstance, build_model
 from phfmu.components.library import build
-from phfmu.engine.compile import compile, host_flags, host_target
-from phfmu.network.couplings import master_library
+from phfmu.engine.build.compile import compile, host_flags, host_target
+from phfmu.network.couplings.compiled import master_library
 from phfmu.sweeps import native_runs
 
 WRITTEN = {".data", ".bss", ".tdata", ".tbss"}

@@ -14,12 +14,12 @@ import pytest
 
 from phfmu.components.mechanical.translational import mass
 from phfmu.discretise.model import build_model
-from phfmu.engine import cache, objects
-from phfmu.engine.codegen import KernelTable, kernel_table
-from phfmu.engine.compile import FLAGS, CompileError, compile
-from phfmu.engine.library import build, runtime_sources
+from phfmu.engine.build import cache, objects
+from phfmu.engine.build.codegen import KernelTable, kernel_table
+from phfmu.engine.build.compile import FLAGS, CompileError, compile
 from phfmu.engine.model import kernels
-from phfmu.fmu.export import export
+from phfmu.engine.native.library import build, runtime_sources
+from phfmu.fmu.export.export import export
 
 #: two sources that share a header by way of another, and one that stands alone
 SOURCES = {
@@ -70,7 +70,7 @@ def table(**parameters: float) -> KernelTable:
 def test_a_further_library_compiles_only_what_others_have_not(
     compiled: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phfmu.engine.compile.FLAGS", tuple(f.replace("-O2", "-O0") for f in FLAGS))
+    monkeypatch.setattr("phfmu.engine.build.compile.FLAGS", tuple(f.replace("-O2", "-O0") for f in FLAGS))
     build(table(k=100.0))
     first = compiled()
     assert "kernels.c" in first and {n for n in runtime_sources() if n.endswith(".c")} < set(first)
@@ -162,7 +162,7 @@ def test_objects_are_the_same_bytes_wherever_the_cache_stands(
 #: compiles libraries that share objects; the source that differs is named by the caller
 SHARES = f"""
 import ctypes, sys
-from phfmu.engine.compile import compile
+from phfmu.engine.build.compile import compile
 sources = {SOURCES!r} | {{"own.c": "int own" + sys.argv[1] + ";"}}
 print(ctypes.CDLL(str(compile(sources).path)).a())
 """
@@ -180,7 +180,7 @@ def test_processes_that_compile_the_same_objects_at_once(folder: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="kills a group of processes")
 def test_a_killed_compilation_leaves_nothing_that_is_used(folder: Path, compiled: Callable[[], list[str]]) -> None:
     code = f"""
-from phfmu.engine.compile import compile
+from phfmu.engine.build.compile import compile
 lines = "".join("double f%d(double x) {{ return x * %d + f%d(x); }}\\n" % (i, i, i - 1) for i in range(1, 3000))
 compile({SOURCES!r} | {{"large.c": "double f0(double x) {{ return x; }}\\n" + lines}})
 """
@@ -231,7 +231,7 @@ def test_a_signal_ends_a_build_and_its_compilers(folder: Path, tmp_path: Path, k
     slow.write_text(f'#!/bin/sh\n[ "$1" = --version ] && echo slow && exit\necho $$ >> {begun}\nsleep 300\n')
     slow.chmod(0o755)
     code = (
-        "import signal, sys\nfrom phfmu.engine.compile import compile\nfrom phfmu.interrupt import Signals, raising\n"
+        "import signal, sys\nfrom phfmu.engine.build.compile import compile\nfrom phfmu.interrupt import Signals, raising\n"
         f"with {'Signals' if kept else 'raising'}():\n    compile({SOURCES!r}, compiler='cc')"
     )
     here = os.environ | {"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}

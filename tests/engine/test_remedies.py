@@ -10,9 +10,9 @@ from phfmu import Event, Monolithic, Network, Options, PythonInstance, StepFailu
 from phfmu.cli import main
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.mechanical.translational import mass
-from phfmu.engine.status import Status
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.members.engine_member import EngineMember
+from phfmu.outcome.status import Status
 from tests.wide import wide
 
 
@@ -29,7 +29,7 @@ def failure(status: Status = Status.NO_CONVERGENCE, h: float = 0.01, **facts) ->
 
 def test_remedies_follow_from_the_facts() -> None:
     """A smaller step is advised where none was tried, and never where smaller ones failed or longer ones worked."""
-    from phfmu.engine.status import remedy
+    from phfmu.outcome.status import remedy
 
     blunt = failure(residual=3.0, floor=1e-13, update=0.5)
     assert "substeps down to 0.01 s failed too" in remedy(blunt)
@@ -49,7 +49,7 @@ def test_a_network_with_units_is_not_told_to_compose_them() -> None:
     """A unit is known by its ports: only declared members make one model."""
     from phfmu import ELECTRICAL, PHDAE, Port
     from phfmu.components.electrical import resistor, rlc_load
-    from phfmu.engine.status import remedy
+    from phfmu.outcome.status import remedy
 
     for history in (1.0, 0.3, 0.05), (1.0, 0.9, 0.95):
         told = [remedy(failure(joined=True, composable=c, history=history)) for c in (True, False)]
@@ -80,7 +80,7 @@ def test_a_run_adds_what_it_had_solved(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def refuse(s, h, u):
         if h < 0.01:
-            monkeypatch.setattr("phfmu.engine.solves.DEPTH", 0)
+            monkeypatch.setattr("phfmu.engine.reference.solves.DEPTH", 0)
             outcome = solve(s, h, u)
             outcome.status = Status.NO_CONVERGENCE
             return outcome

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import phfmu.terms.rest as at_rest
+import phfmu.terms.rank as at_rest
 from phfmu import NativeInstance, Options, PythonInstance
 from phfmu.discretise.model import Model
-from phfmu.engine.evaluate import Evaluator
-from phfmu.fmu.export import export
-from phfmu.fmu.reader import FMUInstance
+from phfmu.engine.reference.evaluate import Evaluator
+from phfmu.fmu.export.export import export
+from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
-from phfmu.stress.mechanisms import bricard, bricard_reference, doubled, frame, hinge
+from phfmu.runs.loop import run
+from phfmu.studies.stress.mechanisms import bricard, bricard_reference, doubled, frame, hinge
 from phfmu.terms.rank import Dependence
 from tests.engine.mechanisms import windows
 from tests.engine.runs_at_rest import errors, model

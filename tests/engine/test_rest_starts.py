@@ -12,11 +12,11 @@ import pytest
 from phfmu import NativeInstance, Options, PythonInstance, constraint_rank, project_start
 from phfmu.cli import main
 from phfmu.discretise.model import Model
-from phfmu.fmu.export import export
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.export.export import export
+from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
-from phfmu.stress.mechanisms import G, bricard, hinge
+from phfmu.runs.loop import run
+from phfmu.studies.stress.mechanisms import G, bricard, hinge
 from phfmu.words import folded
 from tests.engine.mechanisms import crossing, hung, windows
 from tests.engine.runs_at_rest import errors, model
@@ -142,7 +142,7 @@ def test_unique_forces_are_those_that_no_null_vector_touches(
     # the bar lies in the plane x = 0: forces along x at the pins are unique as well
     assert set(found.unique) == {*bars, "lambda[4]", "lambda[7]"}
     script = tmp_path / "scene.py"
-    script.write_text("from phfmu.stress.mechanisms import hinge\n")
+    script.write_text("from phfmu.studies.stress.mechanisms import hinge\n")
     assert main(["info", f"{script}:hinge"]) == 0
     text = capsys.readouterr().out
     assert "constraints: 9 rows of rank 8 at the start" in text

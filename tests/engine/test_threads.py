@@ -14,13 +14,12 @@ from phfmu import Collocated, build_model
 from phfmu.components.library import build as built
 from phfmu.components.mechanical.chain import chain
 from phfmu.discretise.model import Model
-from phfmu.engine.codegen import kernel_table
-from phfmu.engine.compile import host_flags
-from phfmu.engine.library import runtime_sources
+from phfmu.engine.build.codegen import kernel_table, tangent_text
+from phfmu.engine.build.compile import host_flags
+from phfmu.engine.build.tables import c_text
 from phfmu.engine.model import kernels
-from phfmu.engine.tables import c_text
-from phfmu.engine.tangent_text import tangent_text
-from phfmu.network.couplings import master_library
+from phfmu.engine.native.library import runtime_sources
+from phfmu.network.couplings.compiled import master_library
 
 FOUND = 66
 #: what instances, and members of the master, do all the time

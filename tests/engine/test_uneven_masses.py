@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from phfmu import Monolithic, NativeInstance, Options, PythonInstance, StepFailure, build_model, default_scheme, run
 from phfmu.components.mechanical.chain import chain
 from phfmu.discretise.model import Model
-from phfmu.engine.limits import LIMITS
-from phfmu.engine.status import Status, remedy
+from phfmu.outcome.limits import LIMITS
+from phfmu.outcome.status import Status, remedy
 from tests.wide import wide
 
 STEPS = (0.02, 0.01, 0.005, 0.002)

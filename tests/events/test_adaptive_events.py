@@ -11,7 +11,7 @@ import pytest
 from phfmu import Collocated, Monolithic, NativeInstance, Options, PythonInstance, build_model, run
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 from tests.engines import ENGINES
 from tests.events.scenes import WALL_STOP, exact, wall
 

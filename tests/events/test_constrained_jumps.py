@@ -30,7 +30,7 @@ from phfmu import (
 )
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.events.happened import Happened
+from phfmu.outcome.steps import Happened
 from tests.engines import ENGINES
 from tests.wide import wide
 

@@ -24,9 +24,9 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.limits import LIMITS
 from phfmu.events.impulse import impulses, pushing
+from phfmu.outcome.limits import LIMITS
+from phfmu.outcome.status import EventRefused
 from tests.engines import ENGINES
 
 M, A, G, HEIGHT = 2.0, 0.5, 9.81, 0.7

@@ -30,7 +30,7 @@ from phfmu import (
     time,
 )
 from phfmu.cli import main
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 from tests.engines import ENGINES
 from tests.events.scenes import lifted
 from tests.wide import wide

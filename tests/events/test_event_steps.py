@@ -24,8 +24,7 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.status import Status
+from phfmu.outcome.status import EventRefused, Status
 from tests.engines import ENGINES
 
 M, K, D, R, FORCE, H = 1.3, 7.0, 0.4, 0.15, 0.3, 0.25

@@ -33,12 +33,12 @@ from phfmu.components.library import build
 from phfmu.components.mechanical.contacts import bumper
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.breaker_opening import breaker_opening
-from phfmu.engine.event_failure import EventRefused
 from phfmu.engine.switched import stepped
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
+from phfmu.outcome.status import EventRefused
 from tests.engines import ENGINES
 from tests.wide import slow, wide
 

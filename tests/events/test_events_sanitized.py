@@ -17,7 +17,7 @@ from phfmu import build_model, energy, run, skew, state
 from phfmu.components.library import build
 from phfmu.components.mechanical.chain import chain
 from phfmu.components.mechanical.multibody import Multibody
-from phfmu.engine.event_failure import EventRefused
+from phfmu.outcome.status import EventRefused
 from phfmu.engine.switched import stepped
 
 def done(model, stop, h, events=(), word=""):

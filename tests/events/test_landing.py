@@ -33,7 +33,7 @@ from phfmu import (
     time,
 )
 from phfmu.components.library import build
-from phfmu.engine.event_failure import EventRefused
+from phfmu.outcome.status import EventRefused
 from tests.engines import ENGINES
 from tests.events.scenes import MASS, REBOUND, WALL_STOP, exact, wall
 from tests.wide import wide
@@ -243,7 +243,7 @@ def test_a_jump_beyond_its_limit_is_refused(engine):
 
 def test_compiled_landing_goes_on_where_its_room_ended(monkeypatch):
     """Many impacts in few steps with room for one event and one row more than grid steps, and with much: the same bits."""
-    from phfmu.engine import native_landing
+    from phfmu.engine.native import native_landing
 
     scene = build("bouncing_ball")
     model = build_model(scene.declaration(), Collocated(2))

@@ -25,7 +25,7 @@ from phfmu.components.electrical.machine_data import machine_set
 from phfmu.components.electrical.synchronous_machine import synchronous_machine
 from phfmu.components.library import build
 from phfmu.components.scenes.smib import circuit
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 from tests.engines import ENGINES
 
 OPEN = 0.005

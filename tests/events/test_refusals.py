@@ -38,7 +38,7 @@ from phfmu import (
     time,
 )
 from phfmu.components.electrical.sources import voltage_source
-from phfmu.engine.event_failure import EventRefused
+from phfmu.outcome.status import EventRefused
 from tests.engines import ENGINES
 from tests.wide import wide
 

@@ -39,8 +39,8 @@ from phfmu.components.electrical.branches import rl_branch
 from phfmu.components.electrical.breaker import breaker
 from phfmu.components.mechanical.contacts import bumper
 from phfmu.components.mechanical.translational import mass
-from phfmu.engine.event_failure import EventRefused
-from phfmu.network.couplings.shared_jumps import SharedJumps
+from phfmu.network.interface.shared_jumps import SharedJumps
+from phfmu.outcome.status import EventRefused
 from tests.engines import ENGINES
 from tests.wide import wide
 

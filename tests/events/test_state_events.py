@@ -35,7 +35,7 @@ from phfmu.audit import AuditWriter
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import spring
-from phfmu.engine.codegen import kernel_table
+from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.model import kernels
 from tests.wide import wide
 

@@ -34,8 +34,8 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.control.relay import relay
-from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.apart import Apart
+from phfmu.outcome.status import Status, StepFailure
 from tests.engines import ENGINES
 from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge
 from tests.wide import wide

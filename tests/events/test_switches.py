@@ -36,11 +36,13 @@ from phfmu import (
 )
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import diode, ideal_switch, thyristor
-from phfmu.engine import mode_change
-from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.limits import defined
-from phfmu.engine.tables import RUNTIME
-from phfmu.events import comply, dependent, null_space, switch_system
+from phfmu.engine.build.tables import RUNTIME
+from phfmu.engine.landing import mode_change
+from phfmu.events import comply, switch_system
+from phfmu.events import comply as dependent
+from phfmu.events import switch_system as null_space
+from phfmu.outcome.limits import defined
+from phfmu.outcome.status import EventRefused
 from tests.engines import ENGINES
 from tests.events.scenes import BRIDGE_STOP, LA, LD, bridge, lifted
 from tests.wide import slow, wide

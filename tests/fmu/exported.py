@@ -24,7 +24,7 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
 from phfmu.discretise.model import Model, build_model
-from phfmu.network.junctions.network import Network
+from phfmu.network.network import Network
 from phfmu.schemes.collocated import Collocated
 
 #: flags of the sanitizers that hosts and units are compiled with

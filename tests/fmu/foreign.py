@@ -9,8 +9,8 @@ from pathlib import Path
 
 import fmpy
 
-from phfmu.engine.compile import compile
-from phfmu.fmu import sources
+from phfmu.engine.build.compile import compile
+from phfmu.fmu.export import sources
 
 CODE = Path(__file__).parent / "foreign_unit.c"
 

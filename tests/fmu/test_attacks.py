@@ -12,8 +12,8 @@ import pytest
 
 from phfmu import StepFailure, build_model, export
 from phfmu.components.mechanical.translational import mass
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.schemes.collocated import Collocated
 from tests.wide import slow
 

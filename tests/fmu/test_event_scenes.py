@@ -18,8 +18,8 @@ from phfmu.cli import main
 from phfmu.components.electrical.rectifiers import six_pulse_bridge
 from phfmu.components.library import build
 from phfmu.components.scenes.buck import buck
-from phfmu.fmu import sources
-from phfmu.fmu.refusal import UnitFailure
+from phfmu.fmu.export import sources
+from phfmu.fmu.importer.refusal import UnitFailure
 from tests.events.exact_buck import exact
 from tests.fmu.exported import needs_cc
 

@@ -14,8 +14,8 @@ from lxml import etree
 from phfmu import build_model, export
 from phfmu.cli import main
 from phfmu.components.electrical.rl_line import rl_line
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.reader import FMUInstance
 
 STEP = 1e-3
 ARRAYS = {"a.v": 3, "a.i": 3, "a.i_step": 3, "b.v": 3, "b.i": 3, "b.i_step": 3}

@@ -32,8 +32,8 @@ from phfmu import (
     run,
 )
 from phfmu.cli import main
-from phfmu.fmu import sources
-from phfmu.fmu.refusal import UnitFailure
+from phfmu.fmu.export import sources
+from phfmu.fmu.importer.refusal import UnitFailure
 from tests.fmu.test_fmu_ledger import gap, needs_cc
 
 HERE = Path(__file__).parent

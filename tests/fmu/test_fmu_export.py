@@ -18,13 +18,13 @@ from phfmu import (
     state,
 )
 from phfmu.discretise.model import build_model
-from phfmu.engine.native import NativeInstance
-from phfmu.engine.python import PythonInstance
-from phfmu.fmu import sources
-from phfmu.fmu.description import Unit
-from phfmu.fmu.export import export
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.variables import FMUError, variables
+from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.reference.python import PythonInstance
+from phfmu.fmu.export import sources
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.export import export
+from phfmu.fmu.export.variables import FMUError, variables
+from phfmu.fmu.importer.reader import FMUInstance
 from tests.fmu.exported import MODELS, QUICK, build
 from tests.wide import wide
 

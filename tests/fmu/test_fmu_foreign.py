@@ -13,13 +13,13 @@ import pytest
 
 from phfmu import ELECTRICAL
 from phfmu.cli import main
-from phfmu.engine.status import Status, StepFailure
-from phfmu.fmu.inspect import fmu_info
-from phfmu.fmu.manifest import PortMap
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.refusal import UnitFailure
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.manifest import PortMap
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.inspect import fmu_info
+from phfmu.fmu.importer.reader import FMUInstance
+from phfmu.fmu.importer.refusal import UnitFailure
 from phfmu.network.members.fmu_member import FMUMember
+from phfmu.outcome.status import Status, StepFailure
 from tests.fmu import foreign
 from tests.wide import wide
 
@@ -212,7 +212,7 @@ def test_ends_that_run_no_handler(units: dict[str, Path], version: str, mode: in
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_crash_between_calls_is_no_units(units: dict[str, Path]) -> None:
     program = (
-        "import os, sys\nfrom phfmu.fmu.reader import FMUInstance\n"
+        "import os, sys\nfrom phfmu.fmu.importer.reader import FMUInstance\n"
         "unit = FMUInstance(sys.argv[1]); unit.do_step(0.0, 0.1); os.abort()"
     )
     done = subprocess.run(

@@ -11,8 +11,8 @@ import pytest
 
 from phfmu import Scene, build_model, export
 from phfmu.components.library import build
-from phfmu.fmu import sources
-from phfmu.fmu.archive import open_archive
+from phfmu.fmu.export import sources
+from phfmu.fmu.importer.archive import open_archive
 from phfmu.schemes.collocated import Collocated
 from tests.fmu.exported import SANITIZE
 

@@ -13,7 +13,7 @@ import pytest
 
 from phfmu import build_model, export
 from phfmu.components.library import build
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.importer.reader import FMUInstance
 from tests.fmu.other_hosts import READ, run_elsewhere
 
 pytestmark = pytest.mark.slow

@@ -32,7 +32,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.mechanical.rotational import flexible_shaft
-from phfmu.fmu import sources
+from phfmu.fmu.export import sources
 from phfmu.network.couplings.monolithic import Monolithic
 from phfmu.network.couplings.unit import FMUStepper
 

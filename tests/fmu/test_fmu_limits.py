@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from phfmu.cli import main
-from phfmu.fmu.inspect import fmu_info
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.inspect import fmu_info
+from phfmu.fmu.importer.reader import FMUInstance
 from tests.fmu import foreign
 from tests.wide import slow
 
@@ -22,8 +22,8 @@ ROOM = 130_000_000
 READ = f"""
 import resource, sys
 import fmpy
-from phfmu.fmu.inspect import fmu_info
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.importer.inspect import fmu_info
+from phfmu.fmu.export.variables import FMUError
 pages = int(open("/proc/self/statm").read().split()[0])
 resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + {ROOM},) * 2)
 try:

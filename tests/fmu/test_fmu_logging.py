@@ -20,7 +20,7 @@ from fmpy.fmi3 import FMU3Slave
 
 from phfmu import build_model, export
 from phfmu.components.mechanical.translational import mass
-from phfmu.fmu.archive import open_archive
+from phfmu.fmu.importer.archive import open_archive
 
 ERRORS = "logStatusError"
 

@@ -15,8 +15,8 @@ from phfmu import PHDAE, Event, Scene, build_model, energy, export, parameter, s
 from phfmu.cli import main
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
-from phfmu.fmu.manifest import PATH
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.export.manifest import PATH
+from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.fmu.words import c_comment, c_string
 from phfmu.network.members.fmu_member import FMUMember
 

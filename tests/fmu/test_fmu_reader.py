@@ -16,14 +16,14 @@ from phfmu import ELECTRICAL, PHDAE, Port, algebraic, damping, energy, parameter
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
 from phfmu.discretise.model import build_model
-from phfmu.engine.native import NativeInstance
-from phfmu.engine.status import Status, StepFailure
-from phfmu.fmu.export import export
-from phfmu.fmu.manifest import PATH, PortMap
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.values import Derivative
-from phfmu.fmu.variables import FMUError
+from phfmu.engine.native.native import NativeInstance
+from phfmu.fmu.export.export import export
+from phfmu.fmu.export.manifest import PATH, PortMap
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.reader import FMUInstance
+from phfmu.fmu.importer.values import Derivative
 from phfmu.fmu.version import VERSIONS as ROWS
+from phfmu.outcome.status import Status, StepFailure
 
 VERSIONS = ["2.0", "3.0"]
 STEP = 1e-3
@@ -433,7 +433,7 @@ def test_a_unit_that_cannot_save_says_so(circuits, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_saved_states_and_instances_are_freed(circuits, version: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phfmu.fmu.slave import Slave
+    from phfmu.fmu.importer.slave import Slave
 
     freed: list[str] = []
     forget, free = Slave.forget, Slave.free

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phfmu.engine.compile import compile
-from phfmu.fmu import sources
-from phfmu.fmu.description import Unit
-from phfmu.fmu.export import PLATFORMS, export
-from phfmu.fmu.reader import FMUInstance
+from phfmu.engine.build.compile import compile
+from phfmu.fmu.export import sources
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.export import PLATFORMS, export
+from phfmu.fmu.importer.reader import FMUInstance
 from tests.fmu.exported import build, needs_cc
 from tests.wide import wide
 

@@ -10,9 +10,9 @@ import pytest
 
 from phfmu import Scene, build_model, export
 from phfmu.components.library import build
-from phfmu.fmu import sources
-from phfmu.fmu.archive import open_archive
-from phfmu.fmu.schedule import UnitEvent
+from phfmu.fmu.export import sources
+from phfmu.fmu.export.schedule import UnitEvent
+from phfmu.fmu.importer.archive import open_archive
 from phfmu.schemes.collocated import Collocated
 from tests.fmu.exported import SANITIZE
 

@@ -20,7 +20,7 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.fmu import FMUError, FMUInstance
-from phfmu.fmu.manifest import PATH
+from phfmu.fmu.export.manifest import PATH
 from phfmu.network.members.fmu_member import FMUMember
 from tests.wide import slow, wide
 

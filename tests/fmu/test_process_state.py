@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has oth
 HOST = """
 import ctypes, ctypes.util, os, signal, sys, time
 from phfmu.fmu import process_state
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.importer.reader import FMUInstance
 
 process_state.PAUSE = 0.0
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -87,7 +87,7 @@ def test_a_copy_of_the_process_does_not_go_on(tmp_path: Path) -> None:
 
 def test_a_copy_that_the_interpreter_made_goes_on(tmp_path: Path) -> None:
     program = (
-        "import multiprocessing, sys\nfrom phfmu.fmu.reader import FMUInstance\n"
+        "import multiprocessing, sys\nfrom phfmu.fmu.importer.reader import FMUInstance\n"
         "unit = FMUInstance(sys.argv[1])\n"
         "def step(q): q.put(unit.do_step(0.0, 0.1))\n"
         "context = multiprocessing.get_context('fork'); q = context.Queue()\n"

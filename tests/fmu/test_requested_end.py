@@ -10,9 +10,9 @@ import pytest
 from phfmu import FMUInstance
 from phfmu.audit.analysis import summarise
 from phfmu.cli import main
-from phfmu.engine.status import EndRequested
-from phfmu.fmu.refusal import UnitFailure
-from phfmu.fmu.slave import Slave
+from phfmu.fmu.importer.refusal import UnitFailure
+from phfmu.fmu.importer.slave import Slave
+from phfmu.outcome.status import EndRequested
 from tests.fmu import foreign
 from tests.wide import wide
 

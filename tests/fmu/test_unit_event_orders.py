@@ -37,7 +37,7 @@ from phfmu.components.electrical.branches import rl_branch
 from phfmu.components.electrical.rectifiers import six_pulse_bridge
 from phfmu.components.library import build
 from phfmu.engine.switched import stepped
-from phfmu.fmu.schedule import UnitEvent
+from phfmu.fmu.export.schedule import UnitEvent
 from tests.events import scenes
 from tests.events.test_isolated_neutral import BETWEEN, COMMAND, LS, exact, isolated
 from tests.events.test_machine_breaker import OPEN

@@ -27,9 +27,9 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.engine.status import Status
-from phfmu.fmu.schedule import UnitEvent, fed_inside
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.schedule import UnitEvent, fed_inside
+from phfmu.fmu.export.variables import FMUError
+from phfmu.outcome.status import Status
 
 EVENTS = (Event(0.2, "flange.force", 3.0), Event(0.4, "k", 90.0), Event(0.7, "flange.force", -1.0))
 

@@ -13,9 +13,9 @@ import pytest
 from phfmu import Collocated, Model, NativeInstance, StepFailure, build_model, export
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import spring
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.refusal import UnitFailure
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.reader import FMUInstance
+from phfmu.fmu.importer.refusal import UnitFailure
 from tests.engine.test_impulses import body, stiffening
 from tests.wide import wide
 

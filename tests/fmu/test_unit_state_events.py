@@ -35,11 +35,11 @@ from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.bouncing_ball import bouncing_ball
 from phfmu.components.scenes.breaker_opening import breaker_opening
-from phfmu.fmu import sources
-from phfmu.fmu.description import Unit
-from phfmu.fmu.refusal import UnitFailure
-from phfmu.fmu.schedule import UnitEvent, fed_inside
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export import sources
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.schedule import UnitEvent, fed_inside
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.refusal import UnitFailure
 from tests.fmu.exported import needs_cc
 
 VERSIONS = ("2.0", "3.0")

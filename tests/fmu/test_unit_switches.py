@@ -29,11 +29,11 @@ from phfmu.components.electrical.rectifiers import rectifier_bridge
 from phfmu.components.electrical.switches import diode, ideal_switch
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.rectifier import rectifier
-from phfmu.fmu import sources
-from phfmu.fmu.description import Unit
-from phfmu.fmu.refusal import UnitFailure
-from phfmu.fmu.schedule import UnitEvent
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export import sources
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.schedule import UnitEvent
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.refusal import UnitFailure
 
 VERSIONS = ("2.0", "3.0")
 H, N = 1e-3, 50

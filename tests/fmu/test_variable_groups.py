@@ -10,9 +10,9 @@ from fmpy import read_model_description
 
 from phfmu import Model, build_model
 from phfmu.components.electrical.rl_line import rl_line
-from phfmu.fmu.description import Unit
-from phfmu.fmu.sources import interface_text
-from phfmu.fmu.variables import variables
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.export.sources import interface_text
+from phfmu.fmu.export.variables import variables
 from phfmu.fmu.version import VERSIONS
 from phfmu.signals import Quantity, ordered_ports
 

@@ -11,11 +11,11 @@ import pytest
 
 from phfmu import build_model
 from phfmu.components.mechanical.translational import mass
-from phfmu.fmu import sources
-from phfmu.fmu import variables as fmu_variables
-from phfmu.fmu.archive import Archive
-from phfmu.fmu.description import Unit
-from phfmu.fmu.model_description import read_interface
+from phfmu.fmu.export import sources
+from phfmu.fmu.export import variables as fmu_variables
+from phfmu.fmu.export.description import Unit
+from phfmu.fmu.importer.archive import Archive
+from phfmu.fmu.importer.model_description import read_interface
 from phfmu.fmu.version import FMI2, FMI3, VERSIONS, Names, written_by
 
 PACKAGE = Path(fmu_variables.__file__).parents[1]

@@ -22,7 +22,7 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.gradients.gradient_names import GRADIENTS
 from phfmu.gradients.quadrature import nodes
 from phfmu.plan import address

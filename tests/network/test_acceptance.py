@@ -10,8 +10,8 @@ import pytest
 
 from phfmu.network.couplings import acceptance
 from phfmu.network.couplings.acceptance import BY_ENERGY, BY_FLOOR, ENERGY, FLOOR, ROUNDING, STALLED, Progress
-from phfmu.network.couplings.master import ACCEPTED
-from phfmu.network.couplings.master_library import HEADER, library
+from phfmu.network.couplings.compiled.master import ACCEPTED
+from phfmu.network.couplings.compiled.master_library import HEADER, library
 
 
 class Compiled:

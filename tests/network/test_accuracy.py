@@ -11,7 +11,7 @@ from phfmu import Collocated, Monolithic, Options, PythonInstance, build_model, 
 from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass
-from phfmu.network.run.accuracy import Again, Record, accuracy
+from phfmu.runs.accuracy import Again, Record, accuracy
 
 M, K = 2.0, 50.0
 

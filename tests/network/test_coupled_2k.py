@@ -34,11 +34,11 @@ from phfmu import (
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.engine.status import Status
 from phfmu.network.couplings.coupling import Step
-from phfmu.network.couplings.exchange import Exchange
-from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import NodeNewton, Unknowns
+from phfmu.network.interface.exchange import Exchange
+from phfmu.network.interface.joined import Joined
+from phfmu.outcome.status import Status
 from phfmu.schemes.midpoint import Midpoint
 from phfmu.schemes.radau import Radau
 from phfmu.schemes.two_level import TwoLevel

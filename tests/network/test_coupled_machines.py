@@ -36,13 +36,13 @@ from phfmu.cli import main
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.engine.status import Status
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.network.couplings.apart import Apart
-from phfmu.network.couplings.exchange import Exchange
+from phfmu.network.interface.exchange import Exchange
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.node_values import InstanceNodes, node_values
+from phfmu.outcome.status import Status
 from phfmu.signals import CONSTRAINT
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract

@@ -35,7 +35,7 @@ from phfmu.components.scenes.ladder import ladder
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.signals import CONSTRAINT

@@ -22,8 +22,8 @@ from phfmu import (
 )
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.couplings.coupling import Solution, Step
-from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.newton import Newton
+from phfmu.network.interface.joined import Joined
 
 H = 0.01
 

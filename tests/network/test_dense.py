@@ -24,7 +24,7 @@ from phfmu import (
 )
 from phfmu.cli import main
 from phfmu.components.library import build
-from phfmu.network.run.dense import polynomial_of
+from phfmu.runs.dense import polynomial_of
 from tests.engines import ENGINES
 from tests.wide import wide
 

@@ -15,9 +15,9 @@ from phfmu.cli import main
 from phfmu.components.mechanical.translational import damper, mass, spring
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
-from phfmu.engine.status import Status
 from phfmu.network.couplings.gauss_seidel import GaussSeidel, usual_sequence
 from phfmu.network.couplings.jacobi import Jacobi
+from phfmu.outcome.status import Status
 
 
 def members(net: Network) -> list[Any]:

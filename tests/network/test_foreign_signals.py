@@ -13,16 +13,16 @@ from scipy.linalg import expm
 
 from phfmu import Coupled, FMUInstance, Network, Options, StepFailure, run
 from phfmu.cli import main
-from phfmu.engine.status import Status
-from phfmu.fmu.unit_file import unit_file
+from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.network.couplings.auto import choose
 from phfmu.network.couplings.gauss_seidel import GaussSeidel
-from phfmu.network.couplings.held_signals import SignalExchange
 from phfmu.network.couplings.jacobi import Jacobi
 from phfmu.network.couplings.node_newton import newton
-from phfmu.network.couplings.signal_growth import SignalGrowth
-from phfmu.network.junctions.wires import Wire
+from phfmu.network.couplings.signals.held_signals import SignalExchange
+from phfmu.network.couplings.signals.signal_growth import SignalGrowth
 from phfmu.network.members.fmu_member import FMUMember
+from phfmu.network.wires import Wire
+from phfmu.outcome.status import Status
 from tests.fmu import foreign
 
 Values = dict[str, float]
@@ -164,7 +164,7 @@ def test_growth_is_that_of_a_factor_a_step() -> None:
 
 SCENE = """
 from phfmu import Network
-from phfmu.fmu.unit_file import unit_file
+from phfmu.fmu.importer.unit_file import unit_file
 
 def pair():
     net = Network("pair")

@@ -47,7 +47,7 @@ def with_unit(net: Network, name: str, folder: Path, k: int, h: float, impulses:
     d = net.separate()[name]
     model = build_model(d, Collocated(k))
     (path,) = export(model, folder, ("2.0",), step=h, node_inputs=k > 1, impulses=impulses)
-    from phfmu.fmu.unit_file import unit_file
+    from phfmu.fmu.importer.unit_file import unit_file
 
     return replace(net, members={n: unit_file(path) if n == name else m for n, m in net.members.items()})
 

@@ -27,12 +27,11 @@ from phfmu import (
     run,
 )
 from phfmu.components.library import LIBRARY, SWITCHED, build
-from phfmu.engine.event_failure import EventRefused
-from phfmu.engine.status import StepFailure
-from phfmu.network.couplings.matrices import update
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import POLICIES
+from phfmu.network.interface.matrices import update
+from phfmu.outcome.status import EventRefused, StepFailure
 
 STEPS = 6
 #: what its junction exchanges is held by a signal, so no coupling can be late

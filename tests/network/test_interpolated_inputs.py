@@ -29,7 +29,7 @@ from phfmu.audit import read
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.members.interpolant import Interpolant
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 from tests.engines import ENGINES
 
 STIFFNESS, DAMPING, FORCE = 4.2, 0.3, "f.force"

@@ -32,10 +32,10 @@ from phfmu import (
 from phfmu.audit import AuditWriter, Booking, Ledger, PartKey, PortKey, audit_table, read, summarise
 from phfmu.audit.sheets import sheets
 from phfmu.components.scenes.smib import smib
-from phfmu.engine.steps import Steps
 from phfmu.network.couplings import node_newton
 from phfmu.network.couplings.newton import update
 from phfmu.network.couplings.unconverged import POLICIES
+from phfmu.outcome.steps import Steps
 from tests.engines import ENGINES
 
 H = 1e-3

@@ -25,21 +25,21 @@ from phfmu import (
     run,
     state,
 )
-from phfmu.bench import coupling as coupling_bench
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.ladder import ladder
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.engine.steps import Steps
+from phfmu.network.couplings.compiled.threads import worth
 from phfmu.network.couplings.coupling import Coupling, Solution, Step
-from phfmu.network.couplings.crew import worth
-from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import Halving
+from phfmu.network.interface.joined import Joined
+from phfmu.outcome.steps import Steps
 from phfmu.signals import CONSTRAINT
+from phfmu.studies.bench import coupling as coupling_bench
 from tests.network.both_loops import SAME, members
 from tests.wide import slow, wide
 
@@ -347,7 +347,7 @@ def test_what_is_refused_is_taken_by_the_loop_in_python() -> None:
 @pytest.mark.parametrize("slow_one", [1, 2])
 def test_the_faster_number_of_threads_goes_on(slow_one: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where threads could pay, some steps by one and by two tell which; the rows are those of one thread."""
-    from phfmu.network.couplings import pace
+    from phfmu.network.couplings.compiled import threads as pace
 
     monkeypatch.setattr(pace, "worth", lambda *_: 2)
     monkeypatch.setattr(pace, "processors", lambda: 2)

@@ -20,13 +20,13 @@ from phfmu import (
     build_model,
     run,
 )
-from phfmu.bench import coupling as coupling_bench
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.oscillator import oscillator
-from phfmu.network.couplings import master_library
-from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.master_pattern import Pattern, exchanged
+from phfmu.network.couplings.compiled import master_library
+from phfmu.network.couplings.compiled.master_pattern import Pattern, exchanged
 from phfmu.network.couplings.node_newton import newton
+from phfmu.network.interface.joined import Joined
+from phfmu.studies.bench import coupling as coupling_bench
 from tests.network.both_loops import SAME, members
 from tests.wide import wide
 
@@ -95,7 +95,7 @@ def test_what_is_not_coupled_natively_compiles_nothing_of_it(monkeypatch: pytest
     def refused() -> Any:
         raise AssertionError("compiled")
 
-    monkeypatch.setattr("phfmu.network.couplings.master.library", refused)
+    monkeypatch.setattr("phfmu.network.couplings.compiled.master.library", refused)
     scene = oscillator()
     net: Any = scene.system
     model = build_model(scene.declaration(), Collocated(1))

@@ -10,7 +10,7 @@ import pytest
 from phfmu import Collocated, Coupled, EngineMember, NativeInstance, Options, build_model, run
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.network.junctions.network import Network
+from phfmu.network.network import Network
 from tests.engines import ENGINES
 from tests.network.test_coupled_2k import exact, nonlinear
 from tests.wide import slow

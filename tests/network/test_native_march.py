@@ -30,8 +30,8 @@ from phfmu import (
 from phfmu.components.library import build
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.discretise.model import Model
-from phfmu.network.run.adaptive import ToleranceMissed
-from phfmu.network.run.native_march import NativeMarch
+from phfmu.runs.adaptive import ToleranceMissed
+from phfmu.runs.native_march import NativeMarch
 from tests.wide import wide
 
 FACTS = ("steps", "iterations", "rejected", "smallest", "largest", "restarted", "worst", "notes")

@@ -28,16 +28,16 @@ from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.engine.status import Status
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.junctions.junction import ConnectionError
+from phfmu.network.junction import ConnectionError
 from phfmu.network.members.consistent import InconsistentState
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.fmu_member import FMUMember
-from phfmu.network.run.result import Result
+from phfmu.outcome.status import Status
+from phfmu.runs.result import Result
 from tests.engines import BY_NAME
 from tests.wide import wide
 

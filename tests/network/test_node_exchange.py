@@ -27,7 +27,7 @@ from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.smib import smib
-from phfmu.network.junctions.interface import interface
+from phfmu.network.interface.interface import interface
 from tests.wide import wide
 
 

@@ -18,7 +18,7 @@ from phfmu import (
     run,
 )
 from phfmu.cli import _parser, main
-from phfmu.cli.build import job_of
+from phfmu.cli.job import job_of
 from phfmu.cli.parser import parsed
 from phfmu.components.electrical.branches import rc_node
 from phfmu.components.electrical.breaker import ideal_diode

@@ -10,8 +10,8 @@ import pytest
 
 from phfmu import FMUInstance
 from phfmu.cli import main
-from phfmu.fmu.access import Access
-from phfmu.fmu.unit_file import unit_file
+from phfmu.fmu.importer.access import Access
+from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.network.members.rollback import WAYS
 from phfmu.network.members.unit_member import tried
 from tests.fmu import foreign
@@ -146,7 +146,7 @@ def test_an_instance_tells_what_is_held(folder: Path, version: str) -> None:
 @pytest.mark.parametrize("coupling", wide(["newton", "anderson", "gauss-seidel", "jacobi"], "newton", "gauss-seidel"))
 @pytest.mark.parametrize("version", VERSIONS)
 def test_units_of_this_package_are_told_so_too(version: str, coupling: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phfmu.fmu.slave import Slave
+    from phfmu.fmu.importer.slave import Slave
 
     told, do_step = [], Slave.do_step
 

@@ -27,7 +27,7 @@ from phfmu import (
 )
 from phfmu.components.library import LIBRARY, build
 from phfmu.engine.switched import stepped
-from phfmu.network.run import ringing
+from phfmu.runs import ringing
 from tests.engines import ENGINES
 from tests.events.stiff_fault import EVENTS, STEP, STOP, network
 from tests.wide import slow, wide

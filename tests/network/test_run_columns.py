@@ -12,7 +12,7 @@ from phfmu import Monolithic, Options, PythonInstance, build_model, run
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.members.inputs import places, with_bare
-from phfmu.network.run.run_columns import RunColumns
+from phfmu.runs.rows import RunColumns
 
 
 def test_names_and_units_come_before_the_first_row() -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from phfmu import PHDAE, Network, signal_input, state
 from phfmu.cli import main
-from phfmu.network.junctions.junction import ConnectionError
-from phfmu.network.junctions.wires import without_unit
+from phfmu.network.junction import ConnectionError
+from phfmu.network.wires import without_unit
 from tests.fmu import foreign
 
 IN = '<ScalarVariable name="u" valueReference="1" causality="input"><Real start="0"{unit}/></ScalarVariable>'

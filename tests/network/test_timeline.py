@@ -11,7 +11,7 @@ import pytest
 
 from phfmu import Event, Monolithic, Options, PythonInstance, build_model, run
 from phfmu.cli import main
-from phfmu.network.run.loop import segments
+from phfmu.runs.loop import segments
 
 Run = Callable[..., tuple[int, str]]
 

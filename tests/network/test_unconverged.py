@@ -10,10 +10,10 @@ import pytest
 
 from phfmu import Collocated, Coupled, EngineMember, Network, Options, PythonInstance, StepFailure, build_model, run
 from phfmu.cli import main
-from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.newton import Newton
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.couplings.unconverged import POLICIES
+from phfmu.network.interface.joined import Joined
 from tests.network.test_coupled_2k import nonlinear
 from tests.wide import wide
 

@@ -20,7 +20,7 @@ from phfmu import (
     export,
 )
 from phfmu.components.scenes.oscillator import oscillator
-from phfmu.fmu.access import Access
+from phfmu.fmu.importer.access import Access
 from tests.network.both_loops import SAME
 from tests.network.unit_members import unit_members
 from tests.wide import slow
@@ -105,8 +105,8 @@ def test_after_a_fatal_error_nothing_is_called(made: Any, monkeypatch: pytest.Mo
 CRASH = """
 import ctypes, sys
 from phfmu import Coupled, FMUInstance
-from phfmu.engine.steps import Steps
-from phfmu.fmu.access import Access
+from phfmu.outcome.steps import Steps
+from phfmu.fmu.importer.access import Access
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.components.scenes.oscillator import oscillator
 functions = Access.functions

@@ -20,8 +20,8 @@ from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.speed_control import speed_control
 from phfmu.components.scenes.stops import buffer
 from phfmu.components.scenes.two_machine import two_machine
-from phfmu.engine.steps import Steps
 from phfmu.network.members.fmu_member import FMUMember
+from phfmu.outcome.steps import Steps
 from phfmu.signals import CONSTRAINT
 from tests.network.both_loops import SAME
 from tests.network.test_master import BOOKS, pulled

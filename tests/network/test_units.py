@@ -14,10 +14,10 @@ from phfmu import Coupled, EngineMember, Network, Options, PythonInstance, build
 from phfmu import run as run_
 from phfmu.cli import main
 from phfmu.components.mechanical.translational import mass
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.unit_file import unit_file
-from phfmu.fmu.variables import FMUError
-from phfmu.network.junctions.junction import ConnectionError
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.reader import FMUInstance
+from phfmu.fmu.importer.unit_file import unit_file
+from phfmu.network.junction import ConnectionError
 from phfmu.network.members.unit_member import tried, unit_member
 from tests.fmu import foreign
 from tests.wide import slow, wide

@@ -39,7 +39,7 @@ from phfmu import (
 )
 from phfmu.components.control.pi_controller import pi_controller
 from phfmu.components.scenes.speed_control import speed_control
-from phfmu.network.junctions.junction import ConnectionError
+from phfmu.network.junction import ConnectionError
 
 STOP = 0.5
 

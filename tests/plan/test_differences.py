@@ -8,7 +8,7 @@ import pytest
 
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.model import build_model, default_scheme
-from phfmu.engine.derived import update_runs
+from phfmu.engine.build.derived import update_runs
 from phfmu.plan.address import Address, gradient, increment
 from phfmu.plan.differences import differences, in_differences
 from phfmu.plan.spec import Spec

@@ -11,13 +11,12 @@ import phfmu as ph
 from phfmu import PHDAE, Collocated, DeclarationError, block, build_model, energy
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.discretise.onestep import step_layout
 from phfmu.plan.address import Address, increment, row
-from phfmu.plan.arguments import Arguments
 from phfmu.plan.ordering import StructurallySingular, elimination_order
 from phfmu.plan.planner import make_plan
-from phfmu.plan.spec import Spec
+from phfmu.plan.spec import Arguments, Spec
 from phfmu.terms.extract import extract
 
 

@@ -11,7 +11,7 @@ import pytest
 import phfmu as ph
 from phfmu import PHDAE, Collocated, Port, PythonInstance, TwoLevel, block, build_model, energy
 from phfmu.components.library import build
-from phfmu.engine.evaluate import Evaluator
+from phfmu.engine.reference.evaluate import Evaluator
 from tests.wide import wide
 
 SEEDS, EL = range(4), ph.ELECTRICAL

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from phfmu.cli import main
-from phfmu.report.choice import MOST
 from phfmu.report.energies import POWER, STORED
-from phfmu.report.labels import LETTER, entry, labels, shortened
 from phfmu.report.live_recording import LiveRecording
-from phfmu.report.pace import BEFORE, PERIODS, swings
-from phfmu.report.picture import Picture, picture
+from phfmu.report.picture.choice import MOST
+from phfmu.report.picture.labels import LETTER, entry, labels, shortened
+from phfmu.report.picture.picture import Picture, picture
+from phfmu.report.picture.thinning import BEFORE, PERIODS, swings
 from phfmu.report.recording import Mark
 
 TIME = np.arange(0.0, 5.0, 1e-3)

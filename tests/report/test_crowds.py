@@ -10,14 +10,14 @@ import pytest
 
 from phfmu.cli import main
 from phfmu.report.audit_signals import marks
-from phfmu.report.crowds import parted
-from phfmu.report.flows import Link, Node
-from phfmu.report.history import read_history
 from phfmu.report.live_recording import LiveRecording
-from phfmu.report.page import _events
-from phfmu.report.picture import DECADES, panel, picture
+from phfmu.report.page.flows import Link, Node
+from phfmu.report.page.history import read_history
+from phfmu.report.page.page import _events
+from phfmu.report.page.sankey import seen
+from phfmu.report.picture.labels import parted
+from phfmu.report.picture.picture import DECADES, panel, picture
 from phfmu.report.recording import Mark, Signal
-from phfmu.report.sankey import seen
 
 
 def test_events_that_stand_close_are_a_crowd_and_no_event_is_lost() -> None:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from phfmu.audit import AuditWriter, Booking, Ledger, PortKey
-from phfmu.engine.steps import Steps
-from phfmu.report.flows import JUNCTION, MEMBER, RESIDUAL, Node, books, imbalance, links, ports
-from phfmu.report.gathered import ALL, MOST, gathered_links, gathered_ports, others
-from phfmu.report.history import read_history
-from phfmu.report.page import Run, write_report
+from phfmu.outcome.steps import Steps
+from phfmu.report.page.flows import JUNCTION, MEMBER, RESIDUAL, Node, books, imbalance, links, ports
+from phfmu.report.page.gathered import ALL, MOST, gathered_links, gathered_ports, others
+from phfmu.report.page.history import read_history
+from phfmu.report.page.page import Run, write_report
 
 N = 101
 

@@ -16,17 +16,17 @@ import pytest
 
 from phfmu.audit import AuditWriter, Booking, Ledger, PortKey, read
 from phfmu.cli import main
-from phfmu.engine.steps import Steps
+from phfmu.outcome.steps import Steps
 from phfmu.pick import pick
-from phfmu.report.history import read_history
-from phfmu.report.html import POINTS, fitted, single, write_html
 from phfmu.report.live_recording import LiveRecording
 from phfmu.report.opening import opened
-from phfmu.report.picture import COLOURS, panel, picture, with_marks
-from phfmu.report.prefix import engineering, scaled
+from phfmu.report.page.history import read_history
+from phfmu.report.picture.html import POINTS, fitted, single, write_html
+from phfmu.report.picture.picture import COLOURS, panel, picture, with_marks
+from phfmu.report.picture.prefix import engineering, scaled
+from phfmu.report.picture.thinning import lean, thin
 from phfmu.report.recording import Mark, Signal
 from phfmu.report.result_table import ResultTable
-from phfmu.report.thin import lean, thin
 from phfmu.results.schema import UNIT_KEY
 
 NAMES = ["gen.I[1]", "gen.I[2]", "gen.V_step[1]", "gen.Te", "line.I[1]", "gen.energy.stored", "constraint.velocity.x"]
@@ -303,7 +303,7 @@ def test_what_cannot_be_drawn_is_said_once(make, words, said, folder, tmp_path, 
 
 @pytest.mark.parametrize(("ending", "package"), [("png", "matplotlib"), ("html", "plotly")])
 def test_a_missing_package_is_said_before_the_work(ending, package, tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("phfmu.report.extra.find_spec", lambda name: None)
+    monkeypatch.setattr("phfmu.report.picture.extra.find_spec", lambda name: None)
     for words in (["plot", str(table(tmp_path / "x.csv")), "-o"], ["run", "dc_motor", "--plot"]):
         assert main([*words, str(tmp_path / f"x.{ending}")]) == 2
         (line,) = capsys.readouterr().err.splitlines()
@@ -337,7 +337,7 @@ def test_a_component_has_its_colour_on_all_axes_and_so_has_its_limit(tmp_path: P
 
 def test_marks_of_the_same_time_are_one(tmp_path: Path) -> None:
     from phfmu.report.audit_signals import marks
-    from phfmu.report.history import History
+    from phfmu.report.page.history import History
 
     when = {"t0": np.array([1.0]), "h": np.array([np.nan]), "step": np.array([np.nan])}
     history = History("x", {}, events={("input", "", "u = 1"): when, ("input", "", "v = 2"): when})

@@ -12,9 +12,9 @@ import pytest
 
 from phfmu.audit import AuditWriter, Booking, Ledger, PortKey, read, summarise
 from phfmu.cli import main
-from phfmu.engine.steps import Steps
-from phfmu.report.diagram import PAGE, one_line
-from phfmu.report.flows import (
+from phfmu.outcome.steps import Steps
+from phfmu.report.page.diagram import PAGE, one_line
+from phfmu.report.page.flows import (
     CREATED,
     EVENT,
     JUNCTION,
@@ -32,7 +32,7 @@ from phfmu.report.flows import (
     links,
     ports,
 )
-from phfmu.report.history import History, read_history
+from phfmu.report.page.history import History, read_history
 from tests.report.test_plot import loaded
 
 EPS = float(np.finfo(float).eps)

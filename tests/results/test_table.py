@@ -13,7 +13,7 @@ from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.network.couplings.coupled import Coupled
 from phfmu.network.members.engine_member import EngineMember
-from phfmu.network.run.result import Result
+from phfmu.runs.result import Result
 
 
 def stepper(name: str = "dc_motor") -> Monolithic:
@@ -160,7 +160,7 @@ def test_a_file_without_kinds_is_read_by_names(result: Result, tmp_path: Path) -
 
 def test_what_a_signal_is_does_not_hang_on_its_name(tmp_path: Path) -> None:
     """A state that is called like a mean is drawn; by its name alone it is not."""
-    from phfmu.report.choice import usual
+    from phfmu.report.picture.choice import usual
     from phfmu.results.kinds import kinds_by_name
 
     names = ["stride_step", "terminal.i_step", "my.energy"]

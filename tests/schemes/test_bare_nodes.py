@@ -26,7 +26,7 @@ from phfmu.components.scenes.smib import smib
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.discretise.start import project_start
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
+from phfmu.runs.loop import run
 from phfmu.terms.bare import bare_nodes
 from phfmu.terms.extract import extract
 from tests.engines import ENGINES

@@ -12,8 +12,8 @@ from phfmu import (
     export,
 )
 from phfmu.cli import main
-from phfmu.fmu.values import Derivative
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.values import Derivative
 from phfmu.fmu.version import FMI3
 from phfmu.gradients.quadrature import nodes
 from tests.schemes.body_and_spring import END, driven_exact, force, plan, slope

@@ -14,7 +14,7 @@ from phfmu import (
     export,
 )
 from phfmu.cli import main
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
 from phfmu.gradients.quadrature import nodes
 from tests.engines import ENGINES
 from tests.schemes.body_and_spring import END, K2, START, D, K, M, driven_exact, force, plan, slope

@@ -27,9 +27,9 @@ from phfmu import (
     state,
 )
 from phfmu.components.library import build
-from phfmu.engine.steps import balance
 from phfmu.gradients.quadrature import nodes, radau_nodes
-from phfmu.network.run.restart import Restart
+from phfmu.outcome.steps import balance
+from phfmu.runs.restart import Restart
 from phfmu.schemes.named import named_scheme
 from tests.engines import ENGINES
 from tests.wide import wide
@@ -213,7 +213,7 @@ def test_what_does_not_fit_says_what_does():
 
 def test_an_fmu_has_no_variable_for_the_loss(tmp_path):
     from phfmu import export
-    from phfmu.fmu.export import FMUError
+    from phfmu.fmu.export.export import FMUError
 
     motor = build("dc_motor")
     with pytest.raises(FMUError, match="loses energy"):

@@ -8,8 +8,8 @@ import pytest
 from phfmu.components.mechanical.fekete import fekete
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.discretise.model import Model, build_model, default_scheme
-from phfmu.engine.native import NativeInstance
-from phfmu.engine.python import PythonInstance
+from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.reference.python import PythonInstance
 
 #: positions of the first two charges at t = 1000 s, in m: Mazzia, Magherini, Test Set for IVP Solvers (2008)
 PUBLISHED = (-0.4070263380333202, 0.3463758772791802, 0.8451942450030429, 0.0775293475252155, -0.2628662719972299,

@@ -12,13 +12,13 @@ import pytest
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.discretise.model import Model, build_model, default_scheme
-from phfmu.engine.codegen import kernel_table
-from phfmu.engine.compile import compile, host_flags
-from phfmu.engine.library import load, runtime_sources
+from phfmu.engine.build.codegen import kernel_table
+from phfmu.engine.build.compile import compile, host_flags
+from phfmu.engine.build.tables import CTables
 from phfmu.engine.model import kernels
-from phfmu.engine.native import NativeInstance
-from phfmu.engine.python import PythonInstance
-from phfmu.engine.tables import CTables
+from phfmu.engine.native.library import load, runtime_sources
+from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.reference.python import PythonInstance
 from phfmu.gradients.quadrature import nodes
 from phfmu.schemes.collocated import Collocated
 from phfmu.schur import lane_groups, text

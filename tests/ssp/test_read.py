@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from phfmu.cli import main
-from phfmu.fmu.variables import FMUError
+from phfmu.fmu.export.variables import FMUError
 from phfmu.ssp.loading import load
 from phfmu.ssp.structure import SSPError
 from tests.ssp.documents import (

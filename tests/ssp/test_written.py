@@ -11,7 +11,7 @@ from fmpy.ssp.ssd import read_ssd
 from lxml import etree
 
 from phfmu.cli import main
-from phfmu.fmu.unit_file import unit_file
+from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.ssp.loading import load
 from phfmu.ssp.names import PORTS, tag
 from tests.fmu import foreign

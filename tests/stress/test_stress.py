@@ -9,10 +9,10 @@ import pytest
 
 from phfmu import StepFailure
 from phfmu.cli import main
-from phfmu.engine.status import remedy
-from phfmu.stress import coupled, couplings, crash, events, linkage, machine, matrix, near, particles, units
-from phfmu.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
-from phfmu.stress.report import page, tally
+from phfmu.outcome.status import remedy
+from phfmu.studies.stress import coupled, couplings, crash, events, linkage, machine, matrix, near, particles, units
+from phfmu.studies.stress.case import Case, Outcome, Verdict, answer, not_supported, refused
+from phfmu.studies.stress.report import page, tally
 from phfmu.words import counted
 from tests.engines import ENGINES
 from tests.wide import wide

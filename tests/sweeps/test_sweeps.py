@@ -17,8 +17,8 @@ from phfmu.cli import main
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass
 from phfmu.network.couplings.monolithic import Monolithic
-from phfmu.network.run.loop import run
-from phfmu.network.run.result import Result
+from phfmu.runs.loop import run
+from phfmu.runs.result import Result
 from phfmu.sweeps.crew import Threads
 from phfmu.sweeps.design import axes, table
 from phfmu.sweeps.outcome import Outcome

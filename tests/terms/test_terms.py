@@ -10,14 +10,14 @@ import pytest
 
 import phfmu
 from phfmu.components.library import build
-from phfmu.declare.value import Value
+from phfmu.declare.variable import Value
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.impulses import Impulses
 from phfmu.schemes.two_level import TwoLevel
 from phfmu.terms.extract import extract
 from phfmu.terms.hidden import Hidden
 from phfmu.terms.located import Constant, Row, RowAt, ValueAt
-from phfmu.terms.rest import ConstraintsAtStart, at_start
+from phfmu.terms.rank import ConstraintsAtStart, at_start
 from phfmu.terms.term import CONSTRAINT, Terms
 from phfmu.terms.velocities import Velocities, velocity_of
 from tests.sources import nodes

@@ -8,8 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from phfmu.declare.error import DeclarationError
-from phfmu.declare.problem import Problem
+from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.variable import Variable, _sx, time
 
 

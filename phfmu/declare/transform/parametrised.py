@@ -23,13 +23,11 @@ import numpy as np
 
 from phfmu.declare.block import skew
 from phfmu.declare.coefficients import matrices
-from phfmu.declare.error import DeclarationError
+from phfmu.declare.error import DeclarationError, Problem
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.problem import Problem
 from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.inverse import inverted
-from phfmu.declare.variable import Variable, _sx, key, slices, time
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Variable, VariableKind, _sx, key, slices, time
 
 
 @dataclass(frozen=True, eq=False)

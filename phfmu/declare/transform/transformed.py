@@ -20,8 +20,7 @@ from phfmu.declare.transform.change import Change
 from phfmu.declare.transform.maps import Maps
 from phfmu.declare.transform.transformed_constraints import velocity_form
 from phfmu.declare.transform.transformed_pair import costates, descriptor, singular_costates
-from phfmu.declare.variable import key
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import VariableKind, key
 
 
 def transformed(model: PHDAE, T: Maps) -> PHDAE:

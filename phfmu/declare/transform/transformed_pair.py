@@ -16,8 +16,7 @@ from phfmu.declare.error import DeclarationError
 from phfmu.declare.regular import undetermined
 from phfmu.declare.transform.change import ZERO, Change, span
 from phfmu.declare.transform.inverse import blocks
-from phfmu.declare.variable import Variable, key
-from phfmu.declare.variable_kind import VariableKind
+from phfmu.declare.variable import Variable, VariableKind, key
 
 Array = NDArray[Any]
 Key = Variable | tuple[Variable, ...]

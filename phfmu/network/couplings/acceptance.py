@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from phfmu.engine.limits import defined
+from phfmu.outcome.limits import defined
 
 RULES = Path(__file__).parent / "runtime" / "acceptance.h"
 _NUMBERS = defined(RULES)

@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import Status
 from phfmu.network.couplings.acceptance import Progress
 from phfmu.network.couplings.coupling import Solution, Step
-from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.matrices import assembled, update
 from phfmu.network.couplings.newton import energies, failed, trial_of
-from phfmu.network.junctions.hidden import hidden_part
+from phfmu.network.interface.hidden import hidden_part
+from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.matrices import assembled, update
+from phfmu.outcome.status import Status
 
 Array = NDArray[Any]
 

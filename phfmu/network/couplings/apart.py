@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 from phfmu.declare.phdae import PHDAE
 from phfmu.declare.variable import _sx
 from phfmu.events.event_plan import at_instant
-from phfmu.network.couplings.bare_columns import Bare, bare
-from phfmu.network.couplings.held_signals import ORDER_OF_EVENTS
 from phfmu.network.couplings.newton import Newton
-from phfmu.network.couplings.relations import bent
-from phfmu.network.junctions.interface import Interface, interface
-from phfmu.network.junctions.network import Network
-from phfmu.network.junctions.wires import Wire
+from phfmu.network.couplings.signals.held_signals import ORDER_OF_EVENTS
+from phfmu.network.interface.bare_columns import Bare, bare
+from phfmu.network.interface.interface import Interface, interface
+from phfmu.network.interface.relations import bent
 from phfmu.network.members.node_values import DeclaredOffer
+from phfmu.network.network import Network
+from phfmu.network.wires import Wire
 from phfmu.terms.extract import extract
 from phfmu.terms.port_impulses import Impulse
 
 if TYPE_CHECKING:
-    from phfmu.fmu.unit_file import UnitFile
+    from phfmu.fmu.importer.unit_file import UnitFile
 
 
 class Apart:
@@ -200,7 +200,7 @@ class FileOffer:
     """The offer of a unit by its manifest. Its matrix is not known before it runs: all of its impulses may be coupled."""
 
     def __init__(self, name: str, file: UnitFile):
-        from phfmu.fmu.node_exchange import impulse_ports
+        from phfmu.fmu.importer.node_exchange import impulse_ports
 
         self.name, self.nu = name, 0
         self.ports = {p.port: p for p in impulse_ports(file.port_maps)}

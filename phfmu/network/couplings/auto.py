@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from phfmu.network.couplings.coupling_table import GAUSS_SEIDEL, MONOLITHIC, NEWTON, CouplingRow
-from phfmu.network.junctions.network import Network
+from phfmu.network.network import Network
 
 
 @dataclass(frozen=True)

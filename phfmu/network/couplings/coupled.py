@@ -11,32 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
-from phfmu.engine.status import EndRequested, StepFailure
-from phfmu.engine.steps import Steps
 from phfmu.interrupt import Interrupted
-from phfmu.network.couplings.agreed_signals import AgreedSignals
 from phfmu.network.couplings.coupling import AllSteps, Coupling, Solution, Step, Unconverged
-from phfmu.network.couplings.end_sums import EndSums
-from phfmu.network.couplings.followed import Followed
 from phfmu.network.couplings.growth import Growth
-from phfmu.network.couplings.held_signals import HeldSignals, SignalExchange
-from phfmu.network.couplings.instant import Instant
-from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.jumps_apart import JumpsApart
-from phfmu.network.couplings.landings import landings
+from phfmu.network.couplings.landing.landings import landings
 from phfmu.network.couplings.node_newton import newton, xi_at_end
-from phfmu.network.couplings.signal_growth import SignalGrowth
+from phfmu.network.couplings.signals.agreed_signals import AgreedSignals
+from phfmu.network.couplings.signals.held_signals import HeldSignals, SignalExchange
+from phfmu.network.couplings.signals.signal_growth import SignalGrowth
 from phfmu.network.couplings.start_values import start_values
 from phfmu.network.couplings.unconverged import booked, plain
-from phfmu.network.couplings.whole_columns import WholeColumns
 from phfmu.network.couplings.works import Works
-from phfmu.network.junctions.network import Network
+from phfmu.network.impulses.jumps_apart import JumpsApart
+from phfmu.network.interface.end_sums import EndSums
+from phfmu.network.interface.followed import Followed
+from phfmu.network.interface.instant import Instant
+from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.whole_columns import WholeColumns
 from phfmu.network.members.member import Member
+from phfmu.network.network import Network
+from phfmu.outcome.status import EndRequested, StepFailure
+from phfmu.outcome.steps import Steps
 from phfmu.signals import SignalKind, of_member
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection
-    from phfmu.network.couplings.master import Master
+    from phfmu.network.couplings.compiled.master import Master
     from phfmu.network.couplings.stepper import Landing
     from phfmu.network.members.interpolant import Interpolant
 
@@ -109,7 +109,7 @@ class Coupled:
         """The steps in compiled code, where there are such."""
         if not self._may_compile or (self._signals.wires and self._signals.any_held):
             return None
-        from phfmu.network.couplings.master import master
+        from phfmu.network.couplings.compiled.master import master
 
         return master(self.joined, self.coupling, bool(self._works.keys), self._threads)
 
@@ -196,7 +196,7 @@ class Coupled:
         """Rows of states at junctions made zero by an impulse; what has moved.  ValueError with the remedy."""
         if self._switching is not None:
             return self._switching.project(t0, kept)
-        from phfmu.network.couplings.impulsive_start import project_start
+        from phfmu.network.impulses.impulsive_start import project_start
 
         self.last = Solution(self.last.xi, self.last.y)
         return project_start(self.joined, t0, kept)

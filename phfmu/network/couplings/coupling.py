@@ -12,9 +12,9 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from phfmu.engine.status import StepFailure
-from phfmu.engine.steps import StepEvent
-from phfmu.network.couplings.joined import Joined
+from phfmu.network.interface.joined import Joined
+from phfmu.outcome.status import StepFailure
+from phfmu.outcome.steps import StepEvent
 
 Array = NDArray[Any]
 

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from phfmu.network.couplings.coupling import Solution, Step
-from phfmu.network.couplings.instant import Instant
-from phfmu.network.couplings.joined import Joined
+from phfmu.network.interface.instant import Instant
+from phfmu.network.interface.joined import Joined
 
 ORDER = 1
 

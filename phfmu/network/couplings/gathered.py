@@ -11,16 +11,16 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from phfmu.declare.phdae import PHDAE
+from phfmu.network.compose import compose
 from phfmu.network.couplings.apart import Apart
-from phfmu.network.junctions.compose import compose
-from phfmu.network.junctions.junction import End, Junction
-from phfmu.network.junctions.network import Network
-from phfmu.network.junctions.wires import Wire, in_order
+from phfmu.network.junction import End, Junction
+from phfmu.network.network import Network
+from phfmu.network.wires import Wire, in_order
 from phfmu.signals import of_member
 from phfmu.words import first_few
 
 if TYPE_CHECKING:
-    from phfmu.fmu.unit_file import UnitFile
+    from phfmu.fmu.importer.unit_file import UnitFile
 
 #: the name of the composed member
 COMPOSED = ""

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from phfmu.network.couplings.coupling import Solution, Step
 from phfmu.network.couplings.explicit import ORDER, stepped
-from phfmu.network.couplings.instant import Instant
-from phfmu.network.couplings.joined import Joined
-from phfmu.network.junctions.network import Network
+from phfmu.network.interface.instant import Instant
+from phfmu.network.interface.joined import Joined
+from phfmu.network.network import Network
 from phfmu.words import meant
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import Status, StepFailure
-from phfmu.network.couplings.joined import Joined
+from phfmu.network.interface.joined import Joined
 from phfmu.network.members.stepped_last import POOR
+from phfmu.outcome.status import Status, StepFailure
 
 Array = NDArray[np.float64]
 

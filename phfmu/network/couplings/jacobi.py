@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from phfmu.network.couplings.coupling import Solution, Step
 from phfmu.network.couplings.explicit import ORDER, stepped
-from phfmu.network.couplings.instant import Instant
-from phfmu.network.couplings.joined import Joined
+from phfmu.network.interface.instant import Instant
+from phfmu.network.interface.joined import Joined
 
 
 class Jacobi:

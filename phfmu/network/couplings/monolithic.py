@@ -13,17 +13,15 @@ from phfmu.discretise.accounts import Accounts
 from phfmu.discretise.model import Model, build_model
 from phfmu.engine.record import Grid
 from phfmu.engine.rest_changes import RestChange
-from phfmu.engine.status import StepFailure
-from phfmu.engine.steps import LEDGER, StepEvent, Steps
 from phfmu.engine.switched import stepped
-from phfmu.events.happened import Happened
-from phfmu.network.couplings.projections import Projections
 from phfmu.network.couplings.stepper import Landing
-from phfmu.network.members.booking import booking
-from phfmu.network.members.columns import Columns
+from phfmu.network.impulses.projections import Projections
+from phfmu.network.members.columns import Columns, booking
 from phfmu.network.members.consistent import require_consistent
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs
+from phfmu.outcome.status import StepFailure
+from phfmu.outcome.steps import LEDGER, Happened, StepEvent, Steps
 from phfmu.schemes.scheme import Scheme
 from phfmu.signals import SignalKind, labels
 

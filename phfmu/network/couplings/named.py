@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from phfmu.network.couplings.coupling import Coupling
 from phfmu.network.couplings.coupling_table import COUPLINGS
-from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.unconverged import POLICIES
-from phfmu.network.junctions.network import Network
+from phfmu.network.interface.joined import Joined
+from phfmu.network.network import Network
 from phfmu.words import meant
 
 

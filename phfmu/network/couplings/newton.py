@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import Status
 from phfmu.network.couplings.acceptance import FLOOR, ITERATIONS, Progress
 from phfmu.network.couplings.coupling import Solution, Step, Unconverged
-from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.matrices import update
+from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.matrices import update
+from phfmu.outcome.status import Status
 
 Array = NDArray[Any]
 

@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.acceptance import END, FLOOR, ITERATIONS, KNOWN, Progress
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
-from phfmu.network.couplings.exchange import Exchange
-from phfmu.network.couplings.joined import Joined
-from phfmu.network.couplings.matrices import assembled, small, update
 from phfmu.network.couplings.newton import Newton, Worst, failure
+from phfmu.network.interface.exchange import Exchange
+from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.matrices import assembled, small, update
+from phfmu.outcome.status import Status, StepFailure
 from phfmu.schemes.impulses import POINTS
 
 Array = NDArray[Any]

@@ -15,14 +15,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import StepFailure
 from phfmu.gradients.quadrature import nodes
 from phfmu.network.couplings.coupling import Solution
-from phfmu.network.couplings.end_sums import EndSums
-from phfmu.network.couplings.exchange import Exchange
-from phfmu.network.couplings.instant import Instant
-from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.node_newton import NodeSolution
+from phfmu.network.interface.end_sums import EndSums
+from phfmu.network.interface.exchange import Exchange
+from phfmu.network.interface.instant import Instant
+from phfmu.network.interface.joined import Joined
+from phfmu.outcome.status import StepFailure
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
-from phfmu.engine.steps import StepEvent, Steps
+from phfmu.outcome.steps import StepEvent, Steps
 
 if TYPE_CHECKING:
     from phfmu.discretise.start import Projection

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.engine.status import Status, StepFailure
 from phfmu.network.couplings.acceptance import HALVED, KEPT
 from phfmu.network.couplings.coupling import Coupling, Solution, Step, Unconverged
-from phfmu.network.couplings.joined import Joined
 from phfmu.network.couplings.works import Works, works
+from phfmu.network.interface.joined import Joined
+from phfmu.outcome.status import Status, StepFailure
 
 HALVINGS = 10  # times that a step is halved
 

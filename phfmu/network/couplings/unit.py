@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
-from phfmu.engine.status import EndRequested, StepFailure
-from phfmu.engine.steps import Steps
-from phfmu.fmu.reader import FMUInstance
+from phfmu.fmu.importer.reader import FMUInstance
 from phfmu.interrupt import Interrupted
 from phfmu.network.members.fmu_member import FMUMember
+from phfmu.outcome.status import EndRequested, StepFailure
+from phfmu.outcome.steps import Steps
 from phfmu.signals import SignalKind
 from phfmu.words import meant
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from phfmu.audit.booking import PartKey
 from phfmu.network.couplings.coupling import Solution
-from phfmu.network.couplings.exchange import Exchange
-from phfmu.network.couplings.joined import Joined
+from phfmu.network.interface.exchange import Exchange
+from phfmu.network.interface.joined import Joined
 
 Array = NDArray[np.float64]
 

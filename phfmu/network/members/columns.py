@@ -1,14 +1,21 @@
-"""Result columns of a model: what it tells, read from an instance's signals."""
+"""Result columns of a model: what it tells, read from an instance's signals.
+
+What the audit calls the energies of an instance.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.audit.booking import Booking, PortKey, TermKey
+from phfmu.discretise.accounts import Accounts
 from phfmu.discretise.model import Model
-from phfmu.signals import Quantity, SignalKind, quantities
+from phfmu.signals import Quantity, SignalKind, ordered_ports, quantities
+from phfmu.terms.canonical import member
 
 Array = NDArray[np.float64]
 
@@ -62,3 +69,55 @@ class Columns:
         """The columns at the present time."""
         signals = instance.signals()
         return self.pick(np.concatenate([signals[b] for b in self._blocks])[None])[0]
+
+
+def booking(model: Model, parameters: NDArray[np.float64] | None = None) -> Booking:
+    """Audit names of a model's ledger with these parameters (default: those at the start): members (or the model itself)
+    and port pairs with their junctions."""
+    d = model.declaration
+    accounts = Accounts.of(model.members)
+    members = model.members if accounts is None else [model.members[i] for i in accounts.first]
+    components = tuple(m or model.name for m in members)
+    at = {end: name for name, ends in d.junctions for end in ends}
+    pairs = []
+    for p, _ in ordered_ports(d):
+        if p.signal:
+            continue
+        short = p.name.removeprefix(p.owner + ".") if p.owner else p.name
+        for j in range(p.n):
+            index = None if p.size is None else j + 1
+            pairs.append(PortKey(p.owner or model.name, short, index, at.get(p.name)))
+    held = Constants(model).at(model.p0 if parameters is None else parameters)
+    if accounts is None:
+        return Booking(components, tuple(pairs), constants=held)
+    terms = tuple(TermKey(a.component or model.name, a.term, a.stores) for a in accounts.terms)
+    return Booking(
+        components, tuple(pairs), constants=tuple(accounts.folded(np.array(held)).tolist()) if held else (), terms=terms
+    )
+
+
+class Constants:
+    """What of H is constant, by component: each summand with all states at zero, or at the start where it has no value there."""
+
+    def __init__(self, model: Model):
+        d = model.declaration
+        summands = [(e.owner, e.expr) for e in d.energies] + [(p.owner, p.hamiltonian) for p in d.closed]
+        x, p = (ca.vertcat(ca.SX(0, 1), *(v.sx for v in some)) for some in (d.states, d.parameters))
+        H = ca.vertcat(ca.SX(0, 1), *(e for _, e in summands))
+        starts = ca.DM(model.x0[: x.numel()])
+        self._values = ca.Function("H", [p], [ca.densify(ca.substitute(H, x, point)) for point in (0 * starts, starts)])
+        self._owner = np.array([member(model.members, owner) for owner, _ in summands], int)
+        self._count = len(model.members)
+
+    def at(self, p: NDArray[np.float64]) -> tuple[float, ...]:
+        """For these parameters [J]; () where nothing is."""
+        zero, start = (np.array(values).ravel() for values in self._values(p))
+        value = np.where(np.isfinite(zero), zero, np.where(np.isfinite(start), start, 0.0))
+        found = np.bincount(self._owner, value, self._count)
+        return tuple(found.tolist()) if found.any() else ()
+
+
+def booked(model: Model) -> NDArray[np.intp]:
+    """Which pairs of its ledger are booked: all but signals, whose power is zero."""
+    found = [at + j for p, at in ordered_ports(model.declaration) if not p.signal for j in range(p.n)]
+    return np.array(found, int)

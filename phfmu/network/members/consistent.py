@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from phfmu.declare.error import Refusal
+from phfmu.declare.error import Problem, Refusal
 from phfmu.declare.junction_words import junction_words
-from phfmu.declare.problem import Problem
 from phfmu.discretise.model import CONSISTENCY, Model
 
 PROJECT = "let the run move the start onto it with --project (energy change booked)"

@@ -13,15 +13,14 @@ from phfmu.audit.booking import Booking
 from phfmu.discretise.model import Model
 from phfmu.engine.impulses import port_kernels
 from phfmu.engine.rest_changes import RestChange
-from phfmu.engine.status import Status, StepFailure
-from phfmu.engine.steps import StepEvent
-from phfmu.network.junctions.signal_ports import signal_places
-from phfmu.network.members.booking import booked, booking
-from phfmu.network.members.columns import Columns
+from phfmu.network.members.columns import Columns, booked, booking
 from phfmu.network.members.consistent import MONOLITHIC, require_consistent
 from phfmu.network.members.differences import finite_differences
 from phfmu.network.members.happenings import Happenings
 from phfmu.network.members.inputs import Inputs, places
+from phfmu.network.signal_ports import signal_places
+from phfmu.outcome.status import Status, StepFailure
+from phfmu.outcome.steps import StepEvent
 from phfmu.signals import SignalKind, labels, of_member
 
 Array = NDArray[np.float64]

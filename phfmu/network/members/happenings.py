@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from phfmu.discretise.model import Model
-from phfmu.engine.steps import StepEvent
-from phfmu.events.happened import Happened
+from phfmu.outcome.steps import Happened, StepEvent
 
 
 class Happenings:

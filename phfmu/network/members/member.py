@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phfmu.audit.booking import Booking
 from phfmu.engine.rest_changes import RestChange
-from phfmu.engine.steps import StepEvent
+from phfmu.outcome.steps import StepEvent
 from phfmu.signals import SignalKind
 
 Array = NDArray[np.float64]

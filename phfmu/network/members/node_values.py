@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from phfmu.declare.phdae import PHDAE
 from phfmu.engine.impulses import PortKernels, port_kernels
-from phfmu.engine.status import Status, StepFailure
 from phfmu.gradients.quadrature import Nodes, gauss_nodes, nodes
 from phfmu.network.members.engine_member import EngineMember
 from phfmu.network.members.member import Member
+from phfmu.outcome.status import Status, StepFailure
 from phfmu.terms.port_impulses import PortImpulse
 
 if TYPE_CHECKING:
-    from phfmu.fmu.node_exchange import NodeExchange
+    from phfmu.fmu.importer.node_exchange import NodeExchange
     from phfmu.network.members.fmu_member import FMUMember
 
 Array = NDArray[np.float64]

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.status import EndRequested
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.refusal import UnitCallError, UnitFailure
+from phfmu.fmu.importer.reader import FMUInstance
+from phfmu.fmu.importer.refusal import UnitCallError, UnitFailure
+from phfmu.outcome.status import EndRequested
 
 Array = NDArray[np.float64]
 

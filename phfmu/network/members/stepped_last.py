@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.engine.rest_changes import RestChange
-from phfmu.engine.steps import StepEvent
+from phfmu.outcome.steps import StepEvent
 from phfmu.signals import SignalKind
 
 if TYPE_CHECKING:

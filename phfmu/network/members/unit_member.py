@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-from phfmu.fmu.reader import FMUInstance
-from phfmu.fmu.unit_file import UnitFile
+from phfmu.fmu.importer.reader import FMUInstance
+from phfmu.fmu.importer.unit_file import UnitFile
 from phfmu.network.members.fmu_member import FMUMember
 from phfmu.network.members.member import Member
 from phfmu.network.members.rollback import WAYS, Rollback, response, try_rollback

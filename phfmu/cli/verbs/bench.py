@@ -1,0 +1,209 @@
+"""phfmu bench: error against run time beside peers; scaling; observed orders; published results reproduced."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from phfmu.cli.progress import Line
+
+
+def add_parser(verbs: Any) -> None:
+    from phfmu.cli.codes import TARGET
+    from phfmu.cli.settings import add_settings
+
+    parser = verbs.add_parser("bench", help="error against run time, beside peers")
+    parser.add_argument(
+        "target", help=f"{TARGET} | chain:N, net:N, ladder:N | scaling | orders | leave-out | coupling | sweep"
+    )
+    parser.add_argument("--paper", action="store_true", help="figures, table and statements of the model's paper")
+    parser.add_argument(
+        "--schemes", metavar="LIST", help="NAME:ORDER[:GRADIENT], suzuki, kahan-li (default: what fits the target)"
+    )
+    parser.add_argument("--engines", metavar="LIST", default="native", help="native, python (default native)")
+    parser.add_argument("--steps", metavar="LIST", help="steps in s, with commas (default: 8 to 1/2 of the scene's)")
+    parser.add_argument("--tolerances", metavar="LIST", help="relative tolerances of peers (default 1e-3 ... 1e-10)")
+    parser.add_argument(
+        "--times", metavar="LIST", help="times in s at which states are compared (default: stop/10, stop)"
+    )
+    parser.add_argument("--stop", type=float, help="end of the timed runs in s (default: the scene's)")
+    parser.add_argument(
+        "--states", metavar="LIST", help="state variables in the error (default: all, the worst counts)"
+    )
+    parser.add_argument("--errors", metavar="LIST", help="error levels at which costs are compared")
+    parser.add_argument("--repeat", type=int, default=5, help="timed runs per row, the median counts (default 5)")
+    parser.add_argument("--peers", metavar="LIST", default="all", help="all, none or names with commas (default all)")
+    parser.add_argument(
+        "--families",
+        metavar="LIST",
+        help="scaling: chain, net, ladder; orders: names of the library; coupling: scenes (default: all)",
+    )
+    parser.add_argument("--sizes", metavar="LIST", help="scaling: sizes n (default: those of the family)")
+    parser.add_argument("--reference", metavar="CSV", help="states at the times: column time and one per state")
+    add_settings(parser)
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="folder of the files (default: bench); orders, leave-out, coupling, sweep: a file",
+    )
+    parser.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.files import require_folder, require_writable
+    from phfmu.studies.bench.machine import one_thread
+    from phfmu.target import require_known
+
+    one_thread()
+    tables = {"orders": _orders, "leave-out": _leave_out, "coupling": _coupling, "sweep": _sweep}
+    require_known(args.target, [*tables, "scaling"])
+    if args.target in tables:
+        if args.output:
+            require_writable(Path(args.output), f"-o {args.output}")
+        return tables[args.target](args)
+    args.output = args.output or "bench"
+    require_folder(Path(args.output), f"-o {args.output}", "pages and pictures")
+    if args.target == "scaling":
+        return _scaling(args)
+    return _paper(args) if args.paper else _compare(args)
+
+
+def _scaling(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.cli.codes import FINE
+    from phfmu.studies.bench.scaling import report
+
+    sizes = _numbers("--sizes", args.sizes)
+    if any(n != int(n) for n in sizes):
+        raise ValueError(f"--sizes {args.sizes}: expected whole numbers with commas between, e.g. 10,100,1000")
+    with Line() as progress:
+        lines = report(_names(args.families), [int(n) for n in sizes], Path(args.output), progress)
+    print("\n".join(lines))
+    return FINE
+
+
+def _leave_out(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.cli.codes import FINE
+    from phfmu.studies.bench.leave_out import page, table
+
+    if args.output:
+        Path(args.output).write_text(page())
+        print(f"page: {args.output}")
+    else:
+        print(table())
+    return FINE
+
+
+def _coupling(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.cli.codes import FINE
+    from phfmu.studies.bench.coupling import page, table
+
+    with Line() as progress:
+        text = page(progress) if args.output else table(_names(args.families), progress)
+    if args.output:
+        Path(args.output).write_text(text, encoding="utf-8")
+        text = f"page: {args.output}"
+    print(text)
+    return FINE
+
+
+def _sweep(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.cli.codes import FINE
+    from phfmu.studies.bench.sweeps import page, table
+
+    with Line() as progress:
+        text = page(progress) if args.output else table(progress=progress)
+    if args.output:
+        Path(args.output).write_text(text, encoding="utf-8")
+        text = f"page: {args.output}"
+    print(text)
+    return FINE
+
+
+def _orders(args: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from phfmu.cli.codes import FINE
+    from phfmu.studies.bench.orders import measure, table
+
+    with Line() as progress:
+        text = table(measure(_names(args.families), progress))
+    if args.output:
+        Path(args.output).write_text(text + "\n", encoding="utf-8")
+    print(text)
+    return FINE
+
+
+def _compare(args: argparse.Namespace) -> int:
+    from dataclasses import replace
+    from pathlib import Path
+
+    from phfmu.cli.codes import FINE
+    from phfmu.cli.settings import settings
+    from phfmu.studies.bench.families import member
+    from phfmu.studies.bench.problem import problem_of
+    from phfmu.studies.bench.run import TOLERANCES, Choice, compare, known_peers, write
+    from phfmu.target import scene
+
+    if args.repeat < 1:
+        raise ValueError(f"--repeat {args.repeat}: at least one timed run is needed")
+    found = member(args.target) or scene(args.target)
+    choice = Choice(
+        schemes=_names(args.schemes), engines=_names(args.engines), steps=_numbers("--steps", args.steps),
+        tolerances=_numbers("--tolerances", args.tolerances) or TOLERANCES, peers=known_peers(_names(args.peers)),
+        repeat=args.repeat, errors=_numbers("--errors", args.errors),
+    )  # fmt: skip
+    times, states = _numbers("--times", args.times), _names(args.states)
+    if args.stop is None and times:
+        args.stop = max(found.stop, *times)
+    declared = found.declaration().with_starts(settings(args.set))
+    problem = problem_of(replace(found, system=declared), times=times, stop=args.stop, judged=states)
+    if args.reference:
+        problem.read_reference(args.reference)
+    with Line() as progress:
+        found = compare(problem, choice, progress)
+    print("\n".join(write(found, Path(args.output))))
+    return FINE
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return tuple(t.strip() for t in text.split(",") if t.strip()) if text else ()
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...]:
+    try:
+        values = tuple(float(t) for t in _names(text))
+    except ValueError:
+        values = (0.0,)
+    if not all(0 < v < float("inf") for v in values):
+        raise ValueError(f"{option} {text}: expected positive numbers with commas between, e.g. 0.02,0.01")
+    return values
+
+
+def _paper(args: argparse.Namespace) -> int:
+    from importlib.util import find_spec
+
+    from phfmu.cli.codes import FINE, PROBLEMS
+    from phfmu.studies.bench.paper import MODEL
+    from phfmu.studies.bench.paper_figures import write
+    from phfmu.target import load
+
+    if args.target != MODEL:
+        raise ValueError(f"--paper reproduces the paper of {MODEL} only: phfmu bench {MODEL} --paper -o DIR")
+    if find_spec("matplotlib") is None:
+        raise ValueError('figures need matplotlib: pip install "phfmu[report]"')
+    found = write(load(args.target), args.output)
+    for s in found:
+        print(f"{'yes' if s.holds else 'NO '}  {s.number:12.4g}  {s.text}" + (f" ({s.remark})" if s.remark else ""))
+    print(f"figures 3 to 6, table 1 and statements.csv in {args.output}")
+    return FINE if all(s.holds or s.remark for s in found) else PROBLEMS

@@ -1,0 +1,198 @@
+"""phfmu export: native FMUs.
+
+phfmu export --ssp: a scene as a package of SSP.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.fmu.export.schedule import UnitEvent
+    from phfmu.network.scene import Event, Scene
+
+
+def add_parser(verbs: Any) -> None:
+    from phfmu.cli import options
+    from phfmu.cli.codes import TARGET
+    from phfmu.cli.settings import add_settings
+    from phfmu.cli.sound import add_no_check
+    from phfmu.fmu.version import VERSIONS
+    from phfmu.ssp.names import VERSIONS as SSP_VERSIONS
+
+    parser = verbs.add_parser(
+        "export", help=f"write FMI {' and '.join(VERSIONS)} Co-Simulation FMUs, or a package of SSP"
+    )
+    parser.add_argument("target", help=TARGET.rsplit(" | ", 1)[0])
+    parser.add_argument("-o", "--output", default=".", metavar="DIR", help="folder for the FMUs (default: here)")
+    parser.add_argument(
+        "--fmi", action="append", choices=[_short(n) for n in VERSIONS], help="FMI version; all if not given"
+    )
+    parser.add_argument("--step", type=float, help="internal step in s (default: the scene's)")
+    options.add_scheme(parser)
+    parser.add_argument("--node-inputs", action="store_true",
+                        help="optional port inputs at the nodes of a step, e.g. terminal.v_node[1,2] (order 4 or 6), "
+                        "and impulses at its ends for ports that take some")  # fmt: skip
+    parser.add_argument("--impulses", action="store_true",
+                        help="the same at order 2 too, with impulses at the ends of a step for ports that take some")  # fmt: skip
+    parser.add_argument("--outputs", default="ledger", choices=("ledger", "local"),
+                        help="energies and residuals of constraints as outputs, or as local variables")  # fmt: skip
+    parser.add_argument("--arrays", action="store_true",
+                        help="vector ports as array variables in FMI 3.0 (in FMI 2.0 they are scalars)")  # fmt: skip
+    parser.add_argument("--no-terminals", action="store_true",
+                        help="leave terminalsAndIcons.xml out, which some importers of FMI 2.0 refuse")  # fmt: skip
+    parser.add_argument("--outward", action="append", default=[], metavar="PORT",
+                        help="count the flow of this port (current, force) out of the unit; may be repeated")  # fmt: skip
+    parser.add_argument("--platform", action="append", metavar="NAME", help="e.g. x86_64-linux; may be repeated")
+    parser.add_argument("--all-platforms", action="store_true", help="linux, windows and darwin, x86_64 and aarch64")
+    parser.add_argument("--tunable", action="append", default=[], metavar="NAME",
+                        help="a parameter that may be set between steps, as those of the scene's events may")  # fmt: skip
+    parser.add_argument("--events", default="outside", choices=("outside", "inside"),
+                        help="outside: the importer sets what the scene's events change; inside: the unit does")  # fmt: skip
+    parser.add_argument("--ssp", nargs="?", const=SSP_VERSIONS[0], choices=SSP_VERSIONS, metavar="VERSION",
+                        help="a package of SSP (1.0 or 2.0; default 1.0): members as units, parameters, connections")  # fmt: skip
+    add_settings(parser)
+    add_no_check(parser)
+    parser.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    from phfmu.cli.options import scheme_of
+    from phfmu.cli.settings import settings, with_settings
+    from phfmu.cli.sound import require_sound
+    from phfmu.cli.timeline import started
+    from phfmu.discretise.model import build_model
+    from phfmu.fmu.export.export import PLATFORMS, export
+    from phfmu.fmu.export.schedule import fed_inside
+    from phfmu.fmu.version import VERSIONS
+    from phfmu.network.signal_ports import exchanging
+    from phfmu.target import scene
+
+    s = scene(args.target)
+    if args.ssp:
+        _require_places(args, s)
+        return export_package(args, s)
+    if s.units:
+        raise ValueError(
+            f"{args.target}: a unit holds no FMU, as {', '.join(s.units)} would be; --ssp writes a package of all members, or "
+            "put declarations in their place"
+        )
+    given = settings(args.set)
+    events, notes = started(s.events, given, s.declaration().settable_names())
+    begun = {e.name: e.value for e in events if e.t <= 0.0}
+    system = with_settings(with_settings(s.system, begun), given)
+    declaration = replace(s, system=system).declaration()
+    require_sound(args, declaration)
+    inside, left_out = _events(args, [e for e in events if e.t > 0.0], declaration)
+    left_out += [f"{s.restart} damping steps after each event"] if s.restart else []
+    if inside:
+        require_sound(args, declaration, [e for e in events if e.t > 0.0])
+        declaration = fed_inside(declaration, [e.name for e in inside])
+    step = _require_places(args, s)
+    asked = {_short(n): n for n in VERSIONS}
+    versions = [asked[v] for v in (args.fmi or asked)]
+    platforms = list(PLATFORMS) if args.all_platforms else args.platform
+    scheme = scheme_of(args, declaration)
+    if args.node_inputs and scheme.node_values and not declaration.state_events:
+        declaration = exchanging(declaration, [e.name for e in inside])
+    model = build_model(declaration, scheme)
+    paths = export(model, args.output, versions=versions, step=step, stop=s.stop, platforms=platforms,
+                   node_inputs=args.node_inputs, ledger_outputs=args.outputs == "ledger",
+                   terminals=not args.no_terminals, left_out=left_out, arrays=args.arrays, outward=args.outward,
+                   impulses=args.impulses,
+                   tunable=[*args.tunable, *_changed(events, declaration)], events=inside)  # fmt: skip
+    for note in notes:
+        print(f"phfmu: {note}", file=sys.stderr)
+    for line in left_out:
+        print(f"phfmu: not in the unit: {line}", file=sys.stderr)
+    for path in paths:
+        print(path)
+    return 0
+
+
+def _require_places(args: argparse.Namespace, s: Scene) -> float:
+    """The step; ValueError for one that is not positive, or a place where no folder can be."""
+    step = args.step if args.step is not None else s.step
+    if not step > 0:
+        raise ValueError(f"--step {step} s must be positive")
+    from phfmu.files import require_folder
+
+    folder = Path(args.output)
+    if folder.suffix in (".fmu", ".ssp"):
+        package = " --ssp" if folder.suffix == ".ssp" and not args.ssp else ""
+        raise ValueError(
+            f"-o {folder} is a folder, files in it are named by the model; say{package} -o {folder.parent}"
+        )
+    require_folder(folder, f"-o {folder}", "the FMUs")
+    return step
+
+
+def _short(number: str) -> str:
+    """2.0 -> 2."""
+    return number.removesuffix(".0")
+
+
+def _changed(events: Sequence[Event], declaration: PHDAE) -> list[str]:
+    """Parameters that events change."""
+    known = {n for v in declaration.parameters if not v.signal for n in (v.name, *v.names())}
+    return [n for n in dict.fromkeys(e.name for e in events if e.t > 0.0) if n in known]
+
+
+def _events(args: argparse.Namespace, events: Sequence[Event], declaration: PHDAE) -> tuple[list[UnitEvent], list[str]]:
+    """Events for the unit, or a line for each that happens in the importer."""
+    from phfmu.fmu.export.schedule import UnitEvent
+
+    if args.events == "inside":
+        return [UnitEvent(e.t, e.name, e.value) for e in events], []
+    tunable = set(_changed(events, declaration))
+    what = {True: "set this tunable parameter at that time", False: "set this input at that time"}
+    return [], [f"event at t = {e.t:g} s, {e.name} = {e.value:g}: {what[e.name in tunable]}" for e in events]
+
+
+def export_package(args: argparse.Namespace, s: Scene) -> int:
+    """Write it, with FMI 2.0 units unless --fmi says another; lines about what other tools will not find in it."""
+    from phfmu.cli.options import scheme_of
+    from phfmu.cli.settings import settings, with_settings
+    from phfmu.cli.sound import require_sound_scene
+    from phfmu.cli.timeline import started
+    from phfmu.fmu.export.export import PLATFORMS
+    from phfmu.ssp.export import Options, export_ssp, network_of
+
+    _refuse_others(args)
+    given = settings(args.set)
+    known = [f"{m}.{n}" for m, d in network_of(s).members.items() for n in d.settable_names()]
+    events, notes = started(s.events, given, known)
+    begun = {e.name: e.value for e in events if e.t <= 0.0}
+    system = with_settings(with_settings(s.system, begun), given)
+    s = replace(s, system=system, events=tuple(e for e in events if e.t > 0.0))
+    require_sound_scene(args, s)
+    step = args.step if args.step is not None else s.step
+    schemes = {n: scheme_of(args, d, member=True) for n, d in network_of(s).declared.items()}
+    platforms = list(PLATFORMS) if args.all_platforms else args.platform
+    options = Options(step, f"{(args.fmi or ['2'])[0]}.0", platforms, schemes, args.outward)
+    path, left_out = export_ssp(s, args.output, options, args.ssp)
+    for line in (*s.notes, *notes):
+        print(f"phfmu: {line}", file=sys.stderr)
+    for line in left_out:
+        print(f"phfmu: not for other tools: {line}", file=sys.stderr)
+    print(path)
+    return 0
+
+
+def _refuse_others(args: argparse.Namespace) -> None:
+    """ValueError for options that are about a single unit."""
+    chosen = {"--node-inputs": args.node_inputs, "--impulses": args.impulses, "--arrays": args.arrays,
+              "--no-terminals": args.no_terminals, "--outputs local": args.outputs != "ledger",
+              "--tunable": args.tunable, "--events inside": args.events != "outside"}  # fmt: skip
+    if odd := [name for name, value in chosen.items() if value]:
+        raise ValueError(f"--ssp and {odd[0]} do not go together; export the units by themselves for that")
+    if args.fmi and len(args.fmi) > 1:
+        raise ValueError("--ssp writes units of one FMI version; say --fmi once")

@@ -1,0 +1,255 @@
+"""phfmu run: simulate a target, write results and the audit."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from phfmu.words import counted
+
+if TYPE_CHECKING:
+    from phfmu.discretise.start import Projection
+    from phfmu.network.scene import Event, Scene
+    from phfmu.runs.options import Options
+    from phfmu.runs.result import Result
+
+
+#: lines about what was left out that a run prints
+NOTES = 12
+
+
+def add_parser(verbs: Any) -> None:
+    from phfmu.cli import options, stepping
+    from phfmu.cli.codes import TARGET
+    from phfmu.cli.settings import add_settings
+    from phfmu.cli.sound import add_no_check
+    from phfmu.fmu.version import LATEST, VERSIONS
+    from phfmu.network.couplings.coupling_table import AUTO, COUPLINGS
+    from phfmu.network.members.interpolations import INTERPOLATIONS
+
+    parser = verbs.add_parser("run", help="simulate; result table, audit")
+    parser.add_argument("target", help=TARGET)
+    parser.add_argument("--stop", type=float, help="stop time in s (default: the scene's)")
+    parser.add_argument("--step", type=float, help="communication step in s (default: the scene's; none with --rtol)")
+    options.add_scheme(parser)
+    parser.add_argument("--engine", default="auto", choices=stepping.ENGINES,
+                        help="auto: native if a C compiler is there, else python")  # fmt: skip
+    stepping.add_stepping(parser)
+    parser.add_argument("--fmi", choices=tuple(VERSIONS), help=f"FMI version of --engine fmu (default {LATEST})")
+    lines = [f"{row.name}: {row.about}" for row in COUPLINGS.values()]
+    parser.add_argument("--coupling", choices=tuple(COUPLINGS), help="; ".join(lines) + f" (default: {AUTO.name})")
+    in_turn = ", ".join(row.name for row in COUPLINGS.values() if row.in_turn)
+    parser.add_argument(
+        "--sequence", metavar="A,B,..", help=f"the order in which --coupling {in_turn} steps the members"
+    )
+    parser.add_argument("--unconverged", default="raise", choices=("raise", "halve", "accept"),
+                        help="what to do with a step whose coupling does not converge: refuse it (default), take it in "
+                        "halves, or keep the best trial, with what its junctions make of energy booked")  # fmt: skip
+    parser.add_argument("--signals-held", action="store_true",
+                        help="hold signals between members over a step as they are at its start (order 1), not on the line "
+                        "through two samples (order 2); --coupling newton iterates those of units that go back")  # fmt: skip
+    options.add_steps(parser)
+    add_settings(parser)
+    add_no_check(parser)
+    options.add_lenient(parser)
+    parser.add_argument("--isolate", action="store_true",
+                        help="FMUs in processes of their own: where one ends or hangs, the run has exit code 3")  # fmt: skip
+    parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",
+                        help="the same, and how long a call into an FMU may take (default 60)")  # fmt: skip
+    parser.add_argument("--unit-tolerance", type=float, metavar="TOL",
+                        help="relative tolerance that FMUs are told of for steps inside them (default: their own)")  # fmt: skip
+    parser.add_argument("--input", metavar="FILE",
+                        help="input and parameter values over time (.csv or .parquet, first column time)")  # fmt: skip
+    parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS),
+                        help="what inputs are between rows of --input: "
+                        + "; ".join(f"{name}: {line}" for name, line in INTERPOLATIONS.items()) + " (default: held)")  # fmt: skip
+    parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
+    parser.add_argument("--signals", action="append", default=[], metavar="PATTERN",
+                        help="columns to keep, by name or pattern ('gen.*'); may be repeated (default: all)")  # fmt: skip
+    parser.add_argument("--every", metavar="N|TIMEs",
+                        help="rows to keep: every Nth, or one each 0.01s; the last row stays (default: all)")  # fmt: skip
+    parser.add_argument(
+        "--units-row",
+        action="store_true",
+        help="a second line of units in CSV (X.columns.json beside it and Parquet have them always)",
+    )
+    parser.add_argument("--audit", metavar="none|summary|full|FILE", default="summary",
+                        help="energy ledger: none; sums, printed (default); a file per step, FILE.parquet or "
+                             "(full) TARGET.audit.parquet")  # fmt: skip
+    parser.add_argument("--audit-detail", action="store_true",
+                        help="tell each energy and each resistor by itself too (phfmu audit FILE --by term); one composed "
+                             "model only")  # fmt: skip
+    parser.add_argument("--plot", metavar="FILE", help="picture of the run, X.png or X.html (see: phfmu plot)")
+    parser.add_argument(
+        "--audit-rtol", type=float, default=1e-11, help="allowed residual of a step relative to the energies in play"
+    )
+    parser.add_argument("--project", action="store_true",
+                        help="move an inconsistent start onto its constraints instead of refusing it")  # fmt: skip
+    parser.add_argument("--keep", action="append", default=[], metavar="NAME",
+                        help="a state that --project leaves as it is (v: all of v); may be repeated")  # fmt: skip
+    parser.add_argument("--accuracy", action="store_true",
+                        help="run again with half the step and tell by how much each signal changes, and the error of this "
+                        "run that follows")  # fmt: skip
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> int:
+    from time import perf_counter
+
+    from phfmu.audit import audit_table
+    from phfmu.audit.sheet_names import ROWS
+    from phfmu.audit.violation import ViolationKind
+    from phfmu.cli import accuracy, options
+    from phfmu.cli.codes import FINE, LEDGER
+    from phfmu.cli.job import job_of
+    from phfmu.cli.outputs import Outputs
+    from phfmu.cli.progress import Bar
+    from phfmu.cli.sound import require_sound_scene
+    from phfmu.cli.timeline import timeline
+    from phfmu.interrupt import Signals
+    from phfmu.runs.loop import run
+    from phfmu.target import is_fmu
+
+    accuracy.require_fit(args)
+    outputs, job = Outputs(args), job_of(args)
+    chosen, scene, label = options.of_run(args, job.scene, whole=job.whole), job.scene, job.label
+    stepper = job.build()
+    events, rows, dropped = timeline(args, scene, stepper.settable())
+    chosen = replace(chosen, events=events, signals=tuple(args.signals), every=_every(args.every))
+    given = rows.events() if rows is not None else []
+    changes = [e for e in (*events, *given) if e.t < chosen.stop]
+    if changes and not is_fmu(args.target):
+        require_sound_scene(args, scene, changes)
+    begun = perf_counter()
+    with Signals() as signals, outputs, Bar("simulating", chosen.stop, args.quiet) as bar:
+
+        def progress(t: float) -> None:
+            bar(t)
+            signals.check()
+
+        marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
+        outputs.begin({"target": args.target, "run": label})
+        columns = partial(outputs.columns, chosen, marks)
+        record = accuracy.recorded(args, chosen.step)
+        options_here = replace(
+            chosen, sink=outputs.sink, progress=progress,
+            columns=both(columns, record and record.columns), keep=both(outputs.keep, record and record.keep),
+            happened=both(outputs.happened, record and record.event),
+        )  # fmt: skip
+        result = run(stepper, options_here, inputs=rows, interpolate=args.interpolate)
+        seconds = perf_counter() - begun - outputs.seconds
+    summary = result.ledger.summary()
+    if not args.quiet:
+        _print_run(args, label, result, chosen, seconds)
+        _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
+        if chosen.audited:
+            print(audit_table(summary, most=ROWS), end="")
+    if record is not None:
+        accuracy.print_accuracy(args, record, job.order, chosen)
+    if not summary.closed:
+        places = dict.fromkeys(v.name for v in summary.violations)
+        print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
+        if not is_fmu(args.target) and not scene.units:
+            lost = {v.name for v in summary.violations if v.kind is ViolationKind.DISSIPATION}
+            _print_signs_lost(scene, [*events, *given], result, lost)
+        return LEDGER
+    return FINE
+
+
+def both(first: Callable[..., None], second: Callable[..., None] | None) -> Callable[..., None]:
+    """A call of both, of one where there is no second."""
+    if second is None:
+        return first
+
+    def call(*values: Any) -> None:
+        first(*values)
+        second(*values)
+
+    return call
+
+
+def _every(text: str | None) -> int | float | None:
+    """A number of rows, or a time with its unit; ValueError for anything else."""
+    if text is None:
+        return None
+    try:
+        return float(text[:-1]) if text.endswith("s") else int(text)
+    except ValueError:
+        raise ValueError(f"--every {text}: expected a number of rows (10) or a time (0.01s)") from None
+
+
+def _print_signs_lost(scene: Scene, events: list[Event], result: Result, components: set[str]) -> None:
+    """Where R of components with a negative dissipation lost its sign."""
+    from phfmu.checks.matrices import sign_lost
+
+    declaration = scene.declaration()
+    for name in sorted(components & set(result.least)):
+        t, signals = result.least[name]
+        values = {e.name: e.value for e in sorted(events, key=lambda e: e.t) if e.t < t}
+        values |= signals
+        owner = name if name in declaration.members else declaration.members[0]
+        for lost in sign_lost(declaration, values, t, owner)[:3]:
+            print(f"phfmu: {name}: R is not positive semidefinite at t = {t:.6g} s: {lost}", file=sys.stderr)
+
+
+def _print_run(args: argparse.Namespace, label: str, result: Result, chosen: Options, seconds: float) -> None:
+    its = f", {result.iterations / result.steps:.2f} iterations a step" if result.iterations else ""  # units tell none
+    sizes = (
+        f"step {chosen.step:g} s"
+        if not chosen.adaptive
+        else f"{f'rtol {args.rtol:g}' if chosen.ecco is None else f'ecco {chosen.ecco:g}'}, steps {result.smallest:.3g} to "
+        f"{result.largest:.3g} s"
+    )
+    print(f"{args.target}: {label}; {sizes} to {chosen.stop:g} s: {counted(result.steps, 'step')}{its}, "
+          f"{seconds:.3g} s")  # fmt: skip
+    if result.projection is not None:
+        _print_projection(result.projection)
+    if args.rtol is not None:
+        print(f"rejected: {counted(result.rejected, 'trial step')}")
+    if result.restarted:
+        print(f"restarted after events with {counted(result.restarted, 'damping step')}")
+    groups: dict[str, float] = {}
+    for name, value in result.worst.items():
+        key = name.split("[")[0]
+        groups[key] = max(groups.get(key, 0.0), value)
+    _print_worst(groups)
+    if args.output:
+        print(f"results: {args.output}")
+    if args.plot:
+        print(f"picture: {args.plot}")
+    from phfmu.cli.options import audit_file
+
+    if audit := audit_file(args):
+        print(f"audit: {audit} (print with: phfmu audit {audit})")
+
+
+def _print_worst(groups: dict[str, float]) -> None:
+    """The worst of each hidden constraint; of many, the largest."""
+    told = sorted(groups, key=lambda n: -groups[n])[:NOTES] if len(groups) > NOTES else list(groups)
+    for name in told:
+        print(f"largest |{name}| over the run: {groups[name]:.6g}")
+    if others := [value for name, value in groups.items() if name not in told]:
+        print(f"and {len(others)} more of these, at most {max(others):.6g}")
+
+
+def _print_notes(notes: list[str]) -> None:
+    """What was left out or done beside what was asked for."""
+    for note in notes[:NOTES]:
+        print(note)
+    if len(notes) > NOTES:
+        print(f"and {len(notes) - NOTES} more of these")
+
+
+def _print_projection(p: Projection) -> None:
+    """Equations that were violated, states that moved, the energy."""
+    print(f"start projected: {counted(len(p.before), 'hidden constraint')}, {len(p.violated)} off; "
+          f"{counted(len(p.moved), 'state')} moved, energy changed by {p.energy:.9g} J")  # fmt: skip
+    for name in p.violated:
+        print(f"  {name}: {p.before[name]:.6g} -> {p.after[name]:.2g}")
+    for move in p.moves():
+        print(f"  {move}")

@@ -1,0 +1,191 @@
+"""Grid steps with state events: what is located and what happens; the twin of runtime/events.c.
+
+A run is made of complete steps, each with its exact balance.  docs/understand/events.md has the rules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, NoReturn, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.landing.event_jump import AGAIN, PILE, SLIDES, Guards, Jumps
+from phfmu.engine.landing.grid_step import grid_step
+from phfmu.engine.landing.locate import EPS, Arrival, Location
+from phfmu.engine.record import Grid, recorded
+from phfmu.events.event_plan import Settings
+from phfmu.outcome.limits import LIMITS
+from phfmu.outcome.status import StepFailure
+from phfmu.outcome.steps import Happened, Landed
+
+Array = NDArray[Any]
+Taken = tuple[float, float, dict[str, Array]]  # a step: start, size, recorded row
+
+
+@dataclass(frozen=True)
+class Change:
+    """How the mode of switches changed: by component the energy that it got and what was lost (J); `names`: each, on or off."""
+
+    energy: Array
+    lost: Array
+    names: tuple[str, ...]
+
+
+class Structure(Protocol):
+    """What has an instance for each mode of its switches; see `SwitchedInstance`."""
+
+    @property
+    def present(self) -> Any:
+        """The instance of the present mode."""
+        ...
+
+    @property
+    def unsettled(self) -> bool:
+        """Modes were set that are not taken yet."""
+        ...
+
+    @property
+    def parameters(self) -> Array:
+        """With the modes that were set."""
+        ...
+
+    def change(self, p: Array, h: float) -> Change:
+        """Takes the parameters p and the mode that follows."""
+        ...
+
+    def row(self) -> Array:
+        """All signals, as `run` records them."""
+        ...
+
+
+class Landing:
+    """Takes the steps of an instance with state events, or of that of the present mode of a `structure`."""
+
+    def __init__(self, instance: Any, structure: Structure | None = None):
+        self.structure, self._parts = structure, dict[int, tuple[Location, Jumps]]()
+        self._arrival = Arrival(np.zeros(instance.model.events.n))
+        self._adopt(instance)
+        self._last = np.zeros(self.plan.n)  # when each event of the grid step happened last
+
+    def _adopt(self, instance: Any) -> None:
+        self.instance, self.plan = instance, instance.model.events
+        if id(instance) not in self._parts:
+            guards = Guards(self.plan)
+            location = Location(instance, self.plan, guards, self._arrival)
+            self._parts[id(instance)] = location, Jumps(instance, self.plan, guards)
+        self.location, self.jumps = self._parts[id(instance)]
+
+    def over(self, grid: Grid, read: Callable[[], dict[str, Array]], changed: bool) -> Iterator[Landed]:
+        """Grid steps; `read` makes the row of a step, `changed`: values were set before.
+
+        StepFailure after the steps before it.
+        """
+        steps: list[Taken] = []
+        try:
+            for i in range(grid.n):
+                paused = False
+                for found in self.within(grid.start(i), grid.start(i + 1), grid.h, read, changed, grid.pause):
+                    if isinstance(found, Happened):
+                        yield Landed.of(steps, found)
+                        steps, paused = [], grid.pause
+                    else:
+                        steps.append(found)
+                changed = False
+                if paused:
+                    return
+        except StepFailure:
+            if steps:
+                yield Landed.of(steps)
+            raise
+        if steps:
+            yield Landed.of(steps)
+
+    def within(
+        self, t: float, end: float, h: float, read: Callable[[], dict[str, Array]], changed: bool, pause: bool = False
+    ) -> Iterator[Taken | Happened]:
+        """The steps and events in [t, end], of a grid of steps h; `over` is made of these."""
+        events = 0
+        self.begin()
+        if changed and self.structure is not None and self.structure.unsettled:
+            settled = self.happen(t, h, [], 0)
+            if settled.switched:
+                events = 1
+                yield settled
+        fired = self.location.begun(t, end - t) if changed else []
+        for start, taken, happened in grid_step(self, t, end, h, fired, events, pause):
+            yield (start, taken, read()) if taken else happened
+
+    @property
+    def guards(self) -> int:
+        return self.plan.n
+
+    def refuse_again(self, t: float, fired: list[int]) -> NoReturn:
+        self.jumps.refuse(t, AGAIN, fired)
+
+    def begin(self) -> None:
+        """A grid step begins."""
+        self._last = np.full(self.plan.n, -np.inf)
+
+    def happen(self, t: float, h: float, fired: list[int], events: int) -> Happened:
+        """Events number `events` of a grid step of length h, at t: the states jump, parameters are set."""
+        p, rests = self.decided(t, h, fired, events)
+        ncomp = self.instance.model.step.ncomp
+        energy, lost = self.jumps.jump(t, p, fired, rests) if fired else np.zeros((2, ncomp))
+        return self.follows(t, h, (p, fired, rests), (energy, lost))
+
+    def decided(self, t: float, h: float, fired: list[int], events: int) -> tuple[Array, list[int]]:
+        """Parameters after the events, and which of these come to rest."""
+        plan = self.plan
+        crowded = events >= LIMITS["MOST_EVENTS"]
+        piled = [i for i in fired if crowded or t - self._last[i] < LIMITS["PILE_UP"] * h]
+        rests = [i for i in piled if plan.rest.ptr[i + 1] > plan.rest.ptr[i]]
+        if crowded and not rests:
+            slides = any(t - self._last[i] <= LIMITS["REST_OF_STEP"] * EPS * abs(t) for i in fired)
+            self.jumps.refuse(t, SLIDES if slides else PILE, fired)
+        p = (self.structure or self.instance).parameters
+        for i in fired:
+            _set(p, plan.sets, i)
+        for i in rests:
+            _set(p, plan.rest, i)
+        return p, rests
+
+    def follows(
+        self, t: float, h: float, decided: tuple[Array, list[int], list[int]], jumped: tuple[Array, Array]
+    ) -> Happened:
+        """Takes the parameters p of the events `fired`, some of which rest; `jumped`: energies got and lost by component."""
+        (p, fired, rests), (energy, lost) = decided, jumped
+        if self.structure is None:
+            self.instance.set_parameters(p)
+            self.instance.initialise()
+            switched: tuple[str, ...] = ()
+        else:
+            found = self.structure.change(p, h)
+            energy, lost, switched = energy + found.energy, lost + found.lost, found.names
+            self._adopt(self.structure.present)
+        self._last[fired] = t
+        return Happened(t, tuple(fired), tuple(rests), energy, lost, (self.structure or self.instance).row(), switched)
+
+
+def _set(p: Array, settings: Settings, i: int) -> None:
+    p[settings.p[settings.of(i)]] = settings.value[settings.of(i)]
+
+
+def landed(
+    instance: Any, grid: Grid, names: tuple[str, ...], changed: bool, structure: Structure | None = None
+) -> Iterator[Landed]:
+    """`land` of an instance, which is its own `structure` if it has one; ValueError if its model has no state events."""
+    if instance.model.events is None:
+        raise ValueError(f"{instance.model.name} has no state events: use run")
+    before = dict(instance.counts)
+
+    def read() -> dict[str, Array]:
+        nonlocal before
+        now = recorded(instance, before, names)
+        before = dict(instance.counts)
+        return now
+
+    landing = Landing(instance) if structure is None else Landing(structure.present, structure)
+    return landing.over(grid, read, changed)

@@ -1,0 +1,170 @@
+"""The compiled library of a model's kernels as Python sees it: signatures, records and names of phfmu.h."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.build.codegen import KernelTable
+from phfmu.engine.build.compile import Build, compile, host_flags
+from phfmu.engine.build.tables import RUNTIME
+from phfmu.engine.model import Model
+from phfmu.engine.record import RECORD
+
+#: of functions: result and arguments
+Signatures = dict[str, tuple[Any, list[Any]]]
+
+
+def record_widths(model: Model, signals: int) -> dict[str, int]:
+    """Length of a row of each; `signals`: of the signal table."""
+    plan = model.step
+    width = dict.fromkeys(RECORD, plan.ncomp) | dict.fromkeys(("y_step", "pairs"), plan.nq)
+    return width | {"unknowns": plan.nw, "signals": signals, "x": plan.nx, "a": plan.na, "counts": 2}
+
+
+class Report(ctypes.Structure):
+    """ph_report."""
+
+    _fields_ = [
+        *((n, ctypes.c_int) for n in ("status", "row", "column", "iterations", "spent", "instant", "solved")),
+        *((n, ctypes.c_double) for n in ("residual", "floor", "update", "time", "h")),
+    ]
+
+
+class Column(ctypes.Structure):
+    """ph_column."""
+
+    _fields_ = [("data", ctypes.c_void_p), ("stride", ctypes.c_ssize_t)]
+
+
+class Record(ctypes.Structure):
+    """ph_record."""
+
+    _fields_ = [("input", ctypes.c_void_p), ("input_stride", ctypes.c_ssize_t)]
+    _fields_ += [("at_nodes", ctypes.c_int), ("parts", ctypes.c_int), ("first", ctypes.c_longlong)]
+    _fields_ += [(name, Column) for name in RECORD]
+
+
+class RestChange(ctypes.Structure):
+    """ph_rest_change."""
+
+    _fields_ = [("time", ctypes.c_double), ("rests", ctypes.c_int), ("needed", ctypes.c_int)]
+
+
+class Directions(ctypes.Structure):
+    """ph_directions."""
+
+    _fields_ = [("n", ctypes.c_int), *((name, ctypes.c_void_p) for name in ("du", "dx", "dy"))]
+
+    @classmethod
+    def of(cls, du: NDArray[np.float64], dx: NDArray[np.float64], dy: NDArray[np.float64]) -> Directions:
+        """Of arrays that outlive the call."""
+        return cls(len(du), du.ctypes.data, dx.ctypes.data, dy.ctypes.data)
+
+
+@cache
+def enums() -> dict[str, tuple[str, ...]]:
+    """Names of signal blocks, ledger rows and counters, from the enumerations of phfmu.h."""
+    text = re.sub(r"/\*.*?\*/", "", (RUNTIME / "phfmu.h").read_text(), flags=re.S)
+    return {
+        name: tuple(m.removeprefix("PH_").removeprefix("ROW_").lower() for m in re.findall(r"\w+", body)[:-1])
+        for name, body in re.findall(r"typedef enum (ph_block|ph_row|ph_count) \{(.*?)\}", text, flags=re.S)
+    }
+
+
+def typed(lib: ctypes.CDLL, signatures: Signatures) -> ctypes.CDLL:
+    """The library with the results and arguments of its functions."""
+    for name, (result, arguments) in signatures.items():
+        function = getattr(lib, name)
+        function.restype, function.argtypes = result, arguments
+    return lib
+
+
+def placed(lib: ctypes.CDLL, name: str, *about: Any, more: Sequence[Any] = ()) -> tuple[NDArray[np.float64], int]:
+    """What `name_init` makes of `about` and `more` in memory of `name_size` bytes: that memory, to be kept, and the address."""
+    memory = np.zeros(getattr(lib, f"{name}_size")(*about) // 8 + 1)
+    return memory, getattr(lib, f"{name}_init")(memory.ctypes.data, *about, *more)
+
+
+@cache
+def load(path: Path) -> ctypes.CDLL:
+    """The library with the signatures of phfmu.h."""
+    lib = ctypes.CDLL(str(path))
+    pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
+    signatures: Signatures = {
+        "ph_size": (ctypes.c_size_t, [pointer]),
+        "ph_init": (integer, [pointer, pointer]),
+        "ph_reset": (integer, [pointer]),
+        "ph_initialise": (integer, [pointer]),
+        "ph_set_input": (integer, [pointer, pointer]),
+        "ph_set_node_inputs": (integer, [pointer, pointer]),
+        "ph_set_parameters": (integer, [pointer, pointer]),
+        "ph_set_x": (integer, [pointer, real, pointer]),
+        "ph_set_algebraic": (integer, [pointer, pointer]),
+        "ph_parameters": (pointer, [pointer]),
+        "ph_input": (pointer, [pointer]),
+        "ph_node_outputs": (pointer, [pointer]),
+        "ph_continue": (integer, [pointer, pointer]),
+        "ph_unknowns": (pointer, [pointer]),
+        "ph_rest_changes": (ctypes.POINTER(RestChange), [pointer, ctypes.POINTER(integer)]),
+        "ph_step": (integer, [pointer, real, real]),
+        "ph_step_parts": (integer, [pointer, real, real, integer]),
+        "ph_step_exactly": (integer, [pointer, real, real, integer]),
+        "ph_skip": (integer, [pointer, real]),
+        "ph_run": (integer, [pointer, real, real, integer, ctypes.POINTER(Record), ctypes.POINTER(integer)]),
+        "ph_layout": (None, [pointer, ctypes.POINTER(integer)]),
+        "ph_signals": (pointer, [pointer]),
+        "ph_refresh": (integer, [pointer]),
+        "ph_ledger": (pointer, [pointer, integer]),
+        "ph_sensitivity": (integer, [pointer, pointer]),
+        "ph_solves": (integer, [pointer]),
+        "ph_step_along": (integer, [pointer, ctypes.POINTER(Directions)]),
+        "ph_end_along": (integer, [pointer, ctypes.POINTER(Directions)]),
+        "ph_sensitivity_end": (integer, [pointer, pointer]),
+        "ph_impulses_size": (ctypes.c_size_t, [pointer, pointer]),
+        "ph_impulses_init": (pointer, [pointer, pointer, pointer]),
+        "ph_set_impulses": (integer, [pointer, pointer]),
+        "ph_impulse_values": (pointer, [pointer]),
+        "ph_step_impulses": (integer, [pointer, real, real, integer]),
+        "ph_kick_more": (integer, [pointer, pointer]),
+        "ph_jump": (None, [pointer, pointer]),
+        "ph_impulses_along": (None, [pointer, integer, integer, pointer, pointer]),
+        "ph_state_size": (ctypes.c_size_t, [pointer]),
+        "ph_save": (None, [pointer, pointer]),
+        "ph_load": (integer, [pointer, pointer]),
+        "ph_counts": (pointer, [pointer]),
+        "ph_last_report": (ctypes.POINTER(Report), [pointer]),
+        "ph_status_text": (ctypes.c_char_p, [integer]),
+    }
+    return typed(lib, signatures)
+
+
+def runtime_sources(events: bool = False, modes: bool = False) -> dict[str, Path]:
+    """The hand-written part of a library: file name -> path; with that of state `events`, of `modes` of switches."""
+    absent = {"events": not events, "modes": not modes}
+    files = (p for p in sorted(RUNTIME.rglob("*")) if not absent.get(p.parent.name, False))
+    return {p.name: p for p in files if p.suffix in (".c", ".h", ".inc")}
+
+
+def build(
+    table: KernelTable,
+    announce: Callable[[], None] | None = None,
+    more: Mapping[str, str] | None = None,
+    events: bool = False,
+) -> Build:
+    """Library of runtime, kernels and `more` for this machine; models with the same kernels share it."""
+    sources = {**runtime_sources(events), "kernels.c": table.text, **(more or {})}
+    return compile(sources, flags=host_flags(), announce=announce)
+
+
+def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:
+    """Array on memory owned by the instance."""
+    size = np.dtype(dtype).itemsize
+    return np.frombuffer(memoryview((ctypes.c_char * (n * size)).from_address(address)), dtype, n)

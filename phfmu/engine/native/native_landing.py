@@ -1,0 +1,193 @@
+"""Steps with state events in compiled code: rows and events of many steps a call."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.model import Model
+from phfmu.engine.native.library import Column, Record, Signatures, placed, record_widths, typed, view
+from phfmu.engine.record import Grid
+from phfmu.outcome.status import EventRefused, Status
+from phfmu.outcome.steps import Happened, Landed
+
+Floats = NDArray[np.float64]
+
+#: rows and events written between two returns, beyond the grid steps asked for
+STEPS, EVENTS = 64, 128
+
+
+class LandedRows(ctypes.Structure):
+    """ph_landed."""
+
+    _fields_ = [
+        *((n, ctypes.c_int) for n in ("steps_room", "events_room", "pause", "steps", "events", "done")),
+        *((n, ctypes.c_void_p) for n in ("t", "h", "event_t", "event_step", "event_fired")),
+        *((n, ctypes.c_void_p) for n in ("event_energy", "event_lost", "event_signals")),
+    ]
+
+
+class EventRefusal(ctypes.Structure):
+    """ph_event_refusal."""
+
+    _fields_ = [
+        ("reason", ctypes.c_int),
+        *((n, ctypes.c_double) for n in ("t", "value", "limit")),
+        ("fired", ctypes.c_void_p),
+    ]
+
+
+def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
+    """The library of a model with state events, with the signatures of events.h."""
+    pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
+    signatures: Signatures = {
+        "ph_landing_size": (ctypes.c_size_t, [pointer, pointer]),
+        "ph_landing_init": (pointer, [pointer, pointer, pointer]),
+        "ph_land_from": (None, [pointer, real, real, integer, integer, integer]),
+        "ph_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows)]),
+        "ph_land_begin": (integer, [pointer, real, real, integer]),
+        "ph_land_on": (integer, [pointer, ctypes.POINTER(LandedRows)]),
+        "ph_land_stops": (None, [pointer, pointer]),
+        "ph_land_stopped": (pointer, [pointer, ctypes.POINTER(real), ctypes.POINTER(integer)]),
+        "ph_land_after": (integer, [pointer, pointer]),
+        "ph_land_refusal": (ctypes.POINTER(EventRefusal), [pointer]),
+    }
+    return typed(lib, signatures)
+
+
+class NativeLanding:
+    """The landing of the instance at address `instance` of the library `lib`; `width`: of its signal table."""
+
+    def __init__(self, model: Model, lib: ctypes.CDLL, instance: int, events: int | None, width: int):
+        if events is None or model.events is None:
+            raise ValueError(f"{model.name} has no state events: use run")
+        self._model, self._plan, self._lib, self._width = model, model.events, _typed(lib), width
+        self._memory, self._in = placed(lib, "ph_landing", instance, events)
+
+    def over(self, grid: Grid, record: Iterable[str], changed: bool, check: Callable[[int], None]) -> Iterator[Landed]:
+        """The steps of a grid; `check` raises what a status means."""
+        self._lib.ph_land_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
+        yield from self.on(grid.n, record, check, grid.pause)
+
+    def stop_before(self, events: NDArray[np.int8]) -> None:
+        """Events with 1 (n) happen elsewhere: it ends before them."""
+        self._stops = np.ascontiguousarray(events, np.int8)
+        self._lib.ph_land_stops(self._in, self._stops.ctypes.data)
+
+    @property
+    def address(self) -> int:
+        """Of the landing in memory."""
+        return self._in
+
+    def on(self, n: int, record: Iterable[str], check: Callable[[int], None], pause: bool = False) -> Iterator[Landed]:
+        """What is left of n grid steps, up to the first event if it is to `pause` there."""
+        sizes = record_widths(self._model, self._width)
+        room = Room({name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}, n + STEPS,
+                    self._plan.n, self._model.step.ncomp, self._width, pause=pause)  # fmt: skip
+        while not room.over:
+            status = self._lib.ph_land(self._in, room.request, room.out)
+            yield from room.parts()
+            if status:
+                self.refuse(status)
+                check(status)
+
+    def step(self, t: float, h: float, parts: int, check: Callable[[int], None]) -> tuple[Happened, ...]:
+        """A communication step in `parts` equal internal steps, told as one; the events in it."""
+        out, found = self._one.rows, list[Happened]()
+        code, out.done = self._lib.ph_land_begin(self._in, t, h, parts), 0
+        while not code and not out.done:
+            code = self._lib.ph_land_on(self._in, out)
+            if not code and out.events:
+                found.append(self._one.happened())
+        if code:
+            self.refuse(code)
+            check(code)
+        return tuple(found)
+
+    @cached_property
+    def _one(self) -> _Event:
+        return _Event(self._plan.n, self._model.step.ncomp, self._width)
+
+    def refuse(self, status: int) -> None:
+        """EventRefused where the status says so."""
+        if tuple(Status)[status] is not Status.EVENT:
+            return
+        r = self._lib.ph_land_refusal(self._in).contents
+        names = [self._plan.names[i] for i in np.flatnonzero(view(r.fired, self._plan.n, np.int8))]
+        raise EventRefused(self._model.name, r.t, r.reason, names, r.value, r.limit)
+
+
+class Room:
+    """What steps and events are written to: `rows` for `steps` of them, and EVENTS events of `n` guards.
+
+    `width`: of the signals after an event;  `changed` (EVENTS x switches): 1 = went off, 2 = on;  `pause`: it is full after
+    the events of one time
+    """
+
+    def __init__(
+        self,
+        rows: dict[str, Floats],
+        steps: int,
+        n: int,
+        ncomp: int,
+        width: int,
+        switches: int = 0,
+        *,
+        pause: bool = False,
+    ):
+        self.request, self._rows = Record(parts=1), rows
+        for name, array in rows.items():
+            setattr(self.request, name, Column(array.ctypes.data, array.shape[1]))
+        self._t, self._h, self._when = np.zeros(steps), np.zeros(steps), np.zeros(EVENTS)
+        self._step, self._fired = np.zeros(EVENTS, np.int32), np.zeros((EVENTS, n), np.int8)
+        self._energy, self._lost = np.zeros((2, EVENTS, ncomp))
+        self._signals, self.changed = np.zeros((EVENTS, width)), np.zeros((EVENTS, switches), np.int8)
+        arrays = (self._t, self._h, self._when, self._step, self._fired, self._energy, self._lost, self._signals)
+        self.out = LandedRows(steps, EVENTS, pause, 0, 0, 0, *(a.ctypes.data for a in arrays))
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left to land."""
+        return bool(self.out.done or (self.out.pause and self.out.events))
+
+    def parts(self, words: Callable[[NDArray[np.int8]], tuple[str, ...]] = lambda _: ()) -> Iterator[Landed]:
+        """What the last call wrote; `words`: what a row of `changed` says."""
+        begin = 0
+        for i in range(self.out.events):
+            who, end = self._fired[i], int(self._step[i])
+            parts = self._energy[i].copy(), self._lost[i].copy(), self._signals[i].copy()
+            happened = Happened(
+                float(self._when[i]), _numbers(who > 0), _numbers(who > 1), *parts, words(self.changed[i])
+            )
+            yield self._landed(begin, end, happened)
+            begin = end
+        if begin < self.out.steps:
+            yield self._landed(begin, self.out.steps, None)
+
+    def _landed(self, begin: int, end: int, happened: Happened | None) -> Landed:
+        part = {name: array[begin:end].copy() for name, array in self._rows.items()} if end > begin else {}
+        return Landed(self._t[begin:end].copy(), self._h[begin:end].copy(), part, happened)
+
+
+class _Event:
+    """Room for one event."""
+
+    def __init__(self, n: int, ncomp: int, width: int):
+        self._when, self._step, self._fired = np.zeros(1), np.zeros(1, np.int32), np.zeros(n, np.int8)
+        self._parts = np.zeros(ncomp), np.zeros(ncomp), np.zeros(width)
+        arrays = (self._when, self._step, self._fired, *self._parts)
+        self.rows = LandedRows(0, 0, 0, 0, 0, 0, None, None, *(a.ctypes.data for a in arrays))
+
+    def happened(self) -> Happened:
+        energy, lost, signals = (part.copy() for part in self._parts)
+        return Happened(
+            float(self._when[0]), _numbers(self._fired > 0), _numbers(self._fired > 1), energy, lost, signals
+        )
+
+
+def _numbers(flags: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(int(i) for i in np.flatnonzero(flags))

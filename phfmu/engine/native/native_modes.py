@@ -1,0 +1,213 @@
+"""Steps of a model with switches in compiled code, which changes modes itself and asks for those it does not know."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from phfmu.discretise.model import Model
+from phfmu.engine.build.codegen import kernel_table
+from phfmu.engine.build.compile import compile, host_flags
+from phfmu.engine.build.mode_tables import ModeTables
+from phfmu.engine.build.tables import RUNTIME
+from phfmu.engine.native.library import Record, Signatures, placed, record_widths, typed
+from phfmu.engine.native.native_landing import STEPS, LandedRows, Room
+from phfmu.engine.native.structures import Header
+from phfmu.engine.record import Grid
+from phfmu.events.comply import most_held
+from phfmu.events.modes import Mode
+from phfmu.events.switch_tables import mode_rows, switch_tables
+from phfmu.outcome.status import EventRefused, Status
+from phfmu.outcome.steps import Landed
+
+#: headers and sources of a library that changes modes, besides its own folder
+SHARED = ("plan.h", "names.h", "phfmu.h", "pool.h", "step_limits.h", "system.h", "group.inc", "schur/schur.h", "events/events.h",
+          "events/event_limits.h")  # fmt: skip
+#: what a mode is called by
+CALLS = Header((RUNTIME / "modes" / "modes.h",), (), "ph_mode_calls")
+ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
+
+
+class _Source(ctypes.Structure):
+    """ph_mode_source."""
+
+    _fields_ = [("world", ctypes.c_void_p), ("rows", ROWS), ("mode", ROWS), ("most", MOST)]
+
+
+class _Mode(ctypes.Structure):
+    """ph_mode."""
+
+    _fields_ = [
+        *((n, ctypes.c_void_p) for n in ("rows", "calls", "instance", "landing", "fresh")),
+        ("length", ctypes.c_int),
+    ]
+
+
+class _Refusal(ctypes.Structure):
+    """ph_mode_refusal."""
+
+    _fields_ = [
+        ("reason", ctypes.c_int),
+        *((n, ctypes.c_double) for n in ("t", "value", "limit")),
+        ("which", ctypes.c_void_p),
+    ]
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    """The library of a model's changes of modes, with its tables and what is known of modes."""
+
+    lib: ctypes.CDLL
+    tables: ModeTables
+    told: int
+    rows: dict[Mode, int] = field(default_factory=dict)
+
+
+_MADE: WeakKeyDictionary[Model, _Compiled] = WeakKeyDictionary()
+
+
+def _compiled(model: Model) -> _Compiled:
+    made = _MADE.get(model)
+    if made is None:
+        assert model.modes is not None and model.events is not None
+        found = switch_tables(model.modes.modes, model.step, model.events, len(model.observable_names))
+        table = kernel_table(found.kernels)
+        paths = [RUNTIME / name for name in SHARED] + sorted((RUNTIME / "modes").iterdir())
+        built = compile({**{p.name: p for p in paths}, "kernels.c": table.text}, flags=host_flags())
+        made = _MADE[model] = _Compiled(
+            _typed(ctypes.CDLL(str(built.path))), ModeTables(found, table.index), found.told
+        )
+    return made
+
+
+def _typed(lib: ctypes.CDLL) -> ctypes.CDLL:
+    """With the signatures of modes.h."""
+    pointer, real, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
+    signatures: Signatures = {
+        "ph_modes_size": (ctypes.c_size_t, [pointer]),
+        "ph_modes_init": (pointer, [pointer, pointer, ctypes.POINTER(_Source), pointer]),
+        "ph_modes_prepare": (None, [pointer, real]),
+        "ph_modes_from": (None, [pointer, real, real, integer, integer, integer]),
+        "ph_modes_land": (integer, [pointer, ctypes.POINTER(Record), ctypes.POINTER(LandedRows), pointer]),
+        "ph_modes_refusal": (ctypes.POINTER(_Refusal), [pointer]),
+        "ph_modes_failed": (pointer, [pointer]),
+    }
+    return typed(lib, signatures)
+
+
+class NativeModes:
+    """Changes of modes of a `SwitchedInstance` of native instances, which it asks for them."""
+
+    def __init__(self, switched: Any):
+        self._switched, self._model = switched, switched.model
+        self._made, self._n = _compiled(switched.model), len(switched.mode)
+        self._sides = np.zeros(1 + 2 * self._n, np.int8)
+        self._known: dict[Mode, _Mode] = {}
+        self._keep: list[Any] = []
+        self._failure: BaseException | None = None
+        self._source = _Source(None, ROWS(self._rows), ROWS(self._whole), MOST(self._most))
+        more = self._source, self._sides.ctypes.data
+        self._memory, self._in = placed(self._made.lib, "ph_modes", self._made.tables.pointer, more=more)
+
+    def land(self, grid: Grid, record: tuple[str, ...], changed: bool) -> Iterator[Landed]:
+        """Grid steps with their events; modes change between two rows."""
+        switched, lib, plan = self._switched, self._made.lib, self._model.step
+        width = self._made.told + plan.ncomp
+        lib.ph_modes_prepare(self._in, switched.typical_step)
+        self._push()
+        lib.ph_modes_from(self._in, grid.t0, grid.h, grid.first, grid.n, int(changed))
+        sizes = record_widths(self._model, width)
+        kept = {name: np.full((grid.n + STEPS, sizes[name]), np.nan) for name in record}
+        if "signals" in kept:  # hidden constraints that a mode shows before they are left out
+            kept["signals"] = np.full((grid.n + STEPS, width + plan.nx + plan.na), np.nan)
+        room = Room(kept, grid.n + STEPS, self._model.events.n, plan.ncomp, width, self._n, pause=grid.pause)
+        while not room.over:
+            self._push()
+            status = lib.ph_modes_land(self._in, room.request, room.out, room.changed.ctypes.data)
+            self._pull()
+            for part in room.parts(self._words):
+                if "signals" in part.rows:
+                    part.rows["signals"] = part.rows["signals"][:, :width]
+                yield part
+            if status:
+                self._refuse(status)
+
+    def _push(self) -> None:
+        self._sides[:] = self._switched.sides
+
+    def _pull(self) -> None:
+        self._switched.sides = tuple(int(v) for v in self._sides)
+
+    def _words(self, changed: Any) -> tuple[str, ...]:
+        """Switches that changed, with the side they are on."""
+        switches = self._model.modes.modes.switches
+        return tuple(f"{switches[j].name} {'on' if changed[j] == 2 else 'off'}" for j in np.flatnonzero(changed))
+
+    def _refuse(self, status: int) -> None:
+        """Raises what a status means."""
+        if self._failure is not None:
+            failure, self._failure = self._failure, None
+            raise failure
+        found = self._made.lib.ph_modes_refusal(self._in).contents
+        if tuple(Status)[status] is Status.EVENT and found.reason >= 0:
+            flags = ctypes.string_at(found.which, self._n)
+            names = [s.name for s, flag in zip(self._model.modes.modes.switches, flags, strict=True) if flag]
+            raise EventRefused(self._model.name, found.t, found.reason, names, found.value, found.limit)
+        failed = self._made.lib.ph_modes_failed(self._in)
+        mode = next(m for m, entry in self._known.items() if ctypes.addressof(entry) == failed)
+        landing, check = self._switched.of(mode)[0].landing
+        landing.refuse(status)
+        check(status)
+
+    # -- what compiled code asks for -----------------------------------------------------------------------------------
+
+    def _mode(self, on: int) -> Mode:
+        return tuple(ctypes.string_at(on, self._n))
+
+    def _rows(self, _: int, on: int) -> int | None:
+        mode, known = self._mode(on), self._made.rows
+        if mode not in known:
+            try:
+                known[mode] = self._made.tables.rows(mode_rows(self._model.modes.modes, mode))
+            except Exception as failure:
+                self._failure = failure
+                return None
+        return known[mode]
+
+    def _whole(self, _: int, on: int) -> int | None:
+        mode = self._mode(on)
+        if mode not in self._known:
+            try:
+                self._known[mode] = self._entry(mode, on)
+            except Exception as failure:
+                self._failure = failure
+                return None
+        return ctypes.addressof(self._known[mode])
+
+    def _entry(self, mode: Mode, on: int) -> _Mode:
+        instance, fresh = self._switched.of(mode)
+        landing, _ = instance.landing
+        landing.stop_before(np.ones(self._model.events.n, np.int8))
+        state = np.frombuffer(fresh, np.uint8)
+        handle = instance.handle
+        names = CALLS.functions(CALLS.calls)
+        calls = (ctypes.c_void_p * len(names))(
+            *(ctypes.cast(getattr(handle.lib, n), ctypes.c_void_p).value for n in names)
+        )
+        self._keep += [state, calls]
+        return _Mode(self._rows(0, on), ctypes.addressof(calls), handle.instance, landing.address, state.ctypes.data,
+                     instance.layout["H"].stop)  # fmt: skip
+
+    def _most(self, _: int, on: int, a: int, j: int) -> float:
+        values = np.frombuffer((ctypes.c_double * self._model.step.na).from_address(a))
+        try:
+            return most_held(self._model.modes.modes, self._mode(on), values, j)
+        except Exception as failure:
+            self._failure = failure
+            return 0.0

@@ -1,0 +1,1 @@
+"""One step in Python: the readable twin of the compiled runtime."""

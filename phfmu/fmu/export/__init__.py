@@ -1,0 +1,1 @@
+"""Units written: descriptions, terminals, manifest, sources and the archive."""

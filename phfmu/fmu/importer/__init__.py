@@ -1,0 +1,1 @@
+"""Units read: archives, descriptions, ports, and instances behind FMPy's bindings."""

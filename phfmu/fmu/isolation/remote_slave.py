@@ -1,0 +1,254 @@
+"""A unit in a process of its own: a crash, a hang, an exit or output of its library is that of the process."""
+
+from __future__ import annotations
+
+import json
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import phfmu
+from phfmu import interrupt
+from phfmu.fmu.export.variables import FMUError
+from phfmu.fmu.importer.archive import Extracted
+from phfmu.fmu.importer.refusal import UnitCallError, UnitFailure
+from phfmu.fmu.importer.slave import KEPT, LONGEST, QUOTED, AnySlave, Slave
+from phfmu.fmu.importer.unit_interface import Scalar
+from phfmu.fmu.importer.values import Derivative, References
+from phfmu.fmu.isolation.unit_process import GIVEN, REFUSED, read, write
+from phfmu.fmu.version import VERSIONS
+from phfmu.fmu.words import plain
+
+Array = NDArray[np.float64]
+
+#: lines of what a library prints that are passed on
+SHOWN = 20
+#: s that a process is given to end by itself
+PATIENCE = 1.0
+#: s that a process may take until it is there
+START = 120.0
+
+_START = "import sys; sys.path.insert(0, sys.argv[1]); from phfmu.fmu.isolation.unit_process import serve; serve()"
+#: verb -> function of the standard, less its version
+_FUNCTIONS = {
+    "begin": "Instantiate", "enter": "EnterInitializationMode", "leave": "ExitInitializationMode", "do_step": "DoStep",
+    "get": "Get..", "set": "Set..", "save": "GetFMUState", "restore": "SetFMUState", "reset": "Reset",
+    "derivative": "GetDirectionalDerivative", "serialize": "SerializeFMUState", "deserialize": "DeserializeFMUState",
+}  # fmt: skip
+
+
+class RemoteSlave:
+    """The twin of `Slave`; each call waits `timeout` s at most.  UnitFailure if the process ended or did not answer in time.
+
+    What the library prints is passed on to stderr, with the name of the unit.
+    """
+
+    def __init__(self, archive: Extracted, name: str, early_return: bool, timeout: float):
+        self.name, self.early_return, self.timeout = name, early_return, timeout
+        self.words: deque[str] = deque(maxlen=KEPT)
+        self.dead = False
+        self._version = VERSIONS[archive.interface.version]
+        self._time, self._step = 0.0, 0.0
+        self._groups: dict[tuple[str, ...], int] = {}
+        self._forgotten: list[int] = []
+        self._printed: deque[str] = deque(maxlen=QUOTED)
+        self._process: Any = subprocess.Popen(
+            [sys.executable, "-c", _START, str(Path(phfmu.__file__).parent.parent)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            start_new_session=True,
+        )  # fmt: skip
+        self._answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._listen, self._pass_on)]
+        for thread in self._threads:
+            thread.start()
+        self._received("start", START)
+        told = [str(archive.path.resolve()), str(archive.folder), archive.library, name, early_return]
+        self.absent: tuple[str, ...] = tuple(self._message(told, "begin"))
+
+    # -- the process ------------------------------------------------------------------------------------------
+
+    def _listen(self) -> None:
+        """Answers as they come; None at their end."""
+        try:
+            while (message := read(self._process.stdout)) is not None:
+                self._answers.put(message)
+        except (ValueError, OSError, json.JSONDecodeError):
+            pass
+        self._answers.put(None)
+
+    def _pass_on(self) -> None:
+        """What the library prints, line by line."""
+        count = 0
+        for line in self._process.stderr:
+            text = plain(line.decode("utf-8", "replace").rstrip(), LONGEST)
+            self._printed.append(text)
+            count += 1
+            if count <= SHOWN:
+                print(f"{self.name}: {text}", file=sys.stderr, flush=True)
+            elif count == SHOWN + 1:
+                print(
+                    f"{self.name}: prints more than {SHOWN} lines; the others are left out", file=sys.stderr, flush=True
+                )
+
+    def _ask(self, verb: str, *arguments: Any) -> Any:
+        return self._message([verb, arguments], verb)
+
+    def _message(self, message: Any, verb: str) -> Any:
+        """What is given; the errors of `Slave`, and UnitFailure."""
+        function = f"{self._version.prefix}{_FUNCTIONS.get(verb, verb)}"
+        if self.dead:
+            raise UnitCallError(self.name, function, "fatal", ["it met a fatal error before"])
+        try:
+            write(self._process.stdin, message)
+        except (OSError, ValueError):
+            raise self._lost(f"{function}: {self._end()}", "gone") from None
+        return self._received(function, self.timeout)
+
+    def _received(self, function: str, timeout: float) -> Any:
+        try:
+            found = self._awaited(timeout)
+        except queue.Empty:
+            raise self._lost(f"{function}: no answer in {timeout:g} s", "hang") from None
+        except KeyboardInterrupt:  # its answer would be taken for that of the next call
+            self.dead = True
+            self._process.kill()
+            raise
+        if found is None:
+            raise self._lost(f"{function}: {self._end()}", "gone")
+        kind, what = found
+        if kind == GIVEN:
+            return what
+        if kind == REFUSED:
+            called, reply, words, self.dead = what
+            self.words.extend(words)
+            raise UnitCallError(self.name, called, reply, words)
+        raise FMUError(what)
+
+    def _awaited(self, timeout: float) -> Any:
+        """The next answer; queue.Empty if there is none in so many s, Interrupted if a signal comes before."""
+        late = monotonic() + timeout
+        while (left := late - monotonic()) > interrupt.SLICE:
+            try:
+                return self._answers.get(timeout=interrupt.SLICE)
+            except queue.Empty:
+                interrupt.check()
+        return self._answers.get(timeout=max(left, 0.0))
+
+    def _end(self) -> str:
+        """How the process ended, in words."""
+        try:
+            code = self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            return "its process closed the connection"
+        if code >= 0:
+            return f"its process ended with exit code {code}"
+        names = {s.value: s.name for s in signal.Signals}
+        return f"its process was ended by {names.get(-code, f'signal {-code}')}"
+
+    def _lost(self, what: str, answer: str) -> UnitFailure:
+        self.dead = True
+        self._process.kill()
+        self._process.wait()
+        self._threads[1].join(PATIENCE)
+        return UnitFailure(self.name, self._time, self._step, what, answer, [*self._printed])
+
+    def last_words(self) -> tuple[str, ...]:
+        return tuple(self._printed)[-QUOTED:]
+
+    # -- calls --------------------------------------------------------------------------------------------------
+
+    def _group(self, r: References) -> int:
+        """Its number in the process; named at the first time."""
+        names = tuple(s.name for s in r.scalars)
+        if names not in self._groups:
+            self._groups[names] = self._ask("group", names)
+        return self._groups[names]
+
+    def references(self, scalars: Sequence[Scalar]) -> References:
+        """Buffers for a group of scalars."""
+        return References(scalars, self._version)
+
+    def set(self, r: References) -> None:
+        if r.n:
+            self._ask("set", self._group(r), r.values.tolist())
+
+    def get(self, r: References) -> Array:
+        if r.n:
+            r.values[:] = self._ask("get", self._group(r))
+        return r.values
+
+    def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
+        self._time = start
+        self._ask("enter", start, stop, tolerance)
+
+    def leave(self) -> None:
+        self._ask("leave")
+
+    def do_step(self, t: float, h: float, no_set_prior: bool) -> tuple[float, bool]:
+        self._time, self._step = t, h
+        reached, ended = self._ask("do_step", t, h, no_set_prior)
+        self._time, self._step = reached, 0.0
+        return reached, ended
+
+    def reset(self) -> None:
+        self._ask("reset")
+
+    def save(self) -> int:
+        self._clear()
+        return self._ask("save")
+
+    def restore(self, handle: int) -> None:
+        self._ask("restore", handle)
+
+    def forget(self, handle: int) -> None:
+        """Told with the next state: nobody knows in the middle of which call the last holder of a state lets it go."""
+        self._forgotten.append(handle)
+
+    def serialize(self, handle: int) -> bytes:
+        return bytes.fromhex(self._ask("serialize", handle))
+
+    def deserialize(self, data: bytes) -> int:
+        return self._ask("deserialize", data.hex())
+
+    def derivative(self, d: Derivative) -> Array:
+        return np.array(self._ask("derivative", self._group(d.unknowns), d.known.name))
+
+    def _clear(self) -> None:
+        if self._forgotten:
+            states, self._forgotten = self._forgotten, []
+            self._ask("forget", states)
+
+    def free(self) -> None:
+        """The unit, and the process."""
+        if not self.dead:
+            try:
+                self._clear()
+                self._ask("free")
+            except (UnitFailure, FMUError) as error:
+                print(f"{self.name}: {error}", file=sys.stderr)
+        self.dead = True
+        self._process.stdin.close()
+        try:
+            self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for thread in self._threads:
+            thread.join(PATIENCE)
+        self._process.stdout.close()
+        self._process.stderr.close()
+
+
+def slave_of(unit: Extracted, name: str, early_return: bool, isolate: float | None) -> AnySlave:
+    """In this process, or in one of its own, where a call may take `isolate` s."""
+    return Slave(unit, name, early_return) if isolate is None else RemoteSlave(unit, name, early_return, isolate)

@@ -1,0 +1,1 @@
+"""The co-simulation master in compiled code: its tables, its members and its threads."""

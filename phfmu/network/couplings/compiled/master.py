@@ -1,0 +1,267 @@
+"""The master in compiled code: members of native engines and units, stepped and joined without returning to Python.
+
+The same iteration as that of `newton.py` and `node_newton.py`, with the same rules; equal to rounding, since linear systems are
+solved by the sparse factors of the runtime.  What does not go as usual there is left to these: a step that is refused by the
+compiled loop is taken by them, or refused with their words.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.native.structures import Structures
+from phfmu.gradients.quadrature import nodes
+from phfmu.network.couplings import newton
+from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
+from phfmu.network.couplings.compiled.master_library import HEADER, library
+from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part, Pattern, Told, exchanged
+from phfmu.network.couplings.compiled.shares import Make, Own, own_share, watched
+from phfmu.network.couplings.compiled.threads import Pace, crew
+from phfmu.network.couplings.coupling import Coupling, Solution
+from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknowns
+from phfmu.network.couplings.unconverged import plain
+from phfmu.network.interface.end_sums import EndSums
+from phfmu.network.interface.joined import Joined
+from phfmu.outcome.status import StepFailure
+from phfmu.outcome.steps import Steps
+from phfmu.plan.ordering import StructurallySingular
+from phfmu.schemes.impulses import POINTS
+
+Array = NDArray[Any]
+
+#: what `timed` tells of, as `ph_part` does
+PARTS = ("join", "steps", "exchange", "solve")
+#: words for ph_accepted
+ACCEPTED = np.array(["", "energy", "rounding floor"])
+LEDGER = ("stored", "dissipated", "supplied", "numerical", "moved", "pairs")
+
+
+class Master:
+    """Compiled steps of `joined` under `coupling`; ledger rows and columns are those of `Coupled`."""
+
+    def __init__(
+        self,
+        joined: Joined,
+        coupling: Coupling,
+        found: Exchanged,
+        makes: Sequence[Make],
+        works: bool = False,
+        threads: int | None = None,
+    ):
+        self.joined, self.coupling, self.found, self._works = joined, coupling, found, works
+        #: after which members cannot be asked again
+        self.failure: StepFailure | None = None
+        #: threads used last
+        self.pace, self.threads = Pace(len(found.parts), threads), 1
+        self._pattern, self._memory = Pattern(found), Structures(HEADER)
+        self._lib = library()
+        self._inputs: list[Array] = []
+        self._own = [make(p, self._memory, self._lib) for make, p in zip(makes, found.parts, strict=True)]
+        shares = [self._share(i, own) for i, own in enumerate(self._own)]
+        self._z, self._last = np.zeros(found.size), np.zeros(found.size)
+        self._missed = np.zeros((KNOWN, found.size))
+        #: the solution and length of the last step that was taken here, which the memory of the loop goes on from
+        self._left: tuple[Solution, float] | None = None
+        #: steps that were taken here;  rules of the iteration (`ph_rules`)
+        self.taken, self.rules = 0, self._memory.fill("ph_rules", self._rules())
+        self._array = self._memory.array(shares)
+        self._struct = self._memory.fill("ph_master", self._values())
+        self._lib.ph_master_lu_init(ctypes.addressof(self._struct))
+
+    def advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
+        """As many of n steps k = first.. from t0 + k h (grid: t0, h, first) as go as usual, and the last of their solutions.
+
+        The members are at the end of these.  The first steps of a run tell how long a trial takes, and what threads gain.
+        """
+        parts: list[Steps] = []
+        t0, h, first = grid
+        while n:
+            k, self.threads = self.pace.part(n)
+            steps, last = self._advance(last, sums, (t0, h, first), k)
+            if len(steps.H):
+                parts.append(steps)
+            first, n = first + k, n - k if len(steps.H) == k else 0
+        return Steps.joined(parts) if parts else Steps.stacked([]), last
+
+    def timed(self) -> Array:
+        """Seconds of PARTS, to which the loop adds from now on, where one thread runs it: two readings of a clock a call."""
+        spent = np.zeros(len(PARTS))
+        clock = self._memory.fill("ph_clock", {"spent": spent, "last": 0.0, "part": 0})
+        for struct in (self._struct, *self._array):
+            struct.clock = ctypes.addressof(clock)
+        return spent
+
+    def _advance(self, last: Solution, sums: EndSums, grid: tuple[float, float, int], n: int) -> tuple[Steps, Solution]:
+        t0, h, first = grid
+        e, s = self.found, self._struct
+        next_ = self._begin(last, h)
+        members = [np.empty((n, own.values["length"])) for own in self._own]
+        given = [self._given(i, grid, n) for i in range(len(members))]
+        for struct, rows, followed in zip(self._array, members, given, strict=True):
+            struct.record = rows.ctypes.data
+            struct.given = None if followed is None else followed.ctypes.data
+        xi = np.empty((n, 2 * e.columns))
+        trials, accepted = np.zeros(n, np.int32), np.zeros(n, np.int32)
+        works = np.empty((n, e.size)) if self._works else None
+        s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
+        s.work = None if works is None else works.ctypes.data
+        s.cost = self.pace.cost.ctypes.data if self.pace.measures else None
+        done, spent = self._run(grid, n, next_)
+        self.taken += done
+        self.pace.took(self.threads, done, trials, spent)
+        self.failure = next((f for own in self._own if (f := own.failure())), None)
+        if done == 0:
+            return Steps.stacked([]), last
+        for own, rows in zip(self._own, members, strict=True):
+            own.finish(t0 + (first + done - 1) * h, h, rows[done - 1])
+        names = len(self.joined.face.names)  # signals are no columns
+        xi, end = xi[:done, :names], xi[:done, e.columns : e.columns + names]
+        rows = self._steps([own.told(m[:done], h) for own, m in zip(self._own, members, strict=True)], xi, end, sums)
+        if works is not None:
+            rows["works"] = works[:done, e.unpacked]
+        solution = self._solution(xi[done - 1].copy(), int(trials[done - 1]), str(ACCEPTED[accepted[done - 1]]), h)
+        self._left = solution, h
+        return Steps(**rows, iterations=trials[:done], accepted_by=ACCEPTED[accepted[:done]]), solution
+
+    def _run(self, grid: tuple[float, float, int], n: int, next_: int) -> tuple[int, float]:
+        """Steps that were taken, seconds.  A crash in a unit tells its name."""
+        t0, h, first = grid
+        for own in self._own:
+            own.begin()
+        with crew(self._lib, self.threads) as self._struct.crew, watched(self._own):
+            begun = perf_counter()
+            done = self._lib.ph_master_run(ctypes.addressof(self._struct), t0, h, n, first, next_)
+            spent = perf_counter() - begun
+        self._struct.crew = None
+        return done, spent
+
+    def _given(self, i: int, grid: tuple[float, float, int], n: int) -> Array | None:
+        """Free inputs of a member at the nodes of n steps (n x k x nu) where some follow data."""
+        followed, place = self.joined.followed, self.joined.places[i]
+        if followed is None or not len(followed.own(place)):
+            return None
+        return followed.at_nodes(self.joined.free[place], place, nodes(self.found.parts[i].k).c, grid, n)
+
+    def _begin(self, last: Solution, h: float) -> int:
+        """Where the first step starts from; 1: the continuation of the step before, which is made there.
+
+        Time decides where calls end, so it must not matter: what one has left, the next goes on from.
+        """
+        e = self.found
+        if self._left is not None and self._left[0] is last and self._left[1] == h:
+            return 1
+        if not isinstance(self.coupling, NodeNewton):
+            self._z[:] = last.xi
+            return 0
+        if isinstance(last, NodeSolution) and last.found is not None and last.h == h:
+            self._last[:] = e.pack(last.found.flat)
+            self._struct.known = len(last.missed)
+            for to, missed in zip(self._missed, last.missed, strict=False):
+                to[:] = e.pack(missed)
+            return 1
+        self._z[:] = e.pack(self.coupling.start(last, h).flat)
+        return 0
+
+    def _solution(self, xi: Array, trials: int, accepted_by: str, h: float) -> Solution:
+        if self.failure:  # nobody goes on from here
+            return Solution(xi, np.zeros(len(self.joined.free)), trials, accepted_by)
+        for place, part in zip(self._inputs, self.found.parts, strict=True):
+            if part.held:  # what it was given, for those who set a part of it
+                part.member.set_input(place)
+        y = np.concatenate([p.member.output() for p in self.found.parts])
+        if not isinstance(self.coupling, NodeNewton):
+            return Solution(xi, y, trials, accepted_by)
+        z, unpack = self.found.unpack(self._last), self.found.unpack
+        found = Unknowns(z[: self.found.nodes], z[self.found.nodes :].reshape(2, -1))
+        missed = tuple(unpack(m) for m in self._missed[: self._struct.known])
+        return NodeSolution(xi, y, trials, accepted_by, found=found, h=h, missed=missed)
+
+    def _steps(self, members: list[Told], xi: Array, end: Array, sums: EndSums) -> dict[str, Any]:
+        """Fields of `Steps` from what was recorded."""
+        signals = [*(m.columns for m in members), xi, sums.of_rows(end, np.hstack([m.ends for m in members]))]
+        rows = {"signals": np.hstack(signals), "H": np.hstack([m.H for m in members])}
+        return rows | {name: np.hstack([m.books[name] for m in members]) for name in LEDGER}
+
+    # -- structures -----------------------------------------------------------------------------------------------
+
+    def _share(self, i: int, own: Own) -> Any:
+        part, nu = self.found.parts[i], self.found.parts[i].member.nu
+        kn, all_ = part.k * nu, part.directions
+        self._inputs.append(np.zeros(kn))
+        values = own.values | {
+            "nu": nu, "k": part.k,
+            "ninput": len(part.inputs), "nkick": part.kicks, "nbare": len(part.kicked), "ncol": len(part.col),
+            "nrow": len(part.row), "nright": len(part.right), "nleft": len(part.left), "col": part.col, "row": part.row,
+            "entry": self._pattern.entries[i], "input": part.inputs, "kicked": part.kicked,
+            "kicked_output": part.kicked_output, "right_direction": part.right_direction,
+            "right_col": part.right_col, "right": part.right, "left_output": part.left_output, "left_row": part.left_row,
+            "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
+            "at_end": nodes(part.k).value(1.0), "now": np.zeros(nu),
+            "free": self.joined.free[self.joined.places[i]].ctypes.data,
+            "given": None, "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
+            "y": np.zeros(kn), "dy": np.zeros((all_, kn)), "dend": np.zeros((all_, nu)),
+            "across": np.zeros((len(part.row), all_)), "jump": np.zeros(part.kicks**2), "record": None, "clock": None,
+        }  # fmt: skip
+        return self._memory.fill("ph_share", values)
+
+    def _rules(self) -> dict[str, Any]:
+        return {"held": not isinstance(self.coupling, NodeNewton), "iterations": ITERATIONS}
+
+    def _values(self) -> dict[str, Any]:
+        e, p, n = self.found, self._pattern, self.found.size
+        square = int(e.square[-1])
+        angles = (2 * np.arange(POINTS) + 1) * np.pi / (4 * POINTS)
+        work = {name: np.zeros(n) for name in ("rows", "size", "move", "scale", "plain")}
+        work |= {name: np.zeros(square) for name in ("S0", "S1", "mixed", "T")}
+        work |= {name: np.zeros(len(e.bare)) for name in ("moved", "sums")}
+        work |= {name: np.zeros(len(p.rowind)) for name in ("a", "scaled")}
+        lu = np.zeros(self._lib.ph_master_lu_size(n, len(p.rowind), p.capacity) // 8 + 1)
+        return work | {
+            "rules": ctypes.addressof(self.rules), "shares": self._array,
+            "nshare": len(e.parts), "nxi": e.nodes, "nbare": len(e.bare), "ncolumn": e.columns, "nskew": len(e.skew),
+            "ncluster": len(e.cluster) - 1, "nahead": len(e.ahead), "nnz": len(p.rowind), "capacity": p.capacity,
+            "nwire": len(e.wires), "factor": e.factors,
+            **{f"wire_{name}": e.wires[:, i].copy() for i, name in enumerate(("source", "output", "target", "input"))},
+            "points": POINTS, "cosines": np.cos(angles) ** 2, "weights": e.weights, "at_end": e.at_ends, "column": e.column,
+            "bare_column": e.bare, "skew_row": e.skew_row, "skew_col": e.skew_col, "skew_entry": p.skew, "skew": e.skew,
+            "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
+            "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
+            "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
+            "found": self._last, "missed": self._missed, "known": 0, "row": 0,
+            "lu": lu, "crew": None,
+            "status": np.zeros(len(e.parts), np.int32), "cost": None, "clock": None, "xi": None, "work": None, "trials": None,
+            "accepted": None,
+        }  # fmt: skip
+
+
+def _jump_entries(part: Part, found: Exchanged) -> Array:
+    """Where the S of a member is among the blocks of all clusters, -1: at no bare node."""
+    cluster = np.searchsorted(found.cluster, part.bare, "right") - 1
+    at = np.where(part.bare >= 0, part.bare - found.cluster[cluster], -1)
+    width = np.diff(found.cluster)[cluster[part.bare >= 0][:1]] if len(part.bare) else 0
+    entries = found.square[cluster][:, None] + at[:, None] * width + at
+    return np.where((at[:, None] >= 0) & (at >= 0), entries, -1).astype(np.int32).ravel()
+
+
+def master(joined: Joined, coupling: Coupling, works: bool = False, threads: int | None = None) -> Master | None:
+    """The compiled twin of a coupling; None for couplings, or members, that have none.
+
+    What is done with steps that do not converge is done in Python, with these only.  `works`: whether energies of unknowns at
+    their junctions are wanted;  `threads`: None chooses.
+    """
+    coupling = plain(coupling)
+    if not isinstance(coupling, newton.Newton | NodeNewton):
+        return None
+    makes = [make for m in joined.members if (make := own_share(m))]
+    if len(makes) < len(joined.members):
+        return None
+    try:
+        return Master(joined, coupling, exchanged(joined, coupling), makes, works, threads)
+    except StructurallySingular:  # the twin tells where
+        return None

@@ -1,0 +1,48 @@
+"""The compiled master as Python sees it: the structures of `runtime/master.h`, and its library, the same for every network."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+
+from phfmu.engine.build.compile import compile, host_flags
+from phfmu.engine.native.library import runtime_sources
+from phfmu.engine.native.structures import Header
+from phfmu.network.couplings.acceptance import RULES
+
+RUNTIME = Path(__file__).parent.parent / "runtime"
+#: prefixes of the versions of the standard whose functions it calls
+CALLED = ("fmi2", "fmi3")
+HEADERS = (RULES, *(RUNTIME / f"{name}.h" for name in ("clock", "native", "unit", "master")))
+STRUCTURES = ("ph_rules", "ph_progress", "ph_clock", "ph_native", "ph_scalars", "ph_unit", "ph_share", "ph_master")
+HEADER = Header(HEADERS, STRUCTURES, "ph_calls")
+#: of the runtime of models, what the master has in common with it
+SHARED = "lu.c"
+
+
+def sources() -> dict[str, Path]:
+    """File name -> path."""
+    common = {n: p for n, p in runtime_sources().items() if n.endswith(".h") or n == SHARED}
+    return common | {p.name: p for p in sorted(RUNTIME.iterdir())}
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The library with its signatures; CompilerMissing, CompileError."""
+    lib = ctypes.CDLL(str(compile(sources(), flags=host_flags()).path))
+    pointer, integer = ctypes.c_void_p, ctypes.c_int
+    lib.ph_master_lu_size.restype, lib.ph_master_lu_size.argtypes = ctypes.c_size_t, [integer] * 3
+    lib.ph_master_lu_init.restype, lib.ph_master_lu_init.argtypes = None, [pointer]
+    run = lib.ph_master_run
+    run.restype, run.argtypes = (
+        integer,
+        [pointer, *[ctypes.c_double] * 2, integer, ctypes.c_longlong, integer],
+    )
+    lib.ph_crew_size.restype, lib.ph_crew_size.argtypes = ctypes.c_size_t, []
+    for name in ("ph_kind_native", "ph_kind_unit", *(f"ph_unit_{prefix}" for prefix in CALLED)):
+        getattr(lib, name).restype = pointer
+    for name in ("ph_crew_init", "ph_crew_help", "ph_crew_end"):
+        function = getattr(lib, name)
+        function.restype, function.argtypes = None, [pointer]
+    return lib

@@ -1,0 +1,230 @@
+"""What members exchange, as lists of numbers for the compiled master: unknowns z = (xi at nodes | impulses m | m')."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+
+from phfmu.engine.build.derived import factor_room
+from phfmu.gradients.quadrature import nodes
+from phfmu.network.couplings.coupling import Coupling
+from phfmu.network.couplings.node_newton import NodeNewton
+from phfmu.network.interface.bare_columns import Clusters
+from phfmu.network.interface.exchange import Share
+from phfmu.network.interface.joined import Joined
+from phfmu.network.members.member import Member
+from phfmu.network.members.node_values import HeldNodes
+from phfmu.plan.ordering import elimination_order
+
+Array = NDArray[Any]
+Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Of a member: the lists of `ph_share`."""
+
+    member: Member
+    held: bool
+    k: int
+    weights: Array
+    inputs: Ints
+    kicks: int
+    bare: Ints
+    kicked: Ints
+    kicked_output: Ints
+    col: Ints
+    row: Ints
+    right_direction: Ints
+    right_col: Ints
+    right: Array
+    left_output: Ints
+    left_row: Ints
+    left: Array
+
+    @property
+    def directions(self) -> int:
+        return len(self.inputs) + 2 * len(self.kicked)
+
+
+@dataclass(frozen=True)
+class Told:
+    """Of a member, a row a step: its columns, stored energies, outputs at the end, and its ledger."""
+
+    columns: Array
+    H: Array
+    ends: Array
+    books: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Exchanged:
+    """Of all members: the lists of `ph_master`; bare columns stand cluster by cluster, `place`: of each in the exchange."""
+
+    parts: list[Part]
+    columns: int
+    weights: Array
+    at_ends: Array
+    column: Ints
+    bare: Ints
+    place: Ints
+    skew_row: Ints
+    skew_col: Ints
+    skew: Array
+    least: Array
+    cluster: Ints
+    square: Ints
+    signs: Array
+    ahead_to: Ints
+    ahead_from: Ints
+    ahead: Array
+    #: per signal (share, output, share, input), and its factor
+    wires: Ints
+    factors: Array
+
+    @property
+    def nodes(self) -> int:
+        return len(self.weights)
+
+    @property
+    def size(self) -> int:
+        return self.nodes + 2 * len(self.bare)
+
+    def pack(self, z: Array) -> Array:
+        """Unknowns as the exchange has them -> as they stand here."""
+        m = z[self.nodes :].reshape(2, -1)
+        return np.concatenate([z[: self.nodes], m[0][self.place], m[1][self.place]])
+
+    def unpack(self, z: Array) -> Array:
+        """And back."""
+        return z[self.unpacked]
+
+    @property
+    def unpacked(self) -> Ints:
+        """Where the unknowns of the exchange stand here."""
+        at = np.argsort(self.place) + self.nodes
+        return np.concatenate([np.arange(self.nodes), at, at + len(self.bare)]).astype(np.int32)
+
+
+def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
+    """What members exchange under one of the Newton couplings."""
+    if isinstance(coupling, NodeNewton):
+        e = coupling.exchange
+        shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
+        clusters, nominal, at_ends = e.clusters, e.row_nominal, e.at_ends
+    else:
+        n = len(joined.face.names)
+        k, columns = np.ones(n, int), np.arange(n)
+        C, weights, bare = joined.face.C, np.ones(n), []
+        shares = [
+            _held(m, p, *joined.reach(i)) for i, (m, p) in enumerate(zip(joined.members, joined.places, strict=True))
+        ]
+        clusters, nominal, at_ends = Clusters([], 0), joined.face.row_nominal, weights
+    place = np.concatenate([*clusters.of, np.zeros(0, int)]).astype(np.int32)
+    cluster = np.cumsum([0, *map(len, clusters.of)]).astype(np.int32)
+    skew, where = coo_array(C), np.argsort(place)
+    bare = np.asarray(bare, np.int32)[place]
+    least = 1e-12 * np.concatenate([nominal, joined.face.row_nominal[bare]])
+    to, from_, values = _ahead(k)
+    return Exchanged(
+        [_part(s, where, len(columns)) for s in shares],
+        len(k), weights, at_ends, columns.astype(np.int32), bare, place,
+        skew.row.astype(np.int32), skew.col.astype(np.int32), skew.data,
+        least, cluster, np.append(0, np.cumsum(np.diff(cluster) ** 2)).astype(np.int32),
+        (-1.0) ** k[bare],
+        to, from_, values, *_wires(joined, coupling),
+    )  # fmt: skip
+
+
+def _wires(joined: Joined, coupling: Coupling) -> tuple[Ints, Array]:
+    numbers = coupling.exchange.wires if isinstance(coupling, NodeNewton) else []
+    own, found = {m.name: i for i, m in enumerate(joined.members)}, [joined.network.wires[i] for i in numbers]
+    first = [p.start for p in joined.places]
+    rows = [
+        (
+            own[w.source], joined.sent[w.source, w.output] - first[own[w.source]],
+            own[w.target], joined.taken[w.target, w.input] - first[own[w.target]],
+        )
+        for w in found
+    ]  # fmt: skip
+    return np.array(rows, np.int32).reshape(-1, 4), np.array([w.factor for w in found])
+
+
+def _held(member: Any, place: slice, own: Any, P: Array) -> Share:
+    fed = np.flatnonzero(P.any(axis=1)).tolist()
+    none = np.zeros((0, 0))
+    return Share(HeldNodes(member), place, own, P, P.T, np.zeros(0, int), none, np.zeros((len(P), 0)), fed, fed)
+
+
+def _ahead(k: Array) -> tuple[Ints, Ints, Array]:
+    """The continuation of the values of each column: to, from, factor."""
+    first = np.cumsum(k) - k
+    to, from_, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+    for n in np.unique(k):
+        rule, own = nodes(int(n)), first[k == n]
+        node = np.arange(n)
+        to.append((own[:, None] + np.repeat(node, n)).ravel())
+        from_.append((own[:, None] + np.tile(node, n)).ravel())
+        values.append(np.tile(np.array([rule.value(1.0 + t) for t in rule.c]).ravel(), len(own)))
+    return np.concatenate(to).astype(np.int32), np.concatenate(from_).astype(np.int32), np.concatenate(values)
+
+
+def _part(s: Share, where: Array, n: int) -> Part:
+    """`where`: each bare column stands, `n`: unknowns at nodes."""
+    member, rule = s.values.member, s.values.rule
+    kicks, own, inputs = len(s.Q) if s.kicked else 0, s.own, np.array(s.fed_rows, np.int32)
+    fed = s.to[inputs]
+    right = [(d, c, fed[d, c]) for d, c in np.argwhere(fed)]
+    left = [(i, r, s.back[r, i]) for r, i in np.argwhere(s.back)]
+    bare, mine = np.full(kicks, -1, np.int32), np.zeros(0, int)
+    kicked = np.flatnonzero(s.Q.any(axis=1)).astype(np.int32)
+    outputs = np.array(s.values.offer.kicked, np.int32)[kicked] if kicks and s.values.offer else kicked
+    if kicks:
+        mine = where[s.bare]
+        for i, c in np.argwhere(s.Q):
+            bare[i], d = mine[c], int(np.searchsorted(kicked, i))
+            right += [
+                (len(inputs) + d, len(own) + c, s.Q[i, c]),
+                (len(inputs) + len(kicked) + d, len(own) + len(mine) + c, s.Q[i, c]),
+            ]
+        left += [(rule.k * member.nu + i, len(own) + c, s.ends[i, c]) for i, c in np.argwhere(s.ends)]
+    col = np.concatenate([own, n + mine, n + len(where) + mine])
+    return Part(
+        member, isinstance(s.values, HeldNodes), rule.k, rule.b, inputs, kicks, bare, kicked, outputs,
+        col.astype(np.int32), col[: len(own) + len(mine)].astype(np.int32),
+        *(np.array([r[i] for r in right], kind) for i, kind in enumerate((np.int32, np.int32, float))),
+        *(np.array([v[i] for v in left], kind) for i, kind in enumerate((np.int32, np.int32, float))),
+    )  # fmt: skip
+
+
+class Pattern:
+    """The interface matrix by columns, its elimination order, and where the entries of each part of it are.
+
+    StructurallySingular
+    """
+
+    def __init__(self, e: Exchanged):
+        n, nb = e.size, len(e.bare)
+        blocks: list[tuple[Array, Array]] = [
+            (np.repeat(p.row, len(p.col)), np.tile(p.col, len(p.row))) for p in e.parts
+        ]
+        blocks.append((e.skew_row, e.skew_col))
+        clusters = [np.arange(a, b) for a, b in zip(e.cluster[:-1], e.cluster[1:], strict=True)]
+        law = [(np.repeat(own, len(own)), np.tile(own, len(own))) for own in clusters]
+        i, j = (np.concatenate([*(c[side] for c in law), np.zeros(0, int)]) for side in (0, 1))
+        blocks.append((e.nodes + nb + i, e.nodes + j))
+        diagonal = e.nodes + nb + np.arange(nb)
+        blocks.append((diagonal, diagonal))
+        row, col = (np.concatenate([b[i] for b in blocks]).astype(np.int64) for i in (0, 1))
+        keys, where = np.unique(col * n + row, return_inverse=True)
+        self.rowind = (keys % n).astype(np.int32) if n else np.zeros(0, np.int32)
+        columns = (keys // n).astype(np.int32) if n else np.zeros(0, np.int32)
+        self.colptr = np.searchsorted(columns, np.arange(n + 1)).astype(np.int32)
+        ends = np.cumsum([len(b[0]) for b in blocks])[:-1]
+        *self.entries, self.skew, self.law, self.own = (a.astype(np.int32) for a in np.split(where, ends))
+        self.order, self.prefer = elimination_order(n, self.rowind, columns, np.zeros(0, np.int32))
+        self.capacity = max(1, factor_room(self.rowind, self.colptr, self.order, self.prefer))

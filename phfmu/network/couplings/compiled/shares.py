@@ -1,0 +1,152 @@
+"""Members that the compiled master steps itself: native instances, and units of this package in this process.
+
+A native member as the compiled master sees it: `ph_native`, and what its rows tell.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.engine.native.native import NativeInstance
+from phfmu.engine.native.structures import Structures
+from phfmu.network.couplings.compiled.master_library import CALLED
+from phfmu.network.couplings.compiled.master_pattern import Part, Told
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.member import Member
+from phfmu.outcome.status import StepFailure
+
+if TYPE_CHECKING:
+    from phfmu.network.couplings.compiled.unit_share import UnitShare
+
+
+Array = NDArray[Any]
+
+
+class NativeShare:
+    """`values`: fields of `ph_share` that belong to the member."""
+
+    def __init__(self, part: Part, m: Structures, lib: ctypes.CDLL):
+        self._part = part
+        self._member: Any = part.member
+        instance = self._member.instance
+        handle, self._plan, self._layout = instance.handle, instance.model.step, instance.layout
+        #: length of the signal table
+        self._signals = max(s.stop for s in self._layout.values())
+        start, ncomp, nq = handle.signals, self._plan.ncomp, self._plan.nq
+        self.values: dict[str, Any] = {
+            "kind": lib.ph_kind_native(), "of": ctypes.addressof(self._filled(handle, m)), "ncomp": ncomp, "stride": nq,
+            "length": self._signals + 5 * ncomp + nq,
+            "outputs": start + 8 * self._layout["y_step"].start if part.held else handle.node_outputs,
+            "energies": start + 8 * self._layout["H"].start, "end": start + 8 * self._layout["y_end"].start,
+        }  # fmt: skip
+
+    def _filled(self, handle: Any, m: Structures) -> Any:
+        part, plan = self._part, self._plan
+        chain = handle.tangents() if part.directions and not part.held else None
+        kicks = handle.impulses() if part.kicks else handle.kicked
+        own, width = kicks.n if kicks else 0, plan.nx + 1 + plan.na
+        unit = np.zeros((part.directions, part.k * plan.nu))
+        unit[np.arange(len(part.inputs)), part.inputs] = 1.0
+        values = {
+            "calls": m.calls(handle.lib), "in": handle.instance, "kicks": kicks.address if kicks else None,
+            "chain_calls": m.calls(chain.lib) if chain else None, "chain": chain.address if chain else None,
+            "parts": self._member.parts, "nq": plan.nq, "nsignal": self._signals, "width": width, "impulses": own,
+            "signals": handle.signals, "values": kicks.values.ctypes.data if kicks else None,
+            "du": unit, "ds": np.eye(part.kicks)[part.kicked], "ds_end": np.zeros((part.directions, part.kicks)),
+            "kept": np.zeros(handle.state_size // 8 + 1), "copied": np.zeros(handle.state_size // 8 + 1),
+            "kept_values": np.zeros(4 * own), "dx": np.zeros(max(part.directions * width, plan.nu**2)),
+        }  # fmt: skip
+        return m.fill("ph_native", values)
+
+    def begin(self) -> None:
+        """Nothing is to be known before steps."""
+
+    def finish(self, t: float, h: float, row: Array) -> None:
+        """The instance is where its last step ended: t + h."""
+
+    def failure(self) -> None:
+        """It can always be asked again."""
+
+    def told(self, rows: Array, h: float) -> Told:
+        """Fields of its rows."""
+        m, at, books = self._member, self._signals, dict[str, Array]()
+        for name in ("stored", "dissipated", "supplied", "numerical", "moved", "pairs"):
+            size = self._plan.nq if name == "pairs" else self._plan.ncomp
+            found = rows[:, at : at + size]
+            books[name] = m.pairs(found) if name == "pairs" else found
+            at += size
+        ends = rows[:, self._layout["y_end"]][:, : m.nu]
+        return Told(m.columns(rows[:, : self._signals]), rows[:, self._layout["H"]], ends, books)
+
+
+class Own(Protocol):
+    """What belongs to a member of its share; `values`: fields of `ph_share`."""
+
+    values: dict[str, Any]
+
+    def begin(self) -> None:
+        """Before steps."""
+        ...
+
+    def finish(self, t: float, h: float, row: Array) -> None:
+        """The last step that was taken, from t by h, has this row."""
+        ...
+
+    def failure(self) -> StepFailure | None:
+        """Of the last step, if it cannot be asked again; else what refused one is left to the loop in Python."""
+        ...
+
+    def told(self, rows: Array, h: float) -> Told:
+        """Fields of its rows, of steps of length h."""
+        ...
+
+
+#: of a part, where structures are kept, and the library of the master
+Make = Callable[[Part, Structures, ctypes.CDLL], Own]
+
+
+def own_share(member: Member) -> Make | None:
+    """What makes the share of a member; None of those that are stepped in Python."""
+    if isinstance(member, EngineMember):
+        native = isinstance(member.instance, NativeInstance) and member.model.events is None
+        return NativeShare if native else None
+    return _unit_share(member)
+
+
+@contextmanager
+def watched(shares: Sequence[Own]) -> Iterator[None]:
+    """While compiled code steps them, a crash in a unit tells its name."""
+    if all(isinstance(s, NativeShare) for s in shares):
+        yield
+        return
+    from phfmu.fmu.isolation import exit_guard
+    from phfmu.network.couplings.compiled.unit_share import UnitShare
+
+    units = [s for s in shares if isinstance(s, UnitShare)]
+    exit_guard.current = lambda: [call for u in units if (call := u.under_way())]
+    try:
+        yield
+    finally:
+        exit_guard.current = None
+
+
+def _unit_share(member: Member) -> Make | None:
+    """Runs without units do not load their reader."""
+    from phfmu.fmu.importer.access import access
+    from phfmu.network.couplings.compiled.unit_share import UnitShare
+    from phfmu.network.members.fmu_member import FMUMember
+
+    found = access(member.unit) if isinstance(member, FMUMember) else None
+    if found is None or found.prefix not in CALLED:
+        return None
+
+    def make(part: Part, memory: Structures, lib: ctypes.CDLL) -> UnitShare:
+        return UnitShare(part, memory, lib, found)
+
+    return make

@@ -1,0 +1,1 @@
+"""State events of members stepped apart: all members end their steps together."""

@@ -1,0 +1,311 @@
+"""Members that land together as one composed declaration: at an instant they are one, in steps they are apart.
+
+So do those with ideal switches, and those whose jumps act on others while their guards read what others give.  Which mode
+follows, what jumps, and what guards read depends on all members at once.  All of that is asked of the composed declaration, whose
+state is that of the members.  Steps are the members' own, with the interface iteration of the coupling.
+
+A composed declaration without ideal switches, as `Switching` asks one with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.discretise.model import Model, build_model
+from phfmu.discretise.within import polynomial_of
+from phfmu.engine.landing.landing import Change, Landing
+from phfmu.engine.reference.python import PythonInstance
+from phfmu.engine.switched import SwitchedInstance
+from phfmu.network.couplings.coupling import AllSteps
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.interface.exchange import Exchange
+from phfmu.network.interface.joined import Joined
+from phfmu.network.members.engine_member import EngineMember
+from phfmu.network.members.happenings import Happenings
+from phfmu.network.members.relation import RelationInstance
+from phfmu.outcome.steps import Happened, StepEvent
+from phfmu.schemes.collocated import Collocated
+
+if TYPE_CHECKING:
+    from phfmu.discretise.start import Projection
+
+
+class OneMode:
+    """Its instance, which has one mode only; what is asked of instances is of that."""
+
+    mode: tuple[int, ...] = ()
+    unsettled = False
+
+    def __init__(self, model: Model):
+        self.model, self.present = model, PythonInstance(model)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.present, name)
+
+    def prepare(self, h: float) -> None:
+        """No mode has to be found."""
+
+    def change(self, p: NDArray[np.float64], h: float) -> Change:
+        """Takes the parameters p."""
+        self.present.set_parameters(p)
+        self.present.initialise()
+        energy, lost = np.zeros((2, self.model.step.ncomp))
+        return Change(energy, lost, ())
+
+
+def instance_of(model: Model) -> SwitchedInstance | OneMode:
+    """In Python, with or without ideal switches."""
+    return OneMode(model) if model.modes is None else SwitchedInstance(model, PythonInstance)
+
+
+Array = NDArray[Any]
+
+
+class Everyone:
+    """The members' states, parameters and free inputs as those of the composed declaration, which has them in the same order."""
+
+    def __init__(self, joined: Joined):
+        self.joined = joined
+        self.members: list[EngineMember] = [m for m in joined.members if isinstance(m, EngineMember)]
+        self._x, self._p = (
+            np.cumsum([0, *(getattr(m.model.step, size) for m in self.members)]).tolist() for size in ("nx", "np")
+        )
+        self._polynomials: dict[int, Any] = {}
+
+    def gathered(self, what: str) -> Array:
+        """`x`, `parameters` or `unknowns` of the instances."""
+        return np.concatenate([getattr(m.instance, what) for m in self.members])
+
+    @property
+    def free(self) -> Array:
+        """Inputs that nothing feeds."""
+        return self.joined.free[self.joined.face.column < 0]
+
+    @property
+    def substeps(self) -> int:
+        return sum(m.instance.counts["substeps"] for m in self.members)
+
+    def polynomial(self, x: Array, unknowns: Array, tau: float) -> Array:
+        """All states at the fraction tau of the step that the members have just taken."""
+        at, found = 0, []
+        for m, (a, b) in zip(self.members, pairwise(self._x), strict=True):
+            model = _present(m).model
+            if a < b:
+                found.append(self._polynomial(model)(x[a:b], unknowns[at : at + model.step.nw], tau))
+            at += len(m.instance.unknowns)
+        return np.concatenate([np.zeros(0), *found])
+
+    def _polynomial(self, model: Model) -> Any:
+        if id(model) not in self._polynomials:
+            self._polynomials[id(model)] = polynomial_of(model)
+        return self._polynomials[id(model)]
+
+    def take(self, t: float, x: Array, p: Array) -> None:
+        """Gives the members their states and parameters after an event at t, if these are others than they have.
+
+        They are asked for nothing before they have the inputs of that instant, too.
+        """
+        for m, (a, b), (c, d) in zip(self.members, pairwise(self._x), pairwise(self._p), strict=True):
+            moved, changed = bool((m.instance.x != x[a:b]).any()), bool((m.instance.parameters != p[c:d]).any())
+            unsettled = isinstance(m.instance, SwitchedInstance) and m.instance.unsettled
+            if changed or unsettled:
+                m.instance.set_parameters(p[c:d])
+            if isinstance(m.instance, SwitchedInstance) and m.instance.unsettled:
+                m.instance.settle()
+            if moved:
+                _present(m).set_x(t, x[a:b])
+
+
+def _present(member: EngineMember) -> Any:
+    """The instance that steps a member now."""
+    return member.instance.present if isinstance(member.instance, SwitchedInstance) else member.instance
+
+
+class _Stepped:
+    """The composed declaration in one mode, stepped by its members; all else is of `instance`, which is at their state."""
+
+    def __init__(self, instance: Any, whole: Switching):
+        self._whole, self.instance = whole, instance
+        events = replace(instance.model.events, polynomial=whole.everyone.polynomial)
+        self.model = replace(instance.model, events=events)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.instance, name)
+
+    @property
+    def unknowns(self) -> Array:
+        return self._whole.everyone.gathered("unknowns")
+
+    @property
+    def counts(self) -> dict[str, int]:
+        return {"substeps": self._whole.substeps}
+
+    def step_exactly(self, t: float, h: float) -> None:
+        self._whole.step(t, h)
+        self.instance.set_x(t + h, self._whole.everyone.gathered("x"))
+
+    def get_state(self) -> Any:
+        return self.instance.get_state(), self._whole.save()
+
+    def restore(self, state: Any) -> None:
+        own, members = state
+        self.instance.restore(own)
+        self._whole.restore(members)
+
+
+class Switching:
+    """Steps of all members that end on the zeros of guards of the composed declaration; see `Together`, which it is in place of.
+
+    joined_anew: is called after C of the exchange has changed
+    """
+
+    def __init__(self, exchange: Exchange, steps: AllSteps, joined_anew: Callable[[], None]):
+        joined = exchange.joined
+        self._exchange, self._joined_anew = exchange, joined_anew
+        self.everyone = Everyone(joined)
+        self._steps, self._in_parts, self._saved = steps, 0, steps.save()
+        k = self.everyone.members[0].model.step.k
+        model = build_model(joined.network.compose(), Collocated(k))
+        self._switched = instance_of(model)
+        self._composed = Monolithic(model, self._switched)
+        self._words = Happenings(model)
+        self._stepped: dict[int, _Stepped] = {}
+        self._landing = Landing(self.present, self)
+        names = [n for v in model.declaration.algebraics for n in v.names()]
+        at = {n: i for i, n in enumerate(names)}
+        #: among the algebraic variables of the composed declaration: those of junctions, then those of relations
+        self._junction = np.array([at[n] for n in joined.face.names], int)
+        self._columns = np.array([at[n] for n in exchange.names], int)
+        observed = {n: i for i, n in enumerate(model.observable_names)}
+        self._told = [
+            (m.instance, np.array([at[f"{m.name}.{n}"] for n in m.instance.names], int),
+             np.array([observed[f"{m.name}.{n}"] for n in m.model.observable_names], int))
+            for m in self.everyone.members if isinstance(m.instance, RelationInstance)
+        ]  # fmt: skip
+
+    # -- the structure of a landing ---------------------------------------------------------------------------------------
+
+    @property
+    def present(self) -> Any:
+        inner = self._switched.present
+        if id(inner) not in self._stepped:
+            self._stepped[id(inner)] = _Stepped(inner, self)
+        return self._stepped[id(inner)]
+
+    @property
+    def unsettled(self) -> bool:
+        return self._switched.unsettled
+
+    @property
+    def parameters(self) -> Array:
+        return self._switched.parameters
+
+    def row(self) -> Array:
+        return self._switched.row()
+
+    def change(self, p: Array, h: float) -> Change:
+        """Takes the mode that follows, and the members with it."""
+        found = self._switched.change(p, h)
+        self.everyone.take(self._switched.time, self._switched.x, self._switched.parameters)
+        self._enter()
+        self.tell()
+        self.everyone.joined.begin(self.xi)
+        return found
+
+    @property
+    def held_only(self) -> str:
+        """Why no input follows data, and what to do."""
+        return (
+            f"{self.everyone.joined.network.name}: inputs of members that land as one composed declaration do not follow data, "
+            "which is not known at the instant of an event; leave out --coupling, so that the network is composed"
+        )
+
+    def check_changed(self) -> None:
+        """InconsistentState if what was set at a member leaves the composed state off the constraints of the present mode."""
+        self._gather()
+        self._composed.check_changed()
+
+    def project(self, t: float, kept: Sequence[str]) -> Projection | None:
+        """Moves the members' states onto these, if the switches have landed before; the first landing does so else."""
+        if self.unsettled:
+            return None
+        found = self._composed.project_start(t, kept)
+        self.everyone.take(t, self._switched.x, self._switched.parameters)
+        return found
+
+    # -- steps of the members ---------------------------------------------------------------------------------------------
+
+    @property
+    def substeps(self) -> int:
+        return self._in_parts + self.everyone.substeps
+
+    def step(self, t: float, h: float) -> None:
+        self._in_parts += not self._steps.solve(t, h)
+
+    def save(self) -> Any:
+        self._saved = self._steps.save()
+        return self._saved
+
+    def restore(self, saved: Any) -> None:
+        self._steps.restore(saved)
+
+    def back(self) -> None:
+        """To where the last step began."""
+        self._steps.restore(self._saved)
+
+    def begin(self, h: float) -> Array:
+        """Junction unknowns at the start of a run with steps of about h, in the modes that it starts with."""
+        self._switched.prepare(h)
+        self._gather()
+        self._enter()
+        self.tell()
+        self.everyone.joined.begin(self.xi)
+        return self.xi
+
+    def over(self, t: float, end: float, changed: bool) -> Iterator[tuple[float, float, StepEvent | None]]:
+        """(start, length, None) of each step taken in [t, end], (time, 0, what happened) of each event."""
+        if changed:
+            self._gather()
+        for found in self._landing.within(t, end, end - t, dict, changed):
+            if isinstance(found, Happened):
+                yield found.t, 0.0, self._words.told(found)
+            else:
+                self.tell()
+                yield found[0], found[1], None
+
+    def _gather(self) -> None:
+        """Takes what was set at the members."""
+        switched, p, x = self._switched, self.everyone.gathered("parameters"), self.everyone.gathered("x")
+        switched.set_input(self.everyone.free)
+        if (p != switched.parameters).any():
+            switched.set_parameters(p)
+        if (x != switched.x).any():
+            switched.set_x(switched.time, x)
+
+    def _enter(self) -> None:
+        """The rows of relations in the present modes."""
+        if self._switched.model.modes is None:
+            return
+        places = {int(c): i for i, c in enumerate(self._columns)}
+        modes = self._switched.model.modes.modes
+        self._exchange.relations.undetermined = [
+            replace(u, at=places[u.at], row=u.row[self._columns])
+            for u in modes.system.undetermined(self._switched.mode) if u.at in places
+        ]  # fmt: skip
+        self._exchange.join()
+        self._joined_anew()
+
+    def tell(self) -> None:
+        """Tells all members their inputs, and relations their values, at the present time."""
+        t, now = self._switched.time, self._switched.signals()
+        #: junction unknowns at that instant
+        self.xi = now["a_end"][self._junction]
+        self.everyone.joined.apply(self.xi)
+        for instance, a, observed in self._told:
+            instance.tell(t, now["a_end"][a], now["observables"][observed])

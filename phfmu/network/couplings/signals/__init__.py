@@ -1,0 +1,1 @@
+"""Signals between members stepped apart that no row of the interface holds: held, extrapolated or iterated to agreement."""

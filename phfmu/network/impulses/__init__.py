@@ -1,0 +1,1 @@
+"""Impulses between members stepped apart: at starts, at events, and through junctions."""

@@ -1,0 +1,1 @@
+"""The interface of members stepped apart: rows of junctions and signals, what is exchanged, values at an instant."""

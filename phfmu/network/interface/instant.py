@@ -1,0 +1,66 @@
+"""Junction unknowns at one instant: what the present states of members make of them.
+
+    P^T y(P xi + U_free) + C xi = 0,     y: outputs at the time that each member has come to.
+
+Members without feedthrough need no iteration: their outputs do not follow xi.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.network.interface.hidden import hidden_part
+from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.matrices import update
+from phfmu.outcome.status import Status, StepFailure
+
+Array = NDArray[np.float64]
+
+SOLVED = 1e-13  # scaled residual that counts as zero
+STALLED = 1e-10  # the same where it no longer shrinks
+SHRINKING = 0.1  # a residual that shrinks to more than this part of the last needs a new matrix
+ITERATIONS = 20
+
+
+class Instant:
+    """Solves these equations again and again; the matrix is kept while it contracts."""
+
+    def __init__(self) -> None:
+        self._matrix: Any = None
+
+    def solve(self, joined: Joined, xi: Array, t: float) -> Array:
+        """xi at the present states, which the members have as inputs then.
+
+        ValueError names the unknowns that no output determines; StepFailure where the iteration does not converge.
+        """
+        worst = [np.inf]
+        for _ in range(ITERATIONS):
+            joined.apply(xi)
+            y = joined.end_outputs()
+            r, size = joined.rows(xi, y), joined.row_sizes(xi, y)
+            worst.append(float(np.max(np.abs(r) / size, initial=0.0)))
+            stays = worst[-1] > SHRINKING * worst[-2]
+            if worst[-1] <= SOLVED or (stays and worst[-1] <= STALLED):
+                return xi
+            if self._matrix is None or stays:
+                self._matrix = _regular(joined, joined.instant_matrix(xi))
+            xi = xi + update(self._matrix, r)
+        raise StepFailure(
+            Status.NO_CONVERGENCE, joined.network.name, t, 0.0, residual=worst[-1], iterations=ITERATIONS, joined=True,
+            history=worst, composable=joined.network.composable, tried="the junctions at one instant",
+        )  # fmt: skip
+
+
+def _regular(joined: Joined, matrix: Any) -> Any:
+    free = abs(hidden_part(matrix.T, 1.0 / joined.face.nominal)).max(axis=1).toarray().ravel()
+    names = [n for n, f in zip(joined.face.names, free, strict=True) if f > 1e-6]
+    if names:
+        raise ValueError(
+            f"{joined.network.name}: no output gives {', '.join(names)} at an instant, so members cannot be stepped one "
+            "after the other; take --coupling newton, or join an element that gives it (a capacitor at a node, a spring at "
+            "a rigid joint)"
+        )
+    return matrix

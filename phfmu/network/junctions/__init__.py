@@ -1,1 +1,0 @@
-"""Junctions: what joins members, their equations, and the network as one model."""

@@ -1,0 +1,1 @@
+"""Pictures of signals: panels, choice, labels, PNG and HTML."""

@@ -1,0 +1,289 @@
+"""How a run gets from event to event: equal steps, or steps that keep a tolerance; either with restart steps.
+
+Rows are handed over in blocks: what is on its way to the audit and the result file is at most `BLOCK_SECONDS` old.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+from functools import cached_property
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.interrupt import Interrupted
+from phfmu.network.couplings.monolithic import Monolithic
+from phfmu.network.couplings.stepper import Stepper
+from phfmu.network.scene import Event
+from phfmu.outcome.status import StepFailure
+from phfmu.outcome.steps import Steps
+from phfmu.runs.book import Book
+from phfmu.runs.options import Options
+from phfmu.runs.restart import Restart, not_damped, require_fit
+from phfmu.runs.ringing import Ringing
+from phfmu.runs.rows import Row
+from phfmu.runs.stretches import Stretch
+
+if TYPE_CHECKING:
+    from phfmu.runs.adaptive import Adaptive
+    from phfmu.runs.ecco import Ecco
+    from phfmu.runs.native_march import NativeMarch
+
+Array = NDArray[Any]
+Rows = Iterator[Row]
+
+BLOCK = 4096  # most steps of a block
+BLOCK_SECONDS = 0.25  # wall time that a block should take
+GROWTH = 64  # most that a block may have more steps than the one before it
+
+
+def pieces(start: float, end: float, h: float) -> Iterator[tuple[float, float, int]]:
+    """(t, h, n) runs of equal steps covering [start, end]; the last partial step is taken."""
+    n = int(np.floor((end - start) / h * (1 + 1e-12) + 1e-9))
+    if n:
+        full = abs(start + n * h - end) <= 1e-9 * h
+        yield start, (end - start) / n if full else h, n
+        if full:
+            return
+    yield start + n * h, end - (start + n * h), 1
+
+
+def goals(start: float, end: float, landing: float) -> Iterator[float]:
+    """Times in (start, end] that steps land on: multiples of `landing` after the start, and the end."""
+    if not np.isfinite(landing):
+        yield end
+        return
+    for t, h, n in pieces(start, end, landing):
+        for i in range(1, n + 1):
+            goal = t + i * h
+            yield end if abs(goal - end) <= 1e-9 * h else goal
+
+
+class Pace:
+    """How many steps to take before their rows are handed over, from the wall time that steps took."""
+
+    def __init__(self) -> None:
+        self.steps = 1
+        self._since = perf_counter()
+
+    def full(self, taken: int) -> bool:
+        """Whether the steps since the last rows fill a block."""
+        return taken >= BLOCK or perf_counter() - self._since >= BLOCK_SECONDS
+
+    def handed_over(self, taken: int) -> None:
+        """After `taken` steps with all that was done with their rows."""
+        now = perf_counter()
+        fit = int(BLOCK_SECONDS * taken / max(now - self._since, 1e-9))
+        self.steps = max(1, min(fit, GROWTH * taken, BLOCK))
+        self._since = now
+
+
+class FixedSteps:
+    """Equal steps; the first `restart` ones after an event with damping."""
+
+    def __init__(self, stepper: Stepper, book: Book, options: Options):
+        self.stepper, self.book, self.step, self.restart = stepper, book, options.step, options.restart
+        self._damped = Restart(monolithic(stepper, "--restart")) if self.restart else None
+        self._cut: list[float] = []
+        self._pace = Pace()
+        self._longest = 0.0
+        self._ringing = Ringing(stepper, options.step, self.restart)
+
+    def takes_inputs(self, name: str) -> bool:
+        """Whether the steps of one stretch may have different values of `name`, a free input."""
+        s = self.stepper
+        return not self.restart and isinstance(s, Monolithic) and s.between is None and name in s.free_inputs
+
+    def over(self, stretch: Stretch, event: bool) -> Rows:
+        """The rows in (start, end]; `event`: something changed at the start."""
+        left = self.restart if event else 0
+        self._ringing.changed(stretch)
+        for t, h, n in pieces(stretch.start, stretch.end, self.step):
+            if h < self.step * (1 - 1e-9):
+                self._cut.append(h)
+            first = 0
+            while first < n:
+                damped = left > 0 and self._damped is not None
+                count = 1 if damped else self._ringing.block(min(self._pace.steps, n - first))
+                inputs = [
+                    (k - first, e) for k, e in stretch.inputs[_from(stretch, first) : _from(stretch, first + count)]
+                ]
+                yield from self._booked(t, h, first, count, damped, inputs)
+                first, left = first + count, max(left - 1, 0)
+                self._pace.handed_over(count)
+
+    def facts(self) -> dict[str, Any]:
+        """What the result says about the steps."""
+        return {"restarted": self._damped.taken} if self._damped else {}
+
+    def notes(self) -> list[str]:
+        """What was not as asked for, one line each."""
+        cut = [_shorter(self._cut, self.book.steps, self.step)] if self._cut else []
+        return cut + (self._damped.notes() if self._damped else []) + self._ringing.notes()
+
+    def _booked(self, t: float, h: float, first: int, n: int, damped: bool, inputs: list[tuple[int, Event]]) -> Rows:
+        """The rows of steps first..first+n-1 of the grid t + k h; those before one that fails, too.
+
+        inputs: (step from `first`, event)
+        """
+        try:
+            if damped and self._damped is not None:
+                steps = self._damped.advance(t + first * h, h)
+            elif inputs:
+                steps = monolithic(self.stepper, "--input").advance_with(inputs, t, h, n, first)
+            else:
+                steps = self.stepper.advance(t, h, n, first)
+        except StepFailure as failure:
+            failure.asked, failure.longest = h, self._longest
+            kept = failure.recorded.get("steps")
+            self.book.inputs(inputs[: bisect_right(inputs, 0 if kept is None else len(kept.H), key=_number)])
+            if kept is not None:
+                yield self._added(t, h, first, kept)
+            self.book.failed(failure)
+            raise
+        except Interrupted as stop:
+            if "steps" in stop.recorded:
+                yield self._added(t, h, first, stop.recorded["steps"])
+            raise
+        self._longest = max(self._longest, h)
+        self._ringing.add(steps, damped)
+        self.book.inputs(inputs)
+        yield self._added(t, h, first, steps)
+
+    def _added(self, t: float, h: float, first: int, steps: Steps) -> Row:
+        times = t + h * np.arange(first, first + len(steps.H) + 1)
+        self.book.add(times[:-1], np.full(len(steps.H), h), steps)
+        return step_rows(times[:-1], times[1:], steps)
+
+
+class AdaptiveSteps:
+    """Steps that keep a tolerance; multiples of `landing` after each event are landed on."""
+
+    def __init__(self, stepper: Stepper, book: Book, options: Options):
+        self.book, self.restart, self.landing = book, options.restart, options.landing
+        self.adaptive = _sized(stepper, options)
+        self._restarted, self._wanted = 0, 0
+        self._pace = Pace()
+
+    def takes_inputs(self, name: str) -> bool:
+        """Steps of any length stop where an input changes."""
+        return False
+
+    def over(self, stretch: Stretch, event: bool) -> Rows:
+        """The rows in (start, end]; `event`: something changed at the start."""
+        start, end = stretch.start, stretch.end
+        self.adaptive.after_event()
+        times, rows, left = [start], [], self.restart if event else 0
+        try:
+            for goal in goals(start, end, self.landing):
+                while times[-1] < goal:
+                    ends, steps, failure = self._taken(times[-1], goal, left > 0, self._pace.steps - len(times) + 1)
+                    left = max(left - 1, 0)
+                    times += ends
+                    rows += [] if steps is None else [steps]
+                    if failure is not None:
+                        raise failure
+                    taken = len(times) - 1
+                    if taken >= self._pace.steps or self._pace.full(taken):
+                        yield self._booked(times, rows)
+                        self._pace.handed_over(taken)
+                        times, rows = times[-1:], []
+        except StepFailure as failure:
+            if rows:
+                yield self._booked(times, rows)
+            self.book.failed(failure)
+            raise
+        if rows:
+            yield self._booked(times, rows)
+
+    def facts(self) -> dict[str, Any]:
+        """What the result says about the steps."""
+        return {"restarted": self._restarted, **self.adaptive.facts()}
+
+    def notes(self) -> list[str]:
+        """What was not as asked for, one line each."""
+        return not_damped(self._wanted - self._restarted, self._wanted)
+
+    def _taken(
+        self, t: float, goal: float, damped: bool, room: int
+    ) -> tuple[list[float], Steps | None, StepFailure | None]:
+        """When accepted steps from t ended, at most `room`, the steps, and why there are no more; one if it is to be `damped`."""
+        if self._march is not None and not damped:
+            found = self._march.take(t, goal, room)
+            return found.ends, found.steps, found.failure
+        end, steps = self.adaptive.advance(t, goal, damped)
+        self._wanted += damped
+        self._restarted += damped and steps.numerical is not None
+        return [end], steps, None
+
+    @cached_property
+    def _march(self) -> NativeMarch | None:
+        return self.adaptive.march()
+
+    def _booked(self, times: list[float], rows: list[Steps]) -> Row:
+        steps, t = Steps.joined(rows), np.array(times)
+        self.book.add(t[:-1], np.diff(t), steps)
+        return step_rows(t[:-1], t[1:], steps)
+
+
+def _sized(stepper: Stepper, options: Options) -> Adaptive | Ecco:
+    """Steps of the size that the options ask for."""
+    if options.ecco is not None:
+        from phfmu.runs.ecco import Ecco
+
+        return Ecco(stepper, options, options.ecco)
+    from phfmu.runs.adaptive import Adaptive
+
+    whole = monolithic(stepper, "--rtol")
+    if options.restart:
+        require_fit(whole)
+    assert options.rtol is not None
+    return Adaptive(whole, options, options.rtol)
+
+
+def _number(numbered: tuple[int, Event]) -> int:
+    return numbered[0]
+
+
+def _from(stretch: Stretch, step: int) -> int:
+    """The first of the stretch's inputs at or after the step."""
+    return bisect_left(stretch.inputs, step, key=_number)
+
+
+def _shorter(cut: list[float], steps: int, step: float) -> str:
+    verb = "is" if len(cut) == 1 else "are"
+    return (
+        f"{len(cut)} of {steps} steps {verb} shorter than {step:g} s, the shortest {min(cut):.3g} s: the grid starts anew at "
+        "each event and input row, and the last step ends with the run"
+    )
+
+
+def step_rows(start: Array, end: Array, steps: Steps) -> Row:
+    """Rows at the step ends, with those within the steps before them."""
+    if steps.between is None:
+        return end, steps.signals, np.zeros(len(end), bool)
+    m = steps.between.shape[1]
+    part = np.arange(1, m + 2) / (m + 1)
+    times = start[:, None] + (end - start)[:, None] * part
+    times[:, -1] = end
+    values = np.concatenate([steps.between, steps.signals[:, None]], axis=1)
+    inside = np.tile(part < 1.0, (len(end), 1))
+    kept = ~(inside & np.isnan(values).all(axis=2))
+    return times[kept], values[kept], inside[kept]
+
+
+def monolithic(stepper: Stepper, option: str) -> Monolithic:
+    """The stepper, if it is one composed model; ValueError with the remedies for what is none."""
+    if isinstance(stepper, Monolithic):
+        return stepper
+    from phfmu.network.couplings.coupled import Coupled
+
+    damps = option == "--restart" and isinstance(stepper, Coupled)
+    other = "; members stepped apart damp all of their steps with --scheme radau" if damps else ""
+    raise ValueError(
+        f"{option} needs one composed model stepped by the python or native engine, here it is {stepper.what}; "
+        f"leave out {option}, or {stepper.instead}{other}"
+    )

@@ -1,0 +1,213 @@
+"""What stepping members apart costs: compiled, in Python, and composed; and how it grows with the members."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from gc import collect
+from statistics import median
+from time import thread_time
+from typing import TYPE_CHECKING, Any
+
+from phfmu.studies.bench import own_time
+from phfmu.studies.bench.apart import composed, coupled, instances, joined, planned
+from phfmu.studies.bench.own_time import OwnTime
+
+if TYPE_CHECKING:
+    from phfmu.network.couplings.stepper import Stepper
+    from phfmu.network.network import Network
+
+ROUNDS = 15  # turns that the median is of
+WARM = 20  # steps before, in which iterations find their start
+#: name -> step (s), steps of a turn composed and compiled, steps in Python
+SCENES = {"oscillator": 1e-2, "drive": 1e-3, "smib": 1e-3, "two_machine": 1e-4}
+#: masses around a ring, or around the one in the middle
+SIZES = {"ring": (10, 50, 150), "star": (10, 100, 500)}
+LONG = 0.01  # s, their step
+
+
+@dataclass(frozen=True)
+class Row:
+    """CPU time of a step in us, medians over turns: composed, members apart compiled and in Python; median of the ratios.
+
+    own, units: where the time goes per member and step, of native members and of the same as FMUs
+    """
+
+    name: str
+    order: int
+    members: int
+    composed: float
+    compiled: float
+    python: float
+    ratio: float
+    trials: float
+    own: OwnTime
+    units: OwnTime
+
+
+class _Clock:
+    """CPU time per step of a stepper that goes on from turn to turn."""
+
+    def __init__(self, stepper: Stepper, h: float, n: int):
+        self.stepper, self.h, self.n, self.first = stepper, h, n, 0
+        self.times: list[float] = []
+        self.trials = 0.0
+        stepper.check_start()
+        stepper.prepare(0.0, h)
+        self._advance(WARM)
+
+    def turn(self) -> None:
+        before = thread_time()
+        self._advance(self.n)
+        self.times.append(1e6 * (thread_time() - before) / self.n)
+
+    def _advance(self, n: int) -> None:
+        steps = self.stepper.advance(0.0, self.h, n, self.first)
+        self.first += n
+        self.trials = steps.spent / n
+
+
+def measure(name: str, network: Network, h: float, k: int) -> Row:
+    """Turn by turn, so that what else the machine does falls on all alike."""
+    members = instances(planned(network, k))
+    clocks = [
+        _Clock(composed(network, k), h, 200), _Clock(joined(network, members), h, 200), _Clock(coupled(network, k, False), h, 3),
+    ]  # fmt: skip
+    for _ in range(ROUNDS):
+        for clock in clocks:
+            clock.turn()
+    one, two, three = (c.times for c in clocks)
+    ratio = median(b / a for a, b in zip(one, two, strict=True))
+    trials, apart = clocks[1].trials, median(two)
+    own, unit = own_time.native(network, k, h), own_time.units(network, k, h)
+    return Row(name, 2 * k, len(members), median(one), apart, median(three), ratio, trials, own, unit)
+
+
+def ring(n: int) -> Network:
+    """n masses with springs between them, closed."""
+    from phfmu.components.mechanical.translational import mass, spring
+    from phfmu.network.network import Network
+
+    net = Network(f"ring_{n}")
+    for i in range(n):
+        net.add(f"m{i}", mass(1.0, v=float(i == 0)))
+        net.add(f"s{i}", spring(100.0))
+    for i in range(n):
+        net.junction(f"j{i}", [f"m{i}.flange", f"s{i}.a", f"s{i - 1 if i else n - 1}.b"])
+    return net
+
+
+def star(n: int) -> Network:
+    """n masses, each on a spring to one in the middle: a junction of n + 1 ports."""
+    from phfmu.components.mechanical.translational import mass, spring
+    from phfmu.network.network import Network
+
+    net = Network(f"star_{n}")
+    net.add("middle", mass(1.0, v=1.0))
+    for i in range(n):
+        net.add(f"m{i}", mass(1.0))
+        net.add(f"s{i}", spring(100.0))
+        net.junction(f"j{i}", [f"m{i}.flange", f"s{i}.b"])
+    net.junction("hub", ["middle.flange", *(f"s{i}.a" for i in range(n))])
+    return net
+
+
+@dataclass(frozen=True)
+class Growth:
+    """CPU times of a network of many members, order 2.
+
+    plans: how many were made;  plan, code, join: s for these, for instances with their libraries, and for what joins them with
+    the start and the first step;  step: us per member and step, the least of some turns
+    """
+
+    members: int
+    plans: int
+    plan: float
+    code: float
+    join: float
+    step: float
+
+
+def growth(make: Callable[[int], Network], n: int) -> Growth:
+    collect()  # plans are shared as long as one is in use
+    network = make(n)
+    before = thread_time()
+    models = planned(network, 1)
+    after_plan = thread_time()
+    members = instances(models)
+    after_code = thread_time()
+    stepper = joined(network, members)
+    stepper.check_start()
+    stepper.prepare(0.0, LONG)
+    stepper.advance(0.0, LONG, 1)
+    after_join = thread_time()
+    clock = _Clock(stepper, LONG, 20)
+    for _ in range(5):
+        clock.turn()
+    count, plans = len(members), len({id(m.step) for m in models.values()})
+    seconds = after_plan - before, after_code - after_plan, after_join - after_code
+    return Growth(count, plans, *seconds, min(clock.times) / count)
+
+
+NETWORKS = {"ring": ring, "star": star}
+
+
+def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _: None) -> str:
+    """Tables in Markdown."""
+    from phfmu.studies.bench import crews
+    from phfmu.studies.bench.machine import load, processor
+    from phfmu.target import scene
+
+    head = ["scene", "order", "members", "composed us", "apart us", "in Python us", "apart / composed", "trials"]
+    lines, owns = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)], []
+    for name in scenes or SCENES:
+        for k in (1, 2, 3):
+            progress(f"{name}, order {2 * k}")
+            network: Any = scene(name).system
+            r = measure(name, network, SCENES[name], k)
+            cells = [r.name, r.order, r.members, f"{r.composed:.1f}", f"{r.compiled:.1f}", f"{r.python:.0f}",
+                     f"{r.ratio:.2f}", f"{r.trials:.1f}"]  # fmt: skip
+            lines.append("| " + " | ".join(map(str, cells)) + " |")
+            for kind, t in (("native", r.own), ("FMU", r.units)):
+                times = [t.steps, t.exchange, t.join, t.solve, t.columns, t.own]
+                owns.append(f"| {r.name} | {r.order} | {kind} | " + " | ".join(f"{x:.2f}" for x in times) + " |")
+    head = ["scene", "order", "members", "steps us", "exchange us", "join us", "solve us", "columns us", "own us"]
+    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head), *owns]
+    head = ["network", "members", "plans", "plan s", "code s", "join s", "us per member and step"]
+    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for make, sizes in SIZES.items():
+        for n in sizes:
+            progress(f"{make}, {n}")
+            g = growth(NETWORKS[make], n)
+            times = f"{g.plan:.2f} | {g.code:.2f} | {g.join:.2f} | {g.step:.2f}"
+            lines.append(f"| {make} | {g.members} | {g.plans} | {times} |")
+    return "\n".join([*lines, "", crews.table(progress), "", f"{processor()}; load {load()}"])
+
+
+PAGE = """# Members apart
+
+CPU time of a step with all its columns and ledger rows: of the composed model in compiled code, of its members joined by
+`newton` in compiled code, and by the same loop in Python. Taken in turns on one machine, medians; `apart / composed`: median of
+the ratios of neighbours; `trials`: of each member per step.
+
+The second table divides a step apart by members, native ones and the same as FMUs (FMI 3.0): time per member and step,
+of the shortest of 30 turns. A clock in the compiled loop tells it (with its readings, two for each call of a library; in a run
+it is off). `steps` is spent in steps and derivatives of the members, `exchange` in their functions that save, load, set and read,
+`join` in rows, matrix and records, `solve` in what solves the interface and, at
+[bare nodes](../understand/glossary.md#bare-node), the impulses; `columns` in Python, which makes the columns and ledger rows
+of 100 steps at once. `own` is all but `steps`.
+
+Below, masses and springs, order 2: the cost of a member does not grow with their number. Members that are alike share a plan
+and its code: CPU seconds for the plans, for all instances with their libraries (compiled before), and for what joins them, with
+the start and the first step.
+
+Last, chains of links at a 1-junction, order 2, wall time: what threads gain where a trial of the members takes long. They step
+members, ask them for derivatives and for values at the end; the results are the same bits.
+
+    phfmu bench coupling -o docs/results/coupling.md
+
+"""
+
+
+def page(progress: Callable[[str], None] = lambda _: None) -> str:
+    return PAGE + table(progress=progress) + "\n"

@@ -1,0 +1,95 @@
+"""Where the time of members apart goes: in their own functions, and in what joins them; told by the compiled loop itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from phfmu.declare.phdae import PHDAE
+    from phfmu.fmu.importer.reader import FMUInstance
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.network import Network
+
+ROUNDS = 30  # turns, of which the shortest counts: what else the machine does makes none shorter
+WARM, STEPS = 20, 100  # steps before, and of a turn
+
+
+@dataclass(frozen=True)
+class OwnTime:
+    """Time per member and step in us.
+
+    steps: in steps and derivatives of the members;  exchange: in their functions that save, load, set and read;
+    join: rows, matrix and records;  solve: of the interface and the impulses;  columns: in Python, of all rows together
+    """
+
+    steps: float
+    exchange: float
+    join: float
+    solve: float
+    columns: float
+
+    @property
+    def own(self) -> float:
+        """All that the members' steps and derivatives are not."""
+        return self.exchange + self.join + self.solve + self.columns
+
+
+def own_time(stepper: Coupled, h: float) -> OwnTime:
+    """Of members that are stepped in compiled code, by one thread; RuntimeError if they are not."""
+    from phfmu.network.couplings.compiled.master import PARTS
+
+    if stepper._master is None:
+        raise RuntimeError(f"members of {stepper.joined.network.name} are not stepped in compiled code")
+    spent, turns = stepper._master.timed(), list[tuple[float, list[float]]]()
+    stepper.check_start()
+    stepper.prepare(0.0, h)
+    stepper.advance(0.0, h, WARM)
+    for turn in range(ROUNDS):
+        spent[:] = 0.0
+        before = perf_counter()
+        stepper.advance(0.0, h, STEPS, WARM + turn * STEPS)
+        whole = perf_counter() - before
+        turns.append((whole, [*spent.tolist(), whole - float(spent.sum())]))
+    scale = 1e6 / (STEPS * len(stepper.joined.members))
+    return OwnTime(**{name: scale * value for name, value in zip((*PARTS, "columns"), min(turns)[1], strict=True)})
+
+
+def native(network: Network, k: int, h: float) -> OwnTime:
+    """Of native members."""
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.studies.bench.apart import instances, planned
+
+    return own_time(Coupled(network, [*instances(planned(network, k))], threads=1), h)
+
+
+def units(network: Network, k: int, h: float, version: str = "3.0") -> OwnTime:
+    """Of members exported as FMUs of order 2k, with inputs at nodes and impulses, where they take any."""
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.members.fmu_member import FMUMember
+
+    with TemporaryDirectory() as folder:
+        declared = {n: replace(d, name=n) for n, d in network.declared.items()}
+        members = [FMUMember(n, exported(d, Path(folder), k, h, version)) for n, d in declared.items()]
+        try:
+            return own_time(Coupled(network, [*members], threads=1), h)
+        finally:
+            for m in members:
+                m.unit.close()
+
+
+def exported(declaration: PHDAE, folder: Path, k: int, h: float, version: str = "3.0") -> FMUInstance:
+    """A member as a unit with all that members apart take."""
+    from phfmu.discretise.model import build_model
+    from phfmu.fmu.export.export import export
+    from phfmu.fmu.export.value_groups import kernels_of
+    from phfmu.fmu.importer.reader import FMUInstance
+    from phfmu.schemes.collocated import Collocated
+
+    model = build_model(declaration, Collocated(k))
+    kicked = k > 1 and bool(kernels_of(model))
+    (path,) = export(model, folder, (version,), step=h, node_inputs=k > 1, impulses=kicked)
+    return FMUInstance(path)

@@ -1,0 +1,168 @@
+"""What a sweep costs beside its steps, with one thread and with as many as cores, and where it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from time import perf_counter, thread_time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from phfmu.discretise.model import Model
+    from phfmu.sweeps.design import Design
+
+SCENE, VARIED = "four_particle", "k13"
+TURNS = 3  # that the medians are of
+ALONE = 256  # runs that tell what steps take
+FEW, MANY = ("max(v[1])",), ("max(q)", "min(q)", "rms(v)", "peak(v)")
+AT_ENDS = ("max(lambda_end[1])",)
+
+
+@dataclass(frozen=True)
+class Case:
+    """runs of so many s, with these measures"""
+
+    runs: int
+    stop: float
+    measures: tuple[str, ...]
+
+
+CASES = (
+    Case(10_000, 1.0, FEW), Case(10_000, 0.01, FEW), Case(100_000, 0.01, FEW), Case(2_000, 1.0, MANY),
+    Case(2_000, 1.0, AT_ENDS),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Time of a run in us: of its steps alone, in a sweep by one thread and by `jobs`; what the sweep takes once in ms.
+
+    CPU time of one thread, but wall time of `jobs`.
+    steps: of a run;  values: measures of a run, one for each element;  share: of what `jobs` cores could do in steps alone;
+    size: bytes of a run in the table;  same: whether `jobs` gave the bits of one
+    """
+
+    steps: int
+    values: int
+    alone: float
+    one: float
+    every: float
+    once: float
+    jobs: int
+    share: float
+    size: float
+    same: bool
+
+
+class _Alone:
+    """Steps of some of the runs in calls of the engine, without what a call costs."""
+
+    def __init__(self, model: Model, runs: Design, h: float, n: int):
+        from phfmu.engine.native.native import NativeInstance
+
+        declared = model.declaration.parameters
+        place = [p.name for p in declared].index(VARIED)
+        self._instance, self._first = NativeInstance(model), sum(p.n for p in declared[:place])
+        self._values, self._h, self._n = runs.rows[:: max(1, len(runs.rows) // ALONE), 0], h, n
+
+    def time(self) -> float:
+        """CPU time of a run in us."""
+        spent, parameters = 0.0, self._instance.parameters.copy()
+        for value in self._values:
+            self._instance.reset()
+            parameters[self._first] = value
+            self._instance.set_parameters(parameters)
+            times = [thread_time()]
+            for n in (0, self._n):
+                self._instance.run(0.0, self._h, n)
+                times.append(thread_time())
+            spent += times[2] - 2 * times[1] + times[0]
+        return 1e6 * spent / len(self._values)
+
+
+def measure(case: Case, jobs: int) -> Cost:
+    from phfmu.discretise.model import build_model
+    from phfmu.runs.options import Options
+    from phfmu.sweeps.design import grid
+    from phfmu.sweeps.runs import sweep
+    from phfmu.target import scene
+
+    here = scene(SCENE)
+    start = float(next(p.start[0] for p in here.declaration().parameters if p.name == VARIED))
+    options = Options(stop=case.stop, step=here.step)
+    runs = grid({VARIED: start * np.linspace(1.0, 1.2, case.runs)})
+    take = partial(sweep, here, measures=case.measures, options=options)
+    take(grid({VARIED: [start]}))  # what is compiled once
+    model = build_model(here.declaration())
+    engine = _Alone(model, runs, here.step, round(case.stop / here.step))
+    once = _seconds(lambda: take(grid({VARIED: [start]}), jobs=1))
+    times: dict[int, list[float]] = {1: [], jobs: []}
+    tables, steps = {}, []
+    for _ in range(TURNS):
+        steps.append(engine.time())
+        for n, spent in times.items():
+            clock = thread_time if n == 1 else perf_counter
+            before = clock()
+            tables[n] = take(runs, jobs=n)
+            spent.append(clock() - before)
+    alone = median(steps)
+    one, every = (1e6 * (median(times[n]) - once) / case.runs for n in (1, jobs))
+    found = tables[jobs]
+    return Cost(
+        int(found["steps"][0].as_py()), found.num_columns - len(runs.names) - 3, alone, one, every, 1e3 * once, jobs,
+        alone / (jobs * every), found.nbytes / case.runs, found.equals(tables[1]),
+    )  # fmt: skip
+
+
+def _seconds(take: Callable[[], object]) -> float:
+    """Median of some turns."""
+    times = []
+    for _ in range(TURNS):
+        before = thread_time()
+        take()
+        times.append(thread_time() - before)
+    return median(times)
+
+
+def table(cases: Sequence[Case] = CASES, progress: Callable[[str], None] = lambda _: None) -> str:
+    """In Markdown."""
+    from phfmu.processors import processors
+    from phfmu.studies.bench.machine import load, processor
+
+    jobs = processors()
+    head = [
+        "runs", "steps", "values", "steps alone us", "1 thread us", "own us", f"{jobs} threads us", "share of the cores",
+        "once ms", "bytes a run", "same bits",
+    ]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for case in cases:
+        progress(f"{case.runs} runs of {case.stop} s, {', '.join(case.measures)}")
+        c = measure(case, jobs)
+        lines.append(
+            f"| {case.runs} | {c.steps} | {c.values} | {c.alone:.1f} | {c.one:.1f} | {c.one - c.alone:.1f} | {c.every:.1f} | "
+            f"{c.share:.2f} | {c.once:.0f} | {c.size:.0f} | {'yes' if c.same else 'no'} |"
+        )
+    return "\n".join([*lines, "", f"{processor()}; load {load()}"])
+
+
+PAGE = """# Sweeps
+
+Runs of `four_particle` that differ in one stiffness, time of a run: of its steps alone, in calls of the engine; in a sweep by
+one thread, whose `own` part is what a run costs beside its steps (once: values set, start checked, a row of the table; in each
+step: measures, ledger judged), both in CPU time; and by all cores, on the wall. `share of the cores`: steps alone over what the
+cores had time for. `once`: what a sweep costs that does not grow with its runs, with code that was compiled before.
+
+Where it ends: runs of one step cost little but the own part, many measures cost theirs in every step, and a measure of a value
+at an instant takes a solve there in every step (last row). Memory grows by the row of each run.
+
+    phfmu bench sweep -o docs/results/sweep.md
+
+"""
+
+
+def page(progress: Callable[[str], None] = lambda _: None) -> str:
+    return PAGE + table(progress=progress) + "\n"
