@@ -15,11 +15,11 @@ TESTS = Path(__file__).parent
 
 #: from the ground up; a room may import those before it
 ROOMS = (
-    "words", "files", "processors", "html", "pick", "declare", "terms", "gradients", "plan", "schemes", "schur",
+    "words", "files", "processors", "interrupt", "html", "pick", "declare", "terms", "gradients", "plan", "schemes", "schur",
     "outcome", "events", "discretise", "engine", "checks", "signals", "results", "importers", "audit", "fmu",
     "network", "network.scene",
     "network.members", "network.interface", "network.impulses", "network.couplings",
-    "runs", "network.check_scene", "ssp", "components", "target", "report",
+    "runs", "network.check_scene", "ssp", "components", "arguments", "target", "report",
     "sweeps", "studies", "cli",
 )  # fmt: skip
 
@@ -43,12 +43,23 @@ def module(path: Path) -> str:
 
 
 def imported(path: Path) -> list[str]:
-    return [
-        f"{node.module}.{a.name}".removeprefix("phfmu.")
-        for node in nodes(path)
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("phfmu.")
-        for a in node.names
-    ]
+    """`module.name` of each name that a file imports from the package, and modules that it imports whole."""
+    found: list[str] = []
+    for node in nodes(path):
+        if isinstance(node, ast.ImportFrom) and node.module != "phfmu":  # its public names come from their own modules
+            found += [f"{source(path, node)}.{a.name}" for a in node.names]
+        elif isinstance(node, ast.Import):
+            found += [a.name for a in node.names]
+    return [name.removeprefix("phfmu.") for name in found if name.startswith("phfmu.")]
+
+
+def source(path: Path, node: ast.ImportFrom) -> str:
+    """The module that names are imported from, relative ones by their whole name."""
+    if not node.level:
+        return node.module or ""
+    parts = path.resolve().with_suffix("").parts
+    package = parts[len(parts) - parts[::-1].index("phfmu") - 1 : -node.level]
+    return ".".join([*package, *filter(None, [node.module])])
 
 
 def known(name: str, files: dict[str, Path]) -> str:
@@ -137,6 +148,13 @@ def test_no_files_import_each_other_in_a_circle() -> None:
 def test_components_are_written_against_public_names() -> None:
     found = {other for name, others in imports().items() if name.startswith("components") for other in others}
     assert {n for n in found if n and not n.startswith("components")} == set()
+
+
+def test_imports_of_every_form_are_seen(tmp_path: Path) -> None:
+    path = tmp_path / "phfmu" / "plan" / "a.py"
+    path.parent.mkdir(parents=True)
+    path.write_text("import os, phfmu.words\nfrom .b import C\nfrom ..cli import d\nfrom phfmu.terms import e\n")
+    assert sorted(imported(path)) == ["cli.d", "plan.b.C", "terms.e", "words"]
 
 
 def test_an_import_upward_and_a_circle_are_seen() -> None:

@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phfmu.audit.analysis import summarise, verdict
+    from phfmu.audit.analysis import audit_table, summarise, verdict
     from phfmu.audit.booked_steps import BookedSteps, book_steps
     from phfmu.audit.booking import Booking, PartKey, PortKey
     from phfmu.audit.events import EventRow
@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from phfmu.audit.ledger import Ledger, Sink
     from phfmu.audit.log.archive import Recovered, metadata, read, recover
     from phfmu.audit.log.stream import AuditWriter
-    from phfmu.audit.report import audit_table
     from phfmu.audit.summary import (
         ComponentSummary,
         JunctionSummary,
@@ -24,13 +23,12 @@ if TYPE_CHECKING:
     from phfmu.audit.violation import Violation
 
 _HOME = {
-    "analysis": ("summarise", "verdict"),
+    "analysis": ("audit_table", "summarise", "verdict"),
     "log.archive": ("Recovered", "metadata", "read", "recover"),
     "booked_steps": ("BookedSteps", "book_steps"),
     "booking": ("Booking", "PartKey", "PortKey"),
     "judge": ("DEFAULT_RTOL", "Judge"),
     "ledger": ("Ledger", "Sink"),
-    "report": ("audit_table",),
     "events": ("EventRow",),
     "log.stream": ("AuditWriter",),
     "summary": (

@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from phfmu.audit.kinds import Quality, RowKind
 from phfmu.audit.ledger import Ledger
 from phfmu.audit.log.reading import Batches, Interned, LogRows
 from phfmu.audit.log.window import Window, judged_by
+from phfmu.audit.report import Shown, summary_table
 from phfmu.audit.summary import LedgerSummary
 from phfmu.audit.summing.sums import Floats
 from phfmu.audit.violation import Violation
@@ -31,6 +32,17 @@ WAITING_ROWS = 1 << 22
 
 _STEPPED = (RowKind.COMPONENT, RowKind.PORT, RowKind.JUNCTION, RowKind.PART)
 _OPTIONAL = ("numerical", "moved", "varying")
+
+
+def audit_table(
+    source: "pa.Table | str | os.PathLike[str] | LedgerSummary", rtol: float = DEFAULT_RTOL, **shown: Unpack[Shown]
+) -> str:
+    """Text of where the energy went, from an audit table, its file or a ledger's summary; see `summary_table` for `shown`.
+
+    `rtol` judges a table; a summary is judged.
+    """
+    summary = source if isinstance(source, LedgerSummary) else summarise(source, rtol)
+    return summary_table(summary, **shown)
 
 
 def verdict(source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_RTOL) -> list[Violation]:

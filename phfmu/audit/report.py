@@ -9,12 +9,10 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from phfmu.audit.alarms import Alarms, alarms
-from phfmu.audit.analysis import summarise
 from phfmu.audit.events import EventRow
-from phfmu.audit.judge import DEFAULT_RTOL
 from phfmu.audit.kinds import CellKind, LedgerVerdict, RowKind
 from phfmu.audit.sheets import JOULE, Column, Scale, Sheet, all_sheets, sheets
 from phfmu.audit.summary import LedgerSummary
@@ -22,7 +20,6 @@ from phfmu.html import ROWS, grid, paragraph
 from phfmu.words import counted, shown
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     from rich.table import Table
 
 
@@ -54,9 +51,20 @@ def _together(column: Column, values: Sequence[Any]) -> Any:
     return values[0] if len(set(values)) == 1 else None
 
 
-def audit_table(
-    source: pa.Table | LedgerSummary,
-    rtol: float = DEFAULT_RTOL,
+class Shown(TypedDict, total=False):
+    """How `summary_table` shows a summary."""
+
+    width: int
+    color: bool
+    by: Sequence[str]
+    scale: Scale
+    events: Sequence[EventRow]
+    levels: Alarms | None
+    most: int | None
+
+
+def summary_table(
+    summary: LedgerSummary,
     *,
     width: int = 120,
     color: bool = False,
@@ -66,17 +74,16 @@ def audit_table(
     levels: Alarms | None = None,
     most: int | None = None,
 ) -> str:
-    """Text of where the energy went, from an audit table or a ledger's summary.
+    """Text of where the energy went.
 
     Components (start, end, stored, dissipated, supplied, largest residual as a share of what is allowed, verdict), ports,
     junctions, network, what does not close, events; columns and tables that the run has nothing for are left out.
-    `rtol` judges a table; a summary is judged.  `by`: kinds of tables to show, none: all.  `scale`: of energies, J by default.
+    `by`: kinds of tables to show, none: all.  `scale`: of energies, J by default.
     `events`: those to be listed.  `levels`: what to warn of.  `most`: rows
     of a table, the last is the sum of all others.
     """
     from rich.console import Console
 
-    summary = source if isinstance(source, LedgerSummary) else summarise(source, rtol)
     console = Console(
         file=io.StringIO(),
         width=width,
