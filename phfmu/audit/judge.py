@@ -14,6 +14,7 @@ run miss together may be RUN times the root of the sum of the squares of what th
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -90,11 +91,10 @@ class Judge:
             if names:
                 booked = block.steps.supplied - plain(block.steps.pairs, booking.owned)
                 self._mark(ViolationKind.PORTS, names, booked, allowed, block, judged)
-            self._changes(accounts, block, in_step, H)
-            add([account.missed for account in accounts], block.residual)
-            add([account.squares for account in accounts], allowed * allowed)
+            changes = self._changes(accounts, block, in_step, H)
             missed = allowed if judged.all() else np.where(judged, allowed, np.abs(block.residual))
-            self._joined(block, missed, reach, varying)
+            joined = self._joined(block, missed, reach, varying)
+            self._add(accounts, (changes, block.residual, allowed * allowed, joined * joined))
         found = ratio(block.residual, allowed)
         for i, account in enumerate(accounts):
             account.reach = float(reach[-1, i])
@@ -102,6 +102,11 @@ class Judge:
         if self.rtol != DEFAULT_RTOL:
             found = ratio(block.residual, DEFAULT_RTOL * in_play + rounding + of_H)
         return DEFAULT_RTOL * found
+
+    def _add(self, accounts: list[Account], columns: tuple[Floats, Floats, Floats, Floats]) -> None:
+        """To the sums of the run, all at once: what they cost is the call, where events make the blocks short."""
+        sums = [a.gap for a in accounts], [a.missed for a in accounts], [a.squares for a in accounts]
+        add([*chain(*sums), self.squares], np.concatenate(columns, axis=1))
 
     def _relations(self, accounts: list[Account], inside: Floats, reach: Floats) -> Floats:
         """Energies in play in the network [n,c] where none has moved `inside` a component yet, else 0.
@@ -126,8 +131,8 @@ class Judge:
                 self.accounts[name].quality = booking.quality(name)
         return [self.accounts[name] for name in booking.components]
 
-    def _changes(self, accounts: list[Account], block: BookedSteps, allowed: Floats, H: Floats) -> None:
-        """H from step to step and within each, against what is booked; `H` [n,c]: max(|H0|, |H1|)."""
+    def _changes(self, accounts: list[Account], block: BookedSteps, allowed: Floats, H: Floats) -> Floats:
+        """H from step to step and within each, against what is booked: the difference; `H` [n,c]: max(|H0|, |H1|)."""
         names, H1 = block.booking.components, block.steps.H
         before = np.empty_like(block.H0)
         before[0] = [a.H_end + a.jumps for a in accounts]
@@ -137,12 +142,14 @@ class Judge:
         between, within = block.H0 - before, H1 - block.H0 - block.steps.stored
         self._mark(ViolationKind.GAP, names, between, permitted, block)
         self._mark(ViolationKind.CHANGE, names, within, permitted, block)
-        add([account.gap for account in accounts], between + within)
         for i, account in enumerate(accounts):
             account.largest, account.H_end, account.jumps = float(largest[-1, i]), float(H1[-1, i]), 0.0
+        return between + within
 
-    def _joined(self, block: BookedSteps, allowed: Floats, played: Floats, varying: Floats) -> None:
+    def _joined(self, block: BookedSteps, allowed: Floats, played: Floats, varying: Floats) -> Floats:
         """Junctions, and the network: what is unexplained is the sum of what the components miss, or are not judged for.
+
+        Returns what may be unexplained in each step [n,1].
 
         All junctions are solved for at once, so each has roundings of the energies in play in the whole network, however little
         passes through it: `played` [n,c].  Where all move at one speed, what is left is the force of a rounding times
@@ -163,8 +170,8 @@ class Judge:
             self._mark(ViolationKind.JUNCTION, names, created, permitted, block, judged)
             self._divided(block, permitted)
         permitted = (rows(allowed) + ULPS * EPS * rows(np.abs(block.steps.pairs)))[:, None]
-        add([self.squares], permitted * permitted)
         self._mark(ViolationKind.UNEXPLAINED, ("network",), block.network["unexplained"][:, None], permitted, block)
+        return permitted
 
     def _lost(self, block: BookedSteps) -> Floats:
         """What the junctions have lost by projections [n,junctions], which is booked; what these would have created is not."""
