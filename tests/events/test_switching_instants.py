@@ -32,6 +32,7 @@ from phfmu import (
     time,
 )
 from phfmu.components.scenes.buck import buck
+from phfmu.components.scenes.rectifier import rectifier
 from tests.events.exact_buck import F, exact
 
 ENGINES = {"native": NativeInstance, "python": PythonInstance}
@@ -148,6 +149,60 @@ def test_opposite_guards_of_one_function_take_turns(engine: str, after: float) -
     at = after + (np.arange(len(found)) + 0.5) / 100.0
     assert found == pytest.approx(at, rel=1e-14, abs=1e-12)
     assert len(found) == 40
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_steps_from_a_state_know_nothing_of_steps_before_it(engine: str) -> None:
+    """From 40 units of rounding before an instant on: the same parts, whatever was landed on before."""
+    model = build_model(pendulum_with_gate(1000.0), Collocated(1))
+    t, found = 1000.005 - 40 * np.spacing(1000.0), list[Any]()
+    for before in (0, 3, 7):
+        made = ENGINES[engine](model)
+        made.set_x(1000.0, [1.0, 0.0])
+        start = made.get_state()
+        if before:
+            list(made.land(1000.0, 1e-3, before))
+        made.set_state(start)
+        made.set_x(t, [1.0, 0.0])
+        parts = list(made.land(t, 1e-3, 2, ("x",), 0, False))
+        told = [p.happened.t for p in parts if p.happened is not None]
+        found.append(([p.h.tolist() for p in parts], told, made.x.tobytes()))
+    assert found[0] == found[1] == found[2]
+    assert found[0][1] == pytest.approx([1000.005], rel=1e-15)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("scene", "h", "ends"), [("buck", 1e-5, 2), ("rectifier", 1e-3, 0)])
+def test_a_state_saved_at_an_instant_gives_the_same_bits(engine: str, scene: str, h: float, ends: int) -> None:
+    """Communication steps, `ends` of which end at an instant of switching; on to the next events, back, and on again.
+
+    Saved at each end, taken back to in the same instance and put into another one that has been elsewhere.
+    """
+    declaration = (buck(later=None) if scene == "buck" else rectifier()).declaration()
+    model = build_model(declaration, Collocated(2))
+    made, other = stepped(model, engine, h / 2), stepped(model, engine, h / 2)
+    parts, events, at_end = 2, 0, 0
+    for i in range(3):
+        other.do_step(i * h, h, parts)
+    for i in range(24):
+        state, mode = made.get_state(), made.mode
+        made.do_step(i * h, h, parts)
+        told = [(e.t, e.events, e.switched) for e in made.happened]
+        x, end = made.x.tobytes(), made.get_state()
+        events, at_end = events + len(told), at_end + any(abs(e[0] - (i + 1) * h) < 1e-15 for e in told)
+        made.do_step((i + 1) * h, h, parts)  # over what follows the end, which is an instant or not
+        beyond = made.x.tobytes(), [(e.t, e.events) for e in made.happened]
+        for instance in (made, other):
+            instance.set_state(state)
+            assert instance.mode == mode
+            instance.do_step(i * h, h, parts)
+            assert [(e.t, e.events, e.switched) for e in instance.happened] == told
+            assert instance.x.tobytes() == x
+            instance.set_state(end)
+            instance.do_step((i + 1) * h, h, parts)
+            assert (instance.x.tobytes(), [(e.t, e.events) for e in instance.happened]) == beyond
+        made.set_state(end)
+    assert events > 4 and at_end >= ends
 
 
 @pytest.mark.parametrize("engine", ENGINES)

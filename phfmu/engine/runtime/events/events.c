@@ -142,4 +142,5 @@ void ph_land_from(ph_landing *l, double t0, double h, int first_step, int n, int
     l->end = (long long)first_step + n;
     l->changed = changed;
     l->under_way = l->stopped = 0;
+    ph_clear(l->rates, l->events->n); /* what was landed on before is nothing of the state */
 }
