@@ -56,10 +56,10 @@ class RunSums:
 
     def _add_components(self, block: BookedSteps) -> Floats:
         names, s = block.booking.components, block.steps
-        for key, table in {"dissipated": s.dissipated, "supplied": s.supplied, "numerical": s.numerical}.items():
-            if table is not None:
-                self.by.add([(key, name) for name in names], table)
-        return self.by.extend([("stored", name) for name in names], s.stored)
+        tables = {"stored": s.stored, "dissipated": s.dissipated, "supplied": s.supplied, "numerical": s.numerical}
+        told = {key: table for key, table in tables.items() if table is not None}
+        sums = self.by.extend([(key, name) for key in told for name in names], np.concatenate([*told.values()], axis=1))
+        return sums[:, : len(names)]
 
     def _add_ports(self, block: BookedSteps) -> None:
         booking, pairs = block.booking, block.steps.pairs
@@ -70,8 +70,8 @@ class RunSums:
                 own = pairs[:, list(some.values())].transpose(0, 2, 1).reshape(-1, len(some))  # steps, pairs, ports
             self.by.add([("port", *key) for key in some], own)
         names = list(booking.junctions)
-        self.by.add([("junction", name) for name in names], block.junction_residual)
-        self.by.add([("exchanged", name) for name in names], block.junction_exchanged)
+        both = np.concatenate([block.junction_residual, block.junction_exchanged], axis=1)
+        self.by.add([(key, name) for key in ("junction", "exchanged") for name in names], both)
         for j, name in enumerate(names):
             self.junctions[name] = larger(self.junctions.get(name, 0.0), largest(block.junction_residual[:, j]))
 
