@@ -18,9 +18,6 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import TYPE_CHECKING, Any
 
-from phfmu.cli import job as job_apart
-from phfmu.cli import job as job_unit
-from phfmu.cli import job as job_whole
 from phfmu.cli.options import lenient_of, scheme_of
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
@@ -334,7 +331,7 @@ def job_of(args: argparse.Namespace) -> Job:
     lenient = lenient_of(args)
     if is_fmu(args.target):
         _require_whole(args)
-        return job_unit.unit(args)
+        return unit(args)
     s = scene(args.target, lenient)
     s = replace(s, system=with_settings(s.system, settings(args.set)))
     s = replace(s, system=_with_unit_options(args, s.system))
@@ -353,11 +350,11 @@ def job_of(args: argparse.Namespace) -> Job:
             "are exact at every instant"
         )
     if not row.apart:
-        return job_whole.whole(args, s, s.declaration(), why)
+        return whole(args, s, s.declaration(), why)
     _require_whole(args)
     if not isinstance(s.system, Network):
         raise ValueError(f"{args.target} is a single component; --coupling {row.name} needs a network of members")
-    return job_apart.apart(args, s, s.system, row.name, [*s.notes, *why], tried if row.kind.repeats else {})
+    return apart(args, s, s.system, row.name, [*s.notes, *why], tried if row.kind.repeats else {})
 
 
 def _require_whole(args: argparse.Namespace) -> None:
@@ -387,7 +384,7 @@ def _with_unit_options(args: argparse.Namespace, system: Any) -> Any:
     """The system with its units in processes of their own, or with a tolerance, if that is asked for."""
     from phfmu.network.network import Network
 
-    seconds, tolerance = job_unit.isolate_of(args), job_unit.tolerance_of(args)
+    seconds, tolerance = isolate_of(args), tolerance_of(args)
     if seconds is None and tolerance is None:
         return system
     if not isinstance(system, Network) or not system.units:

@@ -16,7 +16,6 @@ from typing import Any, Protocol
 
 import casadi as ca
 
-from phfmu.declare import phdae as shown
 from phfmu.declare.block import Block
 from phfmu.declare.energy import ClosedPair, Energy, resolve_kind
 from phfmu.declare.error import DeclarationError, Problem
@@ -186,10 +185,10 @@ class PHDAE:
         return f"{self.name} has no parameter, state or input '{name}'{hint}"
 
     def __repr__(self) -> str:
-        return f"<{shown.line(self)}>"
+        return f"<{_line(self)}>"
 
     def _repr_html_(self) -> str:
-        return shown.table(self)
+        return _table(self)
 
 
 #: field, type of its items, how they are made
@@ -265,7 +264,7 @@ class Shown(Protocol):
     def state_events(self) -> tuple[Any, ...]: ...
 
 
-def line(d: Shown) -> str:
+def _line(d: Shown) -> str:
     """Name and sizes."""
     sizes = (
         (sum(v.n for v in d.states), "state"),
@@ -277,9 +276,9 @@ def line(d: Shown) -> str:
     return f"PHDAE {d.name}: {', '.join(counted(n, noun) for n, noun in sizes if n) or 'empty'}"
 
 
-def table(d: Shown) -> str:
+def _table(d: Shown) -> str:
     """Its variables, ports and observables with units and starts."""
-    return grid(line(d), ("", "name", "unit", "start", ""), rows(d), d.description)
+    return grid(_line(d), ("", "name", "unit", "start", ""), rows(d), d.description)
 
 
 def rows(d: Shown) -> Iterator[tuple[str, str, str, str, str]]:

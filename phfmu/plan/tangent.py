@@ -3,7 +3,7 @@
     d out = (d out / d x) dx + (d out / d y) dy,
 
 in forward mode, without a Jacobian. A step map of several internal steps is differentiated with them, see
-`engine/chain.py`.
+`engine/reference/chain.py`.
 """
 
 from __future__ import annotations

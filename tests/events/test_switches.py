@@ -39,8 +39,6 @@ from phfmu.components.electrical.switches import diode, ideal_switch, thyristor
 from phfmu.engine.build.tables import RUNTIME
 from phfmu.engine.landing import mode_change
 from phfmu.events import comply, switch_system
-from phfmu.events import comply as dependent
-from phfmu.events import switch_system as null_space
 from phfmu.outcome.limits import defined
 from phfmu.outcome.status import EventRefused
 from tests.engines import ENGINES
@@ -116,13 +114,13 @@ def test_compiled_code_changes_modes_without_returning(bridges, monkeypatch):
 def test_both_engines_decide_with_the_same_numbers():
     found = defined(RUNTIME / "modes" / "mode_limits.h")
     assert found == {
-        "RANK": null_space.RANK,
+        "RANK": switch_system.RANK,
         "PASSES": switch_system.PASSES,
         "SHORT": comply.SHORT,
         "MU": comply.MU,
         "C": comply.C,
         "MOST_TRIED": comply.MOST_TRIED,
-        "ZERO": dependent.ZERO,
+        "ZERO": comply.ZERO,
         "CUT_LANDED": mode_change.LANDED,
     }
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has oth
 #: a host that says what it finds of itself after each of the lines in {body}
 HOST = """
 import ctypes, ctypes.util, os, signal, sys, time
-from phfmu.fmu import process_state
+from phfmu.fmu.isolation import process_state
 from phfmu.fmu.importer.reader import FMUInstance
 
 process_state.PAUSE = 0.0

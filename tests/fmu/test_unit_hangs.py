@@ -18,7 +18,7 @@ RUN = """
 import signal, sys, threading, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # which a script's processes in the background are to ignore
 from phfmu.cli import main
-from phfmu.fmu import exit_guard
+from phfmu.fmu.isolation import exit_guard
 
 def tell():
     call = None

@@ -5,7 +5,7 @@
  *     dw = -A^-1 (R_x X + R_u V),   dy = y_x X + y_w dw + y_u V,   X+ = X + U dw.
  *
  * Several are solved again, from the state and the unknowns at the start of the step; the twin of
- * engine/chain.py.
+ * engine/reference/chain.py.
  */
 #include <string.h>
 

@@ -1,5 +1,5 @@
 /* Guards at an instant: their values, which of them are armed, what counts as zero; the twin of the same
- * part of engine/locate.py. */
+ * part of engine/landing/locate.py. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

@@ -1,5 +1,5 @@
 /* What happens at a zero: the states jump, parameters are set; the twin of the same part of
- * engine/landing.py. */
+ * engine/landing/landing.py. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

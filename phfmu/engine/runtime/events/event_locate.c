@@ -1,4 +1,5 @@
-/* Where a step ends: the first zero of a guard, the step that ends on it; the twin of engine/locate.py. */
+/* Where a step ends: the first zero of a guard, the step that ends on it; the twin of
+ * engine/landing/locate.py. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

@@ -1,5 +1,5 @@
 /* A step that is tried, and what guards do over it on its collocation polynomial; the twin of the same part
- * of engine/locate.py. */
+ * of engine/landing/locate.py. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

@@ -1,5 +1,5 @@
 /* Grid steps with state events: what is located and what happens, written to the caller; the twin of
- * engine/landing.py. */
+ * engine/landing/landing.py. */
 #include <float.h>
 #include <math.h>
 #include <string.h>

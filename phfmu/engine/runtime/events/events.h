@@ -1,7 +1,7 @@
 /* State events of an instance: steps that end on the zeros of guards, jumps of the states.
  *
- * The twin of engine/landing.py, whose words are used here; docs/understand/events.md has the rules. Nothing
- * of an instance knows of it. */
+ * The twin of engine/landing/landing.py, whose words are used here; docs/understand/events.md has the rules.
+ * Nothing of an instance knows of it. */
 #ifndef PH_EVENTS_H
 #define PH_EVENTS_H
 

@@ -2,7 +2,8 @@
 
 The polynomials of node values do not reach over an event, so a step of all members is tried, the guards are looked at on the
 polynomials of their members, and the step that ends on the first zero of all is taken by all, with an iteration of the interface
-for each trial.  Rules and words are those of `engine/locate.py`, which sees one instance with the states of all such members.
+for each trial.  Rules and words are those of `engine/landing/locate.py`, which sees one instance with the states of all
+such members.
 """
 
 from __future__ import annotations
