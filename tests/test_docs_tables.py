@@ -95,10 +95,12 @@ def test_the_house_is_measured_on_any_tree(tmp_path: Path) -> None:
         "phfmu/schemes/b.py": "from phfmu.plan.a import long\n\n\nclass GradientPair:\n    pass\n\n\ndef f():\n"
         + AGAIN,
         "phfmu/schemes/c.py": "name = 'gradient-pair'\n\n\ndef g():\n" + AGAIN.replace("again3", "other"),
-        "phfmu/engine/d.py": "import casadi\n\n\ndef h():\n    # a comment\n" + AGAIN + "\n# lines\n" * 290,
+        "phfmu/engine/d.py": "import casadi\n\n\ndef h():\n    # a comment\n" + AGAIN + "\n# lines\n" * 440,
         "phfmu/engine/e.c": "int f(int a) {\n" + "    a++;\n" * 60 + "}\n\nstatic int g(void) {\n    return 1;\n}\n",
+        "phfmu/engine/runtime/k.c": "int k(int a) {\n    return l(a);\n}\n",
+        "phfmu/engine/runtime/l.c": "/* f is named here only */\nint l(int a) {\n    return k(a);\n}\n",
         "phfmu/engine/f.py": "x = 'a scheme is called gradient-pair'\n",
-        "tests/test_a.py": "x = 1\n" * 301,
+        "tests/test_a.py": "x = 1\n" * 451,
     }
     for name, content in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -108,11 +110,15 @@ def test_the_house_is_measured_on_any_tree(tmp_path: Path) -> None:
     found = {row[0]: row[1] for row in rows(made.stdout)[2:]}
     assert list(found) == [row[0] for row in below("house")[2:]]
     expected = {
-        "files of the package": 6,
-        "files over 300 lines, package": 1,
-        "files over 300 lines, tests": 1,
+        "files of the package": 8,
+        "files over 450 lines, package": 1,
+        "files over 450 lines, tests": 1,
         "functions over 60 lines, Python": 1,
         "functions over 60 lines, C": 1,
+        "files below 60 lines, Python": 3,
+        "folders of more than 15 files, Python": 0,
+        "circles of C calls": 1,
+        "C files in a circle": 2,
         "circles of imports": 1,
         "files in a circle": 2,
         "imports upward": 1,

@@ -18,9 +18,9 @@ from types import ModuleType
 
 from pages import ROOT, Made, table
 
-#: the tree that the page compares with: one room for terms, plan, schemes and gradients
-BEFORE = "0aa0f8c"
-LONG_FILE, LONG_FUNCTION, WINDOW = 300, 60, 8
+#: the tree that the page compares with: engine, couplings and units in three flat folders
+BEFORE = "1f76368"
+SHORT_FILE, LONG_FILE, LONG_FUNCTION, WINDOW, FULL = 60, 450, 60, 8, 15
 #: kind of part -> words of one there is and the folders a new one could touch; files with such a word are what is touched
 KINDS = {
     "component": (("heavy_top",), ("phfmu", "components")),
@@ -36,6 +36,7 @@ KINDS = {
     ),
     "FMI version": (("fmi3", "3.0", "fmi2", "2.0"), ("phfmu/fmu", "phfmu/cli")),
 }
+C_WORDS, C_COMMENT = re.compile(r"\b[A-Za-z_]\w*\b"), re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 C_FUNCTION = re.compile(
     r"^(?!typedef|struct|enum|static const|#)\w[^;={]*?(\w+)\([^;{]*\) \{$(.*?)^\}$", re.MULTILINE | re.DOTALL
 )
@@ -121,6 +122,36 @@ class Tree:
     def circles(self) -> list[list[str]]:
         return sorted(sorted(c) for c in rooms().circles(self.graph))
 
+    @cached_property
+    def calls(self) -> dict[str, set[str]]:
+        """C file -> C files whose functions it names; a function that two files define is nobody's."""
+        texts = {self.name(p): C_COMMENT.sub("", text(p)) for p in self.sources if p.suffix == ".c"}
+        homes: dict[str, set[str]] = {}
+        for name, code in texts.items():
+            for m in C_FUNCTION.finditer(code):
+                if not m[0].startswith("static"):
+                    homes.setdefault(m[1], set()).add(name)
+        own = {word: next(iter(files)) for word, files in homes.items() if len(files) == 1}
+        return {
+            name: {own[w] for w in set(C_WORDS.findall(code)) & own.keys()} - {name} for name, code in texts.items()
+        }
+
+    def circles_of_calls(self) -> list[list[str]]:
+        return sorted(sorted(c) for c in rooms().circles(self.calls))
+
+    def splinters(self) -> list[Span]:
+        """Modules below the length of a concept; those that only mark a folder do not count."""
+        spans = [Span(self.name(p), len(text(p).splitlines())) for p in self.sources if p.suffix == ".py"]
+        return longest([s for s in spans if s.lines < SHORT_FILE and not s.name.endswith("__.py")])
+
+    def full_folders(self) -> list[str]:
+        """Folders with more modules than a reader takes in at once."""
+        count: dict[str, int] = {}
+        for p in self.sources:
+            if p.suffix == ".py" and p.name != "__init__.py":
+                count[self.name(p.parent)] = count.get(self.name(p.parent), 0) + 1
+        return sorted(f"{folder} ({n})" for folder, n in count.items() if n > FULL)
+
     def upward(self) -> list[str]:
         """Imports of a room that stands above, in today's order of rooms."""
         order = list(dict.fromkeys(r.partition(".")[0] for r in rooms().ROOMS))
@@ -145,9 +176,13 @@ class Tree:
             f"files over {LONG_FILE} lines, tests": len(self.long_files(tests)),
             f"functions over {LONG_FUNCTION} lines, Python": len(self.long_functions((".py",))),
             f"functions over {LONG_FUNCTION} lines, C": len(self.long_functions((".c", ".h", ".inc"))),
+            f"files below {SHORT_FILE} lines, Python": len(self.splinters()),
+            f"folders of more than {FULL} files, Python": len(self.full_folders()),
             "circles of imports": len(circles),
             "files in a circle": sum(map(len, circles)),
             "imports upward": len(self.upward()),
+            "circles of C calls": len(self.circles_of_calls()),
+            "C files in a circle": sum(map(len, self.circles_of_calls())),
             f"runs of {WINDOW} or more lines that stand elsewhere too, package": len(repeated(self.sources)),
             f"runs of {WINDOW} or more lines that stand elsewhere too, tests": len(repeated(tests)),
             **{f"files that name {KINDS[kind][0][0]} ({kind})": len(self.naming(kind)) for kind in KINDS},
@@ -160,6 +195,8 @@ class Tree:
         yield said("functions over the limit", [f"{s.name} ({s.lines})" for s in functions])
         yield said("circles", [" - ".join(c) for c in self.circles()])
         yield said("imports upward", self.upward())
+        yield said("circles of C calls", [" - ".join(Path(f).name for f in c) for c in self.circles_of_calls()])
+        yield said("full folders", self.full_folders())
         yield said("repeated lines", [f"{self.name(p)}:{line}" for p, line in repeated(self.sources)])
 
 

@@ -1,13 +1,4 @@
-"""What a command line asks to run, and how its head line says it.
-
-A run of one composed model.
-
-A run of one FMU.
-
-A run of members that are stepped apart and coupled.
-
-The run that a command line asks for: of one composed model, of members apart, or of an FMU.
-"""
+"""The run that a command line asks for: of one composed model, of members stepped apart, or of an FMU; its head line."""
 
 from __future__ import annotations
 
@@ -15,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +29,7 @@ from phfmu.target import is_fmu, scene
 if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.importer.unit_file import UnitFile
+    from phfmu.network.couplings.apart import Apart
     from phfmu.network.couplings.named import Named
     from phfmu.network.couplings.signals.held_signals import SignalExchange
     from phfmu.network.couplings.stepper import Stepper
@@ -163,39 +156,53 @@ def _refuse_compiled_in(args: argparse.Namespace) -> None:
 SAID: dict[SignalExchange, str] = {"extrapolated": "", "held": ", signals held", "agreed": ", signals iterated"}
 
 
-def apart(
-    args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
-) -> Job:
-    from phfmu.network.couplings.apart import Apart, held_wires
-    from phfmu.network.couplings.gathered import composed_words
-    from phfmu.network.couplings.named import named_coupling
-    from phfmu.network.couplings.signals.held_signals import ORDER_OF_EVENTS, ORDERS
+@dataclass(frozen=True)
+class _Members:
+    """Members of a network that is stepped apart: how each is made, and whether it takes values at nodes."""
 
-    sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
-    network = _gathered(args, declared)
-    coupling = named_coupling(name, network, sequence, args.unconverged)
-    schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
+    args: argparse.Namespace
+    network: Network
+    coupling: Named
+    schemes: Mapping[str, Scheme]
+    stepping: Stepping
+    step: float
+    tried: Mapping[str, Rollback]
 
-    own_engines = {member: engine_of(e) for member, e in engines_asked(args, declared).items()}
-    stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, declared))
-    step = s.step if args.step is None else args.step
-    threads, notes = threads_asked(args), [*why, *filter(None, [composed_words(network), _without_unit(s, declared)])]
+    @cached_property
+    def whole(self) -> Apart:
+        """What members exchange; those that handle events in themselves land alone."""
+        from phfmu.network.couplings.apart import Apart
 
-    inside = [n for n, scheme in schemes.items() if stepping.engine_of(n) == "fmu" or stepping.parts_of(n) > 1
-              or not scheme.node_values]  # fmt: skip
-    some_fmu, whole = "fmu" in map(stepping.engine_of, schemes), Apart(network, inside)
-    with_impulses = whole.kicked(args.project) if some_fmu and coupling.nodes else set()
+        engine, parts = self.stepping.engine_of, self.stepping.parts_of
+        inside = [n for n, s in self.schemes.items() if engine(n) == "fmu" or parts(n) > 1 or not s.node_values]
+        return Apart(self.network, inside)
 
-    def at_nodes(name: str) -> bool:
-        if name in whole.landing_alone:
+    @cached_property
+    def held(self) -> Any:
+        """Junctions and wires at which members take held values."""
+        return self.whole.holding(self.at_nodes)
+
+    @cached_property
+    def with_impulses(self) -> set[str]:
+        """Units that have to take impulses."""
+        some = "fmu" in map(self.stepping.engine_of, self.schemes)
+        return self.whole.kicked(self.args.project) if some and self.coupling.nodes else set()
+
+    @cached_property
+    def separate(self) -> Mapping[str, PHDAE]:
+        return self.network.separate(self.held)
+
+    def at_nodes(self, name: str) -> bool:
+        if name in self.whole.landing_alone:
             return False
-        in_unit = stepping.engine_of(name) == "fmu"
-        return coupling.nodes and (_node_inputs if in_unit else _node_values)(schemes[name])
+        in_unit = self.stepping.engine_of(name) == "fmu"
+        return self.coupling.nodes and (_node_inputs if in_unit else _node_values)(self.schemes[name])
 
-    held = whole.holding(at_nodes)
-    separate = network.separate(held)
+    def all(self, notes: list[str]) -> list[Member]:
+        """All members in their order; what is to be said of units goes to `notes`."""
+        return [self._made(name, d, notes) for name, d in self.network.members.items()]
 
-    def member(name: str, declaration: PHDAE | UnitFile) -> Member:
+    def _made(self, name: str, declaration: PHDAE | UnitFile, notes: list[str]) -> Member:
         from phfmu.declare.phdae import PHDAE
         from phfmu.discretise.model import build_model
         from phfmu.network.members.engine_member import EngineMember
@@ -203,44 +210,62 @@ def apart(
         if not isinstance(declaration, PHDAE):
             from phfmu.network.members.unit_member import unit_member
 
-            made, lines = unit_member(name, declaration, step, tried.get(name))
+            made, lines = unit_member(name, declaration, self.step, self.tried.get(name))
             notes.extend(lines)
             return made
-        own, parts = separate[name], stepping.parts_of(name)
-        if stepping.engine_of(name) == "fmu":
+        own, scheme, parts = self.separate[name], self.schemes[name], self.stepping.parts_of(name)
+        if self.stepping.engine_of(name) == "fmu":
             from phfmu.network.members.fmu_member import FMUMember
 
-            alone, scheme = name in whole.landing_alone, schemes[name]
-            extra = at_nodes(name) and _node_inputs(scheme), not alone and scheme.node_values and name in with_impulses
-            return FMUMember(name, as_fmu(own, schemes[name], args.fmi, step / parts, *extra))
-        model = build_model(own, schemes[name])
-        return EngineMember(name, model, instance_of(model, stepping.engine_of(name)), parts)
+            pushed = scheme.node_values and name in self.with_impulses and name not in self.whole.landing_alone
+            nodes = self.at_nodes(name) and _node_inputs(scheme)
+            return FMUMember(name, as_fmu(own, scheme, self.args.fmi, self.step / parts, nodes, pushed))
+        model = build_model(own, scheme)
+        return EngineMember(name, model, instance_of(model, self.stepping.engine_of(name)), parts)
+
+
+def apart(
+    args: argparse.Namespace, s: Scene, declared: Network, name: str, why: list[str], tried: Mapping[str, Rollback]
+) -> Job:
+    from phfmu.network.couplings.apart import held_wires
+    from phfmu.network.couplings.gathered import composed_words
+    from phfmu.network.couplings.named import named_coupling
+
+    sequence = args.sequence and [name.strip() for name in args.sequence.split(",")]
+    network = _gathered(args, declared)
+    coupling = named_coupling(name, network, sequence, args.unconverged)
+    schemes = {name: scheme_of(args, declaration, member=True) for name, declaration in network.declared.items()}
+    own_engines = {member: engine_of(e) for member, e in engines_asked(args, declared).items()}
+    stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, declared))
+    step = s.step if args.step is None else args.step
+    threads, notes = threads_asked(args), [*why, *filter(None, [composed_words(network), _without_unit(s, declared)])]
+    members = _Members(args, network, coupling, schemes, stepping, step, tried)
+    holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, members.held)))
+    exchange, lines = _signals(args, network, [n for n, found in tried.items() if not found.works], holds)
+    notes += lines
 
     def build() -> Stepper:
         from phfmu.network.couplings.coupled import Coupled
 
-        return Coupled(
-            network,
-            [member(name, d) for name, d in network.members.items()],
-            coupling.make,
-            threads=threads,
-            signals=exchange,
-        )
+        return Coupled(network, members.all(notes), coupling.make, threads=threads, signals=exchange)
 
-    holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, held)))
-    stuck = [n for n, found in tried.items() if not found.works]
-    exchange: SignalExchange
-    exchange, lines = _signals(args, network, stuck, holds)
-    notes += lines
-    of_signals = min(ORDERS[exchange] if holds else inf, ORDER_OF_EVENTS if whole.events_by_signals else inf)
-    alone = [n for n in whole.held if n in network.declared] if coupling.nodes else []
-    most = _most(coupling, schemes.values(), network.units.values(), of_signals, alone)
+    most, alone = _kept(members, exchange if holds else None)
     words = coupling.held if most <= coupling.order else f"units of order {most:g}"
     said = coupling.words + _number(network) + SAID[exchange]
     head = label(list(schemes.values()), stepping.words, said, most, words)
-    notes += _order_lost(args.order, coupling, most, [whole.why_held(n) for n in alone])
+    notes += _order_lost(args.order, coupling, most, [members.whole.why_held(n) for n in alone])
     order = None if network.units or not schemes else min(most, *(scheme.order for scheme in schemes.values()))
     return Job(s, head, False, build, notes, order)
+
+
+def _kept(members: _Members, exchange: SignalExchange | None) -> tuple[float, list[str]]:
+    """The order that the members keep together at most, and which of them take held inputs; `exchange`: of held signals."""
+    from phfmu.network.couplings.signals.held_signals import ORDER_OF_EVENTS, ORDERS
+
+    network, coupling, whole = members.network, members.coupling, members.whole
+    of_signals = min(inf if exchange is None else ORDERS[exchange], ORDER_OF_EVENTS if whole.events_by_signals else inf)
+    alone = [n for n in whole.held if n in network.declared] if coupling.nodes else []
+    return _most(coupling, members.schemes.values(), network.units.values(), of_signals, alone), alone
 
 
 def _gathered(args: argparse.Namespace, network: Network) -> Network:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -56,17 +56,36 @@ def add_parser(verbs: Any) -> None:
     add_settings(parser)
     add_no_check(parser)
     options.add_lenient(parser)
+    _add_units(parser)
+    parser.add_argument("--input", metavar="FILE",
+                        help="input and parameter values over time (.csv or .parquet, first column time)")  # fmt: skip
+    parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS),
+                        help="what inputs are between rows of --input: "
+                        + "; ".join(f"{name}: {line}" for name, line in INTERPOLATIONS.items()) + " (default: held)")  # fmt: skip
+    _add_outputs(parser)
+    parser.add_argument("--project", action="store_true",
+                        help="move an inconsistent start onto its constraints instead of refusing it")  # fmt: skip
+    parser.add_argument("--keep", action="append", default=[], metavar="NAME",
+                        help="a state that --project leaves as it is (v: all of v); may be repeated")  # fmt: skip
+    parser.add_argument("--accuracy", action="store_true",
+                        help="run again with half the step and tell by how much each signal changes, and the error of this "
+                        "run that follows")  # fmt: skip
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.set_defaults(call=call)
+
+
+def _add_units(parser: argparse.ArgumentParser) -> None:
+    """Options of FMUs."""
     parser.add_argument("--isolate", action="store_true",
                         help="FMUs in processes of their own: where one ends or hangs, the run has exit code 3")  # fmt: skip
     parser.add_argument("--isolate-timeout", type=float, metavar="SECONDS",
                         help="the same, and how long a call into an FMU may take (default 60)")  # fmt: skip
     parser.add_argument("--unit-tolerance", type=float, metavar="TOL",
                         help="relative tolerance that FMUs are told of for steps inside them (default: their own)")  # fmt: skip
-    parser.add_argument("--input", metavar="FILE",
-                        help="input and parameter values over time (.csv or .parquet, first column time)")  # fmt: skip
-    parser.add_argument("--interpolate", default="held", choices=tuple(INTERPOLATIONS),
-                        help="what inputs are between rows of --input: "
-                        + "; ".join(f"{name}: {line}" for name, line in INTERPOLATIONS.items()) + " (default: held)")  # fmt: skip
+
+
+def _add_outputs(parser: argparse.ArgumentParser) -> None:
+    """What is written and told of a run."""
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--signals", action="append", default=[], metavar="PATTERN",
                         help="columns to keep, by name or pattern ('gen.*'); may be repeated (default: all)")  # fmt: skip
@@ -87,15 +106,6 @@ def add_parser(verbs: Any) -> None:
     parser.add_argument(
         "--audit-rtol", type=float, default=1e-11, help="allowed residual of a step relative to the energies in play"
     )
-    parser.add_argument("--project", action="store_true",
-                        help="move an inconsistent start onto its constraints instead of refusing it")  # fmt: skip
-    parser.add_argument("--keep", action="append", default=[], metavar="NAME",
-                        help="a state that --project leaves as it is (v: all of v); may be repeated")  # fmt: skip
-    parser.add_argument("--accuracy", action="store_true",
-                        help="run again with half the step and tell by how much each signal changes, and the error of this "
-                        "run that follows")  # fmt: skip
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> int:
@@ -103,7 +113,6 @@ def call(args: argparse.Namespace) -> int:
 
     from phfmu.audit import audit_table
     from phfmu.audit.sheet_names import ROWS
-    from phfmu.audit.violation import ViolationKind
     from phfmu.cli import accuracy, options
     from phfmu.cli.codes import FINE, LEDGER
     from phfmu.cli.job import job_of
@@ -151,14 +160,22 @@ def call(args: argparse.Namespace) -> int:
             print(audit_table(summary, most=ROWS), end="")
     if record is not None:
         accuracy.print_accuracy(args, record, job.order, chosen)
-    if not summary.closed:
-        places = dict.fromkeys(v.name for v in summary.violations)
-        print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
-        if not is_fmu(args.target) and not scene.units:
-            lost = {v.name for v in summary.violations if v.kind is ViolationKind.DISSIPATION}
-            _print_signs_lost(scene, [*events, *given], result, lost)
-        return LEDGER
-    return FINE
+    if summary.closed:
+        return FINE
+    _print_violated(result, None if is_fmu(args.target) or scene.units else scene, [*events, *given])
+    return LEDGER
+
+
+def _print_violated(result: Result, declared: Scene | None, events: Sequence[Event]) -> None:
+    """What does not close, and where dissipation is negative in a `declared` scene, which entries of R lose their sign."""
+    from phfmu.audit.violation import ViolationKind
+
+    summary = result.ledger.summary()
+    places = dict.fromkeys(v.name for v in summary.violations)
+    print(f"phfmu: ledger violated: {', '.join(places)}; worst: {summary.worst}", file=sys.stderr)
+    if declared is not None:
+        lost = {v.name for v in summary.violations if v.kind is ViolationKind.DISSIPATION}
+        _print_signs_lost(declared, events, result, lost)
 
 
 def both(first: Callable[..., None], second: Callable[..., None] | None) -> Callable[..., None]:
@@ -183,7 +200,7 @@ def _every(text: str | None) -> int | float | None:
         raise ValueError(f"--every {text}: expected a number of rows (10) or a time (0.01s)") from None
 
 
-def _print_signs_lost(scene: Scene, events: list[Event], result: Result, components: set[str]) -> None:
+def _print_signs_lost(scene: Scene, events: Sequence[Event], result: Result, components: set[str]) -> None:
     """Where R of components with a negative dissipation lost its sign."""
     from phfmu.checks.matrices import sign_lost
 
