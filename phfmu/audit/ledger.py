@@ -10,7 +10,7 @@ Per step (power positive INTO the component)
 `external` is what ports without a junction supplied. A component without a row of its own (a foreign FMU that
 reports no energy) lies outside the balance: what it takes from a junction leaves through `external`.
 
-What takes the rows of a ledger.
+A sink takes its rows.
 """
 
 import math

@@ -1,7 +1,4 @@
-"""What is refused, as data.
-
-A problem of a declaration.
-"""
+"""Refusals and problems of a declaration, as data: the entry, the reason, and the remedy."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
 """Variables of a declaration: states, algebraic variables and parameters, scalar or vector.
 
-What the symbols of a declaration stand for.
-
-What a variable of a declaration is.
+The symbols of a declaration stand for values of them, and each variable is of one kind.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Remedies stand with the facts under which each is true; the first that fits is told.
 
-State events that are refused.
+Refused state events are failures with their guards.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What is known of accepted steps, from the engines to the result table and the audit, and the balance of their energies.
 
-What an engine tells of a stretch of steps between state events.
+Stretches of steps between state events have the same form.
 """
 
 from __future__ import annotations

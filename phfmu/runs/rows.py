@@ -1,6 +1,6 @@
 """The rows of a run: thinned where that is asked for, handed on or collected.
 
-What a run tells: the columns of its rows, signals of the stepper and then its free inputs.
+Their columns are the signals of the stepper and then its free inputs.
 """
 
 from __future__ import annotations

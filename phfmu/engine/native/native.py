@@ -1,6 +1,6 @@
 """Instances that step in compiled code.
 
-What compiled code tells of an instance: its state, its last step, the present, and what failed.
+Their base class reads the state, the last step, values at the present time, and failures.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Evaluation of a plan in Python: kernels in CasADi's virtual machine on preallocated buffers, tables in numpy.
 
-What the kernels of a step read besides its unknowns: the state at its start, and inputs at its nodes.
+Besides their unknowns the kernels of a step read the state at its start and inputs at its nodes.
 """
 
 from __future__ import annotations

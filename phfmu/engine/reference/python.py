@@ -1,6 +1,6 @@
 """The reference engine: an instance stepped in Python, one statement of the method after the other.
 
-What an instance in Python tells: its state, its last step and how that follows its inputs, and the present.
+Its base class reads the state, the last step with its sensitivities, and values at the present time.
 """
 
 from __future__ import annotations

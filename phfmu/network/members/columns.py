@@ -1,7 +1,4 @@
-"""Result columns of a model: what it tells, read from an instance's signals.
-
-What the audit calls the energies of an instance.
-"""
+"""Result columns of a model, read from an instance's signals, and the names of its energies in the audit."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Members that are FMUs, of this package or of another tool.
 
-What happens within a step of a unit, from the outputs it has for that.
+State events within a step of a unit are read from the outputs it has for them.
 """
 
 from __future__ import annotations
