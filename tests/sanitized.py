@@ -16,7 +16,7 @@ PREAMBLE = f"""
 import importlib.util
 find = importlib.util.find_spec
 importlib.util.find_spec = lambda name, *more: None if name == "ziglang" else find(name, *more)
-from phfmu.engine import compile as c
+from phfmu.engine.build import compile as c
 c.FLAGS = (*(f for f in c.FLAGS if f != "-O2"), "-O0", "-g1", *{SANITIZE})
 c.LINK = ("-shared", *{SANITIZE})
 """
