@@ -47,7 +47,7 @@ def test_the_heavy_end_moves_as_on_one_rod(h: float, compiler: None) -> None:
     assert unit.counts["iterations"] <= 12 * stop / h
 
 
-#: more than one light mass in steps of 0.02 s: where rods go slack, solutions with rods pressed by 1e5 N are as near
+#: more than one light mass in steps of 0.02 s: where rods go slack, solutions with rods pressed hard are as near
 CHAINS = [
     (n, order, dim, h) for n in (2, 3, 10) for order in (2, 6) for dim in (2, 3) for h in STEPS if n == 2 or h < 0.02
 ]
