@@ -14,6 +14,7 @@ _C = "phfmu.components.control."
 LIBRARY: dict[str, tuple[str, str, str]] = {
     "synchronous_machine": ("component", _E + "synchronous_machine", "field and damper windings, abc terminals"),
     "machine_at_bus": ("component", _E + "synchronous_machine", "machine with its line folded in: no bare node"),
+    "induction_machine": ("component", _E + "induction_machine", "squirrel-cage machine with any number of cages"),
     "rl_line": ("component", _E + "rl_line", "three-phase series line"),
     "infinite_bus": ("component", _E + "infinite_bus", "stiff three-phase grid"),
     "rlc_load": ("component", _E + "rlc_load", "three-phase parallel R, L, C to ground"),
@@ -71,6 +72,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "smib_hydro": ("scene", _S + "smib", "hydro generator at an infinite bus, torque step"),
     "smib_folded": ("scene", _S + "smib", "smib with the line folded into the machine: full order"),
     "smib_breaker": ("scene", _S + "smib", "turbo generator, two lines: fault, line opened at its current zeros"),
+    "motor_start": ("scene", _S + "motor_start", "induction motor across a line, from rest, then loaded"),
     "ladder": ("scene", _S + "ladder", "two machines with loads along a line, torque step"),
     "two_machine": ("scene", _S + "two_machine", "two machines, line, load, three-phase fault"),
 }

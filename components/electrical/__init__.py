@@ -3,9 +3,11 @@
 from phfmu.components.electrical.branches import rc_node, rl_branch, rl_link
 from phfmu.components.electrical.breaker import breaker, clearing_fault, ideal_diode
 from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.induction_machine import induction_machine
 from phfmu.components.electrical.infinite_bus import infinite_bus
 from phfmu.components.electrical.machine_data import MachineData, MachineDataError, machine_names, machine_set
 from phfmu.components.electrical.machine_init import OperatingPoint, operating_point, steady_state
+from phfmu.components.electrical.machine_per_unit import from_inductances, from_per_unit, reactances
 from phfmu.components.electrical.rectifiers import rectifier_bridge, six_pulse_bridge
 from phfmu.components.electrical.resistor import resistor, transformer
 from phfmu.components.electrical.rl_line import rl_line
@@ -26,14 +28,18 @@ __all__ = [
     "dc_motor",
     "diode",
     "fault_resistor",
+    "from_inductances",
+    "from_per_unit",
     "ideal_diode",
     "ideal_switch",
+    "induction_machine",
     "infinite_bus",
     "machine_at_bus",
     "machine_names",
     "machine_set",
     "operating_point",
     "rc_node",
+    "reactances",
     "rectifier_bridge",
     "resistor",
     "rl_branch",

@@ -1,0 +1,147 @@
+"""The induction machine with any number of rotor cages, in the stator's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi, sqrt
+
+import casadi as ca
+
+from phfmu import (
+    ELECTRICAL,
+    PHDAE,
+    ROTATIONAL,
+    DeclarationError,
+    Port,
+    Variable,
+    block,
+    damping,
+    energy,
+    observable,
+    parameter,
+    state,
+)
+from phfmu.components.electrical.park import PHASES
+
+#: orthonormal Clarke matrix: phases a, b, c -> alpha, beta, 0
+CLARKE = ca.DM([[1.0, -0.5, -0.5], [0.0, sqrt(0.75), -sqrt(0.75)], [sqrt(0.5)] * 3]) * sqrt(2.0 / 3.0)
+
+
+def induction_machine(
+    R_s: float = 0.087,
+    L_s: float = 0.8e-3,
+    L_m: float = 34.7e-3,
+    cages: Sequence[tuple[float, float]] = ((0.228, 0.8e-3),),
+    J: float = 1.662,
+    *,
+    d: float = 0.0,
+    pole_pairs: int = 2,
+    L_0: float | None = None,
+    speed: float = 0.0,
+    v: float = 375.6,
+    f: float = 60.0,
+    i: float = 80.0,
+) -> PHDAE:
+    """Three-phase induction machine with squirrel cages, all stator transients, in motor sign.
+
+    psi_s' = v - R_s i_s,  psi_k' = -R_k i_k + pole_pairs omega (-psi_k,beta, psi_k,alpha),  p' = tau + Te - d omega,  omega = p/J
+
+    H:  sum of |psi_k - psi_m|^2 / (2 L_k) over stator and cages + |psi_m|^2 / (2 L_m) + psi_0^2 / (2 L_0) + p^2 / (2 J), with
+        the magnetising flux psi_m = (sum psi_k / L_k) / (1/L_m + sum 1/L_k) in alpha, beta;  all cages link this flux alone
+    J:  J[psi_k, p] = pole_pairs (-psi_k,beta, psi_k,alpha) (skew), so that Te = pole_pairs sum (psi_k,beta i_k,alpha - ..)
+    R:  R_s on the stator, R_k on each cage, d on p
+    states:      psi_s (a, b, c), psi_1, psi_2, .. (alpha, beta) [Wb], p [kg.m2/s], the angular momentum of the shaft
+    ports:       terminal: phase voltages given, currents INTO the machine out; shaft: torque given, speed out (mechanical)
+    parameters:  R_s, L_s, L_m, L_0 [ohm, H], R_1, L_1, .. of the cages, referred to the stator, J [kg.m2], d [N.m.s/rad]
+    observables: Te [N.m], i (a, b, c) [A], slip of the shaft to a field of frequency f
+
+    R_s, L_s: resistance and leakage inductance of the stator;  L_m: magnetising inductance, 3/2 of the peak mutual inductance of
+    two phases;  L_0: zero-sequence inductance (default L_s);  cages: (resistance, leakage inductance) each;
+    speed [rad/s]: of the shaft at the start, where all fluxes are zero;  v, f, i: rated peak phase voltage, frequency, current.
+    A second cage makes deep bars or a double cage.  No angle is a state: a round rotor does not tell one.
+    Defaults: 50 hp, 460 V, 60 Hz, four poles.  Source: Krause, Wasynczuk, Sudhoff, Pekarek, Analysis of Electric
+    Machinery and Drive Systems, 2013, chapter 6.
+    """
+    _require(R_s, L_s, L_m, cages, J, pole_pairs)
+    size, flux = 1 + len(cages), v / (2.0 * pi * f)
+    stator_R = parameter("R_s", R_s, unit="ohm", min=0.0, description="stator resistance")
+    stator_L = parameter("L_s", L_s, unit="H", positive=True, description="stator leakage inductance")
+    mutual = parameter("L_m", L_m, unit="H", positive=True, description="magnetising inductance")
+    zero = parameter(
+        "L_0", L_s if L_0 is None else L_0, unit="H", positive=True, description="zero-sequence inductance"
+    )
+    rotor_R = [parameter(f"R_{k}", r, unit="ohm", description=f"cage {k}") for k, (r, _) in enumerate(cages, 1)]
+    rotor_L = [
+        parameter(f"L_{k}", x, unit="H", positive=True, description=f"leakage inductance of cage {k}")
+        for k, (_, x) in enumerate(cages, 1)
+    ]
+    inertia = parameter("J", J, unit="kg.m2", positive=True, description="inertia of the shaft")
+    friction = parameter("d", d, unit="N.m.s/rad", description="friction torque per speed of the shaft")
+    psi = state("psi_s", 3, unit="Wb", nominal=flux, description="stator fluxes", elements=PHASES)
+    rotor = [
+        state(f"psi_{k}", 2, unit="Wb", nominal=sqrt(1.5) * flux, description=f"fluxes of cage {k}, alpha and beta",
+              elements=("alpha", "beta"))
+        for k in range(1, size)
+    ]  # fmt: skip
+    nominal = 2.0 * pi * f / pole_pairs
+    p = state("p", unit="kg.m2/s", start=J * speed, nominal=J * nominal, description="angular momentum of the shaft")
+    stator = ca.mtimes(CLARKE, psi.sx)
+    fluxes, leakage = [stator[:2], *(x.sx for x in rotor)], [stator_L.sx, *(x.sx for x in rotor_L)]
+    turned = [pole_pairs * ca.vertcat(-x[1], x[0]) for x in rotor]
+    torque = sum((-ca.dot(t, x.z) for t, x in zip(turned, rotor, strict=True)), ca.SX(0))
+    return PHDAE(
+        "induction_machine",
+        states=(psi, *rotor, p),
+        parameters=(stator_R, stator_L, mutual, zero, *(x for pair in zip(rotor_R, rotor_L, strict=True) for x in pair),
+                    inertia, friction),
+        energies=(energy(_magnetic(fluxes, leakage, mutual.sx) + stator[2] ** 2 / (2 * zero.sx)), energy(p**2 / (2 * inertia))),
+        structure=tuple(_speed_voltage(x, p, t) for x, t in zip(rotor, turned, strict=True)),
+        dissipation=(damping(psi, stator_R), *(damping(x, r) for x, r in zip(rotor, rotor_R, strict=True)), damping(p, friction)),
+        ports=(
+            Port("terminal", ELECTRICAL, "effort", {psi: 1.0}, size=3, nominal=v, elements=PHASES,
+                 description="stator phases a, b, c; current into the machine"),
+            Port("shaft", ROTATIONAL, "effort", {p: 1.0}, nominal=1.5 * v * i / nominal,
+                 description="a positive torque accelerates"),
+        ),
+        observables=(
+            observable("Te", torque, unit="N.m", description="electrical torque, accelerating"),
+            observable("i", psi.z, unit="A", description="stator currents, into the machine", elements=PHASES),
+            observable("slip", 1 - pole_pairs * p.z / (2.0 * pi * f), description=f"of the shaft to a field of {f:g} Hz"),
+        ),
+        description=f"induction machine, {2 * pole_pairs} poles, {len(cages)} cage{'s' if len(cages) != 1 else ''}",
+    )  # fmt: skip
+
+
+def _magnetic(fluxes: Sequence[ca.SX], leakage: Sequence[ca.SX], mutual: ca.SX) -> ca.SX:
+    """Energy of windings that share one magnetising flux: the least over it of what the leakages and L_m store.
+
+    Written with the differences psi_k - psi_m, whose squares keep their digits where the leakages are small beside L_m.
+    """
+    inverse = [1 / x for x in leakage]
+    common = sum(f * g for f, g in zip(fluxes, inverse, strict=True)) / (1 / mutual + sum(inverse))
+    return sum(ca.sumsqr(f - common) * g / 2 for f, g in zip(fluxes, inverse, strict=True)) + ca.sumsqr(common) / (
+        2 * mutual
+    )
+
+
+def _speed_voltage(psi: Variable, p: Variable, turned: ca.SX):
+    """The skew block of J that turns the flux of a cage with the shaft and brakes the shaft with its torque."""
+    both = ca.SX(3, 3)
+    both[:2, 2], both[2, :2] = turned, -turned.T
+    return block([psi, p], both)
+
+
+def _require(
+    R_s: float, L_s: float, L_m: float, cages: Sequence[tuple[float, float]], J: float, pole_pairs: int
+) -> None:
+    """DeclarationError for values that no machine can have."""
+    named = {"L_s": L_s, "L_m": L_m, "J": J} | {f"L_{k}": x for k, (_, x) in enumerate(cages, 1)}
+    wrong = [f"{name} = {value:g} is not positive" for name, value in named.items() if not value > 0]
+    named = {"R_s": R_s} | {f"R_{k}": r for k, (r, _) in enumerate(cages, 1)}
+    wrong += [f"{name} = {value:g} ohm is negative" for name, value in named.items() if not value >= 0]
+    if not cages:
+        wrong.append("there is no cage")
+    if not (isinstance(pole_pairs, int) and pole_pairs > 0):
+        wrong.append(f"pole_pairs = {pole_pairs} is no positive integer")
+    if wrong:
+        raise DeclarationError("induction_machine", ", ".join(wrong), "give values referred to the stator, in SI units")
