@@ -74,6 +74,8 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "smib_breaker": ("scene", _S + "smib", "turbo generator, two lines: fault, line opened at its current zeros"),
     "motor_start": ("scene", _S + "motor_start", "induction motor across a line, from rest, then loaded"),
     "ladder": ("scene", _S + "ladder", "two machines with loads along a line, torque step"),
+    "wscc9": ("scene", _S + "wscc9", "nine buses, three machines, from the operating point; three-phase fault"),
+    "wscc9_steady": ("scene", _S + "wscc9", "nine buses, three machines, in steady state"),
     "two_machine": ("scene", _S + "two_machine", "two machines, line, load, three-phase fault"),
 }
 

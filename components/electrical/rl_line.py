@@ -8,7 +8,7 @@ from phfmu import ELECTRICAL, PHDAE, Port, damping, energy, observable, paramete
 from phfmu.components.electrical.park import PHASES
 
 
-def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: float = 1.0) -> PHDAE:
+def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: float = 1.0, rated: float = 1.0) -> PHDAE:
     """Three-phase series line between `a` and `b`: flux' = v_a - v_b - R i,  i = flux/L.
 
     H:  |flux|^2 / (2 L);  J: 0;  R: R on each phase
@@ -16,13 +16,13 @@ def rl_line(R: float, L: float, *, i: Sequence[float] = (0.0, 0.0, 0.0), v: floa
     ports:       a, b: voltages given, currents INTO the line out; a.i = i, b.i = -i
     parameters:  R [ohm], L [H] per phase
     observables: i (3), the current from a to b
-    `i`: start currents [A]; `v`: typical voltage [V], scales flux and ports.
+    `i`: start currents [A]; `v`: typical voltage [V] of the ports; `rated`: typical current [A], at least that of the start.
     """
     if not L > 0 or not R >= 0:
         raise ValueError(f"rl_line: L = {L} H must be positive and R = {R} ohm not negative")
     inductance = parameter("L", L, unit="H", description="inductance per phase")
     resistance = parameter("R", R, unit="ohm", description="resistance per phase")
-    size = max([abs(L * k) for k in i] + [L])
+    size = L * max(rated, *map(abs, i))
     flux = state(
         "flux",
         3,

@@ -1,0 +1,161 @@
+"""The operating point of a network: power flow and all start values in one sparse Newton iteration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import atan2, pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.network.junction import End
+from phfmu.network.network import Network
+from phfmu.operating.newton import solved
+from phfmu.operating.rotation import BALANCED, TURN, Equations, three_phase
+from phfmu.operating.specifications import Specification
+from phfmu.operating.system import NoOperatingPoint, System
+from phfmu.signals import of_member
+
+Array = NDArray[np.float64]
+
+#: voltages, as shares of those that the iteration begins with, that no grid is run at
+SOUND = (0.7, 1.3)
+
+
+@dataclass(frozen=True)
+class NetworkPoint:
+    """An operating point: start values by `member.name`, voltages by junction, and how well the equations hold.
+
+    states, algebraics, inputs, parameters: values by scalar name;  voltages [V]: phase values at t = 0 of three-phase
+    junctions;  currents [A]: into members, by port, where they were unknowns;  residuals: of the rate of each state, relative to
+    w times its nominal value;  iterations: of Newton's method.
+    """
+
+    network: Network
+    omega: float
+    states: dict[str, float]
+    algebraics: dict[str, float]
+    inputs: dict[str, float]
+    parameters: dict[str, float]
+    voltages: dict[str, Array]
+    currents: dict[str, Array]
+    residuals: dict[str, float]
+    iterations: int
+    _equations: dict[str, Equations] = field(repr=False)
+
+    @property
+    def residual(self) -> float:
+        """The largest of the residuals."""
+        return max(self.residuals.values(), default=0.0)
+
+    def magnitude(self, junction: str) -> float:
+        """Voltage of a three-phase junction in V rms, line to line."""
+        return float(np.linalg.norm(self.voltages[junction]))
+
+    def angle(self, junction: str) -> float:
+        """Angle of phase a of its voltage in rad."""
+        real, imaginary = BALANCED.T @ self.voltages[junction]
+        return atan2(imaginary, real)
+
+    def power(self, port: str) -> complex:
+        """P + jQ in VA that the member takes at a port whose current was an unknown."""
+        end = End(*port.split(".", 1))
+        at = next(j.name for j in self.network.junctions if end in j.ends)
+        v, i = self.voltages[at], self.currents[port]
+        return complex(v @ i, v @ TURN @ i)
+
+    def started(self) -> Network:
+        """The network with the point as its start."""
+        values = self.states | self.algebraics | self.inputs | self.parameters
+        members: dict[str, Any] = dict(self.network.members)
+        for name, model in self.network.declared.items():
+            own = {n.removeprefix(f"{name}."): v for n, v in values.items() if n.startswith(f"{name}.")}
+            members[name] = model.with_starts(own)
+        return replace(self.network, members=members)
+
+    def turned_back(self, states: Mapping[str, float], t: float) -> dict[str, float]:
+        """The states of a later time t, turned back to the start: equal to `states` where the motion is steady."""
+        out = {}
+        for name, model in self.network.declared.items():
+            names = [of_member(name, n) for v in model.states for n in v.names()]
+            turned = self._equations[name].turned([states[n] for n in names], -self.omega * t)
+            out |= dict(zip(names, turned.tolist(), strict=True))
+        return out
+
+
+def operating_point(net: Network, specifications: Sequence[Specification], frequency: float = 60.0) -> NetworkPoint:
+    """The balanced steady state of a network at `frequency` [Hz] that meets the specifications.
+
+    `net` has declared members with three-phase electrical ports, and whatever stands beside them (shafts, sources, signals to
+    controllers).  Where nothing fixes the angle of the voltages, one specification is a `Slack`.
+    NoOperatingPoint names members that are not symmetric under rotation of the phases, sources of another frequency, numbers of
+    equations and unknowns that differ, and voltages that no grid is run at.  KeyError names ports and free names
+    that are not there.
+    """
+    system = System(net, specifications, 2.0 * pi * frequency)
+    return _told(system, *solved(system))
+
+
+def _told(system: System, v: Array, iterations: int) -> NetworkPoint:
+    """The point in values by name."""
+    F, _ = system.evaluate(v)
+    z = system.P @ v + system.constant
+    states, algebraics, inputs, parameters, residuals = {}, {}, {}, {}, {}
+    for name, e in system.kind_of.items():
+        model, n, at = system.net.declared[name], e.size, system.place[name]
+        x, a, u, p, _ = np.split(z[at : at + n.z], np.cumsum([n.x, n.a, n.u, n.p]))
+        states |= _by_name(name, model.states, x)
+        algebraics |= _by_name(name, model.algebraics, a)
+        parameters |= _by_name(name, model.parameters, p)
+        for port, k in e.ports:
+            if port.source is None:
+                inputs |= {of_member(name, m): float(u[k + i]) for i, m in enumerate(port.input_names())}
+        nominal = np.abs(np.concatenate([np.zeros(0), *(np.atleast_1d(s.nominal) for s in model.states)]))
+        share = np.abs(F[system.row_of[name] :][: n.x]) / (
+            system.omega * np.maximum(np.where(nominal == 0, 1.0, nominal), np.abs(x))
+        )
+        residuals |= _by_name(name, model.states, share)
+    voltages, currents = {}, {}
+    for j in system.net.junctions:
+        port = next(iter(j.ports(system.net.declared).values()))
+        if three_phase(port) and j.shared == "effort":
+            at = system.common[j.name][0]
+            voltages[j.name] = BALANCED @ v[at : at + 2]
+    for end, (at, phases) in system.current.items():
+        if phases and system.at_port[end][0].shared == "effort":
+            currents[str(end)] = BALANCED @ v[at : at + 2]
+    point = NetworkPoint(
+        system.net,
+        system.omega,
+        states,
+        algebraics,
+        inputs,
+        parameters,
+        voltages,
+        currents,
+        residuals,
+        iterations,
+        system.kind_of,
+    )
+    _require_sound(system, point)
+    return point
+
+
+def _require_sound(system: System, point: NetworkPoint) -> None:
+    """A solution with voltages far from those of the start is another one than that asked for."""
+    for name, voltage in point.voltages.items():
+        at = system.common[name][0]
+        begun = float(np.linalg.norm(system.start[at : at + 2]))
+        share = float(np.linalg.norm(voltage)) / begun if begun else 1.0
+        if not SOUND[0] <= share <= SOUND[1]:
+            raise NoOperatingPoint(
+                f"{system.net.name}: the voltage of {name} would be {share:.3g} of {begun:.4g} V, which it begins with: another "
+                "solution of the equations than a grid is run at; begin nearer to the one that is meant, or check the powers"
+            )
+
+
+def _by_name(member: str, variables: Sequence[Any], values: Array) -> dict[str, float]:
+    names = [of_member(member, n) for v in variables for n in v.names()]
+    return dict(zip(names, values.tolist(), strict=True))

@@ -1,0 +1,129 @@
+"""Specifications of an operating point: what is known at a three-phase port, in instantaneous quantities.
+
+With the balanced voltage v and current i into the member (two numbers each, in the basis `BALANCED`):
+
+    |v| = V (rms, line to line),   P = v.i,   Q = (G v).i = -v.(G i),   angle of phase a of v.
+
+Each specification stands at a port of one member; for each of its equations a value of the network is freed: an input, a
+parameter or a set point, whose name is `member.name`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phfmu.operating.rotation import BALANCED, TURN
+
+Array = NDArray[np.float64]
+
+#: generator of the rotation in the basis of balanced quantities
+QUARTER = BALANCED.T @ TURN @ BALANCED
+
+
+#: values of the equations of a specification and their derivatives by v (n x 2), i (n x 2) and what is freed (n x n)
+Residual = tuple[Array, Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Specification:
+    """Equations at the port `port` (`member.name`), as many as values are freed in exchange.
+
+    `free`: their names, of inputs or parameters of any member; for a member with two scalar inputs (field and shaft of a machine)
+    these by default.  The values begin at their start values.
+    """
+
+    port: str
+    free: Sequence[str] | None = None
+
+    @property
+    def sets_power(self) -> bool:
+        """Whether it says what power flows at the port."""
+        return True
+
+    @property
+    def count(self) -> int:
+        """Number of equations."""
+        return 2
+
+    def residual(self, v: Array, i: Array, free: Array, omega: float) -> Residual:
+        """The equations, relative to what they ask for, for voltage v and current i (2 each) and the freed values."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slack(Specification):
+    """Voltage V [V rms, line to line] and its angle [rad]: the bus that takes what is left over."""
+
+    V: float
+    angle: float = 0.0
+
+    @property
+    def sets_power(self) -> bool:
+        return False
+
+    def residual(self, v: Array, i: Array, free: Array, omega: float) -> Residual:
+        across = np.array([sin(self.angle), -cos(self.angle)]) / self.V
+        value = np.array([v @ v / self.V**2 - 1.0, across @ v])
+        return value, np.vstack([2.0 * v / self.V**2, across]), np.zeros((2, 2)), np.zeros((2, 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PV(Specification):
+    """Delivered active power P [W] and voltage V [V rms, line to line]: a generator with a voltage regulator."""
+
+    P: float
+    V: float
+
+    def residual(self, v: Array, i: Array, free: Array, omega: float) -> Residual:
+        size = abs(self.P) or self.V**2 / omega
+        value = np.array([v @ v / self.V**2 - 1.0, (v @ i + self.P) / size])
+        by_v, by_i = np.vstack([2.0 * v / self.V**2, i / size]), np.vstack([np.zeros(2), v / size])
+        return value, by_v, by_i, np.zeros((2, 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PQ(Specification):
+    """Delivered active power P [W] and reactive power Q [var]; negative ones are taken."""
+
+    P: float
+    Q: float
+
+    def residual(self, v: Array, i: Array, free: Array, omega: float) -> Residual:
+        size = max(abs(self.P), abs(self.Q)) or 1.0
+        value = np.array([v @ i + self.P, v @ QUARTER @ i + self.Q]) / size
+        by_v, by_i = np.vstack([i, QUARTER @ i]) / size, np.vstack([v, v @ QUARTER]) / size
+        return value, by_v, by_i, np.zeros((2, 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Load(Specification):
+    """Active power P [W] that the resistance R of a member takes, and reactive power Q [var] that its inductance L takes.
+
+    P R = |v|^2,  Q w L = |v|^2:  R and L of the member are found, which may have a capacitance beside them.  A power of 0
+    leaves its parameter as it is.  These equations are regular from a start without current, those of v and i are not.
+    """
+
+    P: float
+    Q: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.P < 0 or self.Q < 0:
+            raise ValueError(
+                f"Load at {self.port}: P = {self.P:g} W and Q = {self.Q:g} var must not be negative; use PQ"
+            )
+
+    @property
+    def count(self) -> int:
+        return sum(power != 0 for power in (self.P, self.Q))
+
+    def residual(self, v: Array, i: Array, free: Array, omega: float) -> Residual:
+        factors = np.array([x for x in (self.P, self.Q * omega) if x])
+        square, n = v @ v, self.count
+        size = factors * free
+        value, by_v = square / size - 1.0, 2.0 * v / size[:, None]
+        return value, by_v, np.zeros((n, 2)), np.diag(-square / size / free)
