@@ -20,20 +20,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.network.couplings.acceptance import Progress
+from phfmu.network.couplings.acceptance import RULES, Progress
 from phfmu.network.couplings.coupling import Solution, Step
 from phfmu.network.couplings.newton import energies, failed, trial_of
 from phfmu.network.interface.hidden import hidden_part
 from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.matrices import assembled, update
+from phfmu.outcome.limits import defined
 from phfmu.outcome.status import Status
 
 Array = NDArray[Any]
 
-WINDOW = 24  # differences kept
-FIRST = 0.1  # of f is taken while there are no differences and M is C
-DROPPED = 1e-12  # part of a column that is not in those before it, below which it is rounding
-ITERATIONS = 60
+_NUMBERS = defined(RULES.parent / "anderson.h")
+
+#: differences kept;  part of f that is taken while there are none and M is C;  part of a column that is rounding
+WINDOW, FIRST, DROPPED = int(_NUMBERS["ANDERSON_WINDOW"]), _NUMBERS["ANDERSON_FIRST"], _NUMBERS["ANDERSON_DROPPED"]
+ITERATIONS = int(_NUMBERS["ANDERSON_ITERATIONS"])
 HOW = "interface iteration with Anderson's acceleration"
 
 
@@ -123,4 +125,9 @@ def _begun(joined: Joined, step: Step) -> Memory:
         parts = zip(joined.members, step.states, strict=True)
         M = joined.matrix([m.sensitivity(step.t, step.h, s) for m, s in parts])
     none = np.zeros((len(face.names), 0))
-    return Memory(none, none, np.maximum(1e-6 * face.nominal, 1e-300), M, plain)
+    return Memory(none, none, first_sizes(joined), M, plain)
+
+
+def first_sizes(joined: Joined) -> Array:
+    """Sizes of the unknowns before the first trial."""
+    return np.maximum(1e-6 * joined.face.nominal, 1e-300)

@@ -279,7 +279,13 @@ class Coupled:
         """Adds as many of n steps as go as usual without returning to Python, if all members can do that; their number."""
         if self._master is None or not self._sums.known:
             return 0
-        steps, self.last = self._master.advance(self.last, self._sums, grid, n)
+        last, states = self.last, self.joined.states() if self._growth else None
+        steps, self.last = self._master.advance(last, self._sums, grid, n)
+        done = len(steps.H)
+        if self._growth and states and done and (fine := self._growth.within(steps.H, steps.pairs)) < done:
+            # the one that runs away is left to the loop in Python, which says so
+            self.joined.restore(states)
+            steps, self.last = self._master.advance(last, self._sums, grid, fine)
         if done := len(steps.H):
             works = None if steps.works is None else self._works.grouped(steps.works)
             parts.append(replace(steps, signals=self._columns.rows(steps.signals), works=works))

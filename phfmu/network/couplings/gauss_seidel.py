@@ -25,12 +25,14 @@ class GaussSeidel:
         """The sequence that was asked for, or the usual one; ValueError if it is not one of the members."""
         return usual_sequence(network) if sequence is None else complete(sequence, network)
 
+    def groups(self, joined: Joined) -> list[list[int]]:
+        """Places of members among all, in the order in which they step; ValueError if the sequence is not one of the members."""
+        at = {m.name: i for i, m in enumerate(joined.members)}
+        return [[at[name]] for name in self.sequence_of(joined.network, self._sequence)]
+
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """ValueError where no output gives a junction unknown, or the sequence is not one of the members."""
-        self._sequence = self.sequence_of(joined.network, self._sequence)
-        at = {m.name: i for i, m in enumerate(joined.members)}
-        groups = [[at[name]] for name in self._sequence]
-        return stepped(joined, self._instant, last, step, groups)
+        return stepped(joined, self._instant, last, step, self.groups(joined))
 
 
 def usual_sequence(network: Network) -> tuple[str, ...]:

@@ -32,6 +32,14 @@ class Growth:
         """Energies at the start, or what an event changed in them."""
         self.known += float(np.abs(H).sum())
 
+    def within(self, H: Array, pairs: Array) -> int:
+        """As `watch`, of a row a step of members whose energy is known: how many steps there are before one runs away."""
+        known = self.known + np.cumsum(np.abs(pairs[:, self._outer]).sum(axis=1))
+        away = ~(np.abs(H).sum(axis=1) <= LIMIT * known)
+        n = int(away.argmax()) if away.any() else len(H)
+        self.known = float(known[n - 1]) if n else self.known
+        return n
+
     def watch(self, t: float, h: float, H: Array, pairs: Array) -> None:
         """After a step from t with energies H and energy through `pairs`; StepFailure where they have run away."""
         known = self.known + float(np.abs(pairs[self._outer]).sum())

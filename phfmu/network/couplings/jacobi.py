@@ -16,6 +16,10 @@ class Jacobi:
     def __init__(self) -> None:
         self._instant = Instant()
 
+    def groups(self, joined: Joined) -> list[list[int]]:
+        """All step at once."""
+        return [[*range(len(joined.members))]]
+
     def solve(self, joined: Joined, last: Solution, step: Step) -> Solution:
         """ValueError where no output gives a junction unknown."""
-        return stepped(joined, self._instant, last, step, [range(len(joined.members))])
+        return stepped(joined, self._instant, last, step, self.groups(joined))

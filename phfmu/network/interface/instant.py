@@ -2,11 +2,12 @@
 
     P^T y(P xi + U_free) + C xi = 0,     y: outputs at the time that each member has come to.
 
-Members without feedthrough need no iteration: their outputs do not follow xi.
+Members without feedthrough need no iteration: their outputs do not follow xi.  `couplings/runtime/instant.c` is the twin.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,15 @@ from numpy.typing import NDArray
 from phfmu.network.interface.hidden import hidden_part
 from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.matrices import update
+from phfmu.outcome.limits import defined
 from phfmu.outcome.status import Status, StepFailure
 
 Array = NDArray[np.float64]
 
-SOLVED = 1e-13  # scaled residual that counts as zero
-STALLED = 1e-10  # the same where it no longer shrinks
-SHRINKING = 0.1  # a residual that shrinks to more than this part of the last needs a new matrix
-ITERATIONS = 20
+_NUMBERS = defined(Path(__file__).parent.parent / "couplings" / "runtime" / "in_turn.h")
+
+SOLVED, STALLED, SHRINKING = (_NUMBERS[f"INSTANT_{n}"] for n in ("SOLVED", "STALLED", "SHRINKING"))
+ITERATIONS = int(_NUMBERS["INSTANT_ITERATIONS"])
 
 
 class Instant:

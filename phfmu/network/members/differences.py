@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.network.members.member import Member
+from phfmu.outcome.limits import defined
 
 Array = NDArray[np.float64]
 
-MOVE = 1e-3  # relative change of an input that tells whether outputs follow it
-ROUNDING = 1e-13  # a change of an output below this part of its size is none
+_NUMBERS = defined(Path(__file__).parent.parent / "couplings" / "runtime" / "in_turn.h")
+#: relative change of an input that tells whether outputs follow it;  part of an output below which a change of it is none
+MOVE, ROUNDING = _NUMBERS["INSTANT_MOVE"], _NUMBERS["INSTANT_ROUNDING"]
 
 
 def finite_differences(member: Member, u: Array, t: float, h: float, state: Any, nominal: Array) -> Array:

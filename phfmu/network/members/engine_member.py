@@ -120,6 +120,10 @@ class EngineMember:
         self._inputs.u = u.copy()
         self.instance.set_input(u)
 
+    def took(self, u: Array) -> None:
+        """Compiled code has given it the inputs u, and stepped it."""
+        self._inputs.u = u.copy()
+
     @property
     def states(self) -> dict[str, float]:
         names = [n for v in self.model.declaration.states for n in v.names()]

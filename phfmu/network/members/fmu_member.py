@@ -205,6 +205,10 @@ class FMUMember:
         if self.taken:
             self.unit.set(self._signals(u))
 
+    def took(self, u: Array) -> None:
+        """Compiled code has given it the inputs u, and stepped it."""
+        self._u = u.copy()
+
     def _signals(self, u: Array) -> dict[str, float]:
         return {n: float(u[i]) for n, i in self.taken.items()}
 

@@ -1,8 +1,8 @@
 """The master in compiled code: members of native engines and units, stepped and joined without returning to Python.
 
-The same iteration as that of `newton.py` and `node_newton.py`, with the same rules; equal to rounding, since linear systems are
-solved by the sparse factors of the runtime.  What does not go as usual there is left to these: a step that is refused by the
-compiled loop is taken by them, or refused with their words.
+One loop for all couplings that are solvers of it (`solvers.py`).  They iterate as their files in Python do, with the same rules;
+equal to rounding, since linear systems are solved by the sparse factors of the runtime.  What does not go as usual is left to
+these: a step that is refused by the compiled loop is taken by them, or refused with their words.
 """
 
 from __future__ import annotations
@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 
 from phfmu.engine.native.structures import Structures
 from phfmu.gradients.quadrature import nodes
-from phfmu.network.couplings import newton
-from phfmu.network.couplings.acceptance import ITERATIONS, KNOWN
 from phfmu.network.couplings.compiled.master_library import HEADER, library
 from phfmu.network.couplings.compiled.master_pattern import Exchanged, Part, Pattern, Told, exchanged
 from phfmu.network.couplings.compiled.shares import Make, Own, own_share, watched
+from phfmu.network.couplings.compiled.solvers import Solver, Tables, solver_of
 from phfmu.network.couplings.compiled.threads import Pace, crew
 from phfmu.network.couplings.coupling import Coupling, Solution
-from phfmu.network.couplings.node_newton import NodeNewton, NodeSolution, Unknowns
 from phfmu.network.couplings.unconverged import plain
 from phfmu.network.interface.end_sums import EndSums
 from phfmu.network.interface.joined import Joined
@@ -64,8 +62,9 @@ class Master:
         self._inputs: list[Array] = []
         self._own = [make(p, self._memory, self._lib) for make, p in zip(makes, found.parts, strict=True)]
         shares = [self._share(i, own) for i, own in enumerate(self._own)]
-        self._z, self._last = np.zeros(found.size), np.zeros(found.size)
-        self._missed = np.zeros((KNOWN, found.size))
+        tables = Tables(joined, found, self._pattern, self._memory, self._lib, np.zeros(found.size))
+        self._z = tables.z
+        self._solver: Solver = solver_of(coupling)(coupling, tables)
         #: the solution and length of the last step that was taken here, which the memory of the loop goes on from
         self._left: tuple[Solution, float] | None = None
         #: steps that were taken here;  rules of the iteration (`ph_rules`)
@@ -114,12 +113,12 @@ class Master:
         s.cost = self.pace.cost.ctypes.data if self.pace.measures else None
         done, spent = self._run(grid, n, next_)
         self.taken += done
-        self.pace.took(self.threads, done, trials, spent)
+        self.pace.took(self.threads, done, np.maximum(trials[:done], 1), spent)
         self.failure = next((f for own in self._own if (f := own.failure())), None)
         if done == 0:
             return Steps.stacked([]), last
-        for own, rows in zip(self._own, members, strict=True):
-            own.finish(t0 + (first + done - 1) * h, h, rows[done - 1])
+        for own, rows, u in zip(self._own, members, self._inputs, strict=True):
+            own.finish(t0 + (first + done - 1) * h, h, rows[done - 1], u)
         names = len(self.joined.face.names)  # signals are no columns
         xi, end = xi[:done, :names], xi[:done, e.columns : e.columns + names]
         rows = self._steps([own.told(m[:done], h) for own, m in zip(self._own, members, strict=True)], xi, end, sums)
@@ -153,34 +152,15 @@ class Master:
 
         Time decides where calls end, so it must not matter: what one has left, the next goes on from.
         """
-        e = self.found
         if self._left is not None and self._left[0] is last and self._left[1] == h:
             return 1
-        if not isinstance(self.coupling, NodeNewton):
-            self._z[:] = last.xi
-            return 0
-        if isinstance(last, NodeSolution) and last.found is not None and last.h == h:
-            self._last[:] = e.pack(last.found.flat)
-            self._struct.known = len(last.missed)
-            for to, missed in zip(self._missed, last.missed, strict=False):
-                to[:] = e.pack(missed)
-            return 1
-        self._z[:] = e.pack(self.coupling.start(last, h).flat)
-        return 0
+        return int(self._solver.begin(self._struct, last, h))
 
     def _solution(self, xi: Array, trials: int, accepted_by: str, h: float) -> Solution:
         if self.failure:  # nobody goes on from here
             return Solution(xi, np.zeros(len(self.joined.free)), trials, accepted_by)
-        for place, part in zip(self._inputs, self.found.parts, strict=True):
-            if part.held:  # what it was given, for those who set a part of it
-                part.member.set_input(place)
         y = np.concatenate([p.member.output() for p in self.found.parts])
-        if not isinstance(self.coupling, NodeNewton):
-            return Solution(xi, y, trials, accepted_by)
-        z, unpack = self.found.unpack(self._last), self.found.unpack
-        found = Unknowns(z[: self.found.nodes], z[self.found.nodes :].reshape(2, -1))
-        missed = tuple(unpack(m) for m in self._missed[: self._struct.known])
-        return NodeSolution(xi, y, trials, accepted_by, found=found, h=h, missed=missed)
+        return self._solver.solution(self._struct, Solution(xi, y, trials, accepted_by), h)
 
     def _steps(self, members: list[Told], xi: Array, end: Array, sums: EndSums) -> dict[str, Any]:
         """Fields of `Steps` from what was recorded."""
@@ -202,16 +182,16 @@ class Master:
             "kicked_output": part.kicked_output, "right_direction": part.right_direction,
             "right_col": part.right_col, "right": part.right, "left_output": part.left_output, "left_row": part.left_row,
             "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
-            "at_end": nodes(part.k).value(1.0), "now": np.zeros(nu),
+            "at_end": nodes(part.k).value(1.0), "nominal": np.asarray(part.member.nominal, float), "now": np.zeros(nu),
             "free": self.joined.free[self.joined.places[i]].ctypes.data,
             "given": None, "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
-            "y": np.zeros(kn), "dy": np.zeros((all_, kn)), "dend": np.zeros((all_, nu)),
+            "y": np.zeros(kn + nu), "dy": np.zeros((all_, kn)), "dend": np.zeros((all_, nu)),
             "across": np.zeros((len(part.row), all_)), "jump": np.zeros(part.kicks**2), "record": None, "clock": None,
         }  # fmt: skip
         return self._memory.fill("ph_share", values)
 
     def _rules(self) -> dict[str, Any]:
-        return {"held": not isinstance(self.coupling, NodeNewton), "iterations": ITERATIONS}
+        return {"held": self._solver.held, "iterations": self._solver.iterations}
 
     def _values(self) -> dict[str, Any]:
         e, p, n = self.found, self._pattern, self.found.size
@@ -220,9 +200,10 @@ class Master:
         work = {name: np.zeros(n) for name in ("rows", "size", "move", "scale", "plain")}
         work |= {name: np.zeros(square) for name in ("S0", "S1", "mixed", "T")}
         work |= {name: np.zeros(len(e.bare)) for name in ("moved", "sums")}
-        work |= {name: np.zeros(len(p.rowind)) for name in ("a", "scaled")}
+        work |= {"a": p.a, "scaled": np.zeros(len(p.rowind))}
         lu = np.zeros(self._lib.ph_master_lu_size(n, len(p.rowind), p.capacity) // 8 + 1)
-        return work | {
+        return work | self._solver.fields | {
+            "solver": getattr(self._lib, f"ph_solver_{self._solver.name}")(),
             "rules": ctypes.addressof(self.rules), "shares": self._array,
             "nshare": len(e.parts), "nxi": e.nodes, "nbare": len(e.bare), "ncolumn": e.columns, "nskew": len(e.skew),
             "ncluster": len(e.cluster) - 1, "nahead": len(e.ahead), "nnz": len(p.rowind), "capacity": p.capacity,
@@ -233,7 +214,7 @@ class Master:
             "least": e.least, "cluster": e.cluster, "square": e.square, "law_entry": p.law, "own_entry": p.own,
             "signs": e.signs, "ahead_to": e.ahead_to, "ahead_from": e.ahead_from, "ahead": e.ahead,
             "colptr": p.colptr, "rowind": p.rowind, "order": p.order, "prefer": p.prefer, "z": self._z,
-            "found": self._last, "missed": self._missed, "known": 0, "row": 0,
+            "known": 0, "row": 0,
             "lu": lu, "crew": None,
             "status": np.zeros(len(e.parts), np.int32), "cost": None, "clock": None, "xi": None, "work": None, "trials": None,
             "accepted": None,
@@ -256,7 +237,7 @@ def master(joined: Joined, coupling: Coupling, works: bool = False, threads: int
     their junctions are wanted;  `threads`: None chooses.
     """
     coupling = plain(coupling)
-    if not isinstance(coupling, newton.Newton | NodeNewton):
+    if solver_of(coupling) is None:
         return None
     makes = [make for m in joined.members if (make := own_share(m))]
     if len(makes) < len(joined.members):

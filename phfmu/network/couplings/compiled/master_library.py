@@ -14,8 +14,19 @@ from phfmu.network.couplings.acceptance import RULES
 RUNTIME = Path(__file__).parent.parent / "runtime"
 #: prefixes of the versions of the standard whose functions it calls
 CALLED = ("fmi2", "fmi3")
-HEADERS = (RULES, *(RUNTIME / f"{name}.h" for name in ("clock", "native", "unit", "master")))
-STRUCTURES = ("ph_rules", "ph_progress", "ph_clock", "ph_native", "ph_scalars", "ph_unit", "ph_share", "ph_master")
+HEADERS = (RULES, *(RUNTIME / f"{name}.h" for name in ("clock", "native", "unit", "master", "anderson", "in_turn")))
+STRUCTURES = (
+    "ph_rules",
+    "ph_progress",
+    "ph_clock",
+    "ph_native",
+    "ph_scalars",
+    "ph_unit",
+    "ph_share",
+    "ph_master",
+    "ph_anderson",
+    "ph_in_turn",
+)
 HEADER = Header(HEADERS, STRUCTURES, "ph_calls")
 #: of the runtime of models, what the master has in common with it
 SHARED = "lu.c"
@@ -40,7 +51,9 @@ def library() -> ctypes.CDLL:
         [pointer, *[ctypes.c_double] * 2, integer, ctypes.c_longlong, integer],
     )
     lib.ph_crew_size.restype, lib.ph_crew_size.argtypes = ctypes.c_size_t, []
-    for name in ("ph_kind_native", "ph_kind_unit", *(f"ph_unit_{prefix}" for prefix in CALLED)):
+    lib.ph_matrix_factor.restype, lib.ph_matrix_factor.argtypes = integer, [pointer]
+    solvers = (f"ph_solver_{name}" for name in ("newton", "anderson", "in_turn"))
+    for name in ("ph_kind_native", "ph_kind_unit", *(f"ph_unit_{prefix}" for prefix in CALLED), *solvers):
         getattr(lib, name).restype = pointer
     for name in ("ph_crew_init", "ph_crew_help", "ph_crew_end"):
         function = getattr(lib, name)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csc_array
 
 from phfmu.engine.build.derived import factor_room
 from phfmu.gradients.quadrature import nodes
@@ -16,6 +16,7 @@ from phfmu.network.couplings.node_newton import NodeNewton
 from phfmu.network.interface.bare_columns import Clusters
 from phfmu.network.interface.exchange import Share
 from phfmu.network.interface.joined import Joined
+from phfmu.network.interface.matrices import small
 from phfmu.network.members.member import Member
 from phfmu.network.members.node_values import HeldNodes
 from phfmu.plan.ordering import elimination_order
@@ -111,7 +112,7 @@ class Exchanged:
 
 
 def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
-    """What members exchange under one of the Newton couplings."""
+    """What members exchange under a coupling."""
     if isinstance(coupling, NodeNewton):
         e = coupling.exchange
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
@@ -226,5 +227,18 @@ class Pattern:
         self.colptr = np.searchsorted(columns, np.arange(n + 1)).astype(np.int32)
         ends = np.cumsum([len(b[0]) for b in blocks])[:-1]
         *self.entries, self.skew, self.law, self.own = (a.astype(np.int32) for a in np.split(where, ends))
+        self._columns = columns
+        #: numbers of the matrix, which the master fills in
+        self.a = np.zeros(len(self.rowind))
         self.order, self.prefer = elimination_order(n, self.rowind, columns, np.zeros(0, np.int32))
         self.capacity = max(1, factor_room(self.rowind, self.colptr, self.order, self.prefer))
+
+    def take(self, matrix: Any) -> None:
+        """Numbers of a matrix of this pattern, an array or sparse."""
+        self.a[:] = np.asarray(matrix[self.rowind, self._columns]).ravel()
+
+    def matrix(self) -> Any:
+        """The matrix, as `assembled` makes it."""
+        n = len(self.colptr) - 1
+        found = csc_array((self.a.copy(), self.rowind, self.colptr), shape=(n, n))
+        return small(found)

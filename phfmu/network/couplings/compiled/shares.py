@@ -67,8 +67,10 @@ class NativeShare:
     def begin(self) -> None:
         """Nothing is to be known before steps."""
 
-    def finish(self, t: float, h: float, row: Array) -> None:
-        """The instance is where its last step ended: t + h."""
+    def finish(self, t: float, h: float, row: Array, u: Array) -> None:
+        """The instance is where its last step ended, t + h, under held inputs u, or values at nodes."""
+        if self._part.held:
+            self._member.took(u)
 
     def failure(self) -> None:
         """It can always be asked again."""
@@ -94,8 +96,8 @@ class Own(Protocol):
         """Before steps."""
         ...
 
-    def finish(self, t: float, h: float, row: Array) -> None:
-        """The last step that was taken, from t by h, has this row."""
+    def finish(self, t: float, h: float, row: Array, u: Array) -> None:
+        """The last step that was taken, from t by h under inputs u, has this row."""
         ...
 
     def failure(self) -> StepFailure | None:
@@ -112,7 +114,9 @@ Make = Callable[[Part, Structures, ctypes.CDLL], Own]
 
 
 def own_share(member: Member) -> Make | None:
-    """What makes the share of a member; None of those that are stepped in Python."""
+    """What makes the share of a member; None of those that are stepped in Python, and that take no step back."""
+    if not member.saves:
+        return None
     if isinstance(member, EngineMember):
         native = isinstance(member.instance, NativeInstance) and member.model.events is None
         return NativeShare if native else None

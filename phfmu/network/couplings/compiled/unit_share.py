@@ -158,8 +158,10 @@ class UnitShare:
         if len(self._before):
             self._before[:] = self._member.unit.get(self._member.told_of_events)
 
-    def finish(self, t: float, h: float, row: Array) -> None:
-        """The last step that was taken, from t by h, has this row."""
+    def finish(self, t: float, h: float, row: Array, u: Array) -> None:
+        """The last step that was taken, from t by h under inputs u, has this row."""
+        if self._part.held:
+            self._member.took(u)
         first, k, nu = len(self._row), self._part.k, self._member.nu
         given = row[first : first + k * nu].reshape(k, nu)[:, : self._access.values.nu]
         self._access.stepped(t, h, given, self._part.held)

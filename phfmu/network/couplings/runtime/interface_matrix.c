@@ -25,20 +25,28 @@ void ph_master_lu_init(ph_master *m) {
     ph_lu_take(lu, &whole);
 }
 
-/* Derivatives of all rows with respect to z, of the last trial, and their factors with rows scaled by their
- * largest entries. */
-int ph_matrix_take(ph_master *m) {
-    const int n = m->nxi, nb = m->nbare, all = n + 2 * nb;
-    long long count[PH_NCOUNT] = {0};
-    int status;
+/* C; the members add to it. */
+static void begin(ph_master *m) {
     ph_clear(m->a, m->nnz);
     for (int e = 0; e < m->nskew; e++)
         m->a[m->skew_entry[e]] += m->skew[e];
-    status = ph_shares_along(m);
+}
+
+int ph_matrix_of(ph_master *m, int (*along)(ph_master *)) {
+    int status;
+    begin(m);
+    status = along(m);
+    for (int i = 0; i < m->nshare && status == PH_OK; i++)
+        ph_share_add_matrix(m, &m->shares[i]);
+    return status;
+}
+
+/* Derivatives of all rows with respect to z, of the last trial, and their factors. */
+int ph_matrix_take(ph_master *m) {
+    const int nb = m->nbare;
+    int status = ph_matrix_of(m, ph_shares_along);
     if (status)
         return status;
-    for (int i = 0; i < m->nshare; i++)
-        ph_share_add_matrix(m, &m->shares[i]);
     ph_lap(m->clock, PH_SOLVING);
     status = ph_pair_root(m);
     ph_lap(m->clock, PH_JOINING);
@@ -54,6 +62,19 @@ int ph_matrix_take(ph_master *m) {
     }
     for (int b = 0; b < nb; b++)
         m->a[m->own_entry[b]] = 1.0;
+    return ph_matrix_factor(m);
+}
+
+int ph_matrix_plain(ph_master *m) {
+    begin(m);
+    return ph_matrix_factor(m);
+}
+
+/* Factors of the matrix with rows scaled by their largest entries. */
+int ph_matrix_factor(ph_master *m) {
+    const int all = m->nxi + 2 * m->nbare;
+    long long count[PH_NCOUNT] = {0};
+    int status;
     ph_clear(m->scale, all);
     for (int e = 0; e < m->nnz; e++)
         if (fabs(m->a[e]) > m->scale[m->rowind[e]])
@@ -70,16 +91,14 @@ int ph_matrix_take(ph_master *m) {
     return status;
 }
 
-int ph_matrix_update(ph_master *m) {
+/* move = matrix^-1 rows, which are scaled. */
+void ph_matrix_solve(ph_master *m) {
     const int all = m->nxi + 2 * m->nbare;
     for (int i = 0; i < all; i++)
         m->rows[i] *= m->scale[i];
     ph_lap(m->clock, PH_SOLVING);
     ph_lu_solve(m->lu, m->rows, m->move);
     ph_lap(m->clock, PH_JOINING);
-    for (int i = 0; i < all; i++)
-        m->z[i] -= m->move[i];
-    return ph_all_finite(m->z, all) ? PH_OK : PH_NOT_FINITE;
 }
 
 /* Whether rows are what a relative change of the unknowns by eps makes of them, with the last matrix. Members

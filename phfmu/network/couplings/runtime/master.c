@@ -1,4 +1,4 @@
-/* The steps of coupled members: Newton's method over their unknowns, and rows of what was accepted. */
+/* The steps of coupled members: trials until one is accepted, and rows of what was. */
 #include <string.h>
 
 #include "master.h"
@@ -12,12 +12,14 @@ static void restore(ph_master *m) {
 
 /* z of one step, from z; how many trials it took and by which test it was accepted. */
 static int solve(ph_master *m, double t, double h, int *trials, int *by) {
+    const ph_solver *solver = m->solver;
     const ph_rules *rules = m->rules;
     ph_progress p = {0};
+    *trials = 0;
     while (p.trials < rules->iterations) {
         ph_trial now;
-        int left, floor, status = ph_trial_take(m, t, h, p.trials > 0, &now);
-        if (status)
+        int left, floor, status = solver->take(m, t, h, p.trials > 0, &now);
+        if (status || !solver->move)
             return status;
         ph_coupled_note(rules, &p, now.scaled);
         floor = p.stalled && p.matrices > 0 && ph_matrix_at_floor(m);
@@ -26,12 +28,7 @@ static int solve(ph_master *m, double t, double h, int *trials, int *by) {
         *trials = p.trials;
         if (*by != PH_NOT_YET)
             return PH_OK;
-        if (ph_coupled_takes_matrix(rules, &p, left)) {
-            status = ph_matrix_take(m);
-            p.matrices++;
-        }
-        if (status == PH_OK)
-            status = ph_matrix_update(m);
+        status = solver->move(m, &p, left);
         if (status)
             return status;
     }
@@ -50,16 +47,16 @@ static void record(ph_master *m, double h, int row) {
 }
 
 int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next) {
+    const ph_solver *solver = m->solver;
     int done = 0, status;
     if (m->clock)
         ph_clock_start(m->clock);
-    status = ph_trial_before(m);
+    m->row = 0;
+    status = solver->begin ? solver->begin(m) : PH_OK;
     for (; done < n && status == PH_OK; done++) {
         int by = PH_NOT_YET;
-        double *swap;
         m->row = done;
-        if (done || next)
-            ph_continue_ahead(m);
+        solver->start(m, done || next);
         status = solve(m, t0 + (double)(first + done) * h, h, &m->trials[done], &by);
         if (status == PH_OK)
             status = ph_settle(m);
@@ -69,16 +66,15 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
             status = ph_shares_finish(m, done);
         if (status) {
             restore(m);
+            if (solver->drop)
+                solver->drop(m);
             break;
         }
         m->accepted[done] = by;
         record(m, h, done);
         ph_work_record(m, h, done);
-        ph_continue_keep(m, done || next);
-        memcpy(m->sums, m->rows + m->nxi, sizeof(double) * (size_t)m->nbare);
-        swap = m->S0;
-        m->S0 = m->S1;
-        m->S1 = swap;
+        if (solver->keep)
+            solver->keep(m, done || next);
     }
     ph_lap(m->clock, PH_JOINING);
     return done;

@@ -1,5 +1,5 @@
-/* Members of a network in compiled code, stepped apart and joined by Newton's method: the twin of newton.py
- * and node_newton.py, where the equations are.
+/* Members of a network in compiled code, stepped apart and joined: the co-simulation master. Couplings are
+ * solvers of it (ph_solver), the equations of which are in the files in Python of the same names.
  *
  * Each member is a library of its own, native or that of a unit, and many may be loaded at once under the
  * same names, so that they are called through tables of functions. This is a library of its own too: it is
@@ -68,6 +68,7 @@ typedef struct ph_share {
     const int *jump_entry;      /* nkick*nkick: entry in the blocks of S, or -1 */
     const double *weights;      /* k */
     const double *at_end;       /* k: of the polynomial through values at nodes its value at the end */
+    const double *nominal;      /* nu: sizes of inputs */
     const double *free;         /* nu: inputs besides those of junctions, offsets of signals */
     const double *given;    /* a row a step, k*nu each: the same at its nodes; NULL: free is what they are */
     const double *outputs;  /* k*stride, of the member */
@@ -85,7 +86,23 @@ typedef struct ph_share {
     ph_clock *clock;        /* NULL: nobody asks */
 } ph_share;
 
+struct ph_master;
+struct ph_trial;
+
+/* How a coupling finds the unknowns z of a step: where it starts from, what members are asked in a trial, and
+ * how z moves between trials. NULL: nothing is done; without `move` the first trial is the step. */
+typedef struct ph_solver {
+    int (*begin)(struct ph_master *);            /* before the first step of a call */
+    void (*start)(struct ph_master *, int next); /* z; next: the step goes on from the one before */
+    int (*take)(struct ph_master *, double t, double h, int again, struct ph_trial *);
+    int (*move)(struct ph_master *, ph_progress *, int left);
+    void (*keep)(struct ph_master *, int next); /* the step was accepted */
+    void (*drop)(struct ph_master *);           /* it was refused */
+} ph_solver;
+
 typedef struct ph_master {
+    const ph_solver *solver;
+    void *memory; /* of the solver: ph_anderson, ph_in_turn, or nothing */
     const ph_rules *rules;
     const ph_share *shares; /* nshare */
     int nshare;
@@ -171,22 +188,25 @@ PH_API void ph_master_lu_init(ph_master *m);
  * `found`. Returns how many were accepted: fewer than n if one was not, before which the members are then. */
 PH_API int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int next);
 
-/* trial.c: S0 and sums before a step; a trial; ph_energy_left of it. */
+/* The solvers. */
+PH_API const ph_solver *ph_solver_newton(void);
+PH_API const ph_solver *ph_solver_anderson(void);
+PH_API const ph_solver *ph_solver_in_turn(void);
+
+/* trial.c: S0 and sums before a step; a trial of all members at once; ph_energy_left of it. */
 int ph_trial_before(ph_master *m);
 int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found);
 int ph_trial_left(ph_master *m, ph_trial *now);
 int ph_all_finite(const double *values, int n);
 
-/* interface_matrix.c: derivatives of all rows of the last trial, factored; z by one update; whether rows are
- * rounding. */
+/* interface_matrix.c: derivatives of all rows of the last trial, factored; C alone; those of members as they
+ * are, after `along`; move = the update of the unknowns for `rows`; whether rows are rounding. */
 int ph_matrix_take(ph_master *m);
-int ph_matrix_update(ph_master *m);
+int ph_matrix_plain(ph_master *m);
+int ph_matrix_of(ph_master *m, int (*along)(ph_master *));
+PH_API int ph_matrix_factor(ph_master *m);
+void ph_matrix_solve(ph_master *m);
 int ph_matrix_at_floor(ph_master *m);
-
-/* continuation.c: z = the continuation of the last step; z is what was found (ahead: from the continuation).
- */
-void ph_continue_ahead(ph_master *m);
-void ph_continue_keep(ph_master *m, int ahead);
 
 /* settle.c: sums at the end of an accepted step made zero. */
 int ph_settle(ph_master *m);
@@ -197,18 +217,24 @@ int ph_signals_present(const ph_master *m);
 /* work.c: what the accepted trial did at the junctions. */
 void ph_work_record(const ph_master *m, double h, int row);
 
-/* shares.c: of all members, by all threads: steps, from what is kept for those that come again; end values;
+/* Where members step from: where they are, which is kept to come back, what was kept, or where they are. */
+typedef enum ph_from { PH_FROM_HERE, PH_FROM_KEPT, PH_GOING_ON } ph_from;
+
+/* shares.c: of all members, by all threads: states kept; steps (of n of them, NULL: of all); end values;
  * these and rows of an accepted step; derivatives. */
-int ph_shares_step(ph_master *m, double t, double h, int again);
+int ph_shares_keep(ph_master *m);
+int ph_shares_step(ph_master *m, double t, double h, ph_from from, const int *which, int n);
 int ph_shares_refresh(ph_master *m);
 int ph_shares_finish(ph_master *m, int row);
 int ph_shares_along(ph_master *m);
 
-/* share.c: of one member its step under z, alone, then what that adds to the rows; its derivatives, alone,
- * then what they add to the matrix; what it adds to S and the sums where it is. */
+/* share.c: of one member its inputs under z, k*nu; its step under z, alone, then what that adds to the rows;
+ * its derivatives, alone, then what they add to the matrix; what it adds to S and the sums where it is. */
+void ph_share_inputs(const ph_master *m, const ph_share *s, double *u);
 int ph_share_step(const ph_master *m, const ph_share *s, double t, double h);
 void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *through);
 int ph_share_along(const ph_share *s);
+void ph_share_across(const ph_share *s);
 void ph_share_add_matrix(ph_master *m, const ph_share *s);
 int ph_share_more(const ph_master *m, const ph_share *s, const double *more);
 int ph_share_before(const ph_share *s, int nxi, double *S, double *sums);

@@ -38,27 +38,35 @@ int ph_share_end(const ph_share *s, int nxi, double *sums) {
     return status;
 }
 
-/* Where what is along direction d goes: an input, or an impulse. */
-static double *place(const ph_share *s, int d) {
-    const int i = d - s->ninput;
-    if (i < 0)
-        return s->u + s->input[d];
-    return i < s->nbare ? s->s + s->kicked[i] : s->s + s->nkick + s->kicked[i - s->nbare];
+void ph_share_inputs(const ph_master *m, const ph_share *s, double *u) {
+    const int kn = s->k * s->nu;
+    ph_clear(u, kn);
+    for (int e = 0; e < s->nright; e++)
+        if (s->right_direction[e] < s->ninput)
+            u[s->input[s->right_direction[e]]] += s->right[e] * m->z[s->col[s->right_col[e]]];
+    if (s->given)
+        for (int i = 0; i < kn; i++)
+            u[i] += s->given[(ptrdiff_t)m->row * kn + i];
+    else
+        for (int i = 0; i < kn; i++)
+            u[i] += s->free[i % s->nu];
+}
+
+/* s->s = the impulses of the step. */
+static void impulses(const ph_master *m, const ph_share *s) {
+    ph_clear(s->s, 2 * s->nkick);
+    for (int e = 0; s->nkick && e < s->nright; e++) {
+        const int i = s->right_direction[e] - s->ninput;
+        if (i >= 0)
+            s->s[i < s->nbare ? s->kicked[i] : s->nkick + s->kicked[i - s->nbare]] +=
+                s->right[e] * m->z[s->col[s->right_col[e]]];
+    }
 }
 
 int ph_share_step(const ph_master *m, const ph_share *s, double t, double h) {
-    const int kn = s->k * s->nu;
     int status;
-    ph_clear(s->u, kn);
-    ph_clear(s->s, 2 * s->nkick);
-    for (int e = 0; e < s->nright; e++)
-        *place(s, s->right_direction[e]) += s->right[e] * m->z[s->col[s->right_col[e]]];
-    if (s->given)
-        for (int i = 0; i < kn; i++)
-            s->u[i] += s->given[(ptrdiff_t)m->row * kn + i];
-    else
-        for (int i = 0; i < kn; i++)
-            s->u[i] += s->free[i % s->nu];
+    ph_share_inputs(m, s, s->u);
+    impulses(m, s);
     status = s->kind->step(s, t, h);
     return status ? status : look(s);
 }
@@ -93,13 +101,17 @@ void ph_share_add_rows(ph_master *m, const ph_share *s, double h, double *throug
 }
 
 int ph_share_along(const ph_share *s) {
-    const int all = s->ninput + 2 * s->nbare, kn = s->k * s->nu;
     int status;
-    if (all == 0)
+    if (s->ninput + s->nbare == 0)
         return PH_OK;
     status = s->kind->along(s);
-    if (status)
-        return status;
+    if (status == PH_OK)
+        ph_share_across(s);
+    return status;
+}
+
+void ph_share_across(const ph_share *s) {
+    const int all = s->ninput + 2 * s->nbare, kn = s->k * s->nu;
     ph_clear(s->across, s->nrow * all);
     for (int e = 0; e < s->nleft; e++) {
         const int i = s->left_output[e];
@@ -108,7 +120,6 @@ int ph_share_along(const ph_share *s) {
         for (int d = 0; d < all; d++)
             to[d] += s->left[e] * from[d * (i < kn ? kn : s->nu)];
     }
-    return PH_OK;
 }
 
 void ph_share_add_matrix(ph_master *m, const ph_share *s) {

@@ -10,7 +10,8 @@ typedef struct step {
     ph_master *m;
     double t;
     double h;
-    int again;
+    ph_from from;
+    const int *which;
 } step;
 
 /* Of this thread where the system tells, so that what else the machine does counts for nothing. */
@@ -24,12 +25,20 @@ static double seconds(void) {
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-static void one_step(void *with, int i) {
+static void one_keep(void *with, int i) {
+    ph_master *m = with;
+    m->status[i] = m->shares[i].kind->keep(&m->shares[i]);
+}
+
+static void one_step(void *with, int at) {
     const step *s = with;
     ph_master *m = s->m;
+    const int i = s->which ? s->which[at] : at;
     const ph_share *share = &m->shares[i];
     const double before = m->cost ? seconds() : 0.0;
-    int status = s->again ? share->kind->restore(share) : share->kind->keep(share);
+    int status = PH_OK;
+    if (s->from != PH_GOING_ON)
+        status = s->from == PH_FROM_KEPT ? share->kind->restore(share) : share->kind->keep(share);
     m->status[i] = status ? status : ph_share_step(m, share, s->t, s->h);
     if (m->cost)
         m->cost[i] += seconds() - before;
@@ -63,9 +72,14 @@ static int first_failure(const ph_master *m) {
     return PH_OK;
 }
 
-int ph_shares_step(ph_master *m, double t, double h, int again) {
-    step s = {m, t, h, again};
-    ph_crew_each(m->crew, m->nshare, one_step, &s);
+int ph_shares_keep(ph_master *m) {
+    ph_crew_each(m->crew, m->nshare, one_keep, m);
+    return first_failure(m);
+}
+
+int ph_shares_step(ph_master *m, double t, double h, ph_from from, const int *which, int n) {
+    step s = {m, t, h, from, which};
+    ph_crew_each(m->crew, n, one_step, &s);
     return first_failure(m);
 }
 

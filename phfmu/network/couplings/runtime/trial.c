@@ -49,7 +49,7 @@ int ph_trial_take(ph_master *m, double t, double h, int again, ph_trial *found) 
         m->rows[m->skew_row[e]] += term;
         m->size[m->skew_row[e]] += fabs(term);
     }
-    status = ph_shares_step(m, t, h, again);
+    status = ph_shares_step(m, t, h, again ? PH_FROM_KEPT : PH_FROM_HERE, NULL, m->nshare);
     if (status)
         return status;
     for (int i = 0; i < m->nshare; i++)

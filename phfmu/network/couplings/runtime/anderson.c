@@ -1,0 +1,145 @@
+/* Anderson's method over held values: anderson.py, with the least squares by Gram and Schmidt's method, each
+ * column twice. */
+#include "anderson.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "master.h"
+#include "system.h"
+
+static size_t bytes(int n) {
+    return sizeof(double) * (size_t)n;
+}
+
+/* In four sums, which do not wait for each other. */
+static double dot(const double *a, const double *b, int n) {
+    double sum[4] = {0.0, 0.0, 0.0, 0.0};
+    int i = 0;
+    for (; i + 3 < n; i += 4)
+        for (int j = 0; j < 4; j++)
+            sum[j] += a[i + j] * b[i + j];
+    for (; i < n; i++)
+        sum[0] += a[i] * b[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+static const double *row(const ph_anderson *a, const double *of, int j, int n) {
+    return of + (ptrdiff_t)((a->newest + j) % a->room) * n;
+}
+
+static void start(ph_master *m, int next) {
+    ph_anderson *a = m->memory;
+    (void)next;
+    a->count_before = a->count;
+    a->newest_before = a->newest;
+    memcpy(a->size_before, a->size, bytes(m->nxi));
+}
+
+static void drop(ph_master *m) {
+    ph_anderson *a = m->memory;
+    a->count = a->count_before;
+    a->newest = a->newest_before;
+    memcpy(a->size, a->size_before, bytes(m->nxi));
+}
+
+/* One more difference of xi and of f = -move. */
+static void add(ph_anderson *a, const double *xi, const double *move, int n) {
+    a->newest = (a->newest + a->room - 1) % a->room;
+    a->count = a->count < a->most ? a->count + 1 : a->most;
+    for (int i = 0; i < n; i++) {
+        a->X[a->newest * n + i] = xi[i] - a->xi[i];
+        a->F[a->newest * n + i] = -move[i] - a->f[i];
+    }
+}
+
+/* The column of F that is j-th newest, scaled, without its parts along the q columns of Q: it becomes the
+ * next one, if what is left is more than rounding. */
+static int orthogonal(ph_anderson *a, int j, int q, int n, double least) {
+    const double *f = row(a, a->F, j, n);
+    double *column = a->Q + q * n, *r = a->R + q * a->most, whole, left;
+    for (int i = 0; i < n; i++)
+        column[i] = f[i] / a->size[i];
+    whole = sqrt(dot(column, column, n));
+    ph_clear(r, q);
+    for (int twice = 0; twice < 2; twice++)
+        for (int k = 0; k < q; k++) {
+            const double part = dot(a->Q + k * n, column, n);
+            r[k] += part;
+            for (int i = 0; i < n; i++)
+                column[i] -= part * a->Q[k * n + i];
+        }
+    left = sqrt(dot(column, column, n));
+    if (!(left > PH_ANDERSON_DROPPED * whole) || left <= least)
+        return 0;
+    for (int i = 0; i < n; i++)
+        column[i] /= left;
+    r[q] = left;
+    a->kept[q] = j;
+    return 1;
+}
+
+/* c = argmin |S (f - F c)| for the differences that are kept; their number. */
+static int least_squares(ph_anderson *a, int n) {
+    double largest = 0.0;
+    int q = 0;
+    for (int j = 0; j < a->count; j++) {
+        const double *f = row(a, a->F, j, n);
+        double square = 0.0;
+        for (int i = 0; i < n; i++)
+            square += f[i] / a->size[i] * (f[i] / a->size[i]);
+        largest = fmax(largest, sqrt(square));
+    }
+    for (int j = 0; j < a->count && q < n; j++)
+        q += orthogonal(a, j, q, n, DBL_EPSILON * n * largest);
+    for (int k = 0; k < q; k++) {
+        a->c[k] = 0.0;
+        for (int i = 0; i < n; i++)
+            a->c[k] += a->Q[k * n + i] * (a->f[i] / a->size[i]);
+    }
+    for (int k = q - 1; k >= 0; k--) {
+        a->c[k] /= a->R[k * a->most + k];
+        for (int l = 0; l < k; l++)
+            a->c[l] -= a->R[k * a->most + l] * a->c[k];
+    }
+    return q;
+}
+
+static int move(ph_master *m, ph_progress *p, int left) {
+    ph_anderson *a = m->memory;
+    const int n = m->nxi;
+    int q;
+    (void)left;
+    if (!a->begun) {
+        const int status = a->plain ? ph_matrix_plain(m) : ph_matrix_take(m);
+        if (status)
+            return status;
+        a->begun = 1;
+    }
+    ph_matrix_solve(m);
+    for (int i = 0; i < n; i++)
+        a->size[i] = fmax(a->size[i], fabs(m->z[i]));
+    if (p->trials > 1)
+        add(a, m->z, m->move, n);
+    for (int i = 0; i < n; i++) {
+        a->xi[i] = m->z[i];
+        a->f[i] = -m->move[i];
+    }
+    ph_lap(m->clock, PH_SOLVING);
+    q = least_squares(a, n);
+    for (int i = 0; i < n; i++)
+        m->z[i] += q || !a->plain ? a->f[i] : PH_ANDERSON_FIRST * a->f[i];
+    for (int k = 0; k < q; k++) {
+        const double *x = row(a, a->X, a->kept[k], n), *f = row(a, a->F, a->kept[k], n);
+        for (int i = 0; i < n; i++)
+            m->z[i] -= (x[i] + f[i]) * a->c[k];
+    }
+    ph_lap(m->clock, PH_JOINING);
+    return ph_all_finite(m->z, n) ? PH_OK : PH_NOT_FINITE;
+}
+
+const ph_solver *ph_solver_anderson(void) {
+    static const ph_solver anderson = {NULL, start, ph_trial_take, move, NULL, drop};
+    return &anderson;
+}

@@ -1,0 +1,50 @@
+/* Gauss-Seidel's and Jacobi's couplings, which take no step twice: explicit.py. */
+#include "in_turn.h"
+
+#include <string.h>
+
+#include "instant.h"
+#include "master.h"
+
+static void start(ph_master *m, int next) {
+    (void)next;
+    ph_instant_begin(m);
+}
+
+/* A group under z, and what it takes. */
+static int step(ph_master *m, ph_in_turn *g, int group, double t, double h) {
+    const int *which = g->member + g->group[group], n = g->group[group + 1] - g->group[group];
+    const int status = ph_shares_step(m, t, h, PH_GOING_ON, which, n);
+    for (int i = 0; i < n && status == PH_OK; i++) {
+        const ph_share *s = &m->shares[which[i]];
+        for (int c = 0; c < s->ncol; c++)
+            g->used[s->col[c]] = m->z[s->col[c]];
+        memcpy(s->now, s->u, sizeof(double) * (size_t)s->nu);
+        g->asked[which[i]] = PH_GIVEN;
+        ph_instant_ask(g, which[i]);
+    }
+    return status;
+}
+
+/* At its end each has the inputs that it took. */
+static int take(ph_master *m, double t, double h, int again, ph_trial *found) {
+    ph_in_turn *g = m->memory;
+    int status = ph_shares_keep(m);
+    (void)again;
+    (void)found;
+    memcpy(g->used, m->z, sizeof(double) * (size_t)m->nxi);
+    for (int i = 0; i < g->ngroup && status == PH_OK; i++) {
+        status = ph_instant_solve(m);
+        if (status == PH_OK)
+            status = step(m, g, i, t, h);
+    }
+    for (int i = 0; i < m->nshare && status == PH_OK; i++)
+        status = ph_instant_give(m, i, m->shares[i].u);
+    memcpy(m->z, g->used, sizeof(double) * (size_t)m->nxi);
+    return status;
+}
+
+const ph_solver *ph_solver_in_turn(void) {
+    static const ph_solver in_turn = {NULL, start, take, NULL, NULL, NULL};
+    return &in_turn;
+}
