@@ -35,7 +35,7 @@ MOST = 40
 SWEPT = ("constraint", "strain", "force")
 
 #: models without a Schur stepper, and compilers without vectors
-NO_STEPPER = "const ph_schur_code ph_schur_solver = {0};\n"
+NO_STEPPER = "static const ph_schur_code ph_schur_solver = {0};\n"
 
 #: per kind: macro of lane.inc, arguments that are lanes, results that are lanes
 KINDS = {

@@ -28,7 +28,7 @@ from tests.wide import wide
 def test_instances_of_a_model_share_its_library_and_tables_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     model = oscillator()
     first = NativeInstance(model)
-    monkeypatch.setattr("phfmu.engine.native.compiled.kernel_table", None)  # is not made again
+    monkeypatch.setattr("phfmu.engine.native.compiled.code_of", None)  # is not made again
     second = NativeInstance(model)
     state = second.get_state()
     first.do_step(0.0, 0.1)
@@ -39,12 +39,12 @@ def test_instances_of_a_model_share_its_library_and_tables_and_nothing_else(monk
 
 def test_messages_and_layouts_agree_with_the_header() -> None:
     inst = NativeInstance(oscillator())
-    lib = load(inst.build.path)
+    built, lib = runtime()
     own = [s for s in Status if s not in (Status.UNIT, Status.GROWTH)]
     assert [lib.ph_status_text(i).decode() for i in range(len(own))] == [s.value for s in own]
     assert lib.ph_status_text(len(own)) == b"unknown status"
-    table = kernel_table(kernels(inst.model))
-    tables = CTables(inst.model, table.index, table.token)  # its own: instances share theirs
+    code = code_of(Kernels(kernels(inst.model)), None, "compiled")
+    tables = CTables(inst.model, code.index, code.address)  # its own: instances share theirs
     given = ctypes_structures()["ph_model"].from_address(tables.pointer)
     assert given.stamp == stamp()
     given.stamp += 1
@@ -60,8 +60,8 @@ def test_tables_as_text_give_the_same_bits(compiler: str, strict: tuple[str, ...
         pytest.skip("no system compiler")
     model, twin = bar(2), bar(2)
     table, same = kernel_table(kernels(model)), kernel_table(kernels(twin))
-    text = c_text(model, table.index, table.token, "the_model")
-    assert table.text == same.text and text == c_text(twin, same.index, same.token, "the_model")
+    text = c_text(model, table.index, "the_model")
+    assert table.text == same.text and text == c_text(twin, same.index, "the_model")
     getter = '#include "phfmu.h"\nextern const ph_model the_model;\nPH_API const ph_model *get(void);\n'
     getter += "const ph_model *get(void) {\n    return &the_model;\n}\n"
     sources = {**runtime_sources(), "kernels.c": table.text, "model.c": text, "get.c": getter}

@@ -38,9 +38,9 @@ def sources(model: Model) -> dict[str, str | Path]:
     """All that models and masters are made of, this model and the program."""
     table = kernel_table(kernels(model), model.step.schur)
     made = {"kernels.c": table.text, "tangents.c": tangent_text(table, model.step, model.instant)}
-    made["model.c"] = c_text(model, table.index, table.token, tangents="ph_tangents")
+    made["model.c"] = c_text(model, table.index, tangents="ph_tangents")
     program = Path(__file__).parent / "threads.c"
-    return {**runtime_sources(events=True), **master_library.sources(), **made, program.name: program}
+    return {**runtime_sources("events"), **master_library.sources(), **made, program.name: program}
 
 
 def compiled(files: dict[str, str | Path], folder: Path) -> Path:

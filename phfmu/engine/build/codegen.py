@@ -19,6 +19,7 @@ from typing import Any
 
 import casadi as ca
 
+from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.tables import schur_text
 from phfmu.engine.impulses import PortKernels
 from phfmu.plan.plan import Kernel, Plan
@@ -29,10 +30,20 @@ from phfmu.schur.text import NO_STEPPER, stepper_text
 #: above this many instructions a kernel is a call, below it is inlined into its loops
 INLINE = 2000
 
+#: the row of a table without kernels
+NO_ROW = "    {0, 0, 0, 0, 0, 0, 0, 0, 0, 0},\n"
+
+#: of two zeros the standard leaves open which is the smaller one, and compilers choose by where the numbers come from
+DEFINED = {
+    "return fmin(x, y);": "return x < y || y != y ? x : y;",
+    "return fmax(x, y);": "return x > y || y != y ? x : y;",
+}
+
 HEAD = """\
 /* Generated. Kernels of a discretised model: values with Jacobians, and ledgers. */
 #include "plan.h"
 
+#include "phfmu.h"
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"
 #define PH_INLINE static inline __attribute__((always_inline))
@@ -57,19 +68,14 @@ class Body:
 
 @dataclass(frozen=True)
 class KernelTable:
-    """C text of a set of kernels, its content token, and the place of each kernel in `ph_kernels`."""
+    """C text of a set of kernels, which `ph_the_code` has in their order."""
 
     text: str
-    token: int
-    kernels: tuple[Kernel, ...]
-    places: tuple[int, ...]
+    kernels: Kernels
 
     def index(self, kernel: Kernel) -> int:
         """Place of one of the kernels this table was made of."""
-        for k, place in zip(self.kernels, self.places, strict=True):
-            if k is kernel:
-                return place
-        raise KeyError(f"kernel {kernel.name} is not in this table")
+        return self.kernels.index(kernel)
 
 
 def _generate(functions: Iterable[ca.Function]) -> str:
@@ -98,33 +104,21 @@ def body(f: ca.Function) -> Body:
     return Body(name, _renamed(name, f))
 
 
-def _check(kernel: Kernel) -> None:
-    """Generated code stores nonzeros only, so outputs must be dense vectors of the declared sizes."""
-    f = kernel.function
-    given = [f.nnz_in(i) for i in range(3)] + [f.nnz_out(i) for i in range(2)]
-    expected = [kernel.nx, kernel.ny, kernel.np, kernel.no, kernel.nj]
-    if given != expected:
-        raise ValueError(f"kernel {kernel.name}: (nx, ny, np, no, nj) = {expected}, its function has {given}")
-    if kernel.ledger is not None:
-        ledger = [kernel.ledger.nnz_out(i) for i in range(kernel.ledger.n_out())]
-        if ledger not in ([1, 1], [1, 1, 1]):
-            raise ValueError(
-                f"kernel {kernel.name}: stored, lost and perhaps numerical are one dense value each, not {ledger}"
-            )
-
-
-def functions_text(bodies: dict[str, Body], inline: bool = True) -> str:
-    """Definitions of all functions, with the helpers they need, and nothing exported."""
+def functions_text(bodies: dict[str, Body], called: bool = False) -> str:
+    """Definitions of all functions, with the helpers they need, and nothing exported; `called`: as ph_functions."""
     text = _generate(bodies[name].function for name in sorted(bodies))
     helpers = re.sub(r"/\* Symbol visibility.*?^#endif\n", "", text, flags=re.M | re.S)
     helpers = re.split(r"^(?:/\* Configuration|CASADI_SYMBOL_EXPORT|static )", helpers, flags=re.M)[0]
     helpers = re.sub(r"^#define casadi_[fs]\d+ .*\n", "", helpers, flags=re.M)
     helpers = re.sub(r"^(casadi_real casadi_\w+\()", r"static inline \1", helpers, flags=re.M)
+    for said, meant in DEFINED.items():
+        helpers = helpers.replace(said, meant)
     found = _bodies(text)
     parts = [helpers]
     for name in sorted(bodies):
-        small = inline and bodies[name].function.n_instructions() <= INLINE
-        parts.append(f"{'PH_INLINE' if small else 'static'} int {name}{found[name]}")
+        small = not called and bodies[name].function.n_instructions() <= INLINE
+        text = found[name].replace("(", "(const ph_function *self, ", 1) if called else found[name]
+        parts.append(f"{'PH_INLINE' if small else 'static'} int {name}{text}")
     return "\n".join(parts)
 
 
@@ -141,45 +135,40 @@ def _entry(kernel: Kernel, function: Body, ledger: Body | None) -> tuple[str, st
     macros |= sizes | {f"SZ_{k}": v for k, v in work.items()}
     include = "".join(f"#define PH_{k} {v}\n" for k, v in macros.items()) + '#include "group.inc"\n'
     last = f"{name}_ledger" if ledger else "0"
-    row = f"    {{{name}_value, {name}_full, {last}, {', '.join(str(v) for v in sizes.values())}}},\n"
+    row = f"    {{{name}_value, {name}_full, {last}, {', '.join(str(v) for v in sizes.values())}, 0, 0}},\n"
     return name, include, row
 
 
-def kernel_table(kernels: Iterable[Kernel], schur: SchurStepper | None = None) -> KernelTable:
-    """C text and table of the kernels, with the solver of `schur`; repeated or equal ones share an entry."""
-    unique: dict[int, Kernel] = {id(k): k for k in kernels}
+def kernel_table(kernels: Iterable[Kernel] | Kernels, schur: SchurStepper | None = None) -> KernelTable:
+    """C text of the kernels, with the solver of `schur`; repeated or equal ones share an entry."""
+    found = kernels if isinstance(kernels, Kernels) else Kernels(kernels)
     bodies: dict[str, Body] = {}
-    entries: dict[str, tuple[str, str]] = {}
-    name_of: dict[int, str] = {}
-    for key, kernel in unique.items():
-        _check(kernel)
+    entries: dict[str, str] = {}
+    rows = ""
+    for member in found.members:
+        kernel = member.kernel
         pair: list[Any] = [None if f is None else body(f) for f in (kernel.function, kernel.ledger)]
         bodies |= {b.name: b for b in pair if b}
-        name, include, row = _entry(kernel, pair[0], pair[1])
-        entries[name] = (include, row)
-        name_of[key] = name
-    order = sorted(entries)
+        name, entries[name], row = _entry(kernel, pair[0], pair[1])
+        rows += row
     text = HEAD + (functions_text(bodies) if bodies else "")
-    text += "\n" + "\n".join(entries[n][0] for n in order)
-    rows = "".join(entries[n][1] for n in order) or "    {0, 0, 0, 0, 0, 0, 0, 0},\n"
-    text += f"\nconst ph_kernel ph_kernels[] = {{\n{rows}}};\nconst int ph_nkernel = {len(order)};\n"
+    text += "\n" + "\n".join(entries[n] for n in sorted(entries))
+    text += f"\nstatic const ph_kernel kernels[] = {{\n{rows or NO_ROW}}};\n"
     text += NO_STEPPER if schur is None else stepper_text(schur, schur_text(schur, "small_tables"))
-    token = int(hashlib.sha256(text.encode()).hexdigest()[:16], 16)
-    text += f"const uint64_t ph_kernel_token = {token:#x}ULL;\n"
-    places = tuple(order.index(name_of[key]) for key in unique)
-    return KernelTable(text, token, tuple(unique.values()), places)
+    text += f"PH_API const ph_code ph_the_code = {{{found.token:#x}ULL, {len(found.members)}, kernels, &ph_schur_solver}};\n"
+    return KernelTable(text, found)
 
 
 def port_text(kernels: PortKernels) -> str:
     """ports.c: `ph_the_ports`, a ph_ports."""
     made = [body(f) for f in (kernels.shift, kernels.jump, kernels.tangent)]
     text = HEAD.replace("values with Jacobians, and ledgers", "impulses at ports").replace('"plan.h"', '"impulses.h"')
-    most = [max(b.sizes[name] for b in made) for name in ("ARG", "RES", "IW", "W")]
     forms = kernels.forms
-    members = [len(forms.pairs), len(forms.states), "pairs", "states", *(b.name for b in made), *most]
+    members = [len(forms.pairs), len(forms.states), "pairs", "states", *(f"functions + {i}" for i in range(3))]
     return (
         text
-        + functions_text({b.name: b for b in made}, inline=False)
+        + functions_text({b.name: b for b in made}, called=True)
+        + f"\nstatic const ph_function functions[] = {{\n{''.join(map(_row, made))}}};\n"
         + _ints("pairs", forms.pairs)
         + _ints("states", forms.states)
         + f"\nPH_API extern const ph_ports ph_the_ports;\nconst ph_ports ph_the_ports = {{{', '.join(map(str, members))}}};\n"
@@ -192,18 +181,29 @@ def _ints(name: str, values: Sequence[int]) -> str:
 
 def tangent_text(table: KernelTable, *plans: Plan) -> str:
     """tangents.c: a row for each kernel of the table; those that the rows of `plans` do not need have none."""
-    made = {table.index(k): body(tangent(k)) for plan in plans for k in differentiated(plan)}
-    bodies = {b.name: b for b in made.values()}
-    rows = "".join(_row(made.get(place)) for place in range(len(set(table.places)))) or "    {0, 0, 0, 0, 0},\n"
-    text = HEAD.replace("values with Jacobians, and ledgers", "tangents").replace('"plan.h"', '"phfmu.h"')
+    return function_table(tangents(table.kernels, *plans), "ph_tangents")
+
+
+def tangents(kernels: Kernels, *plans: Plan) -> list[ca.Function | None]:
+    """By place: tangents of the kernels that rows of `plans` need."""
+    found = {kernels.index(k): tangent(k) for plan in plans for k in differentiated(plan)}
+    return [found.get(place) for place in range(len(kernels.members))]
+
+
+def function_table(functions: Sequence[ca.Function | None], symbol: str) -> str:
+    """C text of `const ph_function <symbol>[]`; None: a row that has no function."""
+    made = [None if f is None else body(f) for f in functions]
+    bodies = {b.name: b for b in made if b}
+    text = HEAD.replace("Kernels of a discretised model: values with Jacobians, and ledgers", "Functions of a model")
+    rows = "".join(map(_row, made)) or _row(None)
     return (
         text
-        + (functions_text(bodies, inline=False) if bodies else "")
-        + f"\nPH_API const ph_tangent ph_tangents[] = {{\n{rows}}};\n"
+        + (functions_text(bodies, called=True) if bodies else "")
+        + f"\nPH_API const ph_function {symbol}[] = {{\n{rows}}};\n"
     )
 
 
 def _row(made: Body | None) -> str:
     if made is None:
-        return "    {0, 0, 0, 0, 0},\n"
-    return f"    {{{made.name}, {', '.join(str(v) for v in made.sizes.values())}}},\n"
+        return "    {0, 0, 0, 0, 0, 0},\n"
+    return f"    {{{made.name}, {', '.join(str(v) for v in made.sizes.values())}, 0}},\n"

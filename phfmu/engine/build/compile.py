@@ -14,16 +14,20 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from phfmu.engine.build import cache, objects
 from phfmu.engine.build.objects import CompileError as CompileError  # one of the errors of `compile`
 from phfmu.engine.build.objects import Toolchain
 
-#: contraction to fused multiply-add would make results depend on the target
-FLAGS = ("-std=c11", "-O2", "-g0", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC")
+#: contraction to fused multiply-add would make results depend on the target, and powers of constants that become calls of
+#: other functions on the compiler
+FLAGS = ("-std=c11", "-O2", "-g0", "-ffp-contract=off", "-fno-builtin-pow", "-fvisibility=hidden", "-fPIC")
 LINK = ("-shared", "-s")
 SUFFIX = {"linux": ".so", "macos": ".dylib", "windows": ".dll"}
 SYSTEM = {"linux": "linux-gnu.2.17", "darwin": "macos", "win32": "windows-gnu"}
@@ -129,8 +133,73 @@ def _find(target: str, only: str | None, flags: Sequence[str] = ()) -> Toolchain
     return found
 
 
+@dataclass(frozen=True)
+class Generated:
+    """A source whose text is made when it is needed; `content` stands for it in the cache: the same for no other text."""
+
+    content: str
+    text: Callable[[], str]
+
+    def made(self) -> Generated:
+        """With its text."""
+        text = self.text()
+        return replace(self, text=lambda: text)
+
+
+Source = str | Path | Generated
+
+
+def _bytes(source: Source, content: bool) -> bytes:
+    if isinstance(source, Path):
+        return source.read_bytes()
+    if isinstance(source, Generated):
+        source = source.content if content else source.text()
+    return source.encode()
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Sources, and how a library of them is made."""
+
+    sources: Mapping[str, Source]
+    target: str
+    tools: Toolchain
+
+    @classmethod
+    def of(
+        cls, sources: Mapping[str, Source], target: str | None, flags: Sequence[str], compiler: str | None
+    ) -> _Asked:
+        target = target or host_target()
+        tools = _find(target, compiler, flags)
+        if own := tuple(shlex.split(os.environ.get("PHFMU_MODEL_FLAGS", ""))):
+            made = [n for n, s in sources.items() if not isinstance(s, Path) and n.endswith(".c")]
+            tools = replace(tools, own=dict.fromkeys(made, own))
+        return cls(sources, target, tools)
+
+    @cached_property
+    def key(self) -> str:
+        return self.tools.library_key({n: _bytes(s, True) for n, s in self.sources.items()})
+
+    def find(self) -> Build | None:
+        path = cache.find(self.key, suffix(self.target))
+        return None if path is None else Build(path, True, self.tools.version, self.target)
+
+    def build(self) -> Build:
+        files = {n: _bytes(s, False) for n, s in self.sources.items()}
+        path = objects.build(files, self.tools, suffix(self.target), self.key)
+        return Build(path, False, self.tools.version, self.target)
+
+
+def find(sources: Mapping[str, Source], *, flags: Sequence[str] = ()) -> Build | None:
+    """What `compile` gives for this machine if it needs no compiler, from the cache."""
+    try:
+        return _Asked.of(sources, None, flags, None).find()
+    except CompilerMissing:
+        return None
+
+
 def compile(
-    sources: Mapping[str, str | Path],
+    sources: Mapping[str, Source],
     target: str | None = None,
     out: Path | None = None,
     *,
@@ -146,21 +215,34 @@ def compile(
     compiled with the flags of PHFMU_MODEL_FLAGS besides.
     Errors: CompilerMissing, CompileError.
     """
-    target = target or host_target()
-    tools = _find(target, compiler, flags)
-    if own := tuple(shlex.split(os.environ.get("PHFMU_MODEL_FLAGS", ""))):
-        tools = replace(tools, own={n: own for n, s in sources.items() if isinstance(s, str) and n.endswith(".c")})
-    files = {n: s.read_bytes() if isinstance(s, Path) else s.encode() for n, s in sources.items()}
-    path = cache.find(tools.library_key(files), suffix(target))
-    reused = path is not None
-    if path is None:
+    asked = _Asked.of(sources, target, flags, compiler)
+    built = asked.find()
+    if built is None:
         if announce is not None:
             announce()
-        path = objects.build(files, tools, suffix(target))
+        built = asked.build()
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, out)
-    return Build(out or path, reused, tools.version, target)
+        shutil.copyfile(built.path, out)
+    return replace(built, path=out or built.path)
+
+
+def compile_once(sources: Mapping[str, Path], announce: Callable[[], None] | None = None) -> Build:
+    """The same for this machine, with all it can do; where there is no compiler any more, what one left in the cache."""
+    target, wide = host_target(), bool(host_flags())
+    files = {n: _bytes(s, True) for n, s in sources.items()}
+    key = Toolchain((), "any", (*FLAGS, str(wide)), LINK).library_key(files)
+    try:
+        built = compile(sources, flags=host_flags(), announce=announce)
+    except CompilerMissing as missing:
+        if path := cache.find(key, suffix(target)):
+            return Build(path, True, "none", target)
+        raise CompilerMissing(f"{missing}; once, for what steps all models") from None
+    if cache.find(key, suffix(target)) is None:
+        root = cache.writable()
+        with tempfile.TemporaryDirectory(dir=root / "lib") as folder, suppress(OSError):
+            cache.put(root, key, Path(shutil.copy(built.path, folder)))
+    return built
 
 
 def require_compiler(target: str | None = None) -> str:

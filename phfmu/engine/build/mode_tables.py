@@ -20,10 +20,12 @@ def mode_groups(tables: SwitchTables, index: Callable[[Kernel], int]) -> list[tu
 class ModeTables(Filled):
     """The switches of a model; `pointer` is valid as long as this object lives."""
 
-    def __init__(self, tables: SwitchTables, index: Callable[[Kernel], int]) -> None:
+    def __init__(self, tables: SwitchTables, index: Callable[[Kernel], int], code: int) -> None:
         super().__init__()
         at, size = self.groups(mode_groups(tables, index)), ctypes.sizeof(ctypes_structures()["ph_group"])
-        self.pointer = ctypes.addressof(self.fill("ph_switches", tables, {"rates": at, "energy": at + size}))
+        self.pointer = ctypes.addressof(
+            self.fill("ph_switches", tables, {"code": code, "rates": at, "energy": at + size})
+        )
 
     def rows(self, rows: ModeRows) -> int:
         """Address of what is known of a mode."""
@@ -34,7 +36,10 @@ def switches_text(tables: SwitchTables, index: Callable[[Kernel], int], symbol: 
     """C source that defines `const ph_switches <symbol>`."""
     groups = array_of_structs("ph_group", "switch_groups", mode_groups(tables, index))
     arrays, members = struct_text(
-        "ph_switches", "switches", tables, {"rates": "switch_groups", "energy": "switch_groups + 1"}
+        "ph_switches",
+        "switches",
+        tables,
+        {"code": "&ph_the_code", "rates": "switch_groups", "energy": "switch_groups + 1"},
     )
     return (
         f'#include <math.h>\n\n#include "modes.h"\n\n{groups}{arrays}'

@@ -6,6 +6,7 @@ and so is what two libraries of one model have in common.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import re
@@ -13,6 +14,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import suppress
@@ -67,26 +69,27 @@ def needed(name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
     return found
 
 
-def build(files: Mapping[str, bytes], tools: Toolchain, end: str) -> Path:
-    """Library of all `files` that end in .c, put into the cache; where that is full, into a folder that ends with the process.
+def build(files: Mapping[str, bytes], tools: Toolchain, end: str, key: str) -> Path:
+    """Library of all `files` that end in .c, put into the cache under `key`; where that is full, into a folder that ends with the
+    process.
 
     Everything happens in a private folder whose results are moved into the cache whole: nobody sees half a file.
     Only relative names are told to the compiler, so that objects are the same wherever the folder is.
     """
     root = cache.writable()
     try:
-        return _built(root, files, tools, end)
+        return _built(root, files, tools, end, key)
     except cache.CacheFull as full:
         if root != cache.cache_folder():
             raise
-        return _built(cache.refused(root, f"it has no room ({full.strerror})"), files, tools, end)
+        return _built(cache.refused(root, f"it has no room ({full.strerror})"), files, tools, end, key)
 
 
-def _built(root: Path, files: Mapping[str, bytes], tools: Toolchain, end: str) -> Path:
+def _built(root: Path, files: Mapping[str, bytes], tools: Toolchain, end: str, key: str) -> Path:
     """The library in this cache; CacheFull if there is no room."""
     with tempfile.TemporaryDirectory(dir=root / "lib") as folder:
         try:
-            return _Work(root, Path(folder), tools, files).library(end)
+            return _Work(root, Path(folder), tools, files).library(end, key)
         except (OSError, CompileError):
             cache.require_room(root)
             raise
@@ -104,6 +107,16 @@ def _end(process: subprocess.Popen[str]) -> None:
         process.kill()
 
 
+#: all compilers at work, those of threads that the end of the process does not wait for too
+_ALL: set[subprocess.Popen[str]] = set()
+
+
+@atexit.register
+def _end_all() -> None:
+    for process in [*_ALL]:
+        _end(process)
+
+
 @dataclass(frozen=True)
 class _Work:
     """A private folder with the sources; `root`: the cache, `running`: compilers that are at work."""
@@ -114,17 +127,22 @@ class _Work:
     files: Mapping[str, bytes]
     running: list[subprocess.Popen[str]] = field(default_factory=list)
 
-    def library(self, end: str) -> Path:
+    def library(self, end: str, key: str) -> Path:
         """In the cache."""
         for name, content in self.files.items():
             (self.folder / name).write_bytes(content)
         objects = self.objects(sorted(n for n in self.files if n.endswith(".c")))
         result = "library" + end
         self.run(*self.tools.link, *objects, "-o", result, "-lm")
-        return cache.put(self.root, self.tools.library_key(self.files), self.folder / result)
+        return cache.put(self.root, key, self.folder / result)
 
     def objects(self, names: list[str]) -> list[str]:
-        """Those of the sources, side by side; a signal that ends the work ends the compilers too."""
+        """Those of the sources, side by side; a signal that ends the work ends the compilers too.
+
+        Beside the main thread nothing waits for workers, which the end of the process would wait for.
+        """
+        if threading.current_thread() is not threading.main_thread() and len(names) == 1:
+            return [self.object(names[0])]
         with ThreadPoolExecutor(processors()) as pool:
             try:
                 futures = [pool.submit(self.object, name) for name in names]
@@ -161,6 +179,7 @@ class _Work:
             command, cwd=self.folder, stdout=pipe, stderr=pipe, text=True, env=os.environ | own, **_APART
         ) as process:
             self.running.append(process)
+            _ALL.add(process)
             try:
                 _, said = process.communicate()
             except BaseException:
@@ -168,5 +187,6 @@ class _Work:
                 raise
             finally:
                 self.running.remove(process)
+                _ALL.discard(process)
         if process.returncode != 0:
             raise CompileError(f"{self.tools.version} failed ({process.returncode}):\n{said[-4000:]}")

@@ -29,8 +29,8 @@ RUNTIME = Path(__file__).parent.parent / "runtime"
 SCALARS = {"int": ctypes.c_int, "double": ctypes.c_double, "uint64_t": ctypes.c_uint64}
 ARRAYS = {"int": np.int32, "double": np.float64, "signed char": np.int8}
 STRUCTS = ("ph_elimination", "ph_lane_group", "ph_schur", "ph_group", "ph_plan", "ph_model", "ph_events", "ph_switches",
-           "ph_mode_rows")  # fmt: skip
-HEADERS = ("schur/schur.h", "plan.h", "events/events.h", "modes/modes.h")
+           "ph_mode_rows", "ph_program", "ph_programs", "ph_ports")  # fmt: skip
+HEADERS = ("schur/schur.h", "plan.h", "events/events.h", "modes/modes.h", "interpret/interpret.h", "impulses.h")
 
 
 @dataclass(frozen=True)
@@ -137,13 +137,13 @@ class Filled:
 
 
 class CTables(Filled):
-    """A model as ctypes structures; `pointer` is valid as long as this object lives.  `tangents`: address, or None."""
+    """A model as ctypes structures; `pointer` is valid as long as this object lives.  `code`: address of its ph_code."""
 
-    def __init__(self, model: Model, index: Callable[[Kernel], int], token: int, tangents: int | None = None) -> None:
+    def __init__(self, model: Model, index: Callable[[Kernel], int], code: int) -> None:
         super().__init__()
         self._plans: CTables | None = None  # tables whose plans these are
         self._index = index
-        self._derived = {"stamp": stamp(), "token": token, "tangents": tangents}
+        self._derived = {"stamp": stamp(), "tangents": None, "code": code}
         self._derived |= {name: self._plan(getattr(model, name)) for name in ("step", "instant")}
         self._model = self.fill("ph_model", model, self._derived)
         self.pointer = ctypes.addressof(self._model)
@@ -156,6 +156,12 @@ class CTables(Filled):
         other._keep, other._plans = [], self
         other._model = other.fill("ph_model", model, self._derived)
         other.pointer = ctypes.addressof(other._model)
+        return other
+
+    def with_tangents(self, model: Model, address: int) -> CTables:
+        """Those of the same model with the ph_functions at `address`."""
+        other = self.like(model)
+        other._model.tangents = address
         return other
 
     def _plan(self, plan: Plan) -> int:
@@ -248,12 +254,15 @@ def _plan_text(plan: Plan, name: str, index: Callable[[Kernel], int]) -> str:
     return text + arrays + f"static const ph_plan {name} = {members};\n"
 
 
-def c_text(
-    model: Model, index: Callable[[Kernel], int], token: int, symbol: str = "ph_the_model", tangents: str = "0"
-) -> str:
+def c_text(model: Model, index: Callable[[Kernel], int], symbol: str = "ph_the_model", tangents: str = "0") -> str:
     """C source that defines `const ph_model <symbol>`; the same model gives the same bytes."""
-    derived = {"stamp": "PH_STAMP", "token": f"{token:#x}ULL", "step": "&step", "instant": "&instant"}
-    derived["tangents"] = tangents
+    derived = {
+        "stamp": "PH_STAMP",
+        "step": "&step",
+        "instant": "&instant",
+        "code": "&ph_the_code",
+        "tangents": tangents,
+    }
     arrays, members = struct_text("ph_model", "model", model, derived)
     return (
         '#include "plan.h"\n\n'

@@ -1,40 +1,47 @@
-"""Models in compiled code: the library and the tables of each, made once for all its instances."""
+"""What native instances of a model share: the runtime, tables and code, made once."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
-from phfmu.engine.build.codegen import kernel_table
-from phfmu.engine.build.compile import Build
+from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.tables import CTables
 from phfmu.engine.model import Model, first, kernels
-from phfmu.engine.native.library import build, load
+from phfmu.engine.native.code import Announce, Code, Interpreted, Kind, code_of
+from phfmu.engine.native.library import runtime
 
 
 @dataclass(frozen=True)
-class Compiled:
+class Made:
     """What instances share and never write to."""
 
-    build: Build
-    tables: CTables
     lib: ctypes.CDLL
+    tables: CTables
+    kernels: Kernels
+    code: Code
 
 
-_MADE: WeakKeyDictionary[Model, Compiled] = WeakKeyDictionary()
+#: those whose kernels may be compiled, and those that were asked for interpreted
+_MADE: dict[bool, WeakKeyDictionary[Model, Made]] = {False: WeakKeyDictionary(), True: WeakKeyDictionary()}
 
 
-def compiled(model: Model, announce: Callable[[], None] | None = None) -> Compiled:
-    """Library and tables of a model; `announce` is called before a compiler runs."""
-    made, alike = _MADE.get(model), first(model)
+def made_of(model: Model, kind: Kind = "auto", announce: Announce = None) -> Made:
+    """Of a model; `announce` is called before a compiler runs that has to be waited for."""
+    known = _MADE[kind == "interpreted"]
+    made, alike = known.get(model), first(model)
     if made is None and alike is not None:
-        shared = compiled(alike, announce)
-        made = _MADE[model] = replace(shared, tables=shared.tables.like(model))
+        shared = made_of(alike, kind, announce)
+        made = known[model] = replace(shared, tables=shared.tables.like(model))
     elif made is None:
-        table = kernel_table(kernels(model), model.step.schur)
-        tables = CTables(model, table.index, table.token)
-        done = build(table, announce, events=tables.events is not None)
-        made = _MADE[model] = Compiled(done, tables, load(done.path))
+        _, lib = runtime(announce)
+        found = Kernels(kernels(model))
+        code = code_of(found, model.step.schur, kind, found.work(model.step), announce)
+        made = known[model] = Made(lib, CTables(model, found.index, code.address), found, code)
+    if kind == "compiled" and isinstance(made.code, Interpreted):
+        if model.step.schur is not None:  # begun without a compiler, which would have been waited for
+            del known[model]
+            return made_of(model, kind, announce)
+        made.code.compile(announce)
     return made

@@ -1,6 +1,6 @@
-"""Directional derivatives of native instances: a second library with tangents, made when they are asked for.
+"""Directional derivatives of native instances: tangents of the kernels, made when they are asked for.
 
-Impulses of native instances: a small library with the functions of the ports, made when they are asked for.
+Impulses of native instances: functions of the ports, made when they are asked for.
 """
 
 from __future__ import annotations
@@ -12,39 +12,36 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.codegen import kernel_table, port_text, tangent_text
-from phfmu.engine.build.compile import compile, host_flags
-from phfmu.engine.build.tables import CTables
+from phfmu.engine.build.codegen import tangents
 from phfmu.engine.impulses import PortKernels
-from phfmu.engine.model import Model, first, kernels
-from phfmu.engine.native.library import Directions, build, load, placed, runtime_sources, view
+from phfmu.engine.model import Model
+from phfmu.engine.native.code import Code, Functions
+from phfmu.engine.native.compiled import Made
+from phfmu.engine.native.library import Directions, placed, view
 
 Floats = NDArray[np.float64]
 
 
-_MADE: WeakKeyDictionary[Model, tuple[ctypes.CDLL, CTables]] = WeakKeyDictionary()
+#: of code: what its tangents are
+_TANGENTS: WeakKeyDictionary[Code, Functions] = WeakKeyDictionary()
 
 
-def with_tangents(model: Model) -> tuple[ctypes.CDLL, CTables]:
-    """The library with tangents and the tables of a model, made once for all that share its plans."""
-    made, alike = _MADE.get(model), first(model)
-    if made is None and alike is not None:
-        lib, tables = with_tangents(alike)
-        made = _MADE[model] = lib, tables.like(model)
-    elif made is None:
-        table = kernel_table(kernels(model), model.step.schur)
-        lib = load(build(table, more={"tangents.c": tangent_text(table, model.step, model.instant)}).path)
-        address = ctypes.addressof(ctypes.c_char.in_dll(lib, "ph_tangents"))
-        made = _MADE[model] = lib, CTables(model, table.index, table.token, address)
-    return made
+def _tangents(model: Model, made: Made) -> Functions:
+    """The tangents of the kernels, made once for all models with the same code."""
+    found = _TANGENTS.get(made.code)
+    if found is None:
+        wanted = tangents(made.kernels, model.step, model.instant)
+        found = _TANGENTS[made.code] = Functions(wanted, made.code.compiled)
+    return found
 
 
 class NativeChain:
     """An instance with the tangents of the kernels; it takes over the state of one without them."""
 
-    def __init__(self, model: Model) -> None:
-        self._plan = model.step
-        self.lib, self._tables = with_tangents(model)
+    def __init__(self, model: Model, made: Made) -> None:
+        self._plan, self.lib = model.step, made.lib
+        self._functions = _tangents(model, made)
+        self._tables = made.tables.with_tangents(model, self._functions.address)
         self._memory = np.zeros(self.lib.ph_size(self._tables.pointer) // 8 + 1)
         self.address = self._memory.ctypes.data
         self._init = self.lib.ph_init(self.address, self._tables.pointer)
@@ -72,21 +69,29 @@ class NativeChain:
         return self._init or self.lib.ph_load(self.address, state)
 
 
-@lru_cache(maxsize=64)
-def _library(kernels: PortKernels) -> ctypes.CDLL:
-    headers = {name: path for name, path in runtime_sources().items() if name.endswith(".h")}
-    built = compile({**headers, "ports.c": port_text(kernels)}, flags=host_flags())
-    return ctypes.CDLL(str(built.path))
+class _Ports(Functions):
+    """The ph_ports of a model at `ports`."""
+
+    def __init__(self, kernels: PortKernels, compiled: bool) -> None:
+        names = ("shift", "jump", "tangent")
+        super().__init__([getattr(kernels, n) for n in names], compiled)
+        forms = kernels.forms
+        values = {"n": len(forms.pairs), "nstate": len(forms.states), "pair": forms.pairs, "state": forms.states}
+        values |= {name: self.of(i) for i, name in enumerate(names)}
+        self.ports = ctypes.addressof(self.fill("ph_ports", None, values))
+
+
+_ports = lru_cache(maxsize=64)(_Ports)
 
 
 class NativeImpulses:
-    """Impulses on the instance at address `instance` of the library `lib`."""
+    """Impulses on the instance at address `instance`, of a model with the shared parts `made`."""
 
-    def __init__(self, lib: ctypes.CDLL, instance: int, kernels: PortKernels) -> None:
+    def __init__(self, made: Made, instance: int, kernels: PortKernels) -> None:
+        lib = made.lib
         self.n, self._lib = kernels.n, lib
-        self._ports = _library(kernels)
-        ports = ctypes.addressof(ctypes.c_char.in_dll(self._ports, "ph_the_ports"))
-        self._memory, self.address = placed(lib, "ph_impulses", instance, ports)
+        self._ports = _ports(kernels, made.code.compiled)
+        self._memory, self.address = placed(lib, "ph_impulses", instance, self._ports.ports)
         address = lib.ph_impulse_values(self.address)
         #: at start and end of the coming steps, then of the last one (4 x n)
         self.values = view(address, 4 * self.n).reshape(4, self.n)

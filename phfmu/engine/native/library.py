@@ -1,10 +1,10 @@
-"""The compiled library of a model's kernels as Python sees it: signatures, records and names of phfmu.h."""
+"""The runtime, one library for all models, as Python sees it: signatures, records and names of phfmu.h."""
 
 from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.codegen import KernelTable
-from phfmu.engine.build.compile import Build, compile, host_flags
+from phfmu.engine.build.compile import Build, compile_once
 from phfmu.engine.build.tables import RUNTIME
 from phfmu.engine.model import Model
 from phfmu.engine.record import RECORD
@@ -146,22 +145,26 @@ def load(path: Path) -> ctypes.CDLL:
     return typed(lib, signatures)
 
 
-def runtime_sources(events: bool = False, modes: bool = False) -> dict[str, Path]:
-    """The hand-written part of a library: file name -> path; with that of state `events`, of `modes` of switches."""
-    absent = {"events": not events, "modes": not modes}
-    files = (p for p in sorted(RUNTIME.rglob("*")) if not absent.get(p.parent.name, False))
+#: folders of the runtime that not everything has
+PARTS = ("events", "modes", "interpret")
+
+
+def runtime_sources(*parts: str) -> dict[str, Path]:
+    """The hand-written part of a library: file name -> path; with those of its folders PARTS that are asked for."""
+    absent = set(PARTS).difference(parts)
+    files = (p for p in sorted(RUNTIME.rglob("*")) if p.parent.name not in absent)
     return {p.name: p for p in files if p.suffix in (".c", ".h", ".inc")}
 
 
-def build(
-    table: KernelTable,
-    announce: Callable[[], None] | None = None,
-    more: Mapping[str, str] | None = None,
-    events: bool = False,
-) -> Build:
-    """Library of runtime, kernels and `more` for this machine; models with the same kernels share it."""
-    sources = {**runtime_sources(events), "kernels.c": table.text, **(more or {})}
-    return compile(sources, flags=host_flags(), announce=announce)
+def headers() -> dict[str, Path]:
+    """What the code of a model includes."""
+    return {name: path for name, path in runtime_sources(*PARTS).items() if not name.endswith(".c")}
+
+
+def runtime(announce: Callable[[], None] | None = None) -> tuple[Build, ctypes.CDLL]:
+    """The library that steps all models; CompilerMissing, CompileError."""
+    built = compile_once(runtime_sources(*PARTS), announce)
+    return built, load(built.path)
 
 
 def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from phfmu.engine.impulses import Ports
 from phfmu.engine.instance import Instance
 from phfmu.engine.model import Model
-from phfmu.engine.native.compiled import compiled
+from phfmu.engine.native.code import Kind
+from phfmu.engine.native.compiled import made_of
 from phfmu.engine.native.handle import Handle
 from phfmu.engine.native.library import Column, Record, enums, record_widths, view
 from phfmu.engine.node_sensitivity import NodeSensitivity, chosen, columns, directions
@@ -39,10 +40,10 @@ Floats = NDArray[np.float64]
 class NativeReadings(Instance):
     """The memory of an instance of `model` in its library, and how it is read."""
 
-    def __init__(self, model: Model, announce: Callable[[], None] | None) -> None:
+    def __init__(self, model: Model, announce: Callable[[], None] | None, kernels: Kind) -> None:
         super().__init__(model)
-        made = compiled(model, announce)
-        self.build, self._tables, self._lib = made.build, made.tables, made.lib
+        self._made = made_of(model, kernels, announce)
+        self._tables, self._lib = self._made.tables, self._made.lib
         size = self._lib.ph_size(self._tables.pointer)
         if size == 0:
             raise StepFailure(Status.ABI, model.name, model.t0, 0.0)
@@ -129,17 +130,34 @@ class NativeReadings(Instance):
 class NativeInstance(NativeReadings):
     """An instance in compiled code, the twin of `PythonInstance`: one memory block, one C call a step.
 
-    What both are says `Instance`.  `announce` is called before a compiler runs.
+    What both are says `Instance`.  `announce` is called before a compiler runs.  `kernels`: how those of the model run, compiled
+    or interpreted, with the same bits; auto takes compiled ones where they are known, and else begins interpreted.  `steps`: how
+    many are planned, if that is known; where so many earn it, a compiler works beside them from the beginning.
     """
 
-    def __init__(self, model: Model, announce: Callable[[], None] | None = None) -> None:
-        super().__init__(model, announce)
+    def __init__(
+        self, model: Model, announce: Callable[[], None] | None = None, kernels: Kind = "auto", steps: float = 0
+    ) -> None:
+        super().__init__(model, announce, kernels)
         self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
+        if self._made.code.count(steps):
+            self._step, self._steps = self._counted_step, self._counted_step
         self._kicked: NativeImpulses | None = None
         self._landing: NativeLanding | None = None
         if model.events is not None:
             self._step = self._steps = self._landed_step
         self.initialise()
+
+    @property
+    def kernels(self) -> str:
+        """How they run at present: compiled or interpreted."""
+        return "compiled" if self._made.code.compiled else "interpreted"
+
+    def _counted_step(self, _: int, t: float, h: float, parts: int = 1) -> int:
+        """A step while it is open whether kernels earn it to be compiled."""
+        if not self._made.code.count(parts):
+            self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
+        return self._lib.ph_step_parts(self._in, t, h, parts)
 
     def reset(self) -> None:
         self._check(self._lib.ph_reset(self._in))
@@ -196,7 +214,7 @@ class NativeInstance(NativeReadings):
         if self._kicked is None:
             from phfmu.engine.native.derivatives import NativeImpulses
 
-            self._kicked = NativeImpulses(self._lib, self._in, self._ports.kernels)
+            self._kicked = NativeImpulses(self._made, self._in, self._ports.kernels)
         return self._kicked
 
     def _kicked_step(self, _: int, t: float, h: float, parts: int = 1) -> int:
@@ -228,6 +246,7 @@ class NativeInstance(NativeReadings):
         if inputs is not None:
             request.input, request.input_stride = inputs.ctypes.data, math.prod(inputs.shape[1:])
             request.at_nodes = inputs.ndim == 3
+        self._made.code.count(grid.n * grid.parts)
         done = ctypes.c_int()
         code = self._lib.ph_run(self._in, grid.t0, grid.h, grid.n, request, done)
         try:
@@ -296,7 +315,7 @@ class NativeInstance(NativeReadings):
     def _chain(self) -> NativeChain:
         from phfmu.engine.native.derivatives import NativeChain
 
-        return NativeChain(self.model)
+        return NativeChain(self.model, self._made)
 
     @property
     def handle(self) -> Handle:

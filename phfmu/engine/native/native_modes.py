@@ -11,11 +11,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from phfmu.discretise.model import Model
-from phfmu.engine.build.codegen import kernel_table
-from phfmu.engine.build.compile import compile, host_flags
+from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.mode_tables import ModeTables
 from phfmu.engine.build.tables import RUNTIME
-from phfmu.engine.native.library import Record, Signatures, placed, record_widths, typed
+from phfmu.engine.native.code import Code, Kind, code_of
+from phfmu.engine.native.library import Record, Signatures, placed, record_widths, runtime, typed
 from phfmu.engine.native.native_landing import STEPS, LandedRows, Room
 from phfmu.engine.native.structures import Header
 from phfmu.engine.record import Grid
@@ -25,9 +25,6 @@ from phfmu.events.switch_tables import mode_rows, switch_tables
 from phfmu.outcome.status import EventRefused, Status
 from phfmu.outcome.steps import Landed
 
-#: headers and sources of a library that changes modes, besides its own folder
-SHARED = ("plan.h", "names.h", "phfmu.h", "pool.h", "step_limits.h", "system.h", "group.inc", "schur/schur.h", "events/events.h",
-          "events/event_limits.h")  # fmt: skip
 #: what a mode is called by
 CALLS = Header((RUNTIME / "modes" / "modes.h",), (), "ph_mode_calls")
 ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
@@ -61,27 +58,27 @@ class _Refusal(ctypes.Structure):
 
 @dataclass(frozen=True)
 class _Compiled:
-    """The library of a model's changes of modes, with its tables and what is known of modes."""
+    """What changes of modes of a model share: tables, code, and what is known of modes."""
 
     lib: ctypes.CDLL
     tables: ModeTables
     told: int
+    code: Code
     rows: dict[Mode, int] = field(default_factory=dict)
 
 
-_MADE: WeakKeyDictionary[Model, _Compiled] = WeakKeyDictionary()
+_MADE: dict[bool, WeakKeyDictionary[Model, _Compiled]] = {False: WeakKeyDictionary(), True: WeakKeyDictionary()}
 
 
-def _compiled(model: Model) -> _Compiled:
-    made = _MADE.get(model)
+def _compiled(model: Model, kind: Kind) -> _Compiled:
+    known = _MADE[kind == "interpreted"]
+    made = known.get(model)
     if made is None:
         assert model.modes is not None and model.events is not None
         found = switch_tables(model.modes.modes, model.step, model.events, len(model.observable_names))
-        table = kernel_table(found.kernels)
-        paths = [RUNTIME / name for name in SHARED] + sorted((RUNTIME / "modes").iterdir())
-        built = compile({**{p.name: p for p in paths}, "kernels.c": table.text}, flags=host_flags())
-        made = _MADE[model] = _Compiled(
-            _typed(ctypes.CDLL(str(built.path))), ModeTables(found, table.index), found.told
+        code = code_of(Kernels(found.kernels), None, kind)
+        made = known[model] = _Compiled(
+            _typed(runtime()[1]), ModeTables(found, code.index, code.address), found.told, code
         )
     return made
 
@@ -106,7 +103,7 @@ class NativeModes:
 
     def __init__(self, switched: Any):
         self._switched, self._model = switched, switched.model
-        self._made, self._n = _compiled(switched.model), len(switched.mode)
+        self._made, self._n = _compiled(switched.model, switched.present.kernels), len(switched.mode)
         self._sides = np.zeros(1 + 2 * self._n, np.int8)
         self._known: dict[Mode, _Mode] = {}
         self._keep: list[Any] = []

@@ -17,11 +17,11 @@ enum { RESIDUALS, OUTPUTS }; /* which rows are wanted */
  */
 static void group_along(ph_instance *in, const ph_system *s, const ph_group *g, const double *dx,
                         double *target) {
-    const ph_tangent *tangent = &in->model->tangents[g->kernel];
+    const ph_function *tangent = &in->model->tangents[g->kernel];
     const ph_chain *c = &in->chain;
     double *x = c->local, *y = x + g->nx, *p = y + g->ny, *ex = p + g->np, *ey = ex + g->nx,
            *out = ey + g->ny;
-    if (!tangent->function)
+    if (!tangent->call)
         return;
     for (int i = 0; i < g->n; i++) {
         int moves = 0;
@@ -47,7 +47,7 @@ static void group_along(ph_instance *in, const ph_system *s, const ph_group *g, 
         c->arg[3] = ex;
         c->arg[4] = ey;
         c->res[0] = out;
-        tangent->function(c->arg, c->res, c->iw, c->work, 0);
+        tangent->call(tangent, c->arg, c->res, c->iw, c->work, 0);
         for (int j = 0; j < g->no; j++)
             target[g->oi[i * g->no + j]] += s->hp[g->power[j]] * out[j];
     }

@@ -31,7 +31,7 @@ void ph_eval_h(ph_system *s, double h) {
 void ph_eval(ph_system *s, int slots, int late) {
     const ph_plan *p = s->plan;
     double *y = s->y, *z = s->y + p->nv, *r = s->r;
-    const ph_point at = {s->x, y, s->p, s->hp};
+    const ph_point at = {s->x, y, s->p, s->hp, s->work};
     int i = 0, nconst = late ? p->nconst : p->nconst_early;
     memset(z, 0, sizeof(double) * (size_t)p->nz);
     memset(r, 0, sizeof(double) * (size_t)p->nrow);
@@ -40,14 +40,14 @@ void ph_eval(ph_system *s, int slots, int late) {
     for (int stage = 0; stage < 2; stage++) {
         for (; i < p->ngroup && p->groups[i].stage == stage; i++) {
             const ph_group *g = &p->groups[i];
-            const ph_kernel *kernel = &ph_kernels[g->kernel];
+            const ph_kernel *kernel = &s->code->kernels[g->kernel];
             double *target = stage ? r : z;
             if (g->late && !late)
                 continue;
             if (slots)
-                kernel->full(g, &at, target, s->v);
+                kernel->full(kernel, g, &at, target, s->v);
             else
-                kernel->value(g, &at, target);
+                kernel->value(kernel, g, &at, target);
         }
         if (stage == 0)
             for (int l = 0; l < nconst; l++)
@@ -62,12 +62,12 @@ void ph_eval(ph_system *s, int slots, int late) {
  * residual rows is not looked at; the next evaluation clears them. */
 void ph_eval_late(ph_system *s) {
     const ph_plan *p = s->plan;
-    const ph_point at = {s->x, s->y, s->p, s->hp};
+    const ph_point at = {s->x, s->y, s->p, s->hp, s->work};
     memset(s->r + p->nw, 0, sizeof(double) * (size_t)(p->nrow - p->nw));
     for (int i = 0; i < p->ngroup; i++) {
         const ph_group *g = &p->groups[i];
         if (g->reports)
-            ph_kernels[g->kernel].value(g, &at, s->r);
+            ph_value_of(s->code, g, &at, s->r);
     }
     for (int l = p->nconst_early; l < p->nconst; l++)
         s->r[p->const_row[l]] += s->constants[l] * s->y[p->const_src[l]];
@@ -104,14 +104,14 @@ void ph_eval_derivatives(ph_system *s, double *out) {
 /* stored, moved, lost, numerical: ncomp each, overwritten; lost is a rate, to be multiplied by the step. */
 void ph_eval_ledger(ph_system *s, double *stored, double *moved, double *lost, double *numerical) {
     const ph_plan *p = s->plan;
-    const ph_point at = {s->x, s->y, s->p, s->hp};
+    const ph_point at = {s->x, s->y, s->p, s->hp, s->work};
     memset(stored, 0, sizeof(double) * (size_t)p->ncomp);
     memset(moved, 0, sizeof(double) * (size_t)p->ncomp);
     memset(lost, 0, sizeof(double) * (size_t)p->ncomp);
     memset(numerical, 0, sizeof(double) * (size_t)p->ncomp);
     for (int i = 0; i < p->ngroup; i++) {
-        const ph_kernel *kernel = &ph_kernels[p->groups[i].kernel];
+        const ph_kernel *kernel = &s->code->kernels[p->groups[i].kernel];
         if (kernel->ledger)
-            kernel->ledger(&p->groups[i], &at, stored, moved, lost, numerical);
+            kernel->ledger(kernel, &p->groups[i], &at, stored, moved, lost, numerical);
     }
 }

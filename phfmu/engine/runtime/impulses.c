@@ -22,18 +22,26 @@ struct ph_impulses {
 
 static size_t lay_out(ph_impulses *m, char *base) {
     const ph_ports *p = m->ports;
+    const ph_function *functions[] = {p->shift, p->jump, p->tangent};
+    ph_function most = {0};
     const size_t pointer = sizeof(double *);
     ph_pool part = {base, 0};
+    for (int i = 0; i < 3; i++) {
+        most.arg = functions[i]->arg > most.arg ? functions[i]->arg : most.arg;
+        most.res = functions[i]->res > most.res ? functions[i]->res : most.res;
+        most.iw = functions[i]->iw > most.iw ? functions[i]->iw : most.iw;
+        most.w = functions[i]->w > most.w ? functions[i]->w : most.w;
+    }
     ph_take(&part, sizeof(*m));
     m->value = ph_take_doubles(&part, 4 * p->n);
     m->none = ph_take_doubles(&part, p->n);
     m->shift = ph_take_doubles(&part, p->nstate);
     m->mean = ph_take_doubles(&part, p->n);
     m->work = ph_take_doubles(&part, p->n);
-    m->w = ph_take_doubles(&part, p->w);
-    m->iw = ph_take_ints(&part, p->iw);
-    m->arg = ph_take(&part, pointer * (size_t)p->arg);
-    m->res = ph_take(&part, pointer * (size_t)p->res);
+    m->w = ph_take_doubles(&part, most.w);
+    m->iw = ph_take_ints(&part, most.iw);
+    m->arg = ph_take(&part, pointer * (size_t)most.arg);
+    m->res = ph_take(&part, pointer * (size_t)most.res);
     m->backup = ph_take(&part, ph_state_size(m->in));
     return part.used;
 }
@@ -64,11 +72,11 @@ double *ph_impulse_values(ph_impulses *m) {
     return m->value;
 }
 
-static void call(ph_impulses *m, ph_function f, const double *s) {
+static void call(ph_impulses *m, const ph_function *f, const double *s) {
     m->arg[0] = m->in->table;
     m->arg[1] = m->in->p;
     m->arg[2] = s;
-    f(m->arg, m->res, m->iw, m->w, 0);
+    f->call(f, m->arg, m->res, m->iw, m->w, 0);
 }
 
 void ph_jump(ph_impulses *m, double *s) {
@@ -195,7 +203,7 @@ void ph_impulses_along(ph_impulses *m, int end, int count, const double *ds, dou
         m->arg[3] = dx + j * width;
         m->arg[4] = ds + j * p->n;
         m->res[0] = m->shift;
-        p->tangent(m->arg, m->res, m->iw, m->w, 0);
+        p->tangent->call(p->tangent, m->arg, m->res, m->iw, m->w, 0);
         for (int i = 0; i < p->nstate; i++)
             dx[j * width + p->state[i]] += m->shift[i];
     }

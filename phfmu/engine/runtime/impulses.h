@@ -9,19 +9,15 @@
 
 #include "phfmu.h"
 
-typedef int (*ph_function)(const double **arg, double **res, int *iw, double *w, int mem);
-
-/* What the ports of a model do with impulses s; functions as CasADi writes them, of all states x and
- * parameters p. */
+/* What the ports of a model do with impulses s; functions of all states x and parameters p. */
 typedef struct ph_ports {
-    int n;               /* scalar ports with impulses */
-    int nstate;          /* states these move */
-    const int *pair;     /* n: pairs of the plan */
-    const int *state;    /* nstate */
-    ph_function shift;   /* (x, p, s) -> L s (nstate), mean of y along it (n) */
-    ph_function jump;    /* (x, p) -> S = L^T H'' L (n*n) */
-    ph_function tangent; /* (x, p, s, dx, ds) -> change of L s (nstate) */
-    int arg, res, iw, w; /* most of their arguments, results and work */
+    int n;                      /* scalar ports with impulses */
+    int nstate;                 /* states these move */
+    const int *pair;            /* n: pairs of the plan */
+    const int *state;           /* nstate */
+    const ph_function *shift;   /* (x, p, s) -> L s (nstate), mean of y along it (n) */
+    const ph_function *jump;    /* (x, p) -> S = L^T H'' L (n*n) */
+    const ph_function *tangent; /* (x, p, s, dx, ds) -> change of L s (nstate) */
 } ph_ports;
 
 typedef struct ph_impulses ph_impulses;

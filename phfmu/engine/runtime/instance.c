@@ -13,9 +13,9 @@ static int plan_fits(const ph_plan *p, const ph_model *model) {
     for (int i = 0; i < p->ngroup; i++) {
         const ph_group *g = &p->groups[i];
         const ph_kernel *kernel;
-        if (g->kernel < 0 || g->kernel >= ph_nkernel)
+        if (g->kernel < 0 || g->kernel >= model->code->nkernel)
             return 0;
-        kernel = &ph_kernels[g->kernel];
+        kernel = &model->code->kernels[g->kernel];
         if (g->nx != kernel->nx || g->ny != kernel->ny || g->np != kernel->np || g->no != kernel->no ||
             g->nj != kernel->nj)
             return 0;
@@ -24,8 +24,8 @@ static int plan_fits(const ph_plan *p, const ph_model *model) {
 }
 
 static int model_fits(const ph_model *model) {
-    return model->stamp == PH_STAMP && model->token == ph_kernel_token && model->instant->k == 1 &&
-           plan_fits(model->step, model) && plan_fits(model->instant, model);
+    return model->stamp == PH_STAMP && model->instant->k == 1 && plan_fits(model->step, model) &&
+           plan_fits(model->instant, model);
 }
 
 size_t ph_size(const ph_model *model) {
@@ -44,9 +44,10 @@ int ph_init(void *memory, const ph_model *model) {
     in->model = model;
     ph_lay_out(in, memory);
     if (in->schur)
-        ph_schur_solver.init(in->schur, model->step);
+        model->code->solver->init(in->schur, model->step);
     for (int i = 0; i < 2; i++) {
         ph_system *s = i ? &in->instant : &in->step;
+        s->code = model->code;
         s->x = in->table;
         s->rest = in->rest;
         s->p = in->p;
@@ -80,7 +81,7 @@ static void copy(double *to, const double *from, int n) {
 int ph_reset(ph_instance *in) {
     const ph_model *m = in->model;
     memset(in->head, 0, in->state_size);
-    in->head->token = m->token;
+    in->head->token = m->code->token;
     in->head->size = in->state_size;
     for (int i = 0; i < 2; i++) {
         ph_system *s = i ? &in->instant : &in->step;

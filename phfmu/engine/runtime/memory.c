@@ -74,7 +74,7 @@ static void lay_chain(ph_instance *in, ph_pool *b) {
     int local = 0, work = 0, iw = 0, arg = 0, res = 0;
     for (int i = 0; i < p->ngroup + q->ngroup; i++) {
         const ph_group *g = i < p->ngroup ? &p->groups[i] : &q->groups[i - p->ngroup];
-        const ph_tangent *tangent = &in->model->tangents[g->kernel];
+        const ph_function *tangent = &in->model->tangents[g->kernel];
         local = larger(local, 2 * (g->nx + g->ny) + g->np + g->no);
         work = larger(work, tangent->w);
         iw = larger(iw, tangent->iw);
@@ -98,6 +98,7 @@ static void lay_chain(ph_instance *in, ph_pool *b) {
 
 size_t ph_lay_out(ph_instance *in, char *memory) {
     ph_pool whole = {memory, 0}, *b = &whole;
+    const ph_schur_code *solver = in->model->code->solver;
     size_t begin;
     ph_layout(in->model, in->offset);
     ph_take(b, sizeof(ph_instance));
@@ -106,8 +107,9 @@ size_t ph_lay_out(ph_instance *in, char *memory) {
     in->state_size = b->used - begin;
     lay_system(&in->step, in->model->step, b);
     lay_system(&in->instant, in->model->instant, b);
-    if (in->model->step->schur && ph_schur_solver.size)
-        in->schur = ph_take(b, ph_schur_solver.size(in->model->step));
+    in->step.work = in->instant.work = ph_take_doubles(b, ph_code_work(in->model->code));
+    if (in->model->step->schur && solver && solver->size)
+        in->schur = ph_take(b, solver->size(in->model->step));
     in->backup = ph_take(b, in->state_size);
     in->stored = ph_take_doubles(b, in->model->step->ncomp);
     in->moved = ph_take_doubles(b, in->model->step->ncomp);

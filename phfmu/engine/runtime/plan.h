@@ -12,7 +12,7 @@
 #include "names.h"
 #include "schur.h"
 
-#define PH_VERSION 5
+#define PH_VERSION 6
 #define PH_STAMP                                                                                             \
     (((uint64_t)PH_VERSION << 48) | ((uint64_t)sizeof(ph_model) << 32) | ((uint64_t)sizeof(ph_plan) << 16) | \
      (uint64_t)sizeof(ph_group))
@@ -24,7 +24,7 @@ typedef struct ph_group {
     int late;                 /* 1: touches no residual row, skipped during the iteration */
     int reports;              /* 1: touches a row after the residual: a pair output or an observable */
     int slot;                 /* first Jacobian entry in V */
-    int kernel;               /* index into ph_kernels */
+    int kernel;               /* index into the kernels of the code */
     int nx, ny, np, no, nj;   /* local sizes, checked against the kernel table */
     const int *xi;            /* n*nx */
     const int *yi;            /* n*ny */
@@ -109,46 +109,76 @@ typedef struct ph_plan {
     const ph_schur *schur;         /* NULL: the sparse Newton only */
 } ph_plan;
 
-/* The tangent of a kernel: (x, y, p, dx, dy) -> d out, as CasADi writes functions; NULL where no residual and
- * no pair output needs it. arg, res, iw, w: lengths of its arguments, results and work. */
-typedef struct ph_tangent {
-    int (*function)(const double **arg, double **res, int *iw, double *w, int mem);
+/* A function as CasADi writes it, called with itself before its arguments. arg, res, iw, w: lengths of its
+ * arguments, results and work; program: what it runs, if it is interpreted. */
+typedef struct ph_function ph_function;
+struct ph_function {
+    int (*call)(const ph_function *self, const double **arg, double **res, int *iw, double *w, int mem);
     int arg, res, iw, w;
-} ph_tangent;
+    const void *program;
+};
+
+typedef struct ph_code ph_code;
 
 typedef struct ph_model {
-    uint64_t stamp;             /* PH_STAMP of the writer */
-    uint64_t token;             /* ph_kernel_token of the kernels the plans index into */
-    double t0;                  /* start time */
-    const double *x0;           /* nx */
-    const double *a0;           /* na */
-    const double *u0;           /* nu */
-    const double *p0;           /* np */
-    const ph_plan *step;        /* one step of the scheme */
-    const ph_plan *instant;     /* algebraic variables, outputs, observables and H at one instant */
-    const ph_tangent *tangents; /* of the kernels, or NULL: no sensitivity over several internal steps */
+    uint64_t stamp;              /* PH_STAMP of the writer */
+    double t0;                   /* start time */
+    const double *x0;            /* nx */
+    const double *a0;            /* na */
+    const double *u0;            /* nu */
+    const double *p0;            /* np */
+    const ph_plan *step;         /* one step of the scheme */
+    const ph_plan *instant;      /* algebraic variables, outputs, observables and H at one instant */
+    const ph_code *code;         /* kernels and solver */
+    const ph_function *tangents; /* of the kernels, or NULL: no sensitivity over several internal steps */
 } ph_model;
 
-/* Where kernels read: x old state, y = Y, p parameters, hp = {1, h, h^2}. */
+/* Where kernels read: x old state, y = Y, p parameters, hp = {1, h, h^2}; work: where those that are
+ * interpreted work. */
 typedef struct ph_point {
     const double *x, *y, *p, *hp;
+    double *work;
 } ph_point;
 
-/* One entry of the kernel table: loops over a group with kernel and gather inlined (group.inc).
+/* One entry of the kernel table: loops over a group, compiled (group.inc) or interpreted (interpret.h).
  * value: target += h^power out; full: the same and the Jacobian slots into V;
  * ledger: stored[owner] += , moved[owner] += |stored|, lost[owner] += , numerical[owner] += (NULL if the
  * kernel has none). */
-typedef struct ph_kernel {
-    void (*value)(const ph_group *, const ph_point *, double *target);
-    void (*full)(const ph_group *, const ph_point *, double *target, double *slots);
-    void (*ledger)(const ph_group *, const ph_point *, double *stored, double *moved, double *lost,
-                   double *numerical);
+typedef struct ph_kernel ph_kernel;
+struct ph_kernel {
+    void (*value)(const ph_kernel *self, const ph_group *, const ph_point *, double *target);
+    void (*full)(const ph_kernel *self, const ph_group *, const ph_point *, double *target, double *slots);
+    void (*ledger)(const ph_kernel *self, const ph_group *, const ph_point *, double *stored, double *moved,
+                   double *lost, double *numerical);
     int nx, ny, np, no, nj;
-} ph_kernel;
+    int nwork;           /* length of the work space it needs */
+    const void *program; /* what it runs, if it is interpreted */
+};
 
-extern const ph_kernel ph_kernels[];
-extern const ph_tangent ph_tangents[];
-extern const int ph_nkernel;
-extern const uint64_t ph_kernel_token;
+/* What is made of the equations of a model, beside its tables.
+ * Rows of interpreted kernels may change to compiled ones at any time, as these give the same bits: functions
+ * by single stores, the rest stays. */
+typedef struct ph_code {
+    uint64_t token; /* of the kernels, however they run: plans and saved states belong to them */
+    int nkernel;
+    const ph_kernel *kernels;
+    const ph_schur_code *solver; /* NULL: Newton's method only */
+} ph_code;
+
+/* Length of the work space that all kernels need. */
+static inline int ph_code_work(const ph_code *code) {
+    int most = 0;
+    for (int i = 0; i < code->nkernel; i++)
+        most = code->kernels[i].nwork > most ? code->kernels[i].nwork : most;
+    return most;
+}
+
+static inline void ph_value_of(const ph_code *code, const ph_group *g, const ph_point *at, double *target) {
+    const ph_kernel *kernel = &code->kernels[g->kernel];
+    kernel->value(kernel, g, at, target);
+}
+
+extern const ph_code ph_the_code;
+extern const ph_function ph_tangents[];
 
 #endif

@@ -29,7 +29,7 @@ int ph_load(ph_instance *in, const void *from) {
     ph_head head;
     int others;
     memcpy(&head, from, sizeof(head));
-    if (head.token != in->model->token || head.size != in->state_size)
+    if (head.token != in->model->code->token || head.size != in->state_size)
         return PH_ABI;
     others = length > 0 && memcmp(in->step.rests, (const char *)from + flags, length) != 0;
     memcpy(in->head, from, in->state_size);
@@ -85,7 +85,7 @@ static int values_fit(const ph_instance *in, const void *from) {
 const char *ph_state_fault(const ph_instance *in, const void *from) {
     const ph_head *head = from;
     const double lengths[] = {head->last_h[0], head->last_h[1], head->step_h, head->first_h};
-    if (head->token != in->model->token || head->size != in->state_size)
+    if (head->token != in->model->code->token || head->size != in->state_size)
         return "it belongs to another model, or to another mode";
     if (!is_flag(head->held) || !is_flag(head->dirty) || !is_flag(head->placed))
         return "a flag is neither 0 nor 1";

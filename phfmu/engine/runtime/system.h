@@ -38,6 +38,8 @@ void ph_lu_solve_transposed(ph_lu *lu, const double *b, double *x);
 typedef struct ph_system ph_system;
 struct ph_system {
     const ph_plan *plan;
+    const ph_code *code;
+    double *work; /* of kernels */
     const double *x, *p;
     const double *rest; /* nx: what compensated summation still owes x, to be subtracted */
     double *last;       /* nw: last converged unknowns */

@@ -46,8 +46,8 @@ def generated(unit: Unit) -> dict[str, str]:
     more = {} if model.events is None else {"guards.c": events_text(model.events, table.index)}
     more |= modes.texts(table, "ph_tangents" if model.step.nu else "0") if modes else {}
     if model.step.nu == 0:
-        return {"kernels.c": table.text, "model.c": c_text(model, table.index, table.token), **more}
-    text = c_text(model, table.index, table.token, tangents="ph_tangents")
+        return {"kernels.c": table.text, "model.c": c_text(model, table.index), **more}
+    text = c_text(model, table.index, tangents="ph_tangents")
     plans = (model.step, model.instant) if unit.kernels else (model.step, *(modes.plans if modes else ()))
     made = {"kernels.c": table.text, "tangents.c": tangent_text(table, *plans), "model.c": text, **more}
     return made | ({"ports.c": port_text(unit.kernels)} if unit.kernels else {})
@@ -68,10 +68,11 @@ def fixed(unit: Unit) -> Sources:
     """The hand-written part of it: name -> path."""
     events = unit.model.events is not None
     modes = unit.model.modes is not None
+    parts = (*(["events"] if events else []), *(["modes"] if modes else []))
     absent = (() if unit.at_nodes else NODES) + (() if unit.kernels else IMPULSES) + (() if events else LANDING)
     absent += () if modes else MODES
     layers = {p.name: p for p in sorted(RUNTIME.iterdir()) if p.suffix in (".c", ".h")}
-    return {name: path for name, path in {**runtime_sources(events, modes), **layers}.items() if name not in absent}
+    return {name: path for name, path in {**runtime_sources(*parts), **layers}.items() if name not in absent}
 
 
 def complete(unit: Unit, equations: dict[str, str], token: str) -> Sources:

@@ -51,7 +51,7 @@ class UnitModes:
             if i == 0:
                 continue
             assert m.events is not None
-            files[f"mode{i}.c"] = c_text(m, table.index, table.token, model_symbol(i), tangents)
+            files[f"mode{i}.c"] = c_text(m, table.index, model_symbol(i), tangents)
             files[f"guards{i}.c"] = events_text(m.events, table.index, events_symbol(i))
         return files
 

@@ -10,10 +10,10 @@
 void ph_guards_at(const ph_landing *l, const double *x, double *g) {
     static const double hp[3] = {1.0, 1.0, 1.0};
     const ph_events *e = l->events;
-    const ph_point at = {x, l->y, l->in->p, hp};
+    const ph_point at = {x, l->y, l->in->p, hp, l->in->step.work};
     ph_clear(g, e->n);
     for (int i = 0; i < e->ngroup; i++)
-        ph_kernels[e->groups[i].kernel].value(&e->groups[i], &at, g);
+        ph_value_of(l->in->model->code, &e->groups[i], &at, g);
 }
 
 /* l->y = [a | u] now. */

@@ -10,9 +10,9 @@ static void columns(ph_landing *l, int n) {
     static const double hp[3] = {1.0, 1.0, 1.0};
     const ph_events *e = l->events;
     const int all = e->ncolumn, first = all * e->ncomponent + all * e->nmoved;
-    const ph_point at = {l->x, l->y, l->p, hp};
+    const ph_point at = {l->x, l->y, l->p, hp, l->in->step.work};
     ph_clear(l->jump, first + all * all + e->njump);
-    ph_kernels[e->jump->kernel].value(e->jump, &at, l->jump);
+    ph_value_of(l->in->model->code, e->jump, &at, l->jump);
     for (int j = 0; j < n; j++) {
         for (int c = 0; c < e->ncomponent; c++)
             l->c[c * n + j] = l->jump[c * all + l->which[j]];

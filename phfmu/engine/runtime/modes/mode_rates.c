@@ -5,11 +5,11 @@
 
 #include "work.h"
 
-static void kernel(const ph_group *group, const double *x, const double *y, const double *p,
+static void kernel(ph_modes *m, const ph_group *group, const double *x, const double *y, const double *p,
                    double *results) {
     static const double hp[3] = {1.0, 1.0, 1.0};
-    const ph_point at = {x, y, p, hp};
-    ph_kernels[group->kernel].value(group, &at, results);
+    const ph_point at = {x, y, p, hp, m->work};
+    ph_value_of(m->sw->code, group, &at, results);
 }
 
 static void place(ph_modes *m, const double *x, double t) {
@@ -27,7 +27,7 @@ ph_rates ph_mode_rates(ph_modes *m, const double *x, const double *p, double t) 
     if (sw->nu > 0)
         memcpy(m->y + na, m->u, sizeof(double) * (size_t)sw->nu);
     memset(m->rates, 0, sizeof(double) * (size_t)sw->nresult);
-    kernel(sw->rates, m->xt, m->y, p, m->rates);
+    kernel(m, sw->rates, m->xt, m->y, p, m->rates);
     r.f = m->rates;
     r.fx = r.f + nx;
     r.fa = r.fx + nx * nx;
@@ -45,7 +45,7 @@ ph_rates ph_mode_rates(ph_modes *m, const double *x, const double *p, double t) 
 static void gradients(ph_modes *m, const double *x, const double *p, double *out) {
     memset(out, 0, sizeof(double) * (size_t)(m->sw->ncomp * m->sw->nx));
     place(m, x, m->t);
-    kernel(m->sw->energy, m->xt, m->y, p, out);
+    kernel(m, m->sw->energy, m->xt, m->y, p, out);
 }
 
 /* Columns of m->basis: what of the algebraic variables no row g determines; how many. */

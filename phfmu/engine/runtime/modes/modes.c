@@ -22,6 +22,7 @@ static size_t lay_out(ph_modes *m, const ph_switches *sw, char *base) {
     m->then = ph_take_doubles(&part, nx);
     m->moved = ph_take_doubles(&part, sw->ncomp);
     m->left = ph_take_doubles(&part, sw->ncomp);
+    m->work = ph_take_doubles(&part, ph_code_work(sw->code));
     m->xt = ph_take_doubles(&part, nx + 1);
     m->y = ph_take_doubles(&part, na + sw->nu);
     m->rates = ph_take_doubles(&part, sw->nresult);

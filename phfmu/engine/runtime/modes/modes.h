@@ -15,9 +15,10 @@ typedef struct ph_switches {
     int n;      /* switches */
     int nevent; /* state events, the same in all modes */
     int nx, na, nu, np, ncomp;
-    int a_end;                     /* place of the algebraic variables now in a signal table */
-    int told;                      /* length of a signal table up to the observables that all modes have */
-    int nresult;                   /* results of rates */
+    int a_end;   /* place of the algebraic variables now in a signal table */
+    int told;    /* length of a signal table up to the observables that all modes have */
+    int nresult; /* results of rates */
+    const ph_code *code;
     const ph_group *rates;         /* columns of f fx fa g gx ga c cx ca gap and E, see mode_rates.c */
     const ph_group *energy;        /* d H / d x, ncomp x nx, by columns */
     const int *place;              /* n: parameter that is its mode */

@@ -30,6 +30,7 @@ struct ph_modes {
     signed char *which;   /* n: of a refusal */
     int *asked_of, *flip; /* n: switches that are asked, places of those that change */
     /* of an instant: values of the kernels, and of the equations */
+    double *work;           /* of kernels */
     double *xt, *y;         /* nx+1, na+nu */
     double *rates;          /* nresult */
     double *before, *after; /* ncomp*nx */

@@ -98,6 +98,4 @@ typedef struct ph_schur_code {
     int (*solve)(void *memory, struct ph_system *system, double h);
 } ph_schur_code;
 
-extern const ph_schur_code ph_schur_solver;
-
 #endif

@@ -1,0 +1,215 @@
+"""What is made of the equations of a model, as ph_code: compiled, or tables that the runtime interprets.
+
+Both have the same token and give the same bits.  A model that is new begins interpreted, at once; where its run is long enough
+to earn it, the compiler works beside the run, and what it makes takes the place of the tables as soon as it is there.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from math import inf
+from pathlib import Path
+from threading import Thread
+from typing import Literal
+
+import casadi as ca
+
+from phfmu.engine.build import codegen
+from phfmu.engine.build.codegen import function_table, kernel_table
+from phfmu.engine.build.compile import Build, CompileError, CompilerMissing, Generated, compile, find, host_flags
+from phfmu.engine.build.kernels import Kernels
+from phfmu.engine.build.operations import Operations, operations
+from phfmu.engine.build.tables import Filled
+from phfmu.engine.native.library import headers, runtime
+from phfmu.schur.stepper import SchurStepper
+
+#: how kernels run; auto: compiled if that is in the cache, or a Schur stepper needs it, else interpreted to begin with
+Kind = Literal["auto", "compiled", "interpreted"]
+KINDS: tuple[Kind, ...] = ("auto", "compiled", "interpreted")
+
+#: s that a compiler takes: always, and for each operation of the kernels (zig and gcc on one core, measured)
+COMPILING = (0.3, 0.6e-3)
+#: s that compiled kernels save in a step, for each operation of an evaluation of its plan (measured: 2 to 4.5 ns)
+SAVED = 2.5e-9
+
+Announce = Callable[[], None] | None
+
+
+class KernelRow(ctypes.Structure):
+    """ph_kernel."""
+
+    _fields_ = [
+        *((n, ctypes.c_void_p) for n in ("value", "full", "ledger")),
+        *((n, ctypes.c_int) for n in ("nx", "ny", "np", "no", "nj", "nwork")),
+        ("program", ctypes.c_void_p),
+    ]
+
+
+class FunctionRow(ctypes.Structure):
+    """ph_function."""
+
+    _fields_ = [
+        ("call", ctypes.c_void_p),
+        *((n, ctypes.c_int) for n in ("arg", "res", "iw", "w")),
+        ("program", ctypes.c_void_p),
+    ]
+
+
+class CodeRow(ctypes.Structure):
+    """ph_code."""
+
+    _fields_ = [
+        ("token", ctypes.c_uint64),
+        ("nkernel", ctypes.c_int),
+        ("kernels", ctypes.c_void_p),
+        ("solver", ctypes.c_void_p),
+    ]
+
+
+class Compiled:
+    """Kernels in a library of their own, with the solver of `schur`; `announce` is called before a compiler runs."""
+
+    compiled = True
+
+    def __init__(self, kernels: Kernels, source: Generated, announce: Announce = None) -> None:
+        self.index = kernels.index
+        self.build = compile(headers() | {"kernels.c": source}, flags=host_flags(), announce=announce)
+        self._lib = ctypes.CDLL(str(self.build.path))
+        self.address = ctypes.addressof(ctypes.c_char.in_dll(self._lib, "ph_the_code"))
+
+    def count(self, steps: float) -> bool:
+        """Steps that are or will be taken; whether more of them are to be told."""
+        return False
+
+
+class Interpreted(Filled):
+    """Kernels as programs of the runtime, which become compiled ones when that is earned.
+
+    `work`: operations of an evaluation of the plan of a step; 0: they stay interpreted.
+    """
+
+    build: Build | None = None
+
+    def __init__(self, kernels: Kernels, work: int = 0) -> None:
+        super().__init__()
+        self._kernels, self.index, self.compiled = kernels, kernels.index, False
+        lib = runtime()[1]
+        self._rows = (KernelRow * max(1, len(kernels.members)))()
+        for row, member in zip(self._rows, kernels.members, strict=False):
+            for name in ("nx", "ny", "np", "no", "nj"):
+                setattr(row, name, getattr(member.kernel, name))
+            programs: dict[str, int | None] = {"ledger": None}
+            for name, table in member.tables.items():
+                programs[name], slots = _program(self, table)
+                row.nwork = max(row.nwork, slots)
+                setattr(row, name, _address(lib, f"ph_interpret_{name}"))
+            row.program = ctypes.addressof(self.fill("ph_programs", None, programs))
+        self._code = CodeRow(kernels.token, len(kernels.members), ctypes.addressof(self._rows), None)
+        self.address = ctypes.addressof(self._code)
+        #: steps that are still to be taken before compiled kernels are worth their time
+        self._left = (COMPILING[0] + COMPILING[1] * kernels.size) / (SAVED * work) if work else inf
+
+    def count(self, steps: float) -> bool:
+        """Steps that are or will be taken; whether more of them are to be told."""
+        if self._left < inf:
+            self._left -= steps
+            if self._left <= 0:
+                self._left = inf
+                self._beside()
+        return self._left < inf
+
+    def compile(self, announce: Announce = None) -> None:
+        """Compiled kernels at once."""
+        if not self.compiled:
+            self._take(Compiled(self._kernels, source(self._kernels, None), announce))
+
+    def _beside(self) -> None:
+        """The compiler beside the run; the text is made before, as CasADi is not for two threads."""
+        text = source(self._kernels, None).made()
+
+        def work() -> None:
+            with suppress(CompilerMissing, CompileError, OSError):
+                self._take(Compiled(self._kernels, text))
+
+        Thread(target=work, name="phfmu compiler", daemon=True).start()
+
+    def _take(self, other: Compiled) -> None:
+        """Compiled kernels in place of the programs: functions by single stores, which may come between any two calls."""
+        self._other = other
+        at = CodeRow.from_address(other.address).kernels
+        for row, found in zip(self._rows, (KernelRow * len(self._rows)).from_address(at), strict=True):
+            row.value, row.full, row.ledger = found.value, found.full, found.ledger
+        self.build, self.compiled = other.build, True
+
+
+Code = Compiled | Interpreted
+
+
+def code_of(kernels: Kernels, schur: SchurStepper | None, kind: Kind, work: int = 0, announce: Announce = None) -> Code:
+    """The code of kernels; NotInterpreted, CompilerMissing, CompileError.
+
+    Without a compiler a model with a Schur stepper takes Newton's method.
+    """
+    if kind == "interpreted":
+        return Interpreted(kernels)
+    text = source(kernels, schur)
+    if kind == "auto" and schur is None and not kernels.unknown and not _found(text):
+        return Interpreted(kernels, work)
+    try:
+        return Compiled(kernels, text, announce)
+    except CompilerMissing:
+        if kind == "compiled" or kernels.unknown:
+            raise
+        return Interpreted(kernels)
+
+
+def source(kernels: Kernels, schur: SchurStepper | None) -> Generated:
+    """kernels.c; without a Schur stepper it is known by its kernels and by what writes it."""
+    if schur is not None:
+        text = kernel_table(kernels, schur).text
+        return Generated(text, lambda: text)
+    writer = hashlib.sha256(Path(codegen.__file__).read_bytes()).hexdigest()
+    return Generated(f"{kernels.token:#x} {ca.CasadiMeta.version()} {writer}", lambda: kernel_table(kernels).text)
+
+
+def _found(text: Generated) -> bool:
+    return find(headers() | {"kernels.c": text}, flags=host_flags()) is not None
+
+
+class Functions(Filled):
+    """ph_functions at `address`, compiled or interpreted; None: one without a call."""
+
+    def __init__(self, functions: Sequence[ca.Function | None], compiled: bool) -> None:
+        super().__init__()
+        self.address = self._compiled(functions) if compiled else self._interpreted(functions)
+
+    def of(self, place: int) -> int:
+        """The address of one of them."""
+        return self.address + place * ctypes.sizeof(FunctionRow)
+
+    def _compiled(self, functions: Sequence[ca.Function | None]) -> int:
+        text = function_table(functions, "ph_functions")
+        self._lib = ctypes.CDLL(str(compile(headers() | {"functions.c": text}, flags=host_flags()).path))
+        return ctypes.addressof(ctypes.c_char.in_dll(self._lib, "ph_functions"))
+
+    def _interpreted(self, functions: Sequence[ca.Function | None]) -> int:
+        rows = (FunctionRow * max(1, len(functions)))()
+        for row, f in zip(rows, functions, strict=False):
+            if f is not None:
+                row.program, row.w = _program(self, operations(f))
+                row.arg, row.res, row.call = f.n_in(), f.n_out(), _address(runtime()[1], "ph_interpret_function")
+        self._keep.append(rows)
+        return ctypes.addressof(rows)
+
+
+def _program(filled: Filled, table: Operations) -> tuple[int, int]:
+    """Address of a program that lives as long as `filled`, and the length of its work space."""
+    made = table.program()
+    return ctypes.addressof(filled.fill("ph_program", made, made.derived)), made.derived["nslot"]
+
+
+def _address(lib: ctypes.CDLL, name: str) -> int | None:
+    return ctypes.cast(getattr(lib, name), ctypes.c_void_p).value

@@ -1,0 +1,116 @@
+/* Kernels and functions that are interpreted: the loops of group.inc, and what CasADi's C text does, over
+ * programs. */
+#include <math.h>
+#include <string.h>
+
+#include "interpret.h"
+
+#define PH_NUMBER(name, expression) PH_OP_##name,
+enum { PH_UNARY(PH_NUMBER) PH_BINARY(PH_NUMBER) };
+
+#define PH_ONE(name, expression)                                                                             \
+    case PH_OP_##name:                                                                                       \
+        for (int j = 0; j < n; j++) {                                                                        \
+            const double a = w[o[j]];                                                                        \
+            r[j] = expression;                                                                               \
+        }                                                                                                    \
+        o += n;                                                                                              \
+        break;
+#define PH_TWO(name, expression)                                                                             \
+    case PH_OP_##name:                                                                                       \
+        for (int j = 0; j < n; j++) {                                                                        \
+            const double a = w[o[2 * j]], b = w[o[2 * j + 1]];                                               \
+            r[j] = expression;                                                                               \
+        }                                                                                                    \
+        o += 2 * n;                                                                                          \
+        break;
+
+/* The operations, with constants and arguments in place; results follow at r. */
+static void operate(const ph_program *p, const double *w, double *r) {
+    const int *o = p->operand;
+    for (int s = 0; s < p->nsegment; s++) {
+        const int n = p->segment[2 * s + 1];
+        switch (p->segment[2 * s]) { PH_UNARY(PH_ONE) PH_BINARY(PH_TWO) }
+        r += n;
+    }
+}
+
+static double *begin(const ph_program *p, double *w) {
+    if (p->nconstant > 0)
+        memcpy(w, p->constant, sizeof(double) * (size_t)p->nconstant);
+    return w + p->nconstant;
+}
+
+/* Instance i of a group: gather and operate; `first`: the slot of its arguments. */
+static void instance(const ph_kernel *k, const ph_program *p, const ph_group *g, const ph_point *at, int i,
+                     double *first) {
+    const int *xi = g->xi + i * k->nx, *yi = g->yi + i * k->ny, *pi = g->pi + i * k->np;
+    double *x = first, *y = x + k->nx, *q = y + k->ny;
+    for (int j = 0; j < k->nx; j++)
+        x[j] = at->x[xi[j]];
+    for (int j = 0; j < k->ny; j++)
+        y[j] = at->y[yi[j]];
+    for (int j = 0; j < k->np; j++)
+        q[j] = at->p[pi[j]];
+    operate(p, at->work, q + k->np);
+}
+
+static void scatter(const ph_kernel *k, const ph_program *p, const ph_group *g, const ph_point *at, int i,
+                    double *target) {
+    const int *oi = g->oi + i * k->no;
+    for (int j = 0; j < k->no; j++)
+        target[oi[j]] += at->hp[g->power[j]] * at->work[p->out[j]];
+}
+
+void ph_interpret_value(const ph_kernel *self, const ph_group *g, const ph_point *at, double *target) {
+    const ph_program *p = ((const ph_programs *)self->program)->value;
+    double *first = begin(p, at->work);
+    for (int i = 0; i < g->n; i++) {
+        instance(self, p, g, at, i, first);
+        scatter(self, p, g, at, i, target);
+    }
+}
+
+void ph_interpret_full(const ph_kernel *self, const ph_group *g, const ph_point *at, double *target,
+                       double *slots) {
+    const ph_program *p = ((const ph_programs *)self->program)->full;
+    double *first = begin(p, at->work), *slot = slots + g->slot;
+    for (int i = 0; i < g->n; i++, slot += self->nj) {
+        instance(self, p, g, at, i, first);
+        scatter(self, p, g, at, i, target);
+        for (int j = 0; j < self->nj; j++)
+            slot[j] = at->work[p->out[self->no + j]];
+    }
+}
+
+void ph_interpret_ledger(const ph_kernel *self, const ph_group *g, const ph_point *at, double *stored,
+                         double *moved, double *lost, double *numerical) {
+    const ph_program *p = ((const ph_programs *)self->program)->ledger;
+    double *first = begin(p, at->work);
+    for (int i = 0; i < g->n; i++) {
+        const int owner = g->owner[i];
+        instance(self, p, g, at, i, first);
+        stored[owner] += at->work[p->out[0]];
+        moved[owner] += fabs(at->work[p->out[0]]);
+        lost[owner] += at->work[p->out[1]];
+        if (p->nresult > 2)
+            numerical[owner] += at->work[p->out[2]];
+    }
+}
+
+int ph_interpret_function(const ph_function *self, const double **arg, double **res, int *iw, double *w,
+                          int mem) {
+    const ph_program *p = self->program;
+    double *to = begin(p, w);
+    const int *out = p->out;
+    for (int i = 0; i < p->nargument; i++)
+        for (int j = 0; j < p->argument[i]; j++)
+            *to++ = arg[i][j];
+    (void)iw;
+    (void)mem;
+    operate(p, w, to);
+    for (int i = 0; i < p->nresult; i++)
+        for (int j = 0; j < p->result[i]; j++)
+            res[i][j] = w[*out++];
+    return 0;
+}
