@@ -14,12 +14,14 @@ from phfmu.cli.options import lenient_of, scheme_of
 from phfmu.cli.settings import settings, with_settings
 from phfmu.cli.sound import require_sound_scene
 from phfmu.cli.stepping import (
+    Kernels,
     Stepping,
     as_fmu,
     asked_apart,
     engine_of,
     engines_asked,
     instance_of,
+    kernels_asked,
     parts_asked,
     threads_asked,
 )
@@ -55,6 +57,7 @@ class Job:
     build: Callable[[], Stepper]
     notes: list[str] = field(default_factory=list)
     order: float | None = None
+    kernels: Kernels = field(default_factory=Kernels)
 
 
 def label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf, held: str = "") -> str:
@@ -69,7 +72,8 @@ def label(schemes: Sequence[Any], engine: str, coupling: str, most: float = inf,
 
 
 def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]) -> Job:
-    scheme, engine = scheme_of(args, declaration), engine_of(args.engine)
+    scheme, engine, made = scheme_of(args, declaration), engine_of(args.engine), Kernels()
+    kernels = kernels_asked(args, {engine})
     if getattr(args, "audit_detail", False):
         declaration = _by_term(declaration, scheme, engine)
 
@@ -82,9 +86,16 @@ def whole(args: argparse.Namespace, s: Scene, declaration: PHDAE, why: list[str]
 
             return FMUStepper(as_fmu(declaration, scheme, args.fmi, s.step if args.step is None else args.step))
         model = build_model(declaration, scheme)
-        return Monolithic(model, instance_of(model, engine))
+        return Monolithic(model, made.of(instance_of(model, engine, kernels, _steps(args, s))))
 
-    return Job(s, label([scheme], f"{engine} engine", MONOLITHIC.name), engine != "fmu", build, why, scheme.order)
+    head = label([scheme], f"{engine} engine", MONOLITHIC.name)
+    return Job(s, head, engine != "fmu", build, why, scheme.order, made)
+
+
+def _steps(args: argparse.Namespace, s: Scene) -> float:
+    """About how many steps the run takes."""
+    stop, step = (getattr(s, n) if getattr(args, n) is None else getattr(args, n) for n in ("stop", "step"))
+    return stop / step if step else 0.0
 
 
 def _by_term(declaration: PHDAE, scheme: Scheme, engine: str) -> PHDAE:
@@ -141,10 +152,10 @@ def _refuse_compiled_in(args: argparse.Namespace) -> None:
             f"{args.target}: --member and --parts are for members of a network; an FMU has none to choose for"
         )
     whole = (row.name for row in COUPLINGS.values() if not row.apart)
-    usual = {"order": (None, 2), "scheme": ("auto",), "gradient": ("per-term",), "closure": (None,),
+    usual = {"order": (None, 2), "kernels": ("auto",), "scheme": ("auto",), "gradient": ("per-term",), "closure": (None,),
              "engine": ("auto", "fmu"), "coupling": (None, *whole)}  # fmt: skip
     for option, values in usual.items():
-        asked = getattr(args, option)
+        asked = getattr(args, option, values[0])
         if asked not in values:
             raise ValueError(
                 f"{args.target}: --{option} {asked} has no effect on an FMU, its method is compiled in; "
@@ -167,6 +178,9 @@ class _Members:
     stepping: Stepping
     step: float
     tried: Mapping[str, Rollback]
+    kernels: str
+    made: Kernels
+    steps: float
 
     @cached_property
     def whole(self) -> Apart:
@@ -221,7 +235,8 @@ class _Members:
             nodes = self.at_nodes(name) and _node_inputs(scheme)
             return FMUMember(name, as_fmu(own, scheme, self.args.fmi, self.step / parts, nodes, pushed))
         model = build_model(own, scheme)
-        return EngineMember(name, model, instance_of(model, self.stepping.engine_of(name)), parts)
+        instance = instance_of(model, self.stepping.engine_of(name), self.kernels, self.steps * parts)
+        return EngineMember(name, model, self.made.of(instance), parts)
 
 
 def apart(
@@ -239,7 +254,9 @@ def apart(
     stepping = Stepping(engine_of(args.engine), own_engines, parts_asked(args, declared))
     step = s.step if args.step is None else args.step
     threads, notes = threads_asked(args), [*why, *filter(None, [composed_words(network), _without_unit(s, declared)])]
-    members = _Members(args, network, coupling, schemes, stepping, step, tried)
+    engines, made = {stepping.engine_of(n) for n in network.declared}, Kernels()
+    kernels = kernels_asked(args, engines)
+    members = _Members(args, network, coupling, schemes, stepping, step, tried, kernels, made, _steps(args, s))
     holds = bool(network.wires) and (not coupling.nodes or bool(held_wires(network, members.held)))
     exchange, lines = _signals(args, network, [n for n, found in tried.items() if not found.works], holds)
     notes += lines
@@ -255,7 +272,7 @@ def apart(
     head = label(list(schemes.values()), stepping.words, said, most, words)
     notes += _order_lost(args.order, coupling, most, [members.whole.why_held(n) for n in alone])
     order = None if network.units or not schemes else min(most, *(scheme.order for scheme in schemes.values()))
-    return Job(s, head, False, build, notes, order)
+    return Job(s, head, False, build, notes, order, made)
 
 
 def _kept(members: _Members, exchange: SignalExchange | None) -> tuple[float, list[str]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +19,16 @@ if TYPE_CHECKING:
 
 
 ENGINES = ("auto", "python", "native", "fmu")
+#: how the native engine runs kernels
+KERNELS = ("auto", "compiled", "interpreted")
 
 
 def add_stepping(parser: argparse.ArgumentParser) -> None:
-    """--member, --parts, --threads."""
+    """--kernels, --member, --parts, --threads."""
+    parser.add_argument("--kernels", default="auto", choices=KERNELS,
+                        help="how the native engine works out the functions of a model, with the same bits: compiled, interpreted, "
+                             "or auto: compiled if they are in the cache, else interpreted at once, with the compiler beside a run "
+                             "that is long enough to earn it")  # fmt: skip
     parser.add_argument("--member", action="append", default=[], metavar="NAME=ENGINE",
                         help="the engine of one member of a network that is stepped apart; may be repeated")  # fmt: skip
     parser.add_argument("--parts", action="append", default=[], metavar="NAME=N",
@@ -102,21 +108,22 @@ def _pairs(items: list[str], option: str, what: str, network: Network) -> dict[s
 
 
 def engine_of(engine: str) -> str:
-    """`auto` resolved: native if a compiler is found, else python, which is said on stderr."""
+    """`auto` resolved: native if a compiler is found, or what one left in the cache, else python, which is said on stderr."""
     if engine != "auto":
         return engine
-    from phfmu.engine.build.compile import CompilerMissing, require_compiler
+    from phfmu.engine.build.compile import CompilerMissing
+    from phfmu.engine.native.library import require_runtime
 
     try:
-        require_compiler()
+        require_runtime()
     except CompilerMissing as error:
         print(f"phfmu: no C compiler ({error}); using the Python engine", file=sys.stderr)
         return "python"
     return "native"
 
 
-def instance_of(model: Any, engine: str) -> Any:
-    """A Python or native instance of a discretised model."""
+def instance_of(model: Any, engine: str, kernels: Any = "auto", steps: float = 0) -> Any:
+    """A Python or native instance of a discretised model; `steps`: about as many as it will take."""
     from phfmu.engine.switched import stepped
 
     if engine == "python":
@@ -125,13 +132,43 @@ def instance_of(model: Any, engine: str) -> Any:
         return stepped(model, PythonInstance)
     from phfmu.engine.native.native import NativeInstance
 
-    return stepped(model, lambda m: NativeInstance(m, _announce))
+    return stepped(model, lambda m: NativeInstance(m, _announce, kernels, steps))
+
+
+def kernels_asked(args: argparse.Namespace, engines: Collection[str]) -> str:
+    """--kernels; ValueError where no engine that is asked for has a choice."""
+    kernels = getattr(args, "kernels", "auto")
+    if kernels != "auto" and "native" not in engines:
+        raise ValueError(f"--kernels {kernels} is for the native engine, here it is {' and '.join(sorted(engines))}")
+    return kernels
+
+
+class Kernels:
+    """How the kernels of instances run: said of a run, as they may change in it."""
+
+    def __init__(self) -> None:
+        self._instances: list[Any] = []
+        self._first = ""
+
+    def of(self, instance: Any) -> Any:
+        """The instance, which is one of these from now on."""
+        self._instances.append(instance)
+        return instance
+
+    @property
+    def words(self) -> str:
+        """For the end of a head line; nothing where no instance is native."""
+        found = {k for i in self._instances if (k := getattr(i, "kernels", None)) is not None}
+        now = " and ".join(sorted(found))
+        self._first = self._first or now
+        said = now if now == self._first else f"{self._first}, then {now}"
+        return f", kernels {said}" if said else ""
 
 
 def _announce() -> None:
     """The first run of a set of equations on a machine waits for the compiler; say so on a terminal."""
     if sys.stderr.isatty():
-        print("phfmu: compiling the equations for this machine, once (--engine python runs without)", file=sys.stderr)
+        print("phfmu: compiling for this machine, once (--engine python runs without)", file=sys.stderr)
 
 
 def as_fmu(

@@ -56,6 +56,11 @@ class SwitchedInstance(Signals):
         self.happened: tuple[Happened, ...] = ()
 
     @property
+    def kernels(self) -> str | None:
+        """How those of the present mode run; None: not in compiled code."""
+        return getattr(self.present, "kernels", None)
+
+    @property
     def mode(self) -> Mode:
         """1 or 0 for each switch, in the order of the declaration."""
         return self._mode

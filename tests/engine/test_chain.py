@@ -27,7 +27,7 @@ from phfmu import (
 from phfmu.components.library import build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.discretise.model import Model
-from phfmu.engine.native.library import build as build_library
+from phfmu.engine.native.code import Functions
 from phfmu.schemes.named import named_scheme
 from tests.engines import ENGINES
 from tests.wide import wide
@@ -213,11 +213,11 @@ def test_with_inputs_at_nodes_it_is_with_respect_to_all_of_them_together(models,
     agree(one.sensitivity(), differences(outputs, u, size), 1e-12)
 
 
-def test_a_library_with_tangents_is_made_when_they_are_asked_for(models, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phfmu.engine.native import derivatives as native_chain
+def test_tangents_are_made_when_they_are_asked_for(models, monkeypatch: pytest.MonkeyPatch) -> None:
+    from phfmu.engine.native import derivatives
 
     made: list[object] = []
-    monkeypatch.setattr(native_chain, "build", lambda *a, **k: made.append(a) or build_library(*a, **k))
+    monkeypatch.setattr(derivatives, "Functions", lambda *a: made.append(a) or Functions(*a))
     declaration, model, step = models("dc_motor-2")
     one = NativeInstance(model)
     one.do_step(0.0, step)

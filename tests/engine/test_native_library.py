@@ -13,9 +13,11 @@ import pytest
 
 from phfmu.engine.build.codegen import kernel_table
 from phfmu.engine.build.compile import CompileError, CompilerMissing, compile, host_flags
+from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.tables import CTables, c_text, ctypes_structures, stamp
 from phfmu.engine.model import kernels
-from phfmu.engine.native.library import load, runtime_sources
+from phfmu.engine.native.code import code_of
+from phfmu.engine.native.library import load, runtime, runtime_sources
 from phfmu.engine.native.native import NativeInstance
 from phfmu.outcome.status import Status
 from tests.engine.hand_made import (
@@ -39,7 +41,7 @@ def test_instances_of_a_model_share_its_library_and_tables_and_nothing_else(monk
 
 def test_messages_and_layouts_agree_with_the_header() -> None:
     inst = NativeInstance(oscillator())
-    built, lib = runtime()
+    _, lib = runtime()
     own = [s for s in Status if s not in (Status.UNIT, Status.GROWTH)]
     assert [lib.ph_status_text(i).decode() for i in range(len(own))] == [s.value for s in own]
     assert lib.ph_status_text(len(own)) == b"unknown status"

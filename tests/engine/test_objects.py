@@ -15,10 +15,11 @@ import pytest
 from phfmu.components.mechanical.translational import mass
 from phfmu.discretise.model import build_model
 from phfmu.engine.build import cache, objects
-from phfmu.engine.build.codegen import KernelTable, kernel_table
-from phfmu.engine.build.compile import FLAGS, CompileError, compile
+from phfmu.engine.build.compile import CompileError, compile, host_flags
+from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.model import kernels
-from phfmu.engine.native.library import build, runtime_sources
+from phfmu.engine.native.code import Compiled, source
+from phfmu.engine.native.library import PARTS, runtime, runtime_sources
 from phfmu.fmu.export.export import export
 
 #: two sources that share a header by way of another, and one that stands alone
@@ -62,21 +63,23 @@ def compiled(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], list
     return since
 
 
-def table(**parameters: float) -> KernelTable:
-    model = build_model(mass(2.0, **parameters))
-    return kernel_table(kernels(model), model.step.schur)
+def made(**parameters: float) -> Compiled:
+    found = Kernels(kernels(build_model(mass(2.0, **parameters))))
+    return Compiled(found, source(found, None))
 
 
 def test_a_further_library_compiles_only_what_others_have_not(
-    compiled: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch
+    compiled: Callable[[], list[str]],
 ) -> None:
-    monkeypatch.setattr("phfmu.engine.build.compile.FLAGS", tuple(f.replace("-O2", "-O0") for f in FLAGS))
-    build(table(k=100.0))
-    first = compiled()
-    assert "kernels.c" in first and {n for n in runtime_sources() if n.endswith(".c")} < set(first)
-    assert not build(table()).reused
+    sources = runtime_sources(*PARTS)
+    runtime()
+    assert compiled() == sorted(n for n in sources if n.endswith(".c"))
+    assert not made(k=100.0).build.reused
     assert compiled() == ["kernels.c"]
-    assert not build(table(), more={"more.c": "int more;\n"}).reused
+    assert not made().build.reused
+    assert compiled() == ["kernels.c"]
+    assert made().build.reused
+    assert not compile(sources | {"more.c": "int more;\n"}, flags=host_flags()).reused
     assert compiled() == ["more.c"]
 
 

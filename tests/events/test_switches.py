@@ -36,8 +36,11 @@ from phfmu import (
 )
 from phfmu.components.electrical.sources import voltage_source
 from phfmu.components.electrical.switches import diode, ideal_switch, thyristor
+from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.tables import RUNTIME
 from phfmu.engine.landing import mode_change
+from phfmu.engine.model import kernels
+from phfmu.engine.native.compiled import made_of
 from phfmu.events import comply, switch_system
 from phfmu.outcome.limits import defined
 from phfmu.outcome.status import EventRefused
@@ -133,7 +136,8 @@ def test_modes_share_their_kernels(bridges):
     known = [model.modes[mode] for mode in model.modes.known]
     assert len(known) == 3  # all diodes off never comes up
     assert len({(m.step.nx, m.step.na, m.step.nw) for m in known}) == 1
-    assert len({str(NativeInstance(m).build.path) for m in known if m.checks}) == 1
+    assert len({made_of(m, "compiled").code.build.path for m in known if m.checks}) == 1
+    assert len({Kernels(kernels(m)).token for m in known if m.checks}) == 1
 
 
 def capacitor(C: float, v: float = 0.0, R: float | None = None) -> PHDAE:

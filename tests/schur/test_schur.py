@@ -243,7 +243,7 @@ def test_wider_vectors_give_the_same_bits(order: int, optimised: None) -> None:
     m = model(chain(3), order)
     table = kernel_table(kernels(m), m.step.schur)
     portable = load(compile({**runtime_sources(), "kernels.c": table.text}, flags=("-Wall", "-Wextra", "-Werror")).path)
-    tables = CTables(m, table.index, table.token)
+    tables = CTables(m, table.index, ctypes.addressof(ctypes.c_char.in_dll(portable, "ph_the_code")))
     memory = np.zeros(portable.ph_size(tables.pointer) // 8 + 1)
     address = memory.ctypes.data
     assert portable.ph_init(address, tables.pointer) == 0 and portable.ph_initialise(address) == 0

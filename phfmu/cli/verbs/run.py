@@ -142,7 +142,7 @@ def call(args: argparse.Namespace) -> int:
             signals.check()
 
         marks = changes if args.interpolate == "held" else [e for e in events if e.t < chosen.stop]
-        outputs.begin({"target": args.target, "run": label})
+        outputs.begin({"target": args.target, "run": label + job.kernels.words})
         columns = partial(outputs.columns, chosen, marks)
         record = accuracy.recorded(args, chosen.step)
         options_here = replace(
@@ -154,7 +154,7 @@ def call(args: argparse.Namespace) -> int:
         seconds = perf_counter() - begun - outputs.seconds
     summary = result.ledger.summary()
     if not args.quiet:
-        _print_run(args, label, result, chosen, seconds)
+        _print_run(args, label + job.kernels.words, result, chosen, seconds)
         _print_notes([*job.notes, *dropped, *result.notes, *outputs.notes])
         if chosen.audited:
             print(audit_table(summary, most=ROWS), end="")

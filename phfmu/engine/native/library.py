@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.compile import Build, compile_once
+from phfmu.engine.build.cache import cache_folder
+from phfmu.engine.build.compile import Build, CompilerMissing, compile_once, require_compiler
 from phfmu.engine.build.tables import RUNTIME
 from phfmu.engine.model import Model
 from phfmu.engine.record import RECORD
@@ -163,8 +164,22 @@ def headers() -> dict[str, Path]:
 
 def runtime(announce: Callable[[], None] | None = None) -> tuple[Build, ctypes.CDLL]:
     """The library that steps all models; CompilerMissing, CompileError."""
-    built = compile_once(runtime_sources(*PARTS), announce)
-    return built, load(built.path)
+    folder = cache_folder()
+    if folder not in _BUILT:
+        _BUILT[folder] = compile_once(runtime_sources(*PARTS), announce)
+    return _BUILT[folder], load(_BUILT[folder].path)
+
+
+def require_runtime() -> None:
+    """CompilerMissing where there is neither a compiler nor what one left in the cache."""
+    try:
+        require_compiler()
+    except CompilerMissing:
+        runtime()
+
+
+#: by cache
+_BUILT: dict[Path, Build] = {}
 
 
 def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:

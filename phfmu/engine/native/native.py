@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -141,7 +142,7 @@ class NativeInstance(NativeReadings):
         super().__init__(model, announce, kernels)
         self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
         if self._made.code.count(steps):
-            self._step, self._steps = self._counted_step, self._counted_step
+            self._step = self._steps = self._counted()
         self._kicked: NativeImpulses | None = None
         self._landing: NativeLanding | None = None
         if model.events is not None:
@@ -153,11 +154,17 @@ class NativeInstance(NativeReadings):
         """How they run at present: compiled or interpreted."""
         return "compiled" if self._made.code.compiled else "interpreted"
 
-    def _counted_step(self, _: int, t: float, h: float, parts: int = 1) -> int:
-        """A step while it is open whether kernels earn it to be compiled."""
-        if not self._made.code.count(parts):
-            self._step, self._steps = self._lib.ph_step, self._lib.ph_step_parts
-        return self._lib.ph_step_parts(self._in, t, h, parts)
+    def _counted(self) -> Callable[..., int]:
+        """Steps while it is open whether they earn it to compile kernels."""
+        code, lib, own = self._made.code, self._lib, ref(self)
+
+        def step(address: int, t: float, h: float, parts: int = 1) -> int:
+            instance = own()
+            if not code.count(parts) and instance is not None:
+                instance._step, instance._steps = lib.ph_step, lib.ph_step_parts
+            return lib.ph_step_parts(address, t, h, parts)
+
+        return step
 
     def reset(self) -> None:
         self._check(self._lib.ph_reset(self._in))
@@ -261,6 +268,7 @@ class NativeInstance(NativeReadings):
         return self._lands, self._check
 
     def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
+        self._made.code.count(grid.n)
         return self._lands.over(grid, names, changed, self._check)
 
     @property
