@@ -26,9 +26,9 @@ KERNELS = ("auto", "compiled", "interpreted")
 def add_stepping(parser: argparse.ArgumentParser) -> None:
     """--kernels, --member, --parts, --threads."""
     parser.add_argument("--kernels", default="auto", choices=KERNELS,
-                        help="how the native engine works out the functions of a model, with the same bits: compiled, interpreted, "
-                             "or auto: compiled if they are in the cache, else interpreted at once, with the compiler beside a run "
-                             "that is long enough to earn it")  # fmt: skip
+                        help="how the native engine works out the functions of a model, with the same bits: compiled, "
+                        "interpreted, or auto: compiled if the cache has them, else interpreted at once, with the compiler "
+                        "beside a run that is long enough to earn it")  # fmt: skip
     parser.add_argument("--member", action="append", default=[], metavar="NAME=ENGINE",
                         help="the engine of one member of a network that is stepped apart; may be repeated")  # fmt: skip
     parser.add_argument("--parts", action="append", default=[], metavar="NAME=N",

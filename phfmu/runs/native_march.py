@@ -105,6 +105,7 @@ class NativeMarch:
         march.t = t
         for name in CONTROL:
             setattr(march, name, getattr(control, name))
+        self._adaptive.stepper.instance.expect(room)
         code = self._lib.ph_march_steps(ctypes.addressof(march), request, goal, room, done)
         for name in CONTROL:
             setattr(control, name, getattr(march, name))

@@ -61,6 +61,7 @@ class NativeRuns:
 
     def __init__(self, task: Task):
         self._model, self._width, self._count = task.model, len(task.names), len(task.measures)
+        self._steps = (task.options.stop - task.options.t0) / task.options.step
         self._instance = NativeInstance(task.model)
         self._memory, self._stop = Structures(HEADER), np.zeros(1, np.intc)
         self._lib = _library()
@@ -74,6 +75,7 @@ class NativeRuns:
         del first
         rows, n = np.ascontiguousarray(rows, float), len(rows)
         values, facts, errors = np.full((n, self._count), np.nan), np.zeros((n, 2)), [""] * n
+        self._instance.expect(n * self._steps)
         begun, done, constants = 0, ctypes.c_int(), self._constants(rows)
         while begun < n:
             code = self._lib.ph_runs_take(

@@ -120,13 +120,18 @@ def test_targets_in_a_file(cli: Cli) -> None:
     assert np.allclose(column("j.csv", "m.q"), exact, rtol=0, atol=1e-6)
 
 
-def test_a_run_without_a_compiler(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_without_a_compiler(cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from phfmu.engine.build import compile as found
+    from phfmu.engine.native import library
 
     def missing() -> None:
         raise found.CompilerMissing("none here")
 
-    monkeypatch.setattr(found, "require_compiler", missing)
+    monkeypatch.setattr(library, "require_compiler", missing)
+    code, out, err = cli("run", "mass", "--stop", "0.01")
+    assert code == 0 and "native engine" in out and not err  # by what a compiler left in the cache
+    monkeypatch.setenv("PHFMU_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(library, "runtime", missing)
     code, out, err = cli("run", "mass", "--stop", "0.01")
     assert code == 0 and "python engine" in out and "using the Python engine" in err
 

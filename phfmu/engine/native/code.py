@@ -13,7 +13,7 @@ from contextlib import suppress
 from math import inf
 from pathlib import Path
 from threading import Thread
-from typing import Literal
+from typing import Literal, get_args
 
 import casadi as ca
 
@@ -28,7 +28,6 @@ from phfmu.schur.stepper import SchurStepper
 
 #: how kernels run; auto: compiled if that is in the cache, or a Schur stepper needs it, else interpreted to begin with
 Kind = Literal["auto", "compiled", "interpreted"]
-KINDS: tuple[Kind, ...] = ("auto", "compiled", "interpreted")
 
 #: s that a compiler takes: always, and for each operation of the kernels (zig and gcc on one core, measured)
 COMPILING = (0.3, 0.6e-3)
@@ -153,6 +152,8 @@ def code_of(kernels: Kernels, schur: SchurStepper | None, kind: Kind, work: int 
 
     Without a compiler a model with a Schur stepper takes Newton's method.
     """
+    if kind not in get_args(Kind):
+        raise ValueError(f"kernels '{kind}': expected auto, compiled or interpreted")
     if kind == "interpreted":
         return Interpreted(kernels)
     text = source(kernels, schur)

@@ -154,6 +154,10 @@ class NativeInstance(NativeReadings):
         """How they run at present: compiled or interpreted."""
         return "compiled" if self._made.code.compiled else "interpreted"
 
+    def expect(self, steps: float) -> None:
+        """So many steps will be taken by compiled code, which does not count them itself."""
+        self._made.code.count(steps)
+
     def _counted(self) -> Callable[..., int]:
         """Steps while it is open whether they earn it to compile kernels."""
         code, lib, own = self._made.code, self._lib, ref(self)
@@ -253,7 +257,7 @@ class NativeInstance(NativeReadings):
         if inputs is not None:
             request.input, request.input_stride = inputs.ctypes.data, math.prod(inputs.shape[1:])
             request.at_nodes = inputs.ndim == 3
-        self._made.code.count(grid.n * grid.parts)
+        self.expect(grid.n * grid.parts)
         done = ctypes.c_int()
         code = self._lib.ph_run(self._in, grid.t0, grid.h, grid.n, request, done)
         try:
@@ -268,7 +272,7 @@ class NativeInstance(NativeReadings):
         return self._lands, self._check
 
     def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]:
-        self._made.code.count(grid.n)
+        self.expect(grid.n)
         return self._lands.over(grid, names, changed, self._check)
 
     @property

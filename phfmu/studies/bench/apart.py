@@ -30,7 +30,7 @@ def instances(models: Mapping[str, Model]) -> list[EngineMember]:
     from phfmu.engine.native.native import NativeInstance
     from phfmu.network.members.engine_member import EngineMember
 
-    return [EngineMember(name, model, NativeInstance(model)) for name, model in models.items()]
+    return [EngineMember(name, model, NativeInstance(model, kernels="compiled")) for name, model in models.items()]
 
 
 def joined(network: Network, members: list[EngineMember], compiled: bool = True, threads: int = 1) -> Stepper:
@@ -46,4 +46,4 @@ def composed(network: Network, k: int) -> Stepper:
     from phfmu.schemes.collocated import Collocated
 
     model = build_model(network.compose(), Collocated(k))
-    return Monolithic(model, NativeInstance(model))
+    return Monolithic(model, NativeInstance(model, kernels="compiled"))

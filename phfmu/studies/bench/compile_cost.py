@@ -30,10 +30,9 @@ def fresh_cache() -> Iterator[None]:
 
 def compile_runtime() -> None:
     """Leave the objects of the runtime in the cache, as any model does."""
-    from phfmu.engine.build.codegen import kernel_table
-    from phfmu.engine.native.library import build
+    from phfmu.engine.native.library import runtime
 
-    build(kernel_table([]))
+    runtime()
 
 
 def compiler_seconds() -> float:

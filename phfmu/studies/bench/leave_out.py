@@ -65,6 +65,7 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
     from phfmu.discretise.model import build_model
     from phfmu.engine.build.codegen import kernel_table
     from phfmu.engine.model import kernels
+    from phfmu.engine.native.compiled import made_of
     from phfmu.engine.native.native import NativeInstance
     from phfmu.fmu.export.export import export
 
@@ -73,9 +74,9 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
     with fresh_cache(), tempfile.TemporaryDirectory() as folder:
         compile_runtime()
         before = compiler_seconds()
-        unit = NativeInstance(model)
+        unit = NativeInstance(model, kernels="compiled")
         seconds = compiler_seconds() - before
-        size = unit.build.path.stat().st_size
+        size = made_of(model, "compiled").code.build.path.stat().st_size
         paths = export(model, folder, versions=versions, step=H)
         fmu = sum(p.stat().st_size for p in paths)
     return Row(name, model.step.nw, len(unit.get_state()), len(text), size, seconds, fmu, step_time(unit))
@@ -97,7 +98,7 @@ def readings() -> list[tuple[str, float]]:
     from phfmu.discretise.model import build_model
     from phfmu.engine.native.native import NativeInstance
 
-    unit = NativeInstance(build_model(pair()))
+    unit = NativeInstance(build_model(pair()), kernels="compiled")
     ledger = ("stored", "dissipated", "supplied", "pairs")
     kinds = (
         ("nothing recorded", ()),

@@ -75,7 +75,7 @@ class _Solver:
         if engine == "native":
             from phfmu.engine.native.native import NativeInstance
 
-            self._instance = NativeInstance(model)
+            self._instance = NativeInstance(model, kernels="compiled")
         else:
             from phfmu.engine.reference.python import PythonInstance
 

@@ -56,7 +56,7 @@ def simulate(model: Model, h: float, stop: float, instance: Any = None) -> Run:
     """`model` from its start to `stop`; StepFailure if a step has no solution."""
     from phfmu.engine.native.native import NativeInstance
 
-    unit = NativeInstance(model) if instance is None else instance
+    unit = NativeInstance(model, kernels="compiled") if instance is None else instance
     n = round(stop / h)
     start = unit.signals()
     r = unit.run(0.0, h, n, record=("signals", "energy", "stored", "dissipated", "x", "a"))

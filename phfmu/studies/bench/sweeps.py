@@ -66,7 +66,7 @@ class _Alone:
 
         declared = model.declaration.parameters
         place = [p.name for p in declared].index(VARIED)
-        self._instance, self._first = NativeInstance(model), sum(p.n for p in declared[:place])
+        self._instance, self._first = NativeInstance(model, kernels="compiled"), sum(p.n for p in declared[:place])
         self._values, self._h, self._n = runs.rows[:: max(1, len(runs.rows) // ALONE), 0], h, n
 
     def time(self) -> float:

@@ -132,7 +132,7 @@ class Master:
         """Steps that were taken, seconds.  A crash in a unit tells its name."""
         t0, h, first = grid
         for own in self._own:
-            own.begin()
+            own.begin(n)
         with crew(self._lib, self.threads) as self._struct.crew, watched(self._own):
             begun = perf_counter()
             done = self._lib.ph_master_run(ctypes.addressof(self._struct), t0, h, n, first, next_)

@@ -64,8 +64,8 @@ class NativeShare:
         }  # fmt: skip
         return m.fill("ph_native", values)
 
-    def begin(self) -> None:
-        """Nothing is to be known before steps."""
+    def begin(self, n: int) -> None:
+        self._member.instance.expect(n * self._member.parts)
 
     def finish(self, t: float, h: float, row: Array, u: Array) -> None:
         """The instance is where its last step ended, t + h, under held inputs u, or values at nodes."""
@@ -92,8 +92,8 @@ class Own(Protocol):
 
     values: dict[str, Any]
 
-    def begin(self) -> None:
-        """Before steps."""
+    def begin(self, n: int) -> None:
+        """Before at most n steps."""
         ...
 
     def finish(self, t: float, h: float, row: Array, u: Array) -> None:

@@ -153,7 +153,7 @@ class UnitShare:
 
     # -- steps ------------------------------------------------------------------------------------------------------
 
-    def begin(self) -> None:
+    def begin(self, n: int) -> None:
         """What only events change, as it is before the steps."""
         if len(self._before):
             self._before[:] = self._member.unit.get(self._member.told_of_events)
