@@ -57,7 +57,8 @@ def induction_machine(
 
     R_s, L_s: resistance and leakage inductance of the stator;  L_m: magnetising inductance, 3/2 of the peak mutual inductance of
     two phases;  L_0: zero-sequence inductance (default L_s);  cages: (resistance, leakage inductance) each;
-    speed [rad/s]: of the shaft at the start, where all fluxes are zero;  v, f, i: rated peak phase voltage, frequency, current.
+    speed [rad/s]: of the shaft at the start, where all fluxes are zero;  v [V], f [Hz], i [A]: rated peak phase voltage, frequency,
+    peak current.
     A second cage makes deep bars or a double cage.  No angle is a state: a round rotor does not tell one.
     Defaults: 50 hp, 460 V, 60 Hz, four poles.  Source: Krause, Wasynczuk, Sudhoff, Pekarek, Analysis of Electric
     Machinery and Drive Systems, 2013, chapter 6.

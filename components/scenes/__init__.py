@@ -7,6 +7,7 @@ from phfmu.components.scenes.buck import buck
 from phfmu.components.scenes.clutch_engagement import clutch_engagement
 from phfmu.components.scenes.drive import drive
 from phfmu.components.scenes.ladder import ladder
+from phfmu.components.scenes.motor_start import motor_start
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.components.scenes.rectifier import rectifier, six_pulse
 from phfmu.components.scenes.smib import smib, smib_breaker, smib_folded, smib_hydro
@@ -14,6 +15,7 @@ from phfmu.components.scenes.speed_control import speed_control
 from phfmu.components.scenes.stops import buffer, hard_stop
 from phfmu.components.scenes.two_machine import two_machine
 from phfmu.components.scenes.two_point_control import two_point_control
+from phfmu.components.scenes.wscc9 import wscc9, wscc9_steady
 
 __all__ = [
     "bead",
@@ -25,6 +27,7 @@ __all__ = [
     "drive",
     "hard_stop",
     "ladder",
+    "motor_start",
     "oscillator",
     "rectifier",
     "six_pulse",
@@ -35,4 +38,6 @@ __all__ = [
     "speed_control",
     "two_machine",
     "two_point_control",
+    "wscc9",
+    "wscc9_steady",
 ]

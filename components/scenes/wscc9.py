@@ -44,7 +44,9 @@ MACHINES: dict[str, dict[str, Any]] = {
 def wscc9(
     *, t_fault: float = 0.1, t_clear: float = 0.18, stop: float = 2.0, coordinates: Coordinates = "dq-flux"
 ) -> Scene:
-    """Three machines, six lines, three loads; a three-phase fault of 1 ohm at bus 7 from t_fault to t_clear [s].
+    """Three machines, six lines, three loads; a three-phase fault of 1 ohm at bus 7.
+
+    Arguments: t_fault, t_clear [s], when it begins and ends; stop [s], end of the run
 
     Members gen1 .. gen3 (machines), transformer1 .. 3 with leakage1 .. 3, line45 .. line89, shunt4 .. shunt9 (the load and half
     of the charging of the lines at each bus), fault; junctions bus1 .. bus9.  All begin in the operating point of the published
@@ -59,7 +61,7 @@ def wscc9(
 
 
 def wscc9_steady(*, stop: float = 1.0, coordinates: Coordinates = "dq-flux") -> Scene:
-    """`wscc9` without the fault: a steady state, in which amplitudes, speeds and powers stay."""
+    """`wscc9` without the fault until `stop` [s]: a steady state, in which amplitudes, speeds and powers stay."""
     net = _point(coordinates).started()
     net.description = "nine buses, three machines, in steady state"
     return Scene("wscc9_steady", net, stop=stop, step=5e-5, description=net.description)

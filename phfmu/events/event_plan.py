@@ -15,7 +15,7 @@ import numpy as np
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.event import StateEvent
 from phfmu.declare.phdae import PHDAE
-from phfmu.declare.variable import Value, _sx
+from phfmu.declare.variable import Value, _sx, time
 from phfmu.events.jump_tables import JumpTables, jump_tables
 from phfmu.events.polynomial import Polynomial
 from phfmu.plan.address import READ, Address, row
@@ -23,8 +23,9 @@ from phfmu.plan.plan import Floats, Group, Ints, Kernel, Powers
 from phfmu.plan.spec import Spec, build
 from phfmu.terms.canonical import Locator, make_term, member
 from phfmu.terms.located import Row, RowAt
-from phfmu.terms.rows import costate_symbols, costates
-from phfmu.terms.term import Term, TermKind, Terms
+from phfmu.terms.rows import costate_symbols, costates, flow_expressions
+from phfmu.terms.term import CONSTRAINT, Term, TermKind, Terms
+from phfmu.terms.velocities import velocity_of
 
 GUARD = TermKind("guard")
 
@@ -46,7 +47,8 @@ class EventPlan:
     """n state events of a model, in the order of the declaration.
 
     names, direction, nominal (n): of the guards;  groups: their kernels (stage 1), with x = [states | t], Y = [a | u] and the
-    guards as rows;  solves: 1 if one reads algebraic variables;  when, sets, rest: see `StateEvent`;
+    guards as rows;  rates: the same of d guard / dt, for those that are `rated` (n): 1 = it follows from states and inputs;
+    solves: 1 if one reads algebraic variables;  when, sets, rest: see `StateEvent`;
     owner (n): component that books what the event loses
     """
 
@@ -54,6 +56,8 @@ class EventPlan:
     direction: Powers
     nominal: Floats
     groups: tuple[Group, ...]
+    rates: tuple[Group, ...]
+    rated: Powers
     solves: int
     owner: Ints
     when: Settings
@@ -68,7 +72,7 @@ class EventPlan:
 
     @property
     def kernels(self) -> list[Kernel]:
-        return [g.kernel for g in (*self.groups, *(() if self.jump is None else (self.jump.group,)))]
+        return [g.kernel for g in (*self.groups, *self.rates, *(() if self.jump is None else (self.jump.group,)))]
 
 
 def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan:
@@ -77,13 +81,18 @@ def event_plan(terms: Terms, polynomial: Polynomial) -> EventPlan:
     events = model.state_events
     index = {n: i for i, n in enumerate(n for v in model.parameters for n in v.names())}
     _require_modes(model, index)
-    groups = _guards(terms, events)
+    guards = {i: _guard(terms, e) for i, e in enumerate(events)}
+    groups = _groups(terms, guards)
+    solves = any((g.yi < terms.na).any() for g in groups)
+    rates = _rates(terms, guards)
     return EventPlan(
         tuple(e.guard.name for e in events),
         np.array([e.guard.direction for e in events], np.int8),
         np.array([e.guard.nominal for e in events], float),
         tuple(groups),
-        int(any((g.yi < terms.na).any() for g in groups)),
+        tuple(_groups(terms, rates)),
+        np.array([i in rates for i in guards], np.int8),
+        int(solves),
         np.array([_owner(terms.members, e) for e in events], np.int32),
         _settings(index, (e.when for e in events)),
         _settings(index, (e.sets for e in events)),
@@ -132,20 +141,53 @@ def _require_modes(model: PHDAE, index: Mapping[str, int]) -> None:
             )
 
 
-def _guards(terms: Terms, events: Iterable[StateEvent]) -> list[Group]:
-    """Kernels of the guards; equal ones are instances of one."""
+def _guard(terms: Terms, e: StateEvent) -> tuple[str, ca.SX]:
+    """Label and expression of a guard at an instant."""
+    label = f"guard '{e.guard.name}'"
+    expr = at_instant(terms, ca.SX(_sx(e.guard.expr)), label)
+    if expr.numel() != 1:
+        reason = f"has {expr.numel()} entries"
+        raise DeclarationError(f"{terms.model.name}: {label}", reason, "give one expression a guard", "shape")
+    return label, expr
+
+
+def _groups(terms: Terms, rows: Mapping[int, tuple[str, ca.SX]]) -> list[Group]:
+    """Kernels of expressions at an instant, by the number of their row; equal ones are instances of one."""
     locator, found = Locator(terms.model, terms.pairs), list[tuple[Term, Spec]]()
     specs: dict[tuple, Spec] = {}
-    for i, e in enumerate(events):
-        label = f"guard '{e.guard.name}'"
-        expr = at_instant(terms, ca.SX(_sx(e.guard.expr)), label)
-        if expr.numel() != 1:
-            reason = f"has {expr.numel()} entries"
-            raise DeclarationError(f"{terms.model.name}: {label}", reason, "give one expression a guard", "shape")
+    for i, (label, expr) in rows.items():
         term = make_term(GUARD, {"f": expr}, locator, label, rows=[RowAt(Row.OBSERVABLE, i)])
         spec = specs.get(term.key) or specs.setdefault(term.key, _spec(term))
         found.append((term, spec))
     return [_table(terms, spec, [t for t, s in found if s is spec]) for spec in specs.values()]
+
+
+def _rates(terms: Terms, guards: Mapping[int, tuple[str, ca.SX]]) -> dict[int, tuple[str, ca.SX]]:
+    """d guard / dt = (d guard / d x) f + d guard / d t, for guards of states whose rates f are at hand.
+
+    Not at hand are the rates of algebraic variables, of states with a block of E, of those that forces of holonomic constraints
+    act on, and rates that read algebraic variables or costates which are solved for.  A rate that is a number is of no use: such
+    a guard does not turn back.
+    """
+    if not guards:
+        return {}
+    model, z = terms.model, costate_symbols(terms.model)
+    inputs = ca.vertcat(ca.SX(0, 1), *(p.port.u[p.j] for p in terms.pairs))
+    f = flow_expressions(terms, z, inputs)[0]
+    velocity = velocity_of(terms) if terms.of(CONSTRAINT) else {}
+    unknown = set(terms.with_descriptor()) | {velocity[i] for t in terms.of(CONSTRAINT) for i in t.index[Value.STATE]}
+    hidden = ca.vertcat(ca.SX(0, 1), *(z[i] for i in terms.solved_costates()))
+    algebraic = ca.vertcat(ca.SX(0, 1), *(v.sx for v in model.algebraics))
+    found = {}
+    for i, (label, expr) in guards.items():
+        slope = ca.jacobian(expr, model.x)
+        rate = ca.mtimes(slope, f) + ca.jacobian(expr, time)
+        if {int(c) for c in slope.sparsity().get_triplet()[1]} & unknown or ca.depends_on(rate, hidden):
+            continue
+        rate = at_instant(terms, ca.densify(rate), label)
+        if not rate.is_constant() and not ca.depends_on(ca.vertcat(expr, rate), algebraic):
+            found[i] = label, rate
+    return found
 
 
 def _spec(term: Term) -> Spec:

@@ -14,6 +14,8 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from phfmu.outcome.limits import LIMITS
+
 Array = NDArray[np.float64]
 
 DEPTH = 40  # halvings after which coefficients of both signs are a touch, no crossing
@@ -115,3 +117,42 @@ def _isolated(b: Array, direction: int, low: float, high: float, depth: int) -> 
         left, right = parted(b, t)
     middle = low + t * (high - low)
     return _isolated(left, direction, low, middle, depth + 1) or _isolated(right, direction, middle, high, depth + 1)
+
+
+def hermite(start: float, end: float, slope_start: float, slope_end: float) -> Array:
+    """Bernstein coefficients of the cubic with these values and slopes at 0 and 1."""
+    return np.array([start, start + slope_start / 3, end - slope_end / 3, end])
+
+
+def hermite_from_zero(end: float, slope_start: float, slope_end: float) -> Array:
+    """The same of the cubic that is 0 at 0, divided by the variable: of degree 2."""
+    return hermite(0.0, end, slope_start, slope_end)[1:] * [3.0, 1.5, 1.0]
+
+
+def turn(start: float, end: float, slope_start: float, slope_end: float) -> float | None:
+    """The fraction of a step at which a guard turns back that may have been zero; values and slopes d guard / d tau at its ends.
+
+    It approaches zero at the start, fast enough, and leaves it at the end on the same side.  In between it is the cubic of the
+    four numbers, which is beyond zero, or as near to it as a part of its distance from the chord: else None.
+    """
+    side = np.sign(start)
+    if not (
+        abs(slope_start) * LIMITS["TURN_REACH"] >= abs(start)
+        and end * side > 0
+        and slope_start * side < 0 < slope_end * side
+    ):
+        return None
+    b = hermite(start, end, slope_start, slope_end)
+    at = crossing(np.diff(b), 0, False)
+    if at is None:
+        return None
+    least, chord = value(b, at.tau), start + at.tau * (end - start)
+    return at.tau if least * side <= LIMITS["TURN_NEAR"] * abs(chord - least) else None
+
+
+def vertex(left: tuple[float, float], middle: tuple[float, float], right: tuple[float, float]) -> float:
+    """Where the parabola through three points (x, y) is least; the middle one where it is not curved upwards."""
+    (a, ya), (b, yb), (c, yc) = left, middle, right
+    before, after = (yb - ya) / (b - a), (yc - yb) / (c - b)
+    curved = (after - before) / (c - a)
+    return (a + b - before / curved) / 2 if curved > 0 else b

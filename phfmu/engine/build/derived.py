@@ -194,6 +194,7 @@ def event_values(plan: EventPlan) -> dict[str, Any]:
         **tables,
         "jump_of": np.full(plan.n, -1) if jump is None else jump.of,
         "ngroup": len(plan.groups),
+        "nrate": len(plan.rates),
         "npoint": len(found.tau),
         "nincrement": len(polynomial.w),
         "nstart": len(polynomial.start_w),

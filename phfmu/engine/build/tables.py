@@ -173,8 +173,9 @@ class CTables(Filled):
 
     def _events(self, plan: EventPlan) -> int:
         at, size = self.groups(_event_groups(plan, self._index)), ctypes.sizeof(ctypes_structures()["ph_group"])
-        derived = event_values(plan) | {"groups": at}
-        derived["jump"] = None if plan.jump is None else at + size * len(plan.groups)
+        rates = at + size * len(plan.groups)
+        derived = event_values(plan) | {"groups": at, "rates": rates}
+        derived["jump"] = None if plan.jump is None else rates + size * len(plan.rates)
         return ctypes.addressof(self.fill("ph_events", plan, derived))
 
     def _schur(self, schur: SchurStepper) -> int:
@@ -189,8 +190,8 @@ class CTables(Filled):
 
 
 def _event_groups(plan: EventPlan, index: Callable[[Kernel], int]) -> list[tuple[Any, dict[str, Any]]]:
-    """Groups of the guards, then that of the jumps; all their rows are reports."""
-    groups = [*plan.groups, *(() if plan.jump is None else (plan.jump.group,))]
+    """Groups of the guards and of their rates, then that of the jumps; all their rows are reports."""
+    groups = [*plan.groups, *plan.rates, *(() if plan.jump is None else (plan.jump.group,))]
     return [(g, group_values(g, 0, index)) for g in groups]
 
 
@@ -277,7 +278,9 @@ def events_text(plan: EventPlan, index: Callable[[Kernel], int], symbol: str = "
     """C source that defines `const ph_events <symbol>`."""
     groups = array_of_structs("ph_group", "events_groups", _event_groups(plan, index))
     derived = event_values(plan) | {"groups": "events_groups" if groups else "0"}
-    derived["jump"] = "0" if plan.jump is None else f"events_groups + {len(plan.groups)}"
+    derived["rates"] = f"events_groups + {len(plan.groups)}" if plan.rates else "0"
+    jump = len(plan.groups) + len(plan.rates)
+    derived["jump"] = "0" if plan.jump is None else f"events_groups + {jump}"
     arrays, members = struct_text("ph_events", "events", plan, derived)
     return (
         '#include <math.h>\n\n#include "events.h"\n\n'

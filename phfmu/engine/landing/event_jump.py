@@ -27,12 +27,16 @@ class Guards:
 
     def __init__(self, plan: EventPlan):
         self.plan = plan
-        self._guards = _stage(plan.groups)
+        self._guards, self._rates = _stage(plan.groups), _stage(plan.rates)
         self._jump = None if plan.jump is None else _stage((plan.jump.group,))
 
     def values(self, x: Array, y: Array, p: Array) -> Array:
         """All guards (n)."""
         return self._guards.sums(1.0, self.plan.n, x, y, p)
+
+    def rates(self, x: Array, y: Array, p: Array) -> Array:
+        """d guard / dt of all guards (n), 0 of those that are not rated."""
+        return self._rates.sums(1.0, self.plan.n, x, y, p)
 
     def columns(self, x: Array, p: Array) -> Columns:
         """The columns of all jumps and constraints."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from phfmu.engine.landing.event_jump import Guards
 from phfmu.events.event_plan import EventPlan
-from phfmu.events.roots import Crossing, crossing, fit, slope
+from phfmu.events.roots import Crossing, crossing, fit, hermite_from_zero, slope, turn, vertex
 from phfmu.outcome.limits import LIMITS
 from phfmu.outcome.status import StepFailure
 
@@ -38,17 +38,20 @@ class Arrival:
 class Trial:
     """A step of length h from t.
 
-    near, end (n): guards soon after its start and at its end;  fits: coefficients of each armed one;  from_zero: those that
-    were zero at its start;  rates (n): largest mean rate of each guard between two points that were looked at
+    start, near, end (n): guards at its start, soon after it and at its end;  fits: coefficients of each armed one;  from_zero:
+    those that were zero at its start;  rates (n): largest mean rate of each guard between two points that were looked at;
+    slopes (2 x n): d guard / dt at both ends, 0 where it is not known
     """
 
     t: float
     h: float
+    start: Array
     near: Array
     end: Array
     fits: dict[int, Array]
     from_zero: set[int]
     rates: Array
+    slopes: Array
 
     def rate(self, i: int, tau: float) -> float:
         """d guard / dt at the fraction tau."""
@@ -74,11 +77,11 @@ class Location:
 
     def _located(self, before: Any, t: float, h: float) -> tuple[float, list[int]]:
         instance = self.instance
-        x, start, whole = instance.x, self._values(), h
+        x, start, slopes, whole = instance.x, self._values(), self._slopes(), h
         inside = dict[int, bool]()  # at the ends of all steps so far, well inside
         for shorter in range(int(LIMITS["LEAVING_HALVINGS"]) + 1):
             h = self._tried(before, t, h)
-            trial = self._trial(t, h, start, x)
+            trial = self._trial(t, h, start, slopes, x)
             leaving = self._leaving(trial)
             if not leaving:
                 break
@@ -88,7 +91,7 @@ class Location:
                 inside[i] = inside.get(i, True) and returned
             if shorter == LIMITS["LEAVING_ARC"] and all(inside[i] for i in leaving):
                 h = self._tried(before, t, whole)
-                trial = self._trial(t, h, start, x)
+                trial = self._trial(t, h, start, slopes, x)
                 break
             if shorter == LIMITS["LEAVING_HALVINGS"] or h / 2 <= LIMITS["GUARD_ARRIVED"] * EPS * abs(t):
                 self._arrival.rates = np.maximum(trial.rates, self._arrival.rates)
@@ -97,7 +100,7 @@ class Location:
         refused: set[int] = set()
         while found := self._first(trial, refused):
             i, at = found
-            length = self._land(before, trial, i, at)
+            length = self._turned(before, trial, i, at) if at.slope == 0 else self._land(before, trial, i, at)
             if length is not None:
                 self._arrival.rates = trial.rates
                 return length, self._together(trial, i, length)
@@ -120,10 +123,11 @@ class Location:
             self.instance.restore(before)
             h /= 2
 
-    def _trial(self, t: float, h: float, start: Array, x: Array) -> Trial:
+    def _trial(self, t: float, h: float, start: Array, slopes: Array, x: Array) -> Trial:
         armed = [i for i in range(self.plan.n) if self._armed(i)]
         if not armed:
-            return Trial(t, h, start, self._values(), {}, set(), np.zeros(self.plan.n))
+            unmoved = np.zeros(self.plan.n)
+            return Trial(t, h, start, start, self._values(), {}, set(), unmoved, np.zeros((2, self.plan.n)))
         tau, inside = self._fit.tau, self._inside(t, h, x)
         values = np.vstack([start, inside, self._values()])
         zero = set()
@@ -136,7 +140,8 @@ class Location:
         fits = {i: self._fit.coefficients(values[:, i], i in zero) for i in armed}
         fits = {i: b for i, b in fits.items() if np.isfinite(b).all()}
         rates = np.fmax.reduce(np.abs(np.diff(values, axis=0)) / (np.diff(tau) * h)[:, None], axis=0, initial=0.0)
-        return Trial(t, h, values[1], values[-1], fits, zero, np.where(np.isfinite(rates), rates, 0.0))
+        rates = np.where(np.isfinite(rates), rates, 0.0)
+        return Trial(t, h, start, values[1], values[-1], fits, zero, rates, np.vstack([slopes, self._slopes()]))
 
     def _inside(self, t: float, h: float, x: Array) -> Array:
         """Guards on the polynomial of the step just taken, at the points between its ends."""
@@ -168,19 +173,61 @@ class Location:
     def _first(self, trial: Trial, refused: set[int]) -> tuple[int, Crossing] | None:
         best: tuple[int, Crossing] | None = None
         for i, b in trial.fits.items():
-            at = None if i in refused else crossing(b, int(self.plan.direction[i]), i in trial.from_zero)
+            if i in refused:
+                continue
+            at = crossing(b, int(self.plan.direction[i]), i in trial.from_zero) or self._turn(trial, i)
             if at is not None and (best is None or at.tau < best[1].tau):
                 best = i, at
         return best
 
-    def _land(self, before: Any, trial: Trial, i: int, at: Crossing) -> float | None:
+    def _turn(self, trial: Trial, i: int) -> Crossing | None:
+        """Where a guard turns back that no polynomial saw at zero, with the slope 0; one that left zero crosses it again."""
+        begins, ends = (trial.slopes[:, i] * trial.h).tolist()
+        if i in trial.from_zero:
+            least = self._zero(i, trial.t + trial.h, abs(trial.slopes[0, i]))
+            if not min(abs(begins), abs(trial.end[i])) > least:
+                return None
+            return crossing(hermite_from_zero(trial.end[i], begins, ends), int(self.plan.direction[i]), True)
+        tau = turn(trial.start[i], trial.end[i], begins, ends)
+        return None if tau is None else Crossing(tau, 0.0)
+
+    def _turned(self, before: Any, trial: Trial, i: int, at: Crossing) -> float | None:
+        """As `_land`, of a guard that turns back: steps that end there look for values beyond zero, by parabolas."""
+        whole, side, back = trial.h, np.sign(trial.start[i]), self.plan.direction[i] == np.sign(trial.start[i])
+        left, right = (0.0, trial.start[i] * side), (whole, trial.end[i] * side)  # lengths, distances from zero
+        least, h = None, at.tau * whole
+        for _ in range(int(LIMITS["TURN_TRIALS"])):
+            self.instance.restore(before)
+            self.instance.step_exactly(trial.t, h)
+            now = h, float(self._values()[i]) * side
+            if now[1] <= 0:  # `back`: what counts is how it leaves
+                edge = right if back else left
+                part = np.sqrt(-now[1] / (edge[1] - now[1]))  # the parabola that is least at h
+                first = Crossing(
+                    (h + part * (edge[0] - h)) / whole, 2 * side * (edge[1] - now[1]) * part / (edge[0] - h) * whole
+                )
+                return self._land(before, trial, i, first, *((h, whole) if back else (0.0, h)))
+            if least is None or now[1] < least[1]:
+                left, right = (left, right) if least is None else (least, right) if h > least[0] else (left, least)
+                least = now
+            else:
+                left, right = (left, now) if h > least[0] else (now, right)
+            h = vertex(left, least, right)
+            if not left[0] < h < right[0] or abs(h - least[0]) <= LIMITS["TURN_CLOSE"] * whole:
+                return None
+        return None
+
+    def _land(
+        self, before: Any, trial: Trial, i: int, at: Crossing, low: float = 0.0, high: float = np.inf
+    ) -> float | None:
         """The length of the step from trial.t at whose end guard i is zero, taken; None if there is none.
 
-        By secants, within the lengths between which it changes its sign as far as they are known.
+        By secants, within the lengths between which it changes its sign as far as they are known: low, high.
         """
         t, whole, sign = trial.t, trial.h, np.sign(at.slope)
         h, rate, last = at.tau * whole, at.slope / whole, None
-        low, high = 0.0, whole if trial.end[i] * sign > 0 else np.inf
+        if high == np.inf and trial.end[i] * sign > 0:
+            high = whole
         trials = 0
         while trials < LIMITS["LANDING_TRIALS"] * (1 if high == np.inf else LIMITS["LANDING_BRACKETED"]):
             trials += 1
@@ -224,6 +271,13 @@ class Location:
         instance = self.instance
         return self.guards.values(np.append(instance.x, instance.time), self._read(), instance.parameters).copy()
 
+    def _slopes(self) -> Array:
+        """d guard / dt now, 0 where it is not known."""
+        if not self.plan.rated.any():
+            return np.zeros(self.plan.n)
+        instance = self.instance
+        return self.guards.rates(np.append(instance.x, instance.time), self._read(), instance.parameters).copy()
+
     def _armed(self, i: int) -> bool:
         when = self.plan.when
         return bool(np.all(self.instance.parameters[when.p[when.of(i)]] == when.value[when.of(i)]))
@@ -264,7 +318,7 @@ class Location:
         before = self.instance.get_state()
         try:
             x, start = self.instance.x, self._values()
-            self._arrival.rates = self._trial(t, self._tried(before, t, h), start, x).rates
+            self._arrival.rates = self._trial(t, self._tried(before, t, h), start, self._slopes(), x).rates
         except StepFailure:
             pass  # what it is beyond zero by is no rounding of a step that cannot be taken
         self.instance.restore(before)

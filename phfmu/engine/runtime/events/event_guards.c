@@ -16,6 +16,15 @@ void ph_guards_at(const ph_landing *l, const double *x, double *g) {
         ph_value_of(l->in->model->code, &e->groups[i], &at, g);
 }
 
+void ph_guard_slopes(const ph_landing *l, double *slopes) {
+    static const double hp[3] = {1.0, 1.0, 1.0};
+    const ph_events *e = l->events;
+    const ph_point at = {l->in->table, l->y, l->in->p, hp, l->in->step.work};
+    ph_clear(slopes, e->n);
+    for (int i = 0; i < e->nrate; i++)
+        ph_value_of(l->in->model->code, &e->rates[i], &at, slopes);
+}
+
 /* l->y = [a | u] now. */
 int ph_read_guarded(ph_landing *l) {
     ph_instance *in = l->in;

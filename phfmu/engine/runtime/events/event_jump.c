@@ -17,6 +17,7 @@ static size_t lay_out(ph_landing *l, char *base) {
     l->moved = ph_take_doubles(&part, e->n);
     l->start = ph_take_doubles(&part, e->n);
     l->now = ph_take_doubles(&part, e->n);
+    l->slopes = ph_take_doubles(&part, 2 * e->n);
     l->values = ph_take_doubles(&part, e->npoint * e->n);
     l->fits = ph_take_doubles(&part, e->npoint * e->n);
     l->x = ph_take_doubles(&part, p->nx + 1);

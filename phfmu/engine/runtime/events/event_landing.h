@@ -24,6 +24,7 @@ struct ph_landing {
     double *rates;            /* n: how fast each guard moved where the present instant was reached */
     double *moved;            /* n: largest mean rate of each guard between two points of the trial */
     double *start, *now;      /* n: guards at the start of the step, and at its end */
+    double *slopes;           /* 2*n: d guard / dt there, 0 where it is not known */
     double *values;           /* npoint*n: guards over the trial */
     double *fits;             /* n*npoint: Bernstein coefficients */
     double *x, *start_x;      /* nx+1 */
@@ -56,6 +57,8 @@ static inline double ph_larger(double a, double b) {
 int ph_locate(ph_landing *l, double h, double *length);
 /* event_guards.c: guards at x (nx+1) with l->y; l->y = [a | u] now; guards now. */
 void ph_guards_at(const ph_landing *l, const double *x, double *g);
+/* d guard / dt now, with l->y as it was read last. */
+void ph_guard_slopes(const ph_landing *l, double *slopes);
 int ph_read_guarded(ph_landing *l);
 int ph_guard_values(ph_landing *l, double *g);
 int ph_armed(const ph_landing *l, int i);
@@ -76,8 +79,8 @@ int ph_look(ph_landing *l);
 /* event_trial.c: takes a step of length l->h at most; *leaves: how many guards happen at once, and none is
  * taken. */
 int ph_try_step(ph_landing *l, int *leaves);
-/* d guard / dt at the fraction tau of the trial; the first zero of a guard in it that is not refused, or -1.
- */
+/* d guard / dt at the fraction tau of the trial; the first zero of a guard in it that is not refused, or -1;
+ * with the slope 0 it is a guard that turns back, where steps have to tell. */
 double ph_guard_rate(const ph_landing *l, int i, double tau);
 int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *best);
 int ph_happen(ph_landing *l, ph_landed *out);

@@ -8,6 +8,15 @@
 #define PH_LANDING_TRIALS 12
 #define PH_LANDING_BRACKETED 10
 
+/* A guard turns back within a step where its rates at the ends say so, and it is no farther from zero than so
+ * many times what it would move at the rate at the start. It may have been zero if the least value that they
+ * and the values at the ends foretell is beyond zero, or as near to it as this part of its distance from the
+ * chord; then steps that end there tell, up to so many, until they move by less than a part of the step. */
+#define PH_TURN_REACH 4
+#define PH_TURN_NEAR 0.25
+#define PH_TURN_TRIALS 12
+#define PH_TURN_CLOSE 1e-6
+
 /* A zero is landed on when the next change of the length is this many units of rounding of the time. */
 #define PH_LANDED 2
 

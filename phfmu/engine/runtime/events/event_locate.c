@@ -6,22 +6,29 @@
 
 #include "event_landing.h"
 
-/* *length: of the step at whose end guard i is zero, taken; 0 if there is none. */
-static int land(ph_landing *l, int i, const ph_crossing *at, double *length) {
-    ph_instance *in = l->in;
+/* The step of length h from l->t, taken, and guard i at its end. */
+static int value_after(ph_landing *l, int i, double h, double *g) {
+    int status;
+    ph_load(l->in, l->before);
+    status = ph_step_exactly(l->in, l->t, h, 1);
+    status = status ? status : ph_guard_values(l, l->now);
+    *g = l->now[i];
+    return status;
+}
+
+/* *length: of the step at whose end guard i is zero, taken; 0 if there is none. low, high: lengths between
+ * which it changes its sign, as far as they are known. */
+static int land(ph_landing *l, int i, const ph_crossing *at, double low, double high, double *length) {
     const double whole = l->h, sign = at->slope > 0.0 ? 1.0 : at->slope < 0.0 ? -1.0 : 0.0;
-    double h = at->tau * whole, slope = at->slope / whole, low = 0.0, last_h = NAN, last_g = NAN;
-    double high = l->values[(l->events->npoint - 1) * l->events->n + i] * sign > 0.0 ? whole : INFINITY;
+    double h = at->tau * whole, slope = at->slope / whole, last_h = NAN, last_g = NAN;
+    if (isinf(high) && l->values[(l->events->npoint - 1) * l->events->n + i] * sign > 0.0)
+        high = whole;
     *length = 0.0;
     for (int trials = 1; trials <= PH_LANDING_TRIALS * (isinf(high) ? 1 : PH_LANDING_BRACKETED); trials++) {
         double g, change;
-        int status;
-        ph_load(in, l->before);
-        status = ph_step_exactly(in, l->t, h, 1);
-        status = status ? status : ph_guard_values(l, l->now);
+        const int status = value_after(l, i, h, &g);
         if (status)
             return status;
-        g = l->now[i];
         if (h != last_h && g != last_g && !isnan(last_h)) {
             const double secant = (g - last_g) / (h - last_h);
             slope = secant * sign > 0.0 ? secant : slope;
@@ -45,6 +52,43 @@ static int land(ph_landing *l, int i, const ph_crossing *at, double *length) {
             const int slow = trials > PH_LANDING_TRIALS && trials % 2;
             h = slow || !(low < h + change && h + change < high) ? (low + high) / 2 : h + change;
         }
+    }
+    return PH_OK;
+}
+
+/* The same of a guard that turns back: steps that end there look for values beyond zero, by parabolas.
+ * Points are lengths and distances from zero. */
+static int turned(ph_landing *l, int i, const ph_crossing *at, double *length) {
+    const double whole = l->h, side = l->start[i] > 0.0 ? 1.0 : -1.0;
+    const double end = l->values[(l->events->npoint - 1) * l->events->n + i];
+    const int back = l->events->direction[i] == (int)side; /* what counts is how it leaves */
+    double left[2] = {0.0, l->start[i] * side}, right[2] = {whole, end * side}, least[2] = {0.0, INFINITY};
+    double h = at->tau * whole;
+    *length = 0.0;
+    for (int trials = 0; trials < PH_TURN_TRIALS; trials++) {
+        double now[2] = {h, 0.0}, *to;
+        const int status = value_after(l, i, h, &now[1]);
+        if (status)
+            return status;
+        now[1] *= side;
+        if (now[1] <= 0.0) {
+            const double *edge = back ? right : left;
+            const double part = sqrt(-now[1] / (edge[1] - now[1])), off = edge[0] - h; /* least at h */
+            const ph_crossing first = {(h + part * off) / whole,
+                                       2 * side * (edge[1] - now[1]) * part / off * whole};
+            return land(l, i, &first, back ? h : 0.0, back ? whole : h, length);
+        }
+        if (now[1] < least[1]) {
+            to = isinf(least[1]) ? NULL : h > least[0] ? left : right;
+            if (to)
+                memcpy(to, least, sizeof(least));
+            memcpy(least, now, sizeof(now));
+        } else {
+            memcpy(h > least[0] ? right : left, now, sizeof(now));
+        }
+        h = ph_vertex(left, least, right);
+        if (!(left[0] < h && h < right[0]) || fabs(h - least[0]) <= PH_TURN_CLOSE * whole)
+            return PH_OK;
     }
     return PH_OK;
 }
@@ -75,12 +119,14 @@ int ph_locate(ph_landing *l, double h, double *length) {
     ph_save(in, l->before);
     memcpy(l->start_x, in->table, sizeof(double) * (size_t)in->model->step->nx);
     status = ph_guard_values(l, l->start);
+    if (status == PH_OK)
+        ph_guard_slopes(l, l->slopes);
     status = status ? status : ph_try_step(l, &l->nfired);
     if (status || l->nfired)
         return status;
     memset(l->refused, 0, (size_t)e->n);
     while ((i = ph_first_zero(l, l->refused, &at)) >= 0) {
-        status = land(l, i, &at, length);
+        status = at.slope == 0.0 ? turned(l, i, &at, length) : land(l, i, &at, 0.0, INFINITY, length);
         if (status)
             return status;
         if (*length > 0.0) {

@@ -65,6 +65,29 @@ static int isolated(const double *b, int n, int direction, double *low, double *
     return isolated(right, n, direction, low, high, depth + 1);
 }
 
+int ph_turns(double start, double end, double slope_start, double slope_end, double *tau) {
+    const double side = start > 0.0 ? 1.0 : -1.0;
+    const double b[4] = {start, start + slope_start / 3, end - slope_end / 3, end};
+    const double rate[3] = {b[1] - b[0], b[2] - b[1], b[3] - b[2]};
+    double least, chord;
+    ph_crossing at;
+    if (start == 0.0 || fabs(slope_start) * PH_TURN_REACH < fabs(start) ||
+        !(end * side > 0.0 && slope_start * side < 0.0 && slope_end * side > 0.0) ||
+        !ph_first_crossing(rate, 2, 0, 0, &at))
+        return 0;
+    *tau = at.tau;
+    least = ph_bernstein(b, 3, at.tau);
+    chord = start + at.tau * (end - start);
+    return least * side <= PH_TURN_NEAR * fabs(chord - least);
+}
+
+double ph_vertex(const double left[2], const double middle[2], const double right[2]) {
+    const double before = (middle[1] - left[1]) / (middle[0] - left[0]);
+    const double after = (right[1] - middle[1]) / (right[0] - middle[0]);
+    const double curved = (after - before) / (right[0] - left[0]);
+    return curved > 0.0 ? (left[0] + middle[0] - before / curved) / 2 : middle[0];
+}
+
 int ph_first_crossing(const double *b, int n, int direction, int from_zero, ph_crossing *at) {
     double low = 0.0, high = 1.0, sign;
     if (!isolated(b, n, direction, &low, &high, 0))

@@ -99,6 +99,17 @@ static void move(ph_landing *l) {
     }
 }
 
+/* Whether a guard may turn back before its end, or has left zero, so that its rates at the end are wanted. */
+static int approaches(ph_landing *l, const double *end) {
+    const ph_events *e = l->events;
+    ph_clear(l->slopes + e->n, e->n);
+    for (int i = 0; i < e->n; i++)
+        if (l->looked[i] && e->rated[i] && fabs(l->slopes[i]) * l->h * PH_TURN_REACH >= fabs(l->start[i]) &&
+            l->slopes[i] * end[i] < 0.0)
+            return 1;
+    return 0;
+}
+
 /* The step of length l->h from l->t that was taken from l->start_x: what guards do over it. */
 static int look(ph_landing *l) {
     const ph_events *e = l->events;
@@ -112,6 +123,8 @@ static int look(ph_landing *l) {
     status = ph_guard_values(l, end);
     if (status || !any)
         return status;
+    if (approaches(l, end))
+        ph_guard_slopes(l, l->slopes + e->n);
     status = inside(l, l->h);
     for (int i = 0; i < e->n && status == PH_OK; i++) {
         const double slope = fabs(near[i] - l->start[i]) / (e->fit_tau[1] * l->h);
@@ -145,13 +158,29 @@ static int leaving(ph_landing *l) {
     return n;
 }
 
+/* Where guard i turns back that no polynomial saw at zero, with the slope 0; one that left zero crosses it
+ * again. */
+static int turns(const ph_landing *l, int i, ph_crossing *at) {
+    const ph_events *e = l->events;
+    const double end = l->values[(e->npoint - 1) * e->n + i];
+    const double begins = l->slopes[i] * l->h, ends = l->slopes[e->n + i] * l->h;
+    if (l->from_zero[i]) {
+        const double b[3] = {begins, 1.5 * (end - ends / 3), end};
+        const double least = ph_zero_below(l, i, l->t + l->h, fabs(l->slopes[i]));
+        return fabs(begins) > least && fabs(end) > least && ph_first_crossing(b, 2, e->direction[i], 1, at);
+    }
+    at->slope = 0.0;
+    return ph_turns(l->start[i], end, begins, ends, &at->tau);
+}
+
 int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *best) {
     int found = -1;
     for (int i = 0; i < l->events->n; i++) {
         ph_crossing at;
         if (!l->looked[i] || refused[i] ||
-            !ph_first_crossing(coefficients(l, i), degree(l, i), l->events->direction[i], l->from_zero[i],
-                               &at))
+            (!ph_first_crossing(coefficients(l, i), degree(l, i), l->events->direction[i], l->from_zero[i],
+                                &at) &&
+             !turns(l, i, &at)))
             continue;
         if (found < 0 || at.tau < best->tau) {
             found = i;

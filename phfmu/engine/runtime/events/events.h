@@ -13,15 +13,18 @@
 /* Mirror of EventPlan; all tables are constant. Rows of the guards are their numbers, their x is [states |
  * time], their Y [algebraic variables | inputs]. */
 typedef struct ph_events {
-    int n;                  /* state events, with a guard each */
-    int ngroup;             /* groups of guard kernels */
-    int solves;             /* 1: a guard reads algebraic variables */
-    int npoint;             /* 2k+2 points of the fit */
-    int nincrement, nstart; /* entries of the polynomial */
-    int njump, ncolumn;     /* jumps; their columns and those of the constraints that hold through them */
-    int nmoved, ncomponent; /* the states they move, the components whose energy they change */
-    const ph_group *groups; /* ngroup */
-    const ph_group *jump;   /* c by component | L by column | S | e of the jumps; NULL: none */
+    int n;                    /* state events, with a guard each */
+    int ngroup;               /* groups of guard kernels */
+    int nrate;                /* groups of the kernels of their rates */
+    int solves;               /* 1: a guard reads algebraic variables */
+    int npoint;               /* 2k+2 points of the fit */
+    int nincrement, nstart;   /* entries of the polynomial */
+    int njump, ncolumn;       /* jumps; their columns and those of the constraints that hold through them */
+    int nmoved, ncomponent;   /* the states they move, the components whose energy they change */
+    const ph_group *groups;   /* ngroup */
+    const ph_group *rates;    /* nrate: d guard / dt of those that are rated */
+    const signed char *rated; /* n */
+    const ph_group *jump;     /* c by component | L by column | S | e of the jumps; NULL: none */
     const signed char *direction; /* n */
     const double *nominal;        /* n */
     const int *owner;             /* n: component that its loss is booked at */
@@ -126,5 +129,10 @@ typedef struct ph_crossing {
 double ph_bernstein(const double *b, int n, double t);
 double ph_bernstein_slope(const double *b, int n, double t, int from_zero);
 int ph_first_crossing(const double *b, int n, int direction, int from_zero, ph_crossing *at);
+/* Whether a guard turns back that may have been zero, and the fraction of the step where: values and slopes
+ * d guard / d tau at its ends. */
+int ph_turns(double start, double end, double slope_start, double slope_end, double *tau);
+/* Where the parabola through three points (x, y) is least; the middle one where it is not curved upwards. */
+double ph_vertex(const double left[2], const double middle[2], const double right[2]);
 
 #endif

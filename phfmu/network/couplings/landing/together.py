@@ -170,6 +170,7 @@ class _Stacked:
         )
         self._y = [np.zeros(s.na + s.nu) for s in steps]
         self.n = int(self._first[-1])
+        self.rated = np.concatenate([(p.rated != 0) & ~_reads(p) for p in plans])
         self.direction = np.concatenate([p.direction for p in plans])
         self.nominal = np.concatenate([p.nominal for p in plans])
         self.when, self.sets = (self._settings([getattr(p, name) for p in plans]) for name in ("when", "sets"))
@@ -190,13 +191,20 @@ class _Stacked:
 
     def values(self, x: Array, y: Array, p: Array) -> Array:
         """All guards (n)."""
+        return self._gathered("values", x, p)
+
+    def _gathered(self, what: str, x: Array, p: Array) -> Array:
         found = [
-            g.values(np.append(x[a:b], x[-1]), own, p[c:d])
+            getattr(g, what)(np.append(x[a:b], x[-1]), own, p[c:d])
             for g, own, a, b, c, d in zip(
                 self._guards, self._y, self._x[:-1], self._x[1:], self._p[:-1], self._p[1:], strict=True
             )
         ]
         return np.concatenate(found)
+
+    def rates(self, x: Array, y: Array, p: Array) -> Array:
+        """d guard / dt of all guards (n), 0 of those that are not rated, or whose rates read inputs."""
+        return np.where(self.rated, self._gathered("rates", x, p), 0.0)
 
     def polynomial(self, x: Array, w: Array, tau: float) -> Array:
         """States of all at the fraction tau of a step."""
@@ -206,3 +214,11 @@ class _Stacked:
                 for p, a, b, c, d in zip(self._plans, self._x[:-1], self._x[1:], self._w[:-1], self._w[1:], strict=True)
             ]
         )
+
+
+def _reads(plan: EventPlan) -> NDArray[np.bool_]:
+    """Guards (n) whose rates read inputs, which are not known where members land together."""
+    found = np.zeros(plan.n, bool)
+    for group in plan.rates:
+        found[group.oi.ravel()] |= group.yi.shape[1] > 0
+    return found
