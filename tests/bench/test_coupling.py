@@ -18,6 +18,7 @@ def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coupling, "ROUNDS", 1)
     monkeypatch.setattr(coupling, "SIZES", {"ring": (3,), "star": (3,)})
     monkeypatch.setattr(crews, "table", lambda progress: "threads")
+    monkeypatch.setattr(coupling, "HELD", {"oscillator": 1e-3, "smib": 2e-5})
     lines = coupling.table(["oscillator"]).splitlines()
     rows = [
         [c.strip() for c in line.strip("|").split("|")] for line in lines if line.startswith("| ") and "---" not in line
@@ -30,8 +31,13 @@ def test_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     for r in rows[5:11]:
         *parts, own = map(float, r[3:])
         assert all(p > 0 for p in parts) and sum(parts[1:]) == pytest.approx(own, abs=0.03)
-    assert [r[:3] for r in rows[12:]] == [["ring", "6", "2"], ["star", "7", "2"]], "members of two kinds"
-    assert all(float(t) >= 0 for r in rows[12:] for t in r[3:6]) and all(float(r[6]) > 0 for r in rows[12:])
+    whole, given = ("newton", "anderson", "gauss-seidel", "jacobi"), ("newton", "anderson")
+    named = [["oscillator", "3", c] for c in whole] + [["smib", "3", c] for c in given]
+    assert [r[:3] for r in rows[12:18]] == named, "no output gives the voltages of smib's node"
+    assert all(0 < float(r[3]) < float(r[4]) and float(r[9]) > 0 for r in rows[12:18])
+    assert [float(r[5]) >= 2.0 for r in rows[12:18]] == [r[2] in given for r in rows[12:18]]
+    assert [r[:3] for r in rows[19:]] == [["ring", "6", "2"], ["star", "7", "2"]], "members of two kinds"
+    assert all(float(t) >= 0 for r in rows[19:] for t in r[3:6]) and all(float(r[6]) > 0 for r in rows[19:])
     assert lines[-1].rpartition("load ")[2]
 
 

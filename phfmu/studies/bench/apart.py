@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from phfmu.discretise.model import Model
+    from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.couplings.coupling import Coupling
     from phfmu.network.couplings.stepper import Stepper
     from phfmu.network.members.engine_member import EngineMember
     from phfmu.network.network import Network
@@ -33,10 +35,18 @@ def instances(models: Mapping[str, Model]) -> list[EngineMember]:
     return [EngineMember(name, model, NativeInstance(model, kernels="compiled")) for name, model in models.items()]
 
 
-def joined(network: Network, members: list[EngineMember], compiled: bool = True, threads: int = 1) -> Stepper:
+def joined(
+    network: Network,
+    members: list[EngineMember],
+    compiled: bool = True,
+    threads: int = 1,
+    coupling: Coupling | None = None,
+) -> Coupled:
+    """By default what members exchange at nodes is iterated."""
     from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.couplings.node_newton import newton
 
-    return Coupled(network, [*members], compiled=compiled, threads=threads)
+    return Coupled(network, [*members], coupling or newton, compiled=compiled, threads=threads)
 
 
 def composed(network: Network, k: int) -> Stepper:

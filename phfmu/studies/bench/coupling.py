@@ -21,6 +21,9 @@ ROUNDS = 15  # turns that the median is of
 WARM = 20  # steps before, in which iterations find their start
 #: name -> step (s), steps of a turn composed and compiled, steps in Python
 SCENES = {"oscillator": 1e-2, "drive": 1e-3, "smib": 1e-3, "two_machine": 1e-4}
+#: name -> step (s), where members take one held value
+HELD = {"oscillator": 1e-3, "drive": 1e-4, "smib": 2e-5, "ring": 1e-3}
+RING = 20  # masses of that
 #: masses around a ring, or around the one in the middle
 SIZES = {"ring": (10, 50, 150), "star": (10, 100, 500)}
 LONG = 0.01  # s, their step
@@ -81,6 +84,39 @@ def measure(name: str, network: Network, h: float, k: int) -> Row:
     trials, apart = clocks[1].trials, median(two)
     own, unit = own_time.native(network, k, h), own_time.units(network, k, h)
     return Row(name, 2 * k, len(members), median(one), apart, median(three), ratio, trials, own, unit)
+
+
+@dataclass(frozen=True)
+class CouplingRow:
+    """CPU time of a step in us, compiled and in Python, by one of the couplings with one held value; where the own time goes."""
+
+    network: str
+    members: int
+    coupling: str
+    compiled: float
+    python: float
+    trials: float
+    own: OwnTime
+
+
+def by_coupling(name: str, network: Network, h: float) -> list[CouplingRow]:
+    """Members of order 2, turn by turn; couplings that a network cannot be stepped by are left out."""
+    from phfmu.network.couplings.coupling_table import COUPLINGS
+
+    models, rows = planned(network, 1), list[CouplingRow]()
+    for row in (r for r in COUPLINGS.values() if r.apart):
+        try:
+            compiled = _Clock(joined(network, instances(models), coupling=row.kind()), h, 200)
+        except ValueError:  # no output gives a junction its value
+            continue
+        python = _Clock(joined(network, instances(models), False, coupling=row.kind()), h, 3)
+        for _ in range(ROUNDS):
+            compiled.turn()
+            python.turn()
+        times = median(compiled.times), median(python.times)
+        own = own_time.native(network, 1, h, row.kind())
+        rows.append(CouplingRow(name, len(models), row.name, *times, compiled.trials, own))
+    return rows
 
 
 def ring(n: int) -> Network:
@@ -173,6 +209,27 @@ def table(scenes: Sequence[str] = (), progress: Callable[[str], None] = lambda _
                 owns.append(f"| {r.name} | {r.order} | {kind} | " + " | ".join(f"{x:.2f}" for x in times) + " |")
     head = ["scene", "order", "members", "steps us", "exchange us", "join us", "solve us", "columns us", "own us"]
     lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head), *owns]
+    head = [
+        "network",
+        "members",
+        "coupling",
+        "compiled us",
+        "in Python us",
+        "trials",
+        "exchange us",
+        "join us",
+        "solve us",
+        "own us",
+    ]
+    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for name, h in HELD.items():
+        progress(f"{name}, by all couplings")
+        network = ring(RING) if name == "ring" else scene(name).system
+        for c in by_coupling(name, network, h):
+            cells = [c.compiled, c.python, c.trials, c.own.exchange, c.own.join, c.own.solve, c.own.own]
+            lines.append(
+                f"| {c.network} | {c.members} | {c.coupling} | " + " | ".join(f"{x:.2f}" for x in cells) + " |"
+            )
     head = ["network", "members", "plans", "plan s", "code s", "join s", "us per member and step"]
     lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for make, sizes in SIZES.items():
@@ -196,6 +253,9 @@ it is off). `steps` is spent in steps and derivatives of the members, `exchange`
 `join` in rows, matrix and records, `solve` in what solves the interface and, at
 [bare nodes](../understand/glossary.md#bare-node), the impulses; `columns` in Python, which makes the columns and ledger rows
 of 100 steps at once. `own` is all but `steps`.
+
+The third table has all couplings, with one held value per step and members of order 2: CPU time of a step, in compiled code
+and in Python, and the time per member and step that is not the members' own steps. What iterates pays it in each trial.
 
 Below, masses and springs, order 2: the cost of a member does not grow with their number. Members that are alike share a plan
 and its code: CPU seconds for the plans, for all instances with their libraries (compiled before), and for what joins them, with

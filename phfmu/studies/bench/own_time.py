@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from phfmu.declare.phdae import PHDAE
     from phfmu.fmu.importer.reader import FMUInstance
     from phfmu.network.couplings.coupled import Coupled
+    from phfmu.network.couplings.coupling import Coupling
     from phfmu.network.network import Network
 
 ROUNDS = 30  # turns, of which the shortest counts: what else the machine does makes none shorter
@@ -58,12 +59,11 @@ def own_time(stepper: Coupled, h: float) -> OwnTime:
     return OwnTime(**{name: scale * value for name, value in zip((*PARTS, "columns"), min(turns)[1], strict=True)})
 
 
-def native(network: Network, k: int, h: float) -> OwnTime:
-    """Of native members."""
-    from phfmu.network.couplings.coupled import Coupled
-    from phfmu.studies.bench.apart import instances, planned
+def native(network: Network, k: int, h: float, coupling: Coupling | None = None) -> OwnTime:
+    """Of native members, by default at nodes."""
+    from phfmu.studies.bench.apart import instances, joined, planned
 
-    return own_time(Coupled(network, [*instances(planned(network, k))], threads=1), h)
+    return own_time(joined(network, instances(planned(network, k)), coupling=coupling), h)
 
 
 def units(network: Network, k: int, h: float, version: str = "3.0") -> OwnTime:

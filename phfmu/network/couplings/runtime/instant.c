@@ -184,7 +184,7 @@ static void solve_block(ph_master *m, ph_in_turn *t, int b) {
         m->z[unknown] -= move;
         for (int q = lu->start[j]; q < lu->lower[j]; q++)
             y[lu->index[q]] -= lu->value[q] * move;
-        for (int e = t->fed[unknown]; e < t->fed[unknown + 1]; e++)
+        for (int e = t->fed[unknown]; e < t->fed[unknown + 1] && move != 0.0; e++)
             ph_instant_ask(t, t->fed_share[e]);
     }
 }
