@@ -40,9 +40,6 @@ class Joined:
         self.face = interface(network, members)
         #: members whose steps are put off until `finish`
         self.put_off = [m for m in members if isinstance(m, SteppedLast)]
-        self._may_end: list[Any] = [m for m in members if hasattr(m, "ended")]
-        #: and those that take the accepted step once more
-        self._finished: list[Any] = [m for m in members if isinstance(m, SteppedLast) or getattr(m, "once_more", False)]
         self.booking = _booking(network, members)
         self.names = [of_member(m.name, n) for m in members for n in m.names]
         ends = np.cumsum([0, *(m.nu for m in members)]).tolist()
@@ -76,7 +73,7 @@ class Joined:
     @property
     def ended(self) -> str:
         """Members that have asked to end the simulation in the last step."""
-        return ", ".join(m.name for m in self._may_end if m.ended)
+        return ", ".join(m.name for m in self.members if m.ended)
 
     # -- a step -----------------------------------------------------------------------------------------------------
 
@@ -132,8 +129,9 @@ class Joined:
 
     def finish(self) -> None:
         """Members that were put off take the step that the others took, and some take theirs for good."""
-        for m in self._finished:
-            m.finish()
+        for m in self.members:
+            if m.finishes:
+                m.finish()
 
     def rows(self, xi: Array, y: Array) -> Array:
         """r = P^T Y + C xi (n)."""

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 class EngineMember:
     """A member stepped by a Python or native instance of its model, in `parts` equal internal steps per step."""
 
-    saves = True
+    saves, finishes, ended = True, False, False
 
     def __init__(self, name: str, model: Model, instance: Any, parts: int = 1):
         self.name, self.model, self.instance, self.parts = name, model, instance, parts
@@ -153,6 +153,9 @@ class EngineMember:
             self.instance.step_exactly(t, h)
         else:
             self.instance.do_step(t, h, self.parts)
+
+    def finish(self) -> None:
+        """A step that was taken is one."""
 
     def output(self) -> Array:
         return self.instance.output()

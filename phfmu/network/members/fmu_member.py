@@ -86,11 +86,11 @@ def _fed_from_inside(unit: FMUInstance) -> bool:
 class FMUMember:
     """A member of a coupled network that is an FMU, of this package or of another tool.
 
-    once_more: it keeps nothing of the steps that are repeated, so the accepted one is taken once more, for good (`finish`).
+    finishes: it keeps nothing of the steps that are repeated, so the accepted one is taken once more, for good.
     """
 
-    def __init__(self, name: str, unit: FMUInstance, once_more: bool = False):
-        self.name, self.unit, self.once_more = name, unit, once_more
+    def __init__(self, name: str, unit: FMUInstance, finishes: bool = False):
+        self.name, self.unit, self.finishes = name, unit, finishes
         #: signals that it exchanges at the nodes of its steps, behind its ports
         signals = unit.interface.taken, unit.interface.sent
         self.taken = {n: unit.nu + i for i, n in enumerate(signals[0])}
@@ -288,7 +288,7 @@ class FMUMember:
 
     def get_state(self) -> Any:
         state = self.unit.get_state()
-        if self.once_more:
+        if self.finishes:
             self._before = state
         return state
 

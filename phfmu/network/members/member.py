@@ -22,6 +22,7 @@ class Member(Protocol):
     `input_sign` (nu): times it, an input called by its name counts into the member in units of the domain: -1 at outward
     ports of units, 1000 where a unit says kN.
     `saves`: whether it can give its state and take it back.
+    `finishes`: whether a step that was accepted has to be ended by `finish`.
     `taken`, `sent`: signals that it exchanges at the nodes of its steps, with their places among inputs and outputs.
     """
 
@@ -37,6 +38,13 @@ class Member(Protocol):
 
     @property
     def saves(self) -> bool: ...
+    @property
+    def finishes(self) -> bool: ...
+    @property
+    def ended(self) -> bool:
+        """Whether it has asked to end the simulation in the last step."""
+        ...
+
     @property
     def units(self) -> dict[str, str]:
         """Of `names`, of the inputs of ports and of the signals that it takes."""
@@ -82,6 +90,10 @@ class Member(Protocol):
         ...
 
     def do_step(self, t: float, h: float) -> None: ...
+    def finish(self) -> None:
+        """The step of a member that `finishes`, for good: the one that was put off, or the accepted one once more."""
+        ...
+
     def output(self) -> Array: ...
     def end_output(self) -> Array: ...
     def sensitivity(self, t: float, h: float, state: Any) -> Array: ...
