@@ -136,6 +136,22 @@ def test_a_run_without_a_compiler(cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp
     assert code == 0 and "python engine" in out and "using the Python engine" in err
 
 
+def test_a_run_says_how_kernels_ran(cli: Cli, compiler: None, tmp_path: Path) -> None:
+    from pyarrow import parquet as pq
+
+    log = tmp_path / "log.parquet"
+    for kernels in ("interpreted", "compiled"):
+        code, out, _ = cli("run", "mass", "--stop", "0.01", "--kernels", kernels, "--audit", str(log))
+        assert code == 0 and f"native engine, monolithic, kernels {kernels};" in out.splitlines()[0]
+        told = pq.read_schema(log).metadata
+        assert any(f"kernels {kernels}" in value.decode() for value in told.values())
+        log.unlink()
+    code, out, _ = cli("run", "mass", "--stop", "0.01", "--engine", "python")
+    assert code == 0 and "kernels" not in out.splitlines()[0]
+    code, _, err = cli("run", "mass", "--engine", "python", "--kernels", "compiled")
+    assert code == 2 and "--kernels compiled is for the native engine, here it is python" in err
+
+
 # -- units ---------------------------------------------------------------------------------------------------
 
 

@@ -44,10 +44,13 @@ def told(instance: Any, h: float) -> tuple[list[bytes], str, dict[str, int], Any
             rows.append(b"".join(v.tobytes() for v in instance.signals().values()))
     except StepFailure as failure:
         refusal = str(failure)
-    derivatives = None
-    if instance.model.step.nu and not refusal:
-        found = instance.node_sensitivity(None, False, end=True)
-        derivatives = [v.tobytes() for v in vars(found).values() if isinstance(v, np.ndarray)]
+    derivatives: Any = None
+    try:
+        if instance.model.step.nu and not refusal:
+            found = instance.node_sensitivity(None, False, end=True)
+            derivatives = [v.tobytes() for v in vars(found).values() if isinstance(v, np.ndarray)]
+    except StepFailure as failure:
+        derivatives = str(failure)
     return rows, refusal, instance.counts, derivatives
 
 
@@ -67,7 +70,7 @@ def test_the_library_gives_the_same_bits(compiler: None, name: str, order: int) 
     assert seen == expected and (len(seen[0]) == STEPS or seen[1])
 
 
-@pytest.mark.parametrize("name", wide(["mass", "dc_motor", "winch", "synchronous_machine"], "dc_motor"))
+@pytest.mark.parametrize("name", wide(["mass", "dc_motor", "rl_line", "synchronous_machine"], "dc_motor"))
 def test_impulses_at_ports_give_the_same_bits(compiler: None, name: str) -> None:
     found, h = model(name)
     seen = []
