@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -11,8 +12,6 @@ from phfmu import NativeInstance, build_model
 from phfmu.components.electrical.switches import diode
 from phfmu.components.mechanical.multibody import Multibody
 from phfmu.components.mechanical.translational import mass
-from phfmu.components.scenes.bouncing_ball import bouncing_ball
-from phfmu.engine.native.library import build as build_library
 from tests.wide import wide
 
 HEAVY = ("numpy", "casadi", "scipy", "fmpy", "lxml", "pyarrow", "matplotlib", "plotly", "rich", "ziglang")
@@ -90,20 +89,24 @@ def test_constraints_bring_their_columns_and_nothing_else_does():
     assert free.step.nw == free.step.nx
 
 
-def test_the_compiler_is_announced_only_when_it_runs(tmp_path, monkeypatch):
-    from phfmu.engine.build import objects
-    from phfmu.engine.build.codegen import kernel_table
-    from phfmu.engine.model import kernels
+def test_the_compiler_is_announced_only_when_it_is_waited_for(compiler, tmp_path, monkeypatch):
+    declaration, said = mass(1.25, k=3.75), []
 
-    model, said = build_model(mass()), []
-    table = kernel_table(kernels(model), model.step.schur)
-    build_library(table)
-    build_library(table, lambda: said.append("compiles"))
-    assert said == []
+    def made(kernels):
+        NativeInstance(replace(build_model(declaration)), lambda: said.append(kernels), kernels)
+
+    NativeInstance(build_model(mass()))  # so that the runtime is there
+    for kernels in ("interpreted", "auto", "compiled"):
+        made(kernels)
+    assert said in (["compiled"], [])  # the cache may know it from another time
+    made("compiled")
+    assert said in (["compiled"], [])
+    said.clear()
     monkeypatch.setenv("PHFMU_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(objects, "build", lambda *a: None)
-    build_library(table, lambda: said.append("compiles"))
-    assert said == ["compiles"]
+    made("interpreted")
+    assert said == ["interpreted"]  # what steps all models
+    made("compiled")
+    assert said == ["interpreted", "compiled"]
 
 
 def test_a_model_without_switches_is_what_it_was() -> None:
@@ -111,9 +114,3 @@ def test_a_model_without_switches_is_what_it_was() -> None:
     plain, switched = build_model(mass(1.0, k=4.0)), build_model(diode())
     assert plain.modes is None and switched.modes is not None and switched.modes.known == [(0,)]
     assert plain.events is None and not plain.declaration.switches
-
-
-def test_only_models_with_state_events_have_code_for_them(compiler: None) -> None:
-    plain, ball = (NativeInstance(build_model(m)).handle.lib for m in (mass(1.0, k=4.0), bouncing_ball().declaration()))
-    assert hasattr(ball, "ph_land") and not hasattr(plain, "ph_land")
-    assert not hasattr(ball, "ph_modes_land")

@@ -266,6 +266,9 @@ class Instance(Signals):
     @abstractmethod
     def _land(self, grid: Grid, names: tuple[str, ...], changed: bool) -> Iterator[Landed]: ...
 
+    def expect(self, steps: float) -> None:
+        """So many steps will be taken that are not told one by one: a reason to get ready for them, or none."""
+
     @property
     @abstractmethod
     def landing(self) -> tuple[NativeLanding, Callable[[int], None]] | None:

@@ -155,7 +155,6 @@ class NativeInstance(NativeReadings):
         return "compiled" if self._made.code.compiled else "interpreted"
 
     def expect(self, steps: float) -> None:
-        """So many steps will be taken by compiled code, which does not count them itself."""
         self._made.code.count(steps)
 
     def _counted(self) -> Callable[..., int]:
