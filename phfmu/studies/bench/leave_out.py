@@ -76,7 +76,9 @@ def measure(name: str, declaration: PHDAE, versions: tuple[str, ...]) -> Row:
         before = compiler_seconds()
         unit = NativeInstance(model, kernels="compiled")
         seconds = compiler_seconds() - before
-        size = made_of(model, "compiled").code.build.path.stat().st_size
+        library = made_of(model, "compiled").code.build
+        assert library is not None
+        size = library.path.stat().st_size
         paths = export(model, folder, versions=versions, step=H)
         fmu = sum(p.stat().st_size for p in paths)
     return Row(name, model.step.nw, len(unit.get_state()), len(text), size, seconds, fmu, step_time(unit))
