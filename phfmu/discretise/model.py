@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
-from functools import wraps
+from functools import lru_cache, wraps
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 from weakref import WeakValueDictionary
 
@@ -27,6 +27,7 @@ from phfmu.events.event_plan import EventPlan, event_plan
 from phfmu.events.modes import Mode, Modes
 from phfmu.events.polynomial import Polynomial
 from phfmu.html import grid
+from phfmu.plan.layout import Layout
 from phfmu.plan.plan import Kernel, Plan
 from phfmu.schemes.collocated import Collocated
 from phfmu.schemes.scheme import Scheme
@@ -34,6 +35,7 @@ from phfmu.schemes.two_level import TwoLevel
 from phfmu.terms.extract import extract
 from phfmu.terms.hidden import Check
 from phfmu.terms.rank import at_start, hold_names
+from phfmu.terms.term import Terms
 
 M = TypeVar("M")
 
@@ -173,11 +175,22 @@ def _starts(declaration: PHDAE) -> dict[str, Any]:
             "p0": _stack(declaration.parameters)}  # fmt: skip
 
 
+@lru_cache(maxsize=1)
+def _terms(declaration: PHDAE, joint: bool) -> Terms:
+    """What all schemes of a declaration begin with: the model of another scheme is mostly made right after the first."""
+    return at_start(extract(declaration, joint=joint))
+
+
+@lru_cache(maxsize=1)
+def _instant(declaration: PHDAE, joint: bool, rests: bool) -> tuple[Plan, list[Check], Layout]:
+    """The plan of an instant, which schemes have in common."""
+    return instant_plan(_terms(declaration, joint), rests=rests)
+
+
 def _discretised(declaration: PHDAE, scheme: Scheme, lands: bool) -> Model:
-    terms = extract(declaration, joint=scheme.joint)
-    terms = at_start(terms)
+    terms = _terms(declaration, scheme.joint)
     step, layout = step_plan(terms, scheme)
-    instant, checks, instant_layout = instant_plan(terms, rests=len(step.hold) > 0)
+    instant, checks, instant_layout = _instant(declaration, scheme.joint, len(step.hold) > 0)
     own = _starts(declaration)
     return Model(
         declaration.name, declaration, scheme, step, instant, **own,
