@@ -18,7 +18,7 @@ version = release = phfmu.__version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "cells", "contents", "reference"]
 root_doc = "docs/index"
-include_patterns = ["README.md", "CHANGELOG.md", "docs/*.md", "docs/**/*.md", "docs/**/*.ipynb"]
+include_patterns = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/*.md", "docs/**/*.md", "docs/**/*.ipynb"]
 exclude_patterns = [".*", "build", "components", "dist", "fmus", "phfmu", "tests"]
 
 myst_heading_anchors = 4

@@ -19,7 +19,7 @@ def tables(text: str) -> str:
         elif line.startswith("- "):
             for title, page in ENTRY.findall(line):
                 groups.setdefault(caption, []).append(f"{title} <{page}>")
-    groups["Changes"] = ["Changelog <../CHANGELOG.md>"]
+    groups["Project"] = ["Contributing <../CONTRIBUTING.md>", "Changelog <../CHANGELOG.md>"]
     trees = (
         f"```{{toctree}}\n:hidden:\n:caption: {name}\n\n" + "\n".join(pages) + "\n```\n"
         for name, pages in groups.items()
