@@ -173,14 +173,15 @@ def test_compiled_kernels_that_come_in_between_change_no_bit(
     assert twin.kernels == "interpreted" and instance.get_state() == twin.get_state()
 
 
+def _missing(*_: Any, **__: Any) -> None:
+    raise CompilerMissing("none here")
+
+
 def test_without_a_compiler_a_model_runs_interpreted(compiler: None, monkeypatch: pytest.MonkeyPatch) -> None:
     found, h = model("smib")
     expected = told(NativeInstance(found, kernels="interpreted"), h)
 
-    def missing(*_: Any, **__: Any) -> None:
-        raise CompilerMissing("none here")
-
-    monkeypatch.setattr("phfmu.engine.build.compile._find", missing)
+    monkeypatch.setattr("phfmu.engine.build.compile._find", _missing)
     other, _ = model("smib")
     other = replace(other, x0=other.x0.copy())
     instance = NativeInstance(other)
@@ -188,6 +189,19 @@ def test_without_a_compiler_a_model_runs_interpreted(compiler: None, monkeypatch
     assert instance.kernels == "interpreted" and told(instance, h) == expected
     with pytest.raises(CompilerMissing):
         NativeInstance(other, kernels="compiled")
+
+
+def test_tangents_do_without_a_compiler_that_kernels_had(compiler: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, h = model("dc_motor", 4)
+    found = replace(found, x0=found.x0.copy())
+    seen = []
+    for kernels in ("interpreted", "compiled"):
+        instance = NativeInstance(found, kernels=kernels)
+        instance.do_step(0.0, 3 * h, 3)
+        if kernels == "compiled":
+            monkeypatch.setattr(native_code, "compile", _missing)
+        seen.append((instance.sensitivity().tobytes(), instance.kernels))
+    assert seen[0][0] == seen[1][0] and seen[1][1] == "compiled"
 
 
 def test_a_model_with_a_schur_stepper_waits_for_the_compiler(compiler: None, uncached: None) -> None:

@@ -43,6 +43,7 @@ def test_units_are_valid(exported, name: str, version: str) -> None:
             if part in archive.namelist():
                 etree.XMLSchema(file=str(SCHEMA / schema)).assertValid(etree.fromstring(archive.read(part)))
         listed = etree.fromstring(archive.read("sources/buildDescription.xml")).findall(".//SourceFile")
+        assert "interpret.c" not in {f.get("name") for f in listed}
         assert all(f"sources/{f.get('name')}" in archive.namelist() for f in listed)
         assert not [n for n in archive.namelist() if n.endswith(("fmi2Functions.h", "fmi3Functions.h"))]
         terminals = "terminalsAndIcons/terminalsAndIcons.xml" in archive.namelist()

@@ -145,12 +145,15 @@ class _Work:
             return [self.object(names[0])]
         with ThreadPoolExecutor(processors()) as pool:
             try:
-                futures = [pool.submit(self.object, name) for name in names]
+                longest = sorted(
+                    names, key=lambda name: -len(self.files[name])
+                )  # first, so that none is left over at the end
+                futures = {name: pool.submit(self.object, name) for name in longest}
                 while True:
-                    done, waiting = wait(futures, interrupt.SLICE, FIRST_EXCEPTION)
-                    made = [f.result() for f in futures if f in done]
+                    done, waiting = wait(futures.values(), interrupt.SLICE, FIRST_EXCEPTION)
+                    made = {name: f.result() for name, f in futures.items() if f in done}
                     if not waiting:
-                        return made
+                        return [made[name] for name in names]
                     interrupt.check()
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)

@@ -88,7 +88,9 @@ class Operations:
     def program(self) -> Program:
         """In segments, by a list scheduler: of the operations that are ready, the kind with the most comes next."""
         if unknown := self.unknown():
-            raise NotInterpreted(f"{', '.join(unknown)}: only compiled code has this operation")
+            raise NotInterpreted(
+                f'{", ".join(unknown)}: an operation that only compiled code has; kernels="auto" (--kernels auto) compiles it'
+            )
         first, rows = self.first, self.code.tolist()
         waits, users = [0] * len(rows), [[] for _ in rows]
         ready: dict[int, list[int]] = {}

@@ -181,11 +181,14 @@ def _found(text: Generated) -> bool:
 
 
 class Functions(Filled):
-    """ph_functions at `address`, compiled or interpreted; None: one without a call."""
+    """ph_functions at `address`, compiled, if there is a compiler, or interpreted; None: one without a call."""
 
     def __init__(self, functions: Sequence[ca.Function | None], compiled: bool) -> None:
         super().__init__()
-        self.address = self._compiled(functions) if compiled else self._interpreted(functions)
+        try:
+            self.address = self._compiled(functions) if compiled else self._interpreted(functions)
+        except CompilerMissing:  # kernels were in the cache, these are not
+            self.address = self._interpreted(functions)
 
     def of(self, place: int) -> int:
         """The address of one of them."""

@@ -44,6 +44,8 @@ class NativeReadings(Instance):
     def __init__(self, model: Model, announce: Callable[[], None] | None, kernels: Kind) -> None:
         super().__init__(model)
         self._made = made_of(model, kernels, announce)
+        #: how they were asked for
+        self.kind: Kind = kernels
         self._tables, self._lib = self._made.tables, self._made.lib
         size = self._lib.ph_size(self._tables.pointer)
         if size == 0:

@@ -103,7 +103,7 @@ class NativeModes:
 
     def __init__(self, switched: Any):
         self._switched, self._model = switched, switched.model
-        self._made, self._n = _compiled(switched.model, switched.present.kernels), len(switched.mode)
+        self._made, self._n = _compiled(switched.model, switched.present.kind), len(switched.mode)
         self._sides = np.zeros(1 + 2 * self._n, np.int8)
         self._known: dict[Mode, _Mode] = {}
         self._keep: list[Any] = []
