@@ -13,7 +13,7 @@ from contextlib import suppress
 from math import inf
 from pathlib import Path
 from threading import Thread
-from typing import Literal, get_args
+from typing import Literal
 
 import casadi as ca
 
@@ -152,8 +152,6 @@ def code_of(kernels: Kernels, schur: SchurStepper | None, kind: Kind, work: int 
 
     Without a compiler a model with a Schur stepper takes Newton's method.
     """
-    if kind not in get_args(Kind):
-        raise ValueError(f"kernels '{kind}': expected auto, compiled or interpreted")
     if kind == "interpreted":
         return Interpreted(kernels)
     text = source(kernels, schur)

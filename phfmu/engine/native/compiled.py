@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass, replace
+from threading import RLock
+from typing import get_args
 from weakref import WeakKeyDictionary
 
 from phfmu.engine.build.kernels import Kernels
@@ -27,12 +29,23 @@ class Made:
 _MADE: dict[bool, WeakKeyDictionary[Model, Made]] = {False: WeakKeyDictionary(), True: WeakKeyDictionary()}
 
 
+#: threads of a sweep begin with the same model at the same time
+_ONE = RLock()
+
+
 def made_of(model: Model, kind: Kind = "auto", announce: Announce = None) -> Made:
     """Of a model; `announce` is called before a compiler runs that has to be waited for."""
+    if kind not in get_args(Kind):
+        raise ValueError(f"kernels '{kind}': expected auto, compiled or interpreted")
+    with _ONE:
+        return _made(model, kind, announce)
+
+
+def _made(model: Model, kind: Kind, announce: Announce) -> Made:
     known = _MADE[kind == "interpreted"]
     made, alike = known.get(model), first(model)
     if made is None and alike is not None:
-        shared = made_of(alike, kind, announce)
+        shared = _made(alike, kind, announce)
         made = known[model] = replace(shared, tables=shared.tables.like(model))
     elif made is None:
         _, lib = runtime(announce)
@@ -42,6 +55,6 @@ def made_of(model: Model, kind: Kind = "auto", announce: Announce = None) -> Mad
     if kind == "compiled" and isinstance(made.code, Interpreted):
         if model.step.schur is not None:  # begun without a compiler, which would have been waited for
             del known[model]
-            return made_of(model, kind, announce)
+            return _made(model, kind, announce)
         made.code.compile(announce)
     return made
