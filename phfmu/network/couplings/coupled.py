@@ -107,11 +107,12 @@ class Coupled:
     @cached_property
     def _master(self) -> Master | None:
         """The steps in compiled code, where there are such."""
-        if not self._may_compile or (self._signals.wires and self._signals.any_held):
+        held = self._signals if self._signals.any_held else None
+        if not self._may_compile or self._agreed or (held and not held.all_held):
             return None
         from phfmu.network.couplings.compiled.master import master
 
-        return master(self.joined, self.coupling, bool(self._works.keys), self._threads)
+        return master(self.joined, self.coupling, bool(self._works.keys), self._threads, held)
 
     @property
     def units(self) -> dict[str, str]:
@@ -277,21 +278,26 @@ class Coupled:
 
     def _compiled(self, parts: list[Steps], grid: tuple[float, float, int], n: int) -> int:
         """Adds as many of n steps as go as usual without returning to Python, if all members can do that; their number."""
-        if self._master is None or not self._sums.known:
+        if self._master is None or not self._sums.known or (self.joined.followed and self._signals.into_ports):
             return 0
-        last, states = self.last, self.joined.states() if self._growth else None
+        last, states, samples = self.last, self.joined.states() if self._growth else None, self._signals.state()
         steps, self.last = self._master.advance(last, self._sums, grid, n)
         done = len(steps.H)
         if self._growth and states and done and (fine := self._growth.within(steps.H, steps.pairs)) < done:
             # the one that runs away is left to the loop in Python, which says so
             self.joined.restore(states)
+            self._signals.restore(samples)
             steps, self.last = self._master.advance(last, self._sums, grid, fine)
         if done := len(steps.H):
             works = None if steps.works is None else self._works.grouped(steps.works)
             parts.append(replace(steps, signals=self._columns.rows(steps.signals), works=works))
         if self._master.failure:
             raise self._master.failure
-        if done:
+        if done and self._signals.any_held:
+            for i, values in enumerate(self._signals.rows):
+                self._grown.watch(grid[0] + (grid[2] + i + 1) * grid[1], values)
+            self._signals.rows = []
+        elif done:
             self._signals.stepped(grid[1], xi_at_end(self._exchange, self.last))
         return done
 

@@ -113,6 +113,14 @@ class EngineMember:
         p[[self._inputs.parameters[n] for n in names]] = values
         self.instance.set_parameters(p)
 
+    def place(self, name: str) -> tuple[int, int]:
+        """First entry of a row of recorded signals, and how many are added, of a column."""
+        return self._columns.place(name)
+
+    def parameter_places(self, names: Sequence[str]) -> list[int]:
+        """Places of signal inputs among the parameters."""
+        return [self._inputs.parameters[n] for n in names]
+
     def start_inputs(self) -> Array:
         return self.model.u0.copy()
 

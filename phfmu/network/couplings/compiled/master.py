@@ -23,6 +23,7 @@ from phfmu.network.couplings.compiled.shares import Make, Own, own_share, watche
 from phfmu.network.couplings.compiled.solvers import Solver, Tables, solver_of
 from phfmu.network.couplings.compiled.threads import Pace, crew
 from phfmu.network.couplings.coupling import Coupling, Solution
+from phfmu.network.couplings.signals.held_signals import HeldSignals
 from phfmu.network.couplings.unconverged import plain
 from phfmu.network.interface.end_sums import EndSums
 from phfmu.network.interface.joined import Joined
@@ -51,6 +52,7 @@ class Master:
         makes: Sequence[Make],
         works: bool = False,
         threads: int | None = None,
+        signals: HeldSignals | None = None,
     ):
         self.joined, self.coupling, self.found, self._works = joined, coupling, found, works
         #: after which members cannot be asked again
@@ -60,7 +62,10 @@ class Master:
         self._pattern, self._memory = Pattern(found), Structures(HEADER)
         self._lib = library()
         self._inputs: list[Array] = []
+        #: held signals that members take but by ports, as they are now
+        self._taken = [np.zeros(len(p.taken)) for p in found.parts]
         self._own = [make(p, self._memory, self._lib) for make, p in zip(makes, found.parts, strict=True)]
+        self._signals, self._held = signals, None if signals is None else self._held_wires(signals)
         shares = [self._share(i, own) for i, own in enumerate(self._own)]
         tables = Tables(joined, found, self._pattern, self._memory, self._lib, np.zeros(found.size))
         self._z = tables.z
@@ -111,7 +116,10 @@ class Master:
         s.xi, s.trials, s.accepted = xi.ctypes.data, trials.ctypes.data, accepted.ctypes.data
         s.work = None if works is None else works.ctypes.data
         s.cost = self.pace.cost.ctypes.data if self.pace.measures else None
+        samples = self._begin_held(n)
         done, spent = self._run(grid, n, next_)
+        if self._signals and self._held and samples is not None:
+            self._signals.took(samples[:done], self._before if self._held.known else None, self._held.last)
         self.taken += done
         self.pace.took(self.threads, done, np.maximum(trials[:done], 1), spent)
         self.failure = next((f for own in self._own if (f := own.failure())), None)
@@ -184,11 +192,49 @@ class Master:
             "left": part.left, "jump_entry": _jump_entries(part, self.found), "weights": part.weights,
             "at_end": nodes(part.k).value(1.0), "nominal": np.asarray(part.member.nominal, float), "now": np.zeros(nu),
             "free": self.joined.free[self.joined.places[i]].ctypes.data,
-            "given": None, "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
+            "told": np.zeros(len(part.told)), "taken": self._taken[i], "given": None,
+            "u": self._inputs[-1], "s": np.zeros(2 * part.kicks),
             "y": np.zeros(kn + nu), "dy": np.zeros((all_, kn)), "dend": np.zeros((all_, nu)),
             "across": np.zeros((len(part.row), all_)), "jump": np.zeros(part.kicks**2), "record": None, "clock": None,
         }  # fmt: skip
         return self._memory.fill("ph_share", values)
+
+    def _held_wires(self, signals: HeldSignals) -> Any:
+        e, joined, wires = self.found, self.joined, signals.held
+        own = {m.name: i for i, m in enumerate(joined.members)}
+        first, n = [p.start for p in joined.places], len(wires)
+        source, target = (
+            [own[name] for name in names] for names in zip(*((w.source, w.target) for w in wires), strict=True)
+        )
+        port = [joined.taken.get((w.target, w.input), -1) for w in wires]
+        values = {
+            "n": n, "nstage": len(signals.stages), "stage": np.cumsum([0, *map(len, signals.stages)]), "source": source,
+            "told": [e.parts[i].told.index(w.output) for i, w in zip(source, wires, strict=True)], "target": target,
+            "taken": [e.parts[i].taken.index(w.input) if p < 0 else -1 for i, p, w in zip(target, port, wires, strict=True)],
+            "input": [p - first[i] if p >= 0 else 0 for i, p in zip(target, port, strict=True)],
+            "factor": [w.factor for w in wires], "offset": [w.offset for w in wires], "low": signals.limits[0],
+            "high": signals.limits[1], "extrapolated": signals.extrapolated, "known": 0, "known_kept": 0, "last": 0.0,
+            "last_kept": 0.0, "now": joined.sampled, "before": np.zeros(n), "row": None,
+            **{name: np.zeros(n) for name in ("now_kept", "before_kept", "values")},
+        }  # fmt: skip
+        self._before: Array = values["before"]
+        return self._memory.fill("ph_held", values)
+
+    def _begin_held(self, n: int) -> Array | None:
+        """Room for the samples of n steps; what members have taken is what was sampled last."""
+        signals, struct = self._signals, self._held
+        if signals is None or struct is None:
+            return None
+        struct.known = signals.before is not None
+        if signals.before is not None:
+            self._before[:], struct.last = signals.before, signals.last
+        for w, value in zip(signals.held, self.joined.sampled, strict=True):
+            i = next(i for i, m in enumerate(self.joined.members) if m.name == w.target)
+            if w.input in (own := self.found.parts[i].taken):
+                self._taken[i][own.index(w.input)] = value
+        rows = np.zeros((n, len(signals.held)))
+        struct.row = rows.ctypes.data
+        return rows
 
     def _rules(self) -> dict[str, Any]:
         return {"held": self._solver.held, "iterations": self._solver.iterations}
@@ -204,6 +250,7 @@ class Master:
         lu = np.zeros(self._lib.ph_master_lu_size(n, len(p.rowind), p.capacity) // 8 + 1)
         return work | self._solver.fields | {
             "solver": getattr(self._lib, f"ph_solver_{self._solver.name}")(),
+            "held": None if self._held is None else ctypes.addressof(self._held),
             "rules": ctypes.addressof(self.rules), "shares": self._array,
             "nshare": len(e.parts), "nxi": e.nodes, "nbare": len(e.bare), "ncolumn": e.columns, "nskew": len(e.skew),
             "ncluster": len(e.cluster) - 1, "nahead": len(e.ahead), "nnz": len(p.rowind), "capacity": p.capacity,
@@ -230,11 +277,17 @@ def _jump_entries(part: Part, found: Exchanged) -> Array:
     return np.where((at[:, None] >= 0) & (at >= 0), entries, -1).astype(np.int32).ravel()
 
 
-def master(joined: Joined, coupling: Coupling, works: bool = False, threads: int | None = None) -> Master | None:
+def master(
+    joined: Joined,
+    coupling: Coupling,
+    works: bool = False,
+    threads: int | None = None,
+    signals: HeldSignals | None = None,
+) -> Master | None:
     """The compiled twin of a coupling; None for couplings, or members, that have none.
 
     What is done with steps that do not converge is done in Python, with these only.  `works`: whether energies of unknowns at
-    their junctions are wanted;  `threads`: None chooses.
+    their junctions are wanted;  `threads`: None chooses;  `signals`: those that are held over steps.
     """
     coupling = plain(coupling)
     if solver_of(coupling) is None:
@@ -243,6 +296,7 @@ def master(joined: Joined, coupling: Coupling, works: bool = False, threads: int
     if len(makes) < len(joined.members):
         return None
     try:
-        return Master(joined, coupling, exchanged(joined, coupling), makes, works, threads)
+        held = signals.held if signals else ()
+        return Master(joined, coupling, exchanged(joined, coupling, held), makes, works, threads, signals)
     except StructurallySingular:  # the twin tells where
         return None

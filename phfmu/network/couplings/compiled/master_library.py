@@ -14,7 +14,10 @@ from phfmu.network.couplings.acceptance import RULES
 RUNTIME = Path(__file__).parent.parent / "runtime"
 #: prefixes of the versions of the standard whose functions it calls
 CALLED = ("fmi2", "fmi3")
-HEADERS = (RULES, *(RUNTIME / f"{name}.h" for name in ("clock", "native", "unit", "master", "anderson", "in_turn")))
+HEADERS = (
+    RULES,
+    *(RUNTIME / f"{name}.h" for name in ("clock", "native", "unit", "held", "master", "anderson", "in_turn")),
+)
 STRUCTURES = (
     "ph_rules",
     "ph_progress",
@@ -26,6 +29,7 @@ STRUCTURES = (
     "ph_master",
     "ph_anderson",
     "ph_in_turn",
+    "ph_held",
 )
 HEADER = Header(HEADERS, STRUCTURES, "ph_calls")
 #: of the runtime of models, what the master has in common with it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from phfmu.network.interface.joined import Joined
 from phfmu.network.interface.matrices import small
 from phfmu.network.members.member import Member
 from phfmu.network.members.node_values import HeldNodes
+from phfmu.network.wires import Wire
 from phfmu.plan.ordering import elimination_order
 
 Array = NDArray[Any]
@@ -46,6 +48,9 @@ class Part:
     left_output: Ints
     left_row: Ints
     left: Array
+    #: held signals that it sends, and that it takes but by ports
+    told: list[str]
+    taken: list[str]
 
     @property
     def directions(self) -> int:
@@ -111,8 +116,8 @@ class Exchanged:
         return np.concatenate([np.arange(self.nodes), at, at + len(self.bare)]).astype(np.int32)
 
 
-def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
-    """What members exchange under a coupling."""
+def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> Exchanged:
+    """What members exchange under a coupling; `held`: signals that are held over a step."""
     if isinstance(coupling, NodeNewton):
         e = coupling.exchange
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare
@@ -132,7 +137,7 @@ def exchanged(joined: Joined, coupling: Coupling) -> Exchanged:
     least = 1e-12 * np.concatenate([nominal, joined.face.row_nominal[bare]])
     to, from_, values = _ahead(k)
     return Exchanged(
-        [_part(s, where, len(columns)) for s in shares],
+        [_part(s, where, len(columns), *_held_signals(joined, s.values.member, held)) for s in shares],
         len(k), weights, at_ends, columns.astype(np.int32), bare, place,
         skew.row.astype(np.int32), skew.col.astype(np.int32), skew.data,
         least, cluster, np.append(0, np.cumsum(np.diff(cluster) ** 2)).astype(np.int32),
@@ -174,7 +179,13 @@ def _ahead(k: Array) -> tuple[Ints, Ints, Array]:
     return np.concatenate(to).astype(np.int32), np.concatenate(from_).astype(np.int32), np.concatenate(values)
 
 
-def _part(s: Share, where: Array, n: int) -> Part:
+def _held_signals(joined: Joined, member: Member, held: Sequence[Wire]) -> tuple[list[str], list[str]]:
+    told = dict.fromkeys(w.output for w in held if w.source == member.name)
+    taken = (w.input for w in held if w.target == member.name and (w.target, w.input) not in joined.taken)
+    return list(told), list(dict.fromkeys(taken))
+
+
+def _part(s: Share, where: Array, n: int, told: list[str], taken: list[str]) -> Part:
     """`where`: each bare column stands, `n`: unknowns at nodes."""
     member, rule = s.values.member, s.values.rule
     kicks, own, inputs = len(s.Q) if s.kicked else 0, s.own, np.array(s.fed_rows, np.int32)
@@ -199,6 +210,7 @@ def _part(s: Share, where: Array, n: int) -> Part:
         col.astype(np.int32), col[: len(own) + len(mine)].astype(np.int32),
         *(np.array([r[i] for r in right], kind) for i, kind in enumerate((np.int32, np.int32, float))),
         *(np.array([v[i] for v in left], kind) for i, kind in enumerate((np.int32, np.int32, float))),
+        told=told, taken=taken,
     )  # fmt: skip
 
 

@@ -53,7 +53,10 @@ class NativeShare:
         own, width = kicks.n if kicks else 0, plan.nx + 1 + plan.na
         unit = np.zeros((part.directions, part.k * plan.nu))
         unit[np.arange(len(part.inputs)), part.inputs] = 1.0
+        told = np.array([self._member.place(n) for n in part.told], np.int32).reshape(-1, 2)
         values = {
+            "np": plan.np, "ntold": len(told), "ntaken": len(part.taken), "told_first": told[:, 0], "told_count": told[:, 1],
+            "taken": self._member.parameter_places(part.taken), "p": np.zeros(plan.np),
             "calls": m.calls(handle.lib), "in": handle.instance, "kicks": kicks.address if kicks else None,
             "chain_calls": m.calls(chain.lib) if chain else None, "chain": chain.address if chain else None,
             "parts": self._member.parts, "nq": plan.nq, "nsignal": self._signals, "width": width, "impulses": own,

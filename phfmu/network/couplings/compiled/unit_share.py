@@ -72,6 +72,8 @@ class UnitShare:
             "output": self._scalars(*self._outputs()),
             "present": self._scalars(told, ends, np.concatenate([out, np.ones(len(told) - own)])),
             "jump": self._scalars(v.jump.scalars, triangle, np.ones(len(triangle))) if part.kicks else None,
+            "told": self._scalars(self._named(part.told), range(len(part.told)), np.ones(len(part.told))),
+            "taken": self._scalars(self._named(part.taken), range(len(part.taken)), np.ones(len(part.taken))),
             "row": self._scalars(self._named(self._row), range(len(self._row)), np.ones(len(self._row))),
             "unknown": self._scalars(unknown, at, sign), "known": self._memory.array(self._known(kicked)),
             "happened": [self._place[n] for n in self._member.told_of_events], "before": self._before,

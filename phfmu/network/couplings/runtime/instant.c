@@ -35,8 +35,11 @@ void ph_instant_begin(ph_master *m) {
     ph_in_turn *t = m->memory;
     unmark(&t->nshare, t->share, t->share_marked);
     unmark(&t->nrow, t->row, t->row_marked);
-    for (int i = 0; i < m->nshare; i++)
+    for (int i = 0; i < m->nshare; i++) {
+        if (m->held) /* which have been set since */
+            t->asked[i] = PH_UNGIVEN;
         ph_instant_ask(t, i);
+    }
 }
 
 void ph_instant_ask(ph_in_turn *t, int share) {

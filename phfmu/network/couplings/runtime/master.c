@@ -57,15 +57,23 @@ int ph_master_run(ph_master *m, double t0, double h, int n, long long first, int
         int by = PH_NOT_YET;
         m->row = done;
         solver->start(m, done || next);
+        status = ph_held_before(m, h);
+        if (status) {
+            ph_held_drop(m);
+            break;
+        }
         status = solve(m, t0 + (double)(first + done) * h, h, &m->trials[done], &by);
         if (status == PH_OK)
             status = ph_settle(m);
         if (status == PH_OK)
             status = ph_signals_present(m);
         if (status == PH_OK)
+            status = ph_held_after(m, h, done);
+        if (status == PH_OK)
             status = ph_shares_finish(m, done);
         if (status) {
             restore(m);
+            ph_held_drop(m);
             if (solver->drop)
                 solver->drop(m);
             break;

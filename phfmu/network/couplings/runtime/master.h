@@ -17,6 +17,7 @@
 #include "acceptance.h"
 #include "clock.h"
 #include "crew.h"
+#include "held.h"
 #include "phfmu.h"
 
 struct ph_share;
@@ -33,6 +34,8 @@ typedef struct ph_kind {
     int (*along)(const struct ph_share *);                    /* dy and dend of the step */
     int (*present)(const struct ph_share *);                  /* inputs from now on */
     int (*record)(const struct ph_share *, double *to); /* energies and outputs now, a row of the step */
+    int (*tell)(const struct ph_share *);               /* held signals that it sends now */
+    int (*take)(const struct ph_share *);               /* held signals that it takes from now on */
 } ph_kind;
 
 /* A member's part. Its directions are: ninput inputs at nodes, nbare impulses at the start, nbare at the end.
@@ -69,12 +72,14 @@ typedef struct ph_share {
     const double *weights;      /* k */
     const double *at_end;       /* k: of the polynomial through values at nodes its value at the end */
     const double *nominal;      /* nu: sizes of inputs */
-    const double *free;         /* nu: inputs besides those of junctions, offsets of signals */
+    double *free;               /* nu: inputs besides those of junctions, offsets of signals */
     const double *given;    /* a row a step, k*nu each: the same at its nodes; NULL: free is what they are */
     const double *outputs;  /* k*stride, of the member */
     const double *energies; /* ncomp, of the member: stored now */
     const double *end;      /* nu, of the member: outputs now */
-    double *u;              /* k*nu: work, as all below */
+    double *told;           /* held signals that it sends, as many as its kind knows: work, as all below */
+    double *taken;          /* and that it takes, but for ports */
+    double *u;              /* k*nu */
     double *now;            /* nu: inputs at the end of the step, where signals feed some */
     double *s;              /* 2*nkick */
     double *y;              /* k*nu + nu */
@@ -102,7 +107,8 @@ typedef struct ph_solver {
 
 typedef struct ph_master {
     const ph_solver *solver;
-    void *memory; /* of the solver: ph_anderson, ph_in_turn, or nothing */
+    void *memory;  /* of the solver: ph_anderson, ph_in_turn, or nothing */
+    ph_held *held; /* NULL: there are none */
     const ph_rules *rules;
     const ph_share *shares; /* nshare */
     int nshare;
@@ -213,6 +219,11 @@ int ph_settle(ph_master *m);
 
 /* present.c: signals at the end of an accepted step. */
 int ph_signals_present(const ph_master *m);
+
+/* held.c: signals before a step, and after it; they are those before it again. */
+int ph_held_before(ph_master *m, double h);
+int ph_held_after(ph_master *m, double h, int row);
+void ph_held_drop(ph_master *m);
 
 /* work.c: what the accepted trial did at the junctions. */
 void ph_work_record(const ph_master *m, double h, int row);

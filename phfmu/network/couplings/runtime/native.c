@@ -131,7 +131,28 @@ static int record(const ph_share *s, double *to) {
     return PH_OK;
 }
 
+static int tell(const ph_share *s) {
+    const ph_native *m = s->of;
+    int status = refresh(s);
+    for (int i = 0; i < m->ntold && status == PH_OK; i++) {
+        s->told[i] = 0.0;
+        for (int j = 0; j < m->told_count[i]; j++)
+            s->told[i] += m->signals[m->told_first[i] + j];
+    }
+    return status;
+}
+
+static int take(const ph_share *s) {
+    const ph_native *m = s->of;
+    ph_lap(s->clock, PH_EXCHANGING);
+    memcpy(m->p, m->calls->parameters(m->in), bytes(m->np));
+    for (int i = 0; i < m->ntaken; i++)
+        m->p[m->taken[i]] = s->taken[i];
+    return joining(s, m->calls->set_parameters(m->in, m->p));
+}
+
 const ph_kind *ph_kind_native(void) {
-    static const ph_kind native = {keep, restore, step, refresh, jump, more, along, present, record};
+    static const ph_kind native = {keep,  restore, step,   refresh, jump, more,
+                                   along, present, record, tell,    take};
     return &native;
 }

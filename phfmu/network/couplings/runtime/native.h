@@ -12,6 +12,8 @@ typedef struct ph_calls {
     int (*set_node_inputs)(ph_instance *, const double *);
     int (*step_parts)(ph_instance *, double, double, int);
     int (*refresh)(ph_instance *);
+    int (*set_parameters)(ph_instance *, const double *);
+    const double *(*parameters)(const ph_instance *);
     int (*sensitivity)(ph_instance *, double *);
     int (*step_along)(ph_instance *, const ph_directions *);
     int (*end_along)(ph_instance *, const ph_directions *);
@@ -39,6 +41,13 @@ typedef struct ph_native {
     const double *du;      /* directions*(k*nu), unit */
     const double *ds;      /* nbare*nkick, unit */
     const double *ds_end;  /* directions*nkick, zero */
+    int np;
+    int ntold;
+    int ntaken;
+    const int *told_first; /* ntold: of the signals, of which so many are added */
+    const int *told_count; /* ntold */
+    const int *taken;      /* ntaken: of the parameters */
+    double *p;             /* np: work */
     double *kept;          /* state at the start of the step: work, as all below */
     double *copied;        /* state for the chain */
     double *kept_values;   /* 4*impulses */

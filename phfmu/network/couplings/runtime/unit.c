@@ -132,7 +132,18 @@ static int record(const ph_share *s, double *to) {
     return status;
 }
 
+static int tell(const ph_share *s) {
+    const ph_unit *u = s->of;
+    return get(s, u->told, s->told);
+}
+
+static int take(const ph_share *s) {
+    const ph_unit *u = s->of;
+    return set(s, u->taken, s->taken);
+}
+
 const ph_kind *ph_kind_unit(void) {
-    static const ph_kind unit = {keep, restore, step, refresh, jump, more, along, present, record};
+    static const ph_kind unit = {keep,  restore, step,   refresh, jump, more,
+                                 along, present, record, tell,    take};
     return &unit;
 }

@@ -64,6 +64,8 @@ typedef struct ph_unit {
     const ph_scalars *output;  /* of the last step; of k*nu */
     const ph_scalars *present; /* of nu outputs now, then stored energy */
     const ph_scalars *jump;    /* the lower triangle, of nkick*nkick; NULL as above */
+    const ph_scalars *told;    /* held signals that it sends */
+    const ph_scalars *taken;   /* and takes */
     const ph_scalars *row;     /* what is recorded; of nrow */
     const ph_scalars *unknown; /* of k*nu outputs of the step, then nu at its end */
     const ph_scalars *known;   /* one for each direction, of which value is one */

@@ -49,7 +49,7 @@ class HeldSignals:
 
     def __init__(self, joined: Joined, at_nodes: Collection[int] = (), extrapolated: bool = True):
         """`at_nodes`: numbers of the wires that are exchanged there;  `extrapolated`: False holds the last sample."""
-        self._extrapolated = extrapolated
+        self.extrapolated = extrapolated
         network = joined.network
         self.wires, self._joined = network.wires, joined
         self._members = {m.name: m for m in joined.members}
@@ -57,19 +57,24 @@ class HeldSignals:
         self._at_nodes = np.array([i in at_nodes for i in range(len(self.wires))], bool)
         #: of a wire into a port: its place among all inputs
         self._port = np.array([joined.taken.get((w.target, w.input), -1) for w in self.wires], int)
-        self._hops = [self._hop(numbers) for numbers in _stages(network.wires)]
+        #: numbers of the wires that are sampled together
+        self.stages = _stages(network.wires)
+        self._hops = [self._hop(numbers) for numbers in self.stages]
         self._numbers = np.flatnonzero(~self._at_nodes)
         #: wires that are held over a step
         self.held = [self.wires[i] for i in self._numbers]
         self._hop_held = self._hop(self._numbers.tolist())
         self._held = self._hop_held.write
         self.any_held = not self._at_nodes.all()
-        self._low, self._high = _limits(network)
+        self.limits = self._low, self._high = _limits(network)
         self._factor, self._offset = (np.array([getattr(w, n) for w in self.wires]) for n in ("factor", "offset"))
         self._now = joined.sampled
         joined.free[self._port[self._at_nodes]] = self._offset[self._at_nodes]
-        self._before: Array | None = None
-        self._last = 0.0
+        #: the samples before the last ones, where they are known, and the length of the step between
+        self.before: Array | None = None
+        self.last = 0.0
+        #: samples of compiled steps, a row each
+        self.rows: list[Array] = []
 
     def feeds(self, name: str) -> bool:
         """Whether `member.input`, or an entry of it, is fed by a wire."""
@@ -85,13 +90,13 @@ class HeldSignals:
 
     def forget(self) -> None:
         """What comes is not the continuation of the last step."""
-        self._before = None
+        self.before = None
 
     def hold(self, h: float, xi: Array) -> None:
         """Inputs for the next step, of length h, from the samples at its start."""
-        if self._before is None or not self.any_held or not self._extrapolated:
+        if self.before is None or not self.any_held or not self.extrapolated:
             return
-        self._write(self._held, self._cut(self._now + (h / (2.0 * self._last)) * (self._now - self._before)), xi)
+        self._write(self._held, self._cut(self._now + (h / (2.0 * self.last)) * (self._now - self.before)), xi)
 
     def _cut(self, values: Array) -> Array:
         """Within the limits of the inputs, where the samples are."""
@@ -112,9 +117,9 @@ class HeldSignals:
 
     def ahead(self, h: float) -> Array:
         """The line through the last two samples at the end of the next step."""
-        if self._before is None:
+        if self.before is None:
             return self.now
-        return (self._now + (h / self._last) * (self._now - self._before))[self._numbers]
+        return (self._now + (h / self.last) * (self._now - self.before))[self._numbers]
 
     def hold_towards(self, w: Array, xi: Array) -> None:
         """Inputs for the next step: the mean of its ends."""
@@ -137,17 +142,34 @@ class HeldSignals:
     def stepped(self, h: float, xi: Array, w: Array | None = None) -> None:
         """After a step of length h: samples at its end, where the junction unknowns are xi; w: what held signals agreed on."""
         if self.wires:
-            self._before, self._last = self._now.copy(), h
+            self.before, self.last = self._now.copy(), h
             if w is not None:
                 self._write(self._held, self._whole(w), xi)
             self.sample(xi)
 
+    @property
+    def all_held(self) -> bool:
+        """Whether every wire is held over steps."""
+        return bool(self.wires) and not self._at_nodes.any()
+
+    @property
+    def into_ports(self) -> bool:
+        """Whether one ends at a port."""
+        return bool((self._port >= 0).any())
+
+    def took(self, rows: Array, before: Array | None, last: float) -> None:
+        """Compiled code has taken steps, with these samples at their ends."""
+        self.rows += list(rows)
+        self.last = last
+        self.before = None if before is None else before.copy()
+
     def state(self) -> tuple[Array, Array | None, float]:
-        return self._now.copy(), self._before, self._last
+        return self._now.copy(), self.before, self.last
 
     def restore(self, state: tuple[Array, Array | None, float]) -> None:
         """Samples of an earlier time; the members are brought back by others."""
-        self._now[:], self._before, self._last = state
+        self._now[:], self.before, self.last = state
+        self.rows = []
         self._place(np.flatnonzero(self._port >= 0), self._now)
 
     def _hop(self, numbers: Sequence[int]) -> _Hop:
