@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import acos, cos, pi, sin
 
 import numpy as np
@@ -37,6 +38,8 @@ from phfmu.network.couplings.node_newton import newton
 from tests.engines import ENGINES
 
 DEPTHS = (1e-2, 1e-4, 1e-6, 1e-8)
+#: places of a step at which the guard turns
+PLACES = np.linspace(0.01, 0.99, 50)
 #: error of the time with steps of 0.1 s, by order: that of the phase of q after 1 s
 ERROR = {1: 2e-3, 2: 3e-7, 3: 3e-11}
 
@@ -157,3 +160,21 @@ def far(k: int) -> float:
 def twice(time: np.ndarray) -> list[float]:
     """Instants with a row before and a row after an event."""
     return time[1:][np.diff(time) == 0].tolist()
+
+
+@pytest.mark.parametrize("k", (1, 2, 3))
+@pytest.mark.parametrize("depth", (1e-7, 3e-8))
+def test_a_crossing_whose_guard_is_coarser_than_the_clock_is_landed_on(k, depth):
+    """Where g moves slowly, in roundings of q that pass zero by, only the change of its sign tells where that is."""
+    plain = oscillator(depth)
+    guard = replace(plain.state_events[0].guard, expr=plain.states[0] - 1 + depth)
+    events = (replace(plain.state_events[0], guard=guard),)
+    h, model = 2 * pi / 48, build_model(replace(plain, state_events=events), Collocated(k))
+    error, missed = 2 * ERROR[k] * (h / 0.1) ** (2 * k), []
+    for place in PLACES:
+        instance, turn = NativeInstance(model), (10 + place) * h
+        instance.set_x(0.0, np.array([cos(turn), sin(turn)]))
+        found = [part.happened.t for part in instance.land(0.0, h, 12, changed=False) if part.happened]
+        if found != [pytest.approx(turn - acos(1 - depth), abs=error)]:
+            missed.append((place, found))
+    assert missed == []

@@ -100,7 +100,9 @@ class Location:
         refused: set[int] = set()
         while found := self._first(trial, refused):
             i, at = found
-            length = self._turned(before, trial, i, at) if at.slope == 0 else self._land(before, trial, i, at)
+            length = None if at.slope == 0 else self._land(before, trial, i, at)
+            if length is None and i not in trial.from_zero and trial.start[i] * trial.end[i] > 0:
+                length = self._turned(before, trial, i, at)
             if length is not None:
                 self._arrival.rates = trial.rates
                 return length, self._together(trial, i, length)
@@ -200,7 +202,7 @@ class Location:
             self.instance.restore(before)
             self.instance.step_exactly(trial.t, h)
             now = h, float(self._values()[i]) * side
-            if now[1] <= 0:  # `back`: what counts is how it leaves
+            if now[1] < -self._zero(i, trial.t, 0.0):  # `back`: what counts is how it leaves
                 edge = right if back else left
                 part = np.sqrt(-now[1] / (edge[1] - now[1]))  # the parabola that is least at h
                 first = Crossing(
@@ -222,12 +224,14 @@ class Location:
     ) -> float | None:
         """The length of the step from trial.t at whose end guard i is zero, taken; None if there is none.
 
-        By secants, within the lengths between which it changes its sign as far as they are known: low, high.
+        By secants, within the lengths between which it changes its sign as far as they are known: low, high.  Where it goes
+        beyond zero by more than rounding, that change alone tells where it is zero.
         """
         t, whole, sign = trial.t, trial.h, np.sign(at.slope)
         h, rate, last = at.tau * whole, at.slope / whole, None
+        zero, passes = self._zero(i, t, 0.0), high < np.inf
         if high == np.inf and trial.end[i] * sign > 0:
-            high = whole
+            high, passes = whole, trial.end[i] * sign > zero
         trials = 0
         while trials < LIMITS["LANDING_TRIALS"] * (1 if high == np.inf else LIMITS["LANDING_BRACKETED"]):
             trials += 1
@@ -238,9 +242,10 @@ class Location:
                 secant = (g - last[1]) / (h - last[0])
                 rate = secant if secant * sign > 0 else rate
             change = -g / rate if rate else np.inf
-            if abs(change) <= LIMITS["LANDED"] * EPS * max(abs(t + h), h):
-                return h
             low, high, last = (low, h, (h, g)) if g * sign > 0 else (h, high, (h, g))
+            passes = passes or g * sign > zero
+            if min(abs(change), high - low if passes else np.inf) <= LIMITS["LANDED"] * EPS * max(abs(t + h), h):
+                return h
             if high == np.inf:
                 if not 0 < h + change <= whole * (1 + 1e-9):
                     return None

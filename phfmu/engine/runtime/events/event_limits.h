@@ -17,7 +17,8 @@
 #define PH_TURN_TRIALS 12
 #define PH_TURN_CLOSE 1e-6
 
-/* A zero is landed on when the next change of the length is this many units of rounding of the time. */
+/* A zero is landed on when the next change of the length, or what is left between two lengths with a change
+ * of sign, is this many units of rounding of the time. */
 #define PH_LANDED 2
 
 /* A guard is zero below the larger of this part of its nominal value and what so many units of rounding of

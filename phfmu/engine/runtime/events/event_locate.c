@@ -17,11 +17,15 @@ static int value_after(ph_landing *l, int i, double h, double *g) {
 }
 
 /* *length: of the step at whose end guard i is zero, taken; 0 if there is none. low, high: lengths between
- * which it changes its sign, as far as they are known. */
+ * which it changes its sign, as far as they are known. Where it goes beyond zero by more than rounding, that
+ * change alone tells where it is zero. */
 static int land(ph_landing *l, int i, const ph_crossing *at, double low, double high, double *length) {
     const double whole = l->h, sign = at->slope > 0.0 ? 1.0 : at->slope < 0.0 ? -1.0 : 0.0;
     double h = at->tau * whole, slope = at->slope / whole, last_h = NAN, last_g = NAN;
-    if (isinf(high) && l->values[(l->events->npoint - 1) * l->events->n + i] * sign > 0.0)
+    const double end = l->values[(l->events->npoint - 1) * l->events->n + i] * sign;
+    const double zero = ph_zero_below(l, i, l->t, 0.0);
+    int passes = isfinite(high) || end > zero;
+    if (isinf(high) && end > 0.0)
         high = whole;
     *length = 0.0;
     for (int trials = 1; trials <= PH_LANDING_TRIALS * (isinf(high) ? 1 : PH_LANDING_BRACKETED); trials++) {
@@ -34,14 +38,16 @@ static int land(ph_landing *l, int i, const ph_crossing *at, double low, double 
             slope = secant * sign > 0.0 ? secant : slope;
         }
         change = slope != 0.0 ? -g / slope : INFINITY;
-        if (fabs(change) <= PH_LANDED * DBL_EPSILON * ph_larger(fabs(l->t + h), h)) {
-            *length = h;
-            return PH_OK;
-        }
         if (g * sign > 0.0)
             high = h;
         else
             low = h;
+        passes = passes || g * sign > zero;
+        if (fmin(fabs(change), passes ? high - low : INFINITY) <=
+            PH_LANDED * DBL_EPSILON * ph_larger(fabs(l->t + h), h)) {
+            *length = h;
+            return PH_OK;
+        }
         last_h = h;
         last_g = g;
         if (isinf(high)) {
@@ -71,7 +77,7 @@ static int turned(ph_landing *l, int i, const ph_crossing *at, double *length) {
         if (status)
             return status;
         now[1] *= side;
-        if (now[1] <= 0.0) {
+        if (now[1] < -ph_zero_below(l, i, l->t, 0.0)) {
             const double *edge = back ? right : left;
             const double part = sqrt(-now[1] / (edge[1] - now[1])), off = edge[0] - h; /* least at h */
             const ph_crossing first = {(h + part * off) / whole,
@@ -126,7 +132,11 @@ int ph_locate(ph_landing *l, double h, double *length) {
         return status;
     memset(l->refused, 0, (size_t)e->n);
     while ((i = ph_first_zero(l, l->refused, &at)) >= 0) {
-        status = at.slope == 0.0 ? turned(l, i, &at, length) : land(l, i, &at, 0.0, INFINITY, length);
+        const double end = l->values[(e->npoint - 1) * e->n + i];
+        *length = 0.0;
+        status = at.slope == 0.0 ? PH_OK : land(l, i, &at, 0.0, INFINITY, length);
+        if (status == PH_OK && *length == 0.0 && !l->from_zero[i] && l->start[i] * end > 0.0)
+            status = turned(l, i, &at, length);
         if (status)
             return status;
         if (*length > 0.0) {
