@@ -72,3 +72,30 @@ def test_nothing_of_units_is_out_of_bounds(tmp_path: Path) -> None:
     """Held values and node values, impulses, both versions and a native member, and steps that are left to Python."""
     code = UNITS.replace("sys.argv[1]", repr(str(tmp_path)))
     assert output(code, tmp_path) == ["steps", "8"] * 2
+
+
+COUPLINGS = """
+from dataclasses import replace
+import numpy as np
+from phfmu import Anderson, Coupled, EngineMember, GaussSeidel, Jacobi, NativeInstance, build_model
+from tests.network.test_compiled_couplings import resistive
+from tests.network.test_compiled_signals import servo
+for net in (resistive(), servo()):
+    for make in (Anderson, GaussSeidel, Jacobi):
+        models = {n: build_model(replace(d, name=n)) for n, d in net.declared.items()}
+        members = [EngineMember(n, m, NativeInstance(m)) for n, m in models.items()]
+        stepper = Coupled(net, members, make(), threads=2)
+        stepper.check_start()
+        stepper.prepare(0.0, 1e-3)
+        rows = stepper.advance(0.0, 1e-3, 8)
+        assert stepper._master.taken == 8 and np.isfinite(rows.signals).all()
+        stepper._master.rules.iterations = 1
+        stepper.advance(0.0, 1e-3, 2, 8)
+        print("steps", len(rows.H))
+"""
+
+
+@pytest.mark.slow
+def test_nothing_of_other_couplings_is_out_of_bounds(tmp_path: Path) -> None:
+    """What iterates and what steps once, feedthrough, held signals, two threads, and steps that are left to Python."""
+    assert output(COUPLINGS, tmp_path) == ["steps", "8"] * 6
