@@ -26,7 +26,7 @@ def pick(patterns: Sequence[str], names: Sequence[str], where: str, hint: str = 
 
 
 def _compiled(pattern: str) -> re.Pattern[str]:
-    """What stands between two stars is taken at its first place and never looked for again: no number of stars takes long."""
+    """The text between two stars is taken at its first place and never looked for again: no number of stars takes long."""
     first, *rest = [re.escape(part).replace(r"\?", ".") for part in re.split(r"\*+", pattern)]
     if not rest:
         return re.compile(first)

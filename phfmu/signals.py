@@ -64,7 +64,7 @@ class Quantity:
 
     @property
     def kind(self) -> SignalKind:
-        """What it is; all that is not named in `_KINDS` is booked."""
+        """The kind of the signal; all that is not named in `_KINDS` is booked."""
         if self.checks:
             return "constraint"
         return "mean" if self.block.startswith("row_") else _KINDS.get(self.block, "energy")
@@ -276,14 +276,14 @@ def _totals(model: Model) -> Iterator[Quantity]:
 
 
 def jumps(model: Model) -> Iterator[Quantity]:
-    """Of a unit whose stored energy depends on what may be set between steps, or jumps."""
+    """Quantities of a unit whose stored energy depends on what may be set between steps, or jumps."""
     name, block, text = JUMPED
     text += ", and by jumps of the states" if model.events is not None else ""
     yield Quantity(total(name), "output", block, 0, model.step.ncomp, None, "J", description=text)
 
 
 def state_events(model: Model) -> Iterator[Quantity]:
-    """Of a unit with state events: how many there were and when, and the modes."""
+    """Quantities of a unit with state events: how many there were and when, and the modes."""
     for i, (name, unit, text) in enumerate(HAPPENED):
         yield Quantity(name, "output", "happened", i, 1, None, unit, description=text)
     index = {n: i for i, n in enumerate(n for v in model.declaration.parameters for n in v.names())}

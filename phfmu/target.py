@@ -1,4 +1,4 @@
-"""What a TARGET means: the name of a component or scene of the library, a function of a file, or a package of SSP.
+"""Targets of commands: the name of a component or scene of the library, a function of a file, or a package of SSP.
 
 A name and a function may be called with arguments: `chain(n=20)`, `coil.py:coil(R=2.0)`.
 """

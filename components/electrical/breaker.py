@@ -87,7 +87,7 @@ def clearing_fault(
 
 
 class _Poles:
-    """What breakers and faults share: branches in series with R and L whose poles events open and close."""
+    """Base of breakers and faults: branches in series with R and L whose poles events open and close."""
 
     def __init__(
         self,

@@ -65,7 +65,7 @@ class MachineData:
 
     @property
     def elements(self) -> tuple[str, ...]:
-        """What the rotor windings are called beside those of the stator: the field is fd."""
+        """Names of the rotor windings beside those of the stator: the field is fd."""
         return tuple("fd" if n == "f" else n for n in self.windings)
 
     @property

@@ -206,7 +206,7 @@ def _numbers(data: Mapping[str, Any], problems: list[Wrong]) -> dict[str, float]
 
 
 def _ordered(model: str, v: Mapping[str, float]) -> list[Wrong]:
-    """Where the reactances contradict each other: xl < x'' <= x' <= x on each axis."""
+    """The reactances that contradict xl < x'' <= x' <= x on an axis."""
     if model == "GENCLS":
         return []
     out: list[Wrong] = []

@@ -120,7 +120,7 @@ def _build(
 
 
 class _Common:
-    """What the three coordinate systems share: parameters, p, theta, ports, friction, kinetic energy."""
+    """The common part of the three coordinate systems: parameters, p, theta, ports, friction, kinetic energy."""
 
     def __init__(self, data: MachineData, start: OperatingPoint, line: tuple[float, float] | None):
         self.data, self.start = data, start

@@ -159,7 +159,7 @@ class Declaration:
             ) from error
 
     def drive_name(self, c: Constraint, g: ca.SX) -> str:
-        """Where the work of a moving constraint is booked."""
+        """The component that the work of a moving constraint is booked at."""
         touched: dict[str, None] = {}
 
         def seen(point: Point) -> ca.SX:

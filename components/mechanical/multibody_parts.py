@@ -95,7 +95,7 @@ class Constraint:
 
 @dataclass
 class Parts:
-    """What a system in `dim` dimensions is made of, in the order it was added; `Declaration` makes its equations of it."""
+    """The parts of a system in `dim` dimensions, in the order they were added; `Declaration` makes its equations of them."""
 
     name: str
     dim: int
@@ -113,5 +113,5 @@ class Parts:
     gravity: tuple[float, ...] | None = None
 
     def rows(self, particle: Particle) -> slice:
-        """Of a particle in the stacked positions."""
+        """The rows of a particle in the stacked positions."""
         return slice(particle.number * self.dim, (particle.number + 1) * self.dim)

@@ -40,7 +40,7 @@ def first_alike(declaration: PHDAE) -> PHDAE:
 
 
 def form(declaration: PHDAE) -> Hashable:
-    """What alike declarations have in common and others have not."""
+    """Key that declarations share if and only if they are alike."""
     reading = _Reading()
     parts = tuple(reading.of(getattr(declaration, f.name)) for f in fields(PHDAE) if f.name not in OF_THE_WHOLE)
     return parts, reading.equations()

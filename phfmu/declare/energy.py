@@ -15,7 +15,7 @@ from phfmu.declare.variable import Variable, _sx
 
 
 class EnergyKind(StrEnum):
-    """What is known about an additive term of the Hamiltonian."""
+    """Kinds of additive terms of the Hamiltonian."""
 
     QUADRATIC = "quadratic"  # constant Hessian
     STRAIN = "strain"  # phi(C(x)) with quadratic C

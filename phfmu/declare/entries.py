@@ -52,7 +52,7 @@ _WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Symbol:
-    """What a scalar symbol of a declaration stands for, and its name."""
+    """The meaning of a scalar symbol of a declaration, and its name."""
 
     kind: Value
     name: str
@@ -275,7 +275,7 @@ def _ports(e: Entries) -> None:
 
 
 def _columns(p: Port, v: Variable) -> str:
-    """What makes the coefficients of a port on a variable fit: its size, or other coefficients."""
+    """The remedy for coefficients of a port that do not fit a variable: its size, or other coefficients."""
     if p.size is None and v.n > 1:
         return (
             f"give the port size={v.n} (a pair for each entry of '{v.name}'), or a column of {v.n} numbers (one pair)"

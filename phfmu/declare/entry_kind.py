@@ -1,4 +1,4 @@
-"""What an expression of a declaration is."""
+"""Kinds of expressions in a declaration."""
 
 from __future__ import annotations
 

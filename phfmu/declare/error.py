@@ -36,7 +36,7 @@ RULES = frozenset({
 
 
 class Refusal(ValueError):
-    """What was given does not fit what is asked of it: what of it, why, and what to do.
+    """An argument does not fit its use: the entry, the reason and the remedy.
 
     entry:     the model or network, and within it the variable, port, block or setting (`motor: port 'shaft'`)
     reason:    what does not fit, with its numbers;  remedy: what to do about it

@@ -62,7 +62,7 @@ class Jump:
 
 @dataclass(frozen=True, eq=False)
 class StateEvent:
-    """What happens where a guard is zero.
+    """An event: the jump and the new modes that follow when a guard is zero.
 
     when:   scalar parameter -> value: the event is armed while all have these values; {} = always
     sets:   scalar parameter -> value that it takes

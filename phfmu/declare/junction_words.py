@@ -1,4 +1,4 @@
-"""What a violated junction equation says, in the words of its ports."""
+"""Messages for violated junction equations, in the words of their ports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a model reports besides its variables."""
+"""Observables: expressions that a model reports besides its variables."""
 
 from __future__ import annotations
 

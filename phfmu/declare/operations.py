@@ -81,7 +81,7 @@ def piecewise(expr: ca.SX, x: ca.SX) -> tuple[str, ...]:
 
 
 def switches(expr: ca.SX, x: ca.SX) -> ca.SX:
-    """Which piece of `expr` applies at x, as numbers (n x 1) that change where pieces meet only."""
+    """The piece of `expr` that applies at x, as numbers (n x 1) that change only where pieces meet."""
     f, rest = function_of(expr, x)
     held: dict[int, ca.SX] = {}
     found = [ca.SX(0)]

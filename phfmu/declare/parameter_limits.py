@@ -125,7 +125,7 @@ def _derived(entries: Entries) -> dict[str, Limit]:
 
 
 def _pattern(expr: ca.SX, p: ca.SX) -> NDArray[np.bool_]:
-    """Which row of `expr` depends on which entry of `p`."""
+    """The rows of `expr` that depend on each entry of `p`."""
     dense = np.zeros((expr.numel(), p.numel()), bool)
     row, col = ca.jacobian_sparsity(expr, p).get_triplet()
     dense[row, col] = True

@@ -244,7 +244,7 @@ MOST = 4  # numbers of a vector that are shown
 
 
 class Shown(Protocol):
-    """What of a declaration is shown."""
+    """The parts of a declaration that are shown."""
 
     @property
     def name(self) -> str: ...

@@ -37,15 +37,15 @@ class Domain:
 
     @property
     def summed(self) -> Given:
-        """What sums to zero where ports meet."""
+        """The member of the pair that sums to zero where ports meet."""
         return conjugate(self.common)
 
     def word(self, member: Given) -> str:
-        """What the domain calls a member of the pair, e.g. `velocity`."""
+        """The name of a member of the pair in this domain, e.g. `velocity`."""
         return self.effort if member == "effort" else self.flow
 
     def unit(self, member: Given) -> str:
-        """Of that member."""
+        """The unit of that member."""
         return self.effort_unit if member == "effort" else self.flow_unit
 
 

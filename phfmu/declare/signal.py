@@ -51,6 +51,6 @@ def driven(name: str, on: dict[Variable, Any], *, description: str = "", owner: 
 
 
 def read_by(expr: ca.SX, inputs: Sequence[ca.SX]) -> list[int]:
-    """Which of the scalar symbols `inputs` an expression depends on as it stands (feedthrough)."""
+    """The scalar symbols among `inputs` that an expression depends on as it stands (feedthrough)."""
     there = {s.element_hash() for s in ca.symvar(expr)}
     return [i for i, s in enumerate(inputs) if s.element_hash() in there]

@@ -150,7 +150,7 @@ def _parts(expr: ca.SX, states: AbstractSet[int]) -> Iterator[ca.SX]:
 
 
 def _factored(expr: ca.SX, states: AbstractSet[int]) -> tuple[ca.SX, ca.SX]:
-    """What is left of `expr` without its factors that no state is in, and these."""
+    """The rest of `expr` without its factors that no state is in, and these factors."""
     factor = ca.SX(1)
     while True:
         if expr.is_op(ca.OP_NEG):

@@ -75,7 +75,7 @@ class Switch:
         return sum((ca.dot(ca.SX(_sx(column)), effort(v)) for v, column in self.on.items()), ca.SX(0))
 
     def events(self, effort: Callable[[Variable | Port], ca.SX]) -> tuple[StateEvent, ...]:
-        """Where a unilateral switch opens and closes."""
+        """The events at which a unilateral switch opens and closes."""
         if not self.unilateral:
             return ()
         mu, mode = self.multiplier, self.mode_name

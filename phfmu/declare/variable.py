@@ -225,12 +225,12 @@ class HasSymbols(Protocol):
 
 
 def key(v: HasSymbols) -> int:
-    """What tells variables (and ports) apart: their symbols."""
+    """The identity of a variable (or port): its symbols."""
     return v.sx[0].element_hash()
 
 
 def slices(variables: Sequence[Variable]) -> dict[int, slice]:
-    """Where each variable, by its key, lies in the stack of all."""
+    """The slice of each variable, by its key, in the stack of all."""
     out, at = {}, 0
     for v in variables:
         out[key(v)] = slice(at, at + v.n)

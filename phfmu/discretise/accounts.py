@@ -39,7 +39,7 @@ class Account:
 
 @dataclass(frozen=True)
 class Accounts:
-    """Which members of a model are components, each followed by its accounts; `terms`: all of these."""
+    """Members of a model that are components, each followed by its accounts; `terms`: all of these."""
 
     first: tuple[int, ...]
     terms: tuple[Account, ...]
@@ -59,7 +59,7 @@ class Accounts:
         return np.add.reduceat(values, list(self.first), axis=-1)
 
     def by_term(self, stored: Array, dissipated: Array) -> Array:
-        """What each term stored, or lost (n x terms), from what the members did (n x members)."""
+        """Energy that each term stored, or lost (n x terms), from that of the members (n x members)."""
         return np.stack([(stored if a.stores else dissipated)[:, a.place] for a in self.terms], axis=1)
 
 

@@ -177,7 +177,7 @@ def _starts(declaration: PHDAE) -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def _terms(declaration: PHDAE, joint: bool) -> Terms:
-    """What all schemes of a declaration begin with: the model of another scheme is mostly made right after the first."""
+    """Terms that all schemes of a declaration begin with; the model of another scheme is mostly made right after the first."""
     return at_start(extract(declaration, joint=joint))
 
 

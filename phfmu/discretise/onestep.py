@@ -15,7 +15,7 @@ from phfmu.terms.term import Term, Terms
 
 
 def step_layout(terms: Terms, scheme: Scheme) -> Layout:
-    """Where the unknowns of a step of `scheme` are."""
+    """The layout of the unknowns of a step of `scheme`."""
     terms = scheme.prepare(terms)
     return Layout(terms, scheme.nodes.k, scheme.unknowns(terms), scheme.reports(terms))
 

@@ -108,7 +108,7 @@ def port_hamiltonian(name: str, given: Given, states: Sequence[str], inputs: Seq
 
 
 def _mirrored(model: str, what: str, matrix: Sparse, sign: int, names: Sequence[str], remedy: str) -> list[Problem]:
-    """Where M differs from sign M^T by more than rounding."""
+    """Entries at which M differs from sign M^T by more than rounding."""
     defect = sp.coo_matrix(matrix - sign * matrix.T)
     if not defect.nnz:
         return []

@@ -401,7 +401,7 @@ def _three_phase(junction: Junction, net: Network) -> bool:
 
 
 def _shape(model: PHDAE) -> tuple[Any, ...]:
-    """What members that are alike but for their numbers have in common."""
+    """Key that members share if they are alike but for their numbers."""
     return (
         model.name,
         *((v.name, v.n) for v in (*model.states, *model.algebraics, *model.parameters)),

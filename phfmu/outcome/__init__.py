@@ -1,1 +1,1 @@
-"""What a step says: its outcome, the failure that carries it, and what is known of accepted steps."""
+"""Outcomes of steps, the failures that carry them, and the records of accepted steps."""

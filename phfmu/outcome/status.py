@@ -39,7 +39,7 @@ def _ran_out(spent: int) -> bool:
 
 
 def attempts(h: float, spent: int) -> str:
-    """What an engine tried at a step whose last substep had the length h, in `spent` iterations; h = 0: at one instant."""
+    """The attempts of an engine at a step whose last substep had the length h, in `spent` iterations; h = 0: at one instant."""
     if h == 0.0:
         return "two starts, line search"
     halved = f"substeps down to {h:.3g} s" if _ran_out(spent) else f"{2 ** int(LIMITS['DEPTH'])} substeps"
@@ -109,7 +109,7 @@ class StepFailure(RuntimeError):
         return self._text()
 
     def _text(self) -> str:
-        """What happened, with its numbers, and the remedy."""
+        """The failure with its numbers, and the remedy."""
         text = f"{self.component} at t = {self.time:.9g} s" + (f", h = {self.h:.3g} s" if self.h else "")
         text += f": {self.status.value}"
         if self.equation:

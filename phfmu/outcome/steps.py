@@ -1,4 +1,4 @@
-"""What is known of accepted steps, from the engines to the result table and the audit, and the balance of their energies.
+"""Records of accepted steps, from the engines to the result table and the audit, and the balance of their energies.
 
 Stretches of steps between state events have the same form.
 """
@@ -17,7 +17,7 @@ Energy = TypeVar("Energy", float, NDArray[np.float64])
 
 
 def balance(stored: Energy, dissipated: Energy, supplied: Energy, numerical: Energy | float = 0.0) -> Energy:
-    """What a ledger misses: stored + dissipated + numerical - supplied [J], zero to rounding.
+    """The gap of a ledger: stored + dissipated + numerical - supplied [J], zero to rounding.
 
     `numerical`: lost by a damping scheme.  Power is positive into the component; floats, or arrays of one shape.
     """
@@ -26,7 +26,7 @@ def balance(stored: Energy, dissipated: Energy, supplied: Energy, numerical: Ene
 
 @dataclass(frozen=True)
 class StepEvent:
-    """What happened at time t within a step that is told as one.
+    """An event at time t within a step that is told as one.
 
     energy, lost (c): by component, what it added to H and what was lost [J];  names: of the guards;  message: with what they
     set;  kind: as the audit calls it
@@ -80,7 +80,7 @@ class Steps:
 
     @classmethod
     def recorded(cls, record: Mapping[str, Array], signals: Array) -> Steps:
-        """What `run` of an instance recorded of `LEDGER`; `signals`: the columns that are wanted."""
+        """The steps that `run` of an instance recorded of `LEDGER`; `signals`: the columns that are wanted."""
         return cls(
             record["energy"], record["stored"], record["dissipated"], record["supplied"], record["pairs"],
             record.get("numerical"), record["moved"], record["counts"][:, 0], signals=signals,

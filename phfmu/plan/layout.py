@@ -65,7 +65,7 @@ class Layout:
         return {u.role for u in self.unknowns}
 
     def row(self, row: RowAt, node: int = 0) -> int:
-        """Where a row of the terms is: the unknown of equal number, an output of a pair, or a report."""
+        """The place of a row of the terms: the unknown of equal number, an output of a pair, or a report."""
         return _ROW[row.kind](self, row.index, node)
 
     def output(self, pair: int, node: int) -> int:

@@ -72,7 +72,7 @@ def specs(term: Term, point: str) -> list[Spec]:
 
 
 def maps(layout: Layout) -> Maps:
-    """As with one node, but x2' is carried on; f2 starts from x2 too (weight 0: it is not reported)."""
+    """The maps of one node, but x2' is carried on; f2 starts from x2 too (weight 0: it is not reported)."""
     base = node_maps(layout, nodes(1))
     carried = [(i, layout.at(CARRIED, i), 1.0, 0) for i in range(layout.terms.na)]
     started = [(i, layout.at(ALGEBRAIC, i), 0.0, 0) for i in range(layout.terms.na)]

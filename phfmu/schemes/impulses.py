@@ -132,7 +132,7 @@ def specs(term: Term, nd: Nodes) -> list[Spec]:
 
 
 class _Member:
-    """What a member adds to the rows of its bare nodes: psi (shifted states, the first of its `x`) and node rows."""
+    """The part of a member in the rows of its bare nodes: psi (shifted states, the first of its `x`) and node rows."""
 
     def __init__(self, term: Term, nd: Nodes):
         self.args, self.data, self.k = Arguments(term, nd.k), term.data, nd.k

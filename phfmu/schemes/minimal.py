@@ -74,7 +74,7 @@ def _multiplier(layout: Layout, row: int) -> int:
 
 
 def _stationary(layout: Layout, w: int) -> int:
-    """That of its multiplier, else its own."""
+    """The multiplier's entry if it has one, else its own."""
     own = layout.unknowns[w]
     found = layout.find(MULTIPLIER[own.role], own.index, own.node) if own.role in MULTIPLIER else None
     return w if found is None else found

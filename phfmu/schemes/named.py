@@ -21,7 +21,7 @@ from phfmu.schemes.two_level import TwoLevel
 
 @dataclass(frozen=True)
 class Asked:
-    """What was asked for, each from the lists of names; closure None = the default of the scheme."""
+    """A request in names from the lists; closure None = the default of the scheme."""
 
     name: str
     order: int

@@ -1,4 +1,4 @@
-"""What the step plan asks of a scheme, and the parts that schemes with k nodes share."""
+"""The interface of schemes to the step plan, and the parts that schemes with k nodes share."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Scheme(Protocol):
 
     @property
     def order(self) -> int:
-        """Of the states."""
+        """Order of the states."""
         ...
 
     @property
     def nodes(self) -> Nodes:
-        """Where inputs are taken and outputs are averaged."""
+        """The nodes at which inputs are taken and outputs are averaged."""
         ...
 
     @property
@@ -100,7 +100,7 @@ class Scheme(Protocol):
 
 
 class GaussScheme:
-    """What schemes with k Gauss nodes have in common; a scheme states where it differs."""
+    """Base of the schemes with k Gauss nodes; a scheme states where it differs."""
 
     k: int = 1
     gradient: str

@@ -1,4 +1,4 @@
-"""Where the forces of holonomic constraints act: the velocities that belong to positions."""
+"""The velocities that belong to positions, on which forces of holonomic constraints act."""
 
 from __future__ import annotations
 

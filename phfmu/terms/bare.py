@@ -25,7 +25,7 @@ from phfmu.terms.term import CLOSED, CONSTRAINT, ENERGY, JOINT, Term, TermKind, 
 
 
 class Remedy(StrEnum):
-    """What is done about a bare node at the ends of steps."""
+    """Remedies for a bare node at the ends of steps."""
 
     PAIR = "pair"  # neutral impulse pair: exact
     PROJECTION = "projection"  # onto the sum of currents, loss booked
@@ -49,7 +49,7 @@ class BareNode:
 
 
 def remedy(linear: bool, unfit: str, S: Callable[[], np.ndarray], bent: Callable[[], str]) -> tuple[Remedy, str] | None:
-    """What is done about rows that S couples, composed or of members stepped apart, and why not more; None: nothing is needed.
+    """The remedy for rows that S couples, composed or of members stepped apart, and why none is better; None: it needs none.
 
     linear: all rows are linear in the state and stay at their start;  unfit: why no impulse may act;  S: inductance matrix;
     bent: why H is not quadratic along the impulses.  The last two are asked for where they matter.

@@ -16,7 +16,7 @@ from phfmu.terms.term import Pair, Term, TermKind
 
 
 class Locator:
-    """Where each scalar symbol of a model lives, by its element hash."""
+    """The place of each scalar symbol of a model, by its element hash."""
 
     def __init__(self, model: PHDAE, pairs: Sequence[Pair]):
         self.where: dict[int, ValueAt] = {time.element_hash(): ValueAt(Value.TIME, 0)}
@@ -38,7 +38,7 @@ class Locator:
         return out
 
     def find(self, symbol: ca.SX, context: str) -> ValueAt:
-        """Where a scalar symbol lives; DeclarationError names the symbol and the entry it stands in."""
+        """The place of a scalar symbol.  DeclarationError names the symbol and the entry it stands in."""
         try:
             return self.where[symbol.element_hash()]
         except KeyError:

@@ -36,7 +36,7 @@ class Hidden:
 
 
 class Level(StrEnum):
-    """Which derivative of a holonomic constraint it is: g(q), or the row Dg(q) v."""
+    """The derivative of a holonomic constraint that is meant: g(q), or the row Dg(q) v."""
 
     POSITION = "position"
     VELOCITY = "velocity"

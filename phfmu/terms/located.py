@@ -1,4 +1,4 @@
-"""Where the values and rows of a declaration are, and the constant entries between them.
+"""Places of the values and rows of a declaration, and the constant entries between them.
 
 With E x' = (J - R) z + B u the rows are the balances of the states, the algebraic equations and the outputs y = B^T z of the
 scalar port pairs; a declaration also has rows of observables and of sources.

@@ -1,4 +1,4 @@
-"""Which power ports take impulses, and what these do: the condition for Kirchhoff's law at step ends across members.
+"""Impulses of power ports: the condition for Kirchhoff's law at step ends across members.
 
 An impulse s (V s at an electrical port) shifts the states, x* = x + L(x) s with L = E^-1 B. With y = B^T z and S = L^T H'' L
 
@@ -29,7 +29,7 @@ from phfmu.terms.velocities import velocity_of
 
 
 class Impulse(StrEnum):
-    """What a port does with impulses: takes them at the start and the end of steps, without or with H bent along them, or not."""
+    """Use of impulses by a port: it takes them at the start and the end of steps, without or with H bent along them, or not."""
 
     PAIR = "pair"
     END = "end"
@@ -38,7 +38,7 @@ class Impulse(StrEnum):
 
 @dataclass(frozen=True)
 class PortImpulse:
-    """What a port offers: `kind` and why not more; `inputs`: places of its inputs; `linear`: its outputs are linear in x."""
+    """The impulses of a port: `kind` and why not more; `inputs`: places of its inputs; `linear`: its outputs are linear in x."""
 
     port: str
     kind: Impulse
@@ -68,7 +68,7 @@ class PortForms:
 
 
 def port_impulses(model: PHDAE) -> PortForms:
-    """What the external ports of a model do with impulses."""
+    """The use of impulses by the external ports of a model."""
     return _Search(extract(model)).forms()
 
 

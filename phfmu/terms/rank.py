@@ -84,7 +84,7 @@ class ConstraintRank:
 
 
 def constraint_rank(model: PHDAE) -> ConstraintRank:
-    """Which rows of Dg(q) at the start values depend on others.  DeclarationError for a bad declaration."""
+    """The rows of Dg(q) at the start values that depend on others.  A bad declaration raises DeclarationError."""
     from phfmu.terms.extract import extract
 
     terms = extract(model)
@@ -232,7 +232,7 @@ def _evaluated(terms: Terms) -> list[tuple[Term, tuple[float, Array]]]:
 
 @dataclass(frozen=True)
 class ConstraintsAtStart:
-    """Of the holonomic constraints: multiplier -> natural size of Dg v;  multipliers of those that rest."""
+    """Holonomic constraints at the start: multiplier -> natural size of Dg v;  multipliers of those that rest."""
 
     sizes: dict[int, float] = field(default_factory=dict)
     resting: frozenset[int] = frozenset()

@@ -1,4 +1,4 @@
-"""Which states an impulse of the algebraic variables can move: E dx = J s, s the impulses.
+"""States that impulses s of the algebraic variables can move: E dx = J s.
 
 A state moves if its own row contains an algebraic variable or the multiplier of a holonomic constraint, or if E couples
 its rate with that of one that moves.  Angles do not: theta' = omega has no multiplier.

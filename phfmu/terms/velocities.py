@@ -1,4 +1,4 @@
-"""Which velocity moves which position: rows q' = z_v, where the multipliers of constraints g(q) act."""
+"""Velocities of positions: rows q' = z_v, on which the multipliers of constraints g(q) act."""
 
 from __future__ import annotations
 
