@@ -40,7 +40,9 @@ def sources(model: Model) -> dict[str, str | Path]:
     made = {"kernels.c": table.text, "tangents.c": tangent_text(table, model.step, model.instant)}
     made["model.c"] = c_text(model, table.index, tangents="ph_tangents")
     program = Path(__file__).parent / "threads.c"
-    return {**runtime_sources("events"), **master_library.sources(), **made, program.name: program}
+    runtime, master = runtime_sources("events"), master_library.sources()
+    own = {f"master_{n}" if n in runtime and runtime[n] != path else n: path for n, path in master.items()}
+    return {**runtime, **own, **made, program.name: program}
 
 
 def compiled(files: dict[str, str | Path], folder: Path) -> Path:

@@ -154,7 +154,9 @@ static double *together(int threads, size_t *size) {
         for (int again = 0; again < 3; again++) {
             for (int j = 0; j < nu; j++)
                 z[j] = 0.01 * (k + 1) * (again + j + 1);
-            require(ph_shares_step(&m, k * H, H, again) == PH_OK, "trial");
+            require(ph_shares_step(&m, k * H, H, again ? PH_FROM_KEPT : PH_FROM_HERE, NULL, m.nshare) ==
+                        PH_OK,
+                    "trial");
             require(ph_shares_along(&m) == PH_OK && ph_shares_refresh(&m) == PH_OK, "derivatives");
         }
         require(ph_shares_finish(&m, k) == PH_OK, "finish");
