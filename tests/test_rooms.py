@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import os
+import re
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
@@ -22,6 +24,12 @@ ROOMS = (
     "runs", "network.check_scene", "ssp", "operating", "components", "arguments", "target", "report",
     "sweeps", "studies", "cli",
 )  # fmt: skip
+
+
+C_WORDS, C_COMMENT = re.compile(r"\b[A-Za-z_]\w*\b"), re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+C_FUNCTION = re.compile(
+    r"^(?!typedef|struct|enum|static const|#)\w[^;={]*?(\w+)\([^;{]*\) \{$(.*?)^\}$", re.MULTILINE | re.DOTALL
+)
 
 
 @cache
@@ -96,6 +104,18 @@ def circles(graph: dict[str, set[str]]) -> set[frozenset[str]]:
     return {frozenset(m for m in reach[name] if name in reach[m]) for name in graph if name in reach[name]}
 
 
+def calls(texts: Mapping[str, str]) -> dict[str, set[str]]:
+    """C file -> C files whose functions it names, from their texts; a function that two files define is nobody's."""
+    codes = {name: C_COMMENT.sub("", text) for name, text in texts.items()}
+    homes: dict[str, set[str]] = {}
+    for name, code in codes.items():
+        for m in C_FUNCTION.finditer(code):
+            if not m[0].startswith("static"):
+                homes.setdefault(m[1], set()).add(name)
+    own = {word: next(iter(files)) for word, files in homes.items() if len(files) == 1}
+    return {name: {own[w] for w in set(C_WORDS.findall(code)) & own.keys()} - {name} for name, code in codes.items()}
+
+
 def test_every_room_is_in_the_order() -> None:
     folders = {room.rpartition(".")[0] for room in ROOMS} - set(ROOMS)
     assert {name for name in imports() if not room_of(name)} == folders | {"__main__"}
@@ -143,6 +163,19 @@ def test_imports_go_down() -> None:
 
 def test_no_files_import_each_other_in_a_circle() -> None:
     assert circles(imports()) == set()
+
+
+def test_no_c_files_call_each_other_in_a_circle() -> None:
+    texts = {p.relative_to(ROOT).as_posix(): p.read_text() for p in ROOT.rglob("*.c")}
+    assert len(texts) > 40
+    assert circles(calls(texts)) == set()
+
+
+def test_a_circle_of_c_calls_is_seen() -> None:
+    texts = {"a.c": "int one(void) {\n    return two();\n}\n", "b.c": "int two(void) {\n    return one();\n}\n"}
+    assert circles(calls(texts)) == {frozenset({"a.c", "b.c"})}
+    texts["b.c"] = "static int one(void) {\n    return 1;\n}\n/* one */ int two(void) {\n    return 1;\n}\n"
+    assert circles(calls(texts)) == set()
 
 
 def test_components_are_written_against_public_names() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import io
-import re
 import subprocess
 import sys
 import tarfile
@@ -36,10 +35,6 @@ KINDS = {
     ),
     "FMI version": (("fmi3", "3.0", "fmi2", "2.0"), ("phfmu/fmu", "phfmu/cli")),
 }
-C_WORDS, C_COMMENT = re.compile(r"\b[A-Za-z_]\w*\b"), re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
-C_FUNCTION = re.compile(
-    r"^(?!typedef|struct|enum|static const|#)\w[^;={]*?(\w+)\([^;{]*\) \{$(.*?)^\}$", re.MULTILINE | re.DOTALL
-)
 
 
 def house(trees: Sequence[Path] = ()) -> Made:
@@ -125,16 +120,7 @@ class Tree:
     @cached_property
     def calls(self) -> dict[str, set[str]]:
         """C file -> C files whose functions it names; a function that two files define is nobody's."""
-        texts = {self.name(p): C_COMMENT.sub("", text(p)) for p in self.sources if p.suffix == ".c"}
-        homes: dict[str, set[str]] = {}
-        for name, code in texts.items():
-            for m in C_FUNCTION.finditer(code):
-                if not m[0].startswith("static"):
-                    homes.setdefault(m[1], set()).add(name)
-        own = {word: next(iter(files)) for word, files in homes.items() if len(files) == 1}
-        return {
-            name: {own[w] for w in set(C_WORDS.findall(code)) & own.keys()} - {name} for name, code in texts.items()
-        }
+        return rooms().calls({self.name(p): text(p) for p in self.sources if p.suffix == ".c"})
 
     def circles_of_calls(self) -> list[list[str]]:
         return sorted(sorted(c) for c in rooms().circles(self.calls))
@@ -225,7 +211,7 @@ def room(name: str) -> str:
 def functions(path: Path, name: str) -> list[Span]:
     """Functions of a file with their lines, docstrings too."""
     if path.suffix != ".py":
-        return [Span(f"{name}:{m[1]}", m[0].count("\n") + 1) for m in C_FUNCTION.finditer(text(path))]
+        return [Span(f"{name}:{m[1]}", m[0].count("\n") + 1) for m in rooms().C_FUNCTION.finditer(text(path))]
     nodes = [n for n in ast.walk(ast.parse(text(path))) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
     return [Span(f"{name}:{n.name}", (n.end_lineno or n.lineno) - n.lineno + 1) for n in nodes]
 

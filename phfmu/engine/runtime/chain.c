@@ -1,6 +1,6 @@
-/* Directional derivatives of a step: the linearisations of its internal steps and substeps, chained through
- * the states. With R(x, w, u) = 0, outputs y(x, w, u) and x+ = x + U w of one of them, X the direction of its
- * old states and V that of its inputs,
+/* Derivatives of a step and of end values. Of a step in several parts: the linearisations of its internal
+ * steps and substeps, chained through the states. With R(x, w, u) = 0, outputs y(x, w, u) and x+ = x + U w of
+ * one of them, X the direction of its old states and V that of its inputs,
  *
  *     dw = -A^-1 (R_x X + R_u V),   dy = y_x X + y_w dw + y_u V,   X+ = X + U dw.
  *
@@ -245,7 +245,7 @@ int ph_end_along(ph_instance *in, const ph_directions *d) {
 }
 
 /* Every input at all nodes together, outputs as means. */
-int ph_chain_sensitivity(ph_instance *in, double *out) {
+static int chain_sensitivity(ph_instance *in, double *out) {
     const ph_plan *p = in->step.plan;
     const ph_chain *c = &in->chain;
     const int k = p->k, nu = p->nu;
@@ -262,5 +262,72 @@ int ph_chain_sensitivity(ph_instance *in, double *out) {
         for (int i = 0; i < k; i++)
             for (int m = 0; m < nu; m++)
                 out[m * nu + j] += p->weights[i] * d.dy[(j * k + i) * nu + m];
+    return status;
+}
+
+/* S = D - C A^-1 B at the Y of the system, by the implicit function theorem. */
+static int sensitivity(ph_system *s, double *out) {
+    const ph_plan *p = s->plan;
+    const int nu = p->nu, nw = p->nw;
+    const double *value = s->blocks;
+    ph_eval(s, 1, 1);
+    ph_eval_derivatives(s, s->blocks);
+    if (nw > 0) {
+        int status;
+        ph_eval_matrix(s);
+        status = ph_newton_factor(s);
+        if (status)
+            return status;
+    }
+    for (int j = 0; j < nu; j++) {
+        for (int i = 0; i < nu; i++)
+            out[i * nu + j] = 0.0;
+        for (int i = 0; i < nw; i++)
+            s->rhs[i] = 0.0;
+        for (int e = 0; e < p->nderivative; e++)
+            if (p->derivative_col[e] == nw + j) {
+                if (p->derivative_row[e] < nw)
+                    s->rhs[p->derivative_row[e]] += value[e];
+                else
+                    out[(p->derivative_row[e] - nw) * nu + j] += value[e];
+            }
+        if (nw == 0)
+            continue;
+        ph_solve_refined(s);
+        for (int e = 0; e < p->nderivative; e++)
+            if (p->derivative_row[e] >= nw && p->derivative_col[e] < nw)
+                out[(p->derivative_row[e] - nw) * nu + j] -= value[e] * s->dw[p->derivative_col[e]];
+    }
+    return PH_OK;
+}
+
+int ph_sensitivity(ph_instance *in, double *out) {
+    ph_system *s = &in->step;
+    const ph_plan *p = s->plan;
+    int status;
+    if (in->head->parts != 1)
+        return ph_solves(in) && in->chain.x ? chain_sensitivity(in, out) : PH_NO_SENSITIVITY;
+    memcpy(s->y, s->last, sizeof(double) * (size_t)p->nw);
+    if (p->nu > 0)
+        memcpy(s->y + p->nw, in->u_old, sizeof(double) * (size_t)(p->nu * p->k));
+    ph_eval_h(s, in->head->step_h);
+    s->x = in->x_old;
+    status = sensitivity(s, out);
+    s->x = in->table;
+    /* Asking must not change later steps: back to the pivots of the last step. */
+    ph_lu_adopt(&s->lu, s->pivot);
+    return status;
+}
+
+int ph_sensitivity_end(ph_instance *in, double *out) {
+    ph_system *s = &in->instant;
+    int status = ph_refresh(in);
+    if (status)
+        return status;
+    memcpy(s->y, s->last, sizeof(double) * (size_t)s->plan->nw);
+    ph_inputs_at(in, in->head->theta, s->y + s->plan->nw);
+    ph_eval_h(s, 1.0);
+    status = sensitivity(s, out);
+    ph_lu_adopt(&s->lu, s->pivot);
     return status;
 }

@@ -1,4 +1,6 @@
-/* Gather and scatter: Z, R, V, A, derivative blocks and ledger of one system. */
+/* Gather and scatter: Z, R, V, A, derivative blocks and ledger of one system, with the rows of constraints
+ * that rest left out. */
+#include <math.h>
 #include <string.h>
 
 #include "system.h"
@@ -27,6 +29,43 @@ void ph_eval_h(ph_system *s, double h) {
         s->a[p->fixed_entry[l]] = s->fixed[p->fixed_entry[l]] += p->fixed_value[l] * s->hp[p->fixed_power[l]];
 }
 
+/* w = 0 exactly, whatever rounding the factor leaves. */
+static void rest_unknowns(ph_system *s) {
+    const ph_plan *p = s->plan;
+    for (int c = 0; c < p->nhold; c++)
+        for (int q = p->hold_ptr[c]; s->rests[c] == PH_RESTS && q < p->hold_ptr[c + 1]; q++)
+            s->y[p->hold_row[q]] = 0.0;
+}
+
+/* Rows 0, after a look at what they miss: the mean of the node rows is (g' - g) / h. */
+static void rest_residual(ph_system *s) {
+    const ph_plan *p = s->plan;
+    for (int c = 0; c < p->nhold; c++) {
+        const int *row = p->hold_row + p->hold_ptr[c], n = p->hold_ptr[c + 1] - p->hold_ptr[c];
+        double mean = 0.0, speed = n > p->k ? fabs(s->r[row[p->k]]) : 0.0;
+        if (s->rests[c] != PH_RESTS)
+            continue;
+        for (int i = 0; i < p->k; i++)
+            mean += p->weights[i] * s->r[row[i]];
+        s->gap[c] = fabs(mean) > speed ? fabs(mean) : speed;
+        for (int i = 0; i < n; i++)
+            s->r[row[i]] = 0.0;
+    }
+}
+
+/* Rows of A: 1 on the diagonal. */
+static void rest_matrix(ph_system *s) {
+    const ph_plan *p = s->plan;
+    for (int c = 0; c < p->nhold; c++) {
+        if (s->rests[c] != PH_RESTS)
+            continue;
+        for (int e = p->silent_ptr[c]; e < p->silent_ptr[c + 1]; e++)
+            s->a[p->silent[e]] = 0.0;
+        for (int q = p->hold_ptr[c]; q < p->hold_ptr[c + 1]; q++)
+            s->a[p->hold_own[q]] = 1.0;
+    }
+}
+
 /* Z and R at (x, Y); slots: Jacobian entries into V too; late: pair outputs and observables too. */
 void ph_eval(ph_system *s, int slots, int late) {
     const ph_plan *p = s->plan;
@@ -36,7 +75,7 @@ void ph_eval(ph_system *s, int slots, int late) {
     memset(z, 0, sizeof(double) * (size_t)p->nz);
     memset(r, 0, sizeof(double) * (size_t)p->nrow);
     if (s->resting)
-        ph_rest_unknowns(s);
+        rest_unknowns(s);
     for (int stage = 0; stage < 2; stage++) {
         for (; i < p->ngroup && p->groups[i].stage == stage; i++) {
             const ph_group *g = &p->groups[i];
@@ -54,7 +93,7 @@ void ph_eval(ph_system *s, int slots, int late) {
                 r[p->const_row[l]] += s->constants[l] * y[p->const_src[l]];
     }
     if (s->resting)
-        ph_rest_residual(s);
+        rest_residual(s);
 }
 
 /* The rows after the residual, at a w and a Z found elsewhere. A kernel may give rows of both kinds at once,
@@ -89,7 +128,7 @@ void ph_eval_matrix(ph_system *s) {
         s->a[e] = sum;
     }
     if (s->resting)
-        ph_rest_matrix(s);
+        rest_matrix(s);
 }
 
 /* out: nderivative. */

@@ -264,3 +264,18 @@ void ph_explain(ph_system *s, int status, ph_report *report) {
             return;
     }
 }
+
+/* dw = A^-1 rhs with one refinement, which removes the delta of the factor; rhs is scaled in place. */
+void ph_solve_refined(ph_system *s) {
+    const ph_plan *p = s->plan;
+    double *rhs = s->rhs, *correction = s->base;
+    for (int i = 0; i < p->nw; i++)
+        rhs[i] *= s->scale[i];
+    ph_lu_solve(&s->lu, rhs, s->dw);
+    for (int j = 0; j < p->nw; j++)
+        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
+            rhs[p->matrix_row[e]] -= s->scale[p->matrix_row[e]] * s->a[e] * s->dw[j];
+    ph_lu_solve(&s->lu, rhs, correction);
+    for (int i = 0; i < p->nw; i++)
+        s->dw[i] += correction[i];
+}

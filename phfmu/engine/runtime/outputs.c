@@ -1,4 +1,4 @@
-/* End values (instant system) and sensitivities. */
+/* End values: the instant system. */
 #include <string.h>
 
 #include "system.h"
@@ -81,86 +81,4 @@ int ph_initialise(ph_instance *in) {
     ph_take_instant(in, 1);
     ph_seed(in, in->table + in->offset[PH_A]);
     return PH_OK;
-}
-
-/* dw = A^-1 rhs with one refinement, which removes the delta of the factor; rhs is scaled in place. */
-void ph_solve_refined(ph_system *s) {
-    const ph_plan *p = s->plan;
-    double *rhs = s->rhs, *correction = s->base;
-    for (int i = 0; i < p->nw; i++)
-        rhs[i] *= s->scale[i];
-    ph_lu_solve(&s->lu, rhs, s->dw);
-    for (int j = 0; j < p->nw; j++)
-        for (int e = p->colptr[j]; e < p->colptr[j + 1]; e++)
-            rhs[p->matrix_row[e]] -= s->scale[p->matrix_row[e]] * s->a[e] * s->dw[j];
-    ph_lu_solve(&s->lu, rhs, correction);
-    for (int i = 0; i < p->nw; i++)
-        s->dw[i] += correction[i];
-}
-
-/* S = D - C A^-1 B at the Y of the system, by the implicit function theorem. */
-static int sensitivity(ph_system *s, double *out) {
-    const ph_plan *p = s->plan;
-    const int nu = p->nu, nw = p->nw;
-    const double *value = s->blocks;
-    ph_eval(s, 1, 1);
-    ph_eval_derivatives(s, s->blocks);
-    if (nw > 0) {
-        int status;
-        ph_eval_matrix(s);
-        status = ph_newton_factor(s);
-        if (status)
-            return status;
-    }
-    for (int j = 0; j < nu; j++) {
-        for (int i = 0; i < nu; i++)
-            out[i * nu + j] = 0.0;
-        for (int i = 0; i < nw; i++)
-            s->rhs[i] = 0.0;
-        for (int e = 0; e < p->nderivative; e++)
-            if (p->derivative_col[e] == nw + j) {
-                if (p->derivative_row[e] < nw)
-                    s->rhs[p->derivative_row[e]] += value[e];
-                else
-                    out[(p->derivative_row[e] - nw) * nu + j] += value[e];
-            }
-        if (nw == 0)
-            continue;
-        ph_solve_refined(s);
-        for (int e = 0; e < p->nderivative; e++)
-            if (p->derivative_row[e] >= nw && p->derivative_col[e] < nw)
-                out[(p->derivative_row[e] - nw) * nu + j] -= value[e] * s->dw[p->derivative_col[e]];
-    }
-    return PH_OK;
-}
-
-int ph_sensitivity(ph_instance *in, double *out) {
-    ph_system *s = &in->step;
-    const ph_plan *p = s->plan;
-    int status;
-    if (in->head->parts != 1)
-        return ph_solves(in) && in->chain.x ? ph_chain_sensitivity(in, out) : PH_NO_SENSITIVITY;
-    memcpy(s->y, s->last, sizeof(double) * (size_t)p->nw);
-    if (p->nu > 0)
-        memcpy(s->y + p->nw, in->u_old, sizeof(double) * (size_t)(p->nu * p->k));
-    ph_eval_h(s, in->head->step_h);
-    s->x = in->x_old;
-    status = sensitivity(s, out);
-    s->x = in->table;
-    /* Asking must not change later steps: back to the pivots of the last step. */
-    ph_lu_adopt(&s->lu, s->pivot);
-    return status;
-}
-
-int ph_sensitivity_end(ph_instance *in, double *out) {
-    ph_system *s = &in->instant;
-    int status = ph_refresh(in);
-    if (status)
-        return status;
-    memcpy(s->y, s->last, sizeof(double) * (size_t)s->plan->nw);
-    ph_inputs_at(in, in->head->theta, s->y + s->plan->nw);
-    ph_eval_h(s, 1.0);
-    status = sensitivity(s, out);
-    ph_lu_adopt(&s->lu, s->pivot);
-    return status;
 }

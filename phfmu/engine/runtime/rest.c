@@ -47,43 +47,6 @@ void ph_rest_continue(ph_instance *in, const ph_instance *from) {
     }
 }
 
-/* w = 0 exactly, whatever rounding the factor leaves. */
-void ph_rest_unknowns(ph_system *s) {
-    const ph_plan *p = s->plan;
-    for (int c = 0; c < p->nhold; c++)
-        for (int q = p->hold_ptr[c]; s->rests[c] == PH_RESTS && q < p->hold_ptr[c + 1]; q++)
-            s->y[p->hold_row[q]] = 0.0;
-}
-
-/* Rows 0, after a look at what they miss: the mean of the node rows is (g' - g) / h. */
-void ph_rest_residual(ph_system *s) {
-    const ph_plan *p = s->plan;
-    for (int c = 0; c < p->nhold; c++) {
-        const int *row = p->hold_row + p->hold_ptr[c], n = p->hold_ptr[c + 1] - p->hold_ptr[c];
-        double mean = 0.0, speed = n > p->k ? fabs(s->r[row[p->k]]) : 0.0;
-        if (s->rests[c] != PH_RESTS)
-            continue;
-        for (int i = 0; i < p->k; i++)
-            mean += p->weights[i] * s->r[row[i]];
-        s->gap[c] = fabs(mean) > speed ? fabs(mean) : speed;
-        for (int i = 0; i < n; i++)
-            s->r[row[i]] = 0.0;
-    }
-}
-
-/* Rows of A: 1 on the diagonal. */
-void ph_rest_matrix(ph_system *s) {
-    const ph_plan *p = s->plan;
-    for (int c = 0; c < p->nhold; c++) {
-        if (s->rests[c] != PH_RESTS)
-            continue;
-        for (int e = p->silent_ptr[c]; e < p->silent_ptr[c + 1]; e++)
-            s->a[p->silent[e]] = 0.0;
-        for (int q = p->hold_ptr[c]; q < p->hold_ptr[c + 1]; q++)
-            s->a[p->hold_own[q]] = 1.0;
-    }
-}
-
 /* First row of constraint c. */
 int ph_rest_first(const ph_plan *p, int c) {
     return p->hold_row[p->hold_ptr[c]];

@@ -108,9 +108,6 @@ void ph_rest_dependence(ph_system *s, int c);
 void ph_rest_tell(ph_instance *in, double time, int rests, int needed);
 void ph_rest_continue(ph_instance *in, const ph_instance *from);
 void ph_rest_take(ph_instance *in);
-void ph_rest_unknowns(ph_system *s);
-void ph_rest_residual(ph_system *s);
-void ph_rest_matrix(ph_system *s);
 void ph_rest_spread(ph_system *s);
 void ph_rest_exchange(ph_instance *in, double time);
 int ph_rest_wake(ph_instance *in);
@@ -211,8 +208,7 @@ void ph_inputs_at(ph_instance *in, double theta, double *u);
 void ph_basis(ph_instance *in, double theta);
 void ph_book_nodes(ph_instance *in, double from, double weight);
 void ph_seed(ph_instance *in, const double *a);
-void ph_solve_refined(ph_system *s); /* dw = A^-1 rhs; changes rhs and base */
-int ph_chain_sensitivity(ph_instance *in, double *out);
+void ph_solve_refined(ph_system *s);         /* dw = A^-1 rhs; changes rhs and base */
 void ph_parts_begin(ph_instance *in, int n); /* a step of n internal ones, or of one that is halved */
 void ph_part_ends(ph_instance *in, int i, int end);
 int ph_parts_fit(const ph_head *head); /* whether the parts in a state of anybody's are those of a step */

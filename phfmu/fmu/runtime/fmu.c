@@ -14,10 +14,6 @@
 #define GAP 1e-3
 #define OVERSHOOT 1e-6 /* part of the last step that may lie behind the stop time */
 
-double fmu_time(const fmu *f) {
-    return ph_signals(f->in)[f->about->model->step->nx];
-}
-
 /* The start values set so far stay. */
 int fmu_setup(fmu *f, const char *function, double start, int stop_defined, double stop) {
     if (fmu_allow(f, function, FMU_INSTANTIATED))

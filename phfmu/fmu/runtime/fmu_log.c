@@ -5,6 +5,10 @@
 
 #include "fmu_modes.h"
 
+double fmu_time(const fmu *f) {
+    return ph_signals(f->in)[f->about->model->step->nx];
+}
+
 static const struct {
     int category;
     const char *name;

@@ -83,21 +83,3 @@ int ph_already(ph_landing *l) {
     }
     return status;
 }
-
-int ph_begun(ph_landing *l, double h) {
-    ph_instance *in = l->in;
-    int status;
-    ph_clear(l->moved, l->events->n);
-    ph_arrive(l);
-    status = ph_already(l);
-    if (status || !l->nfired || h == 0.0)
-        return status;
-    ph_save(in, l->before);
-    memcpy(l->start_x, in->table, sizeof(double) * (size_t)in->model->step->nx);
-    memcpy(l->start, l->now, sizeof(double) * (size_t)l->events->n);
-    l->h = h;
-    if (ph_look(l) == PH_OK) /* else what it is beyond zero by is no rounding of a step */
-        ph_arrive(l);
-    ph_load(in, l->before);
-    return ph_already(l);
-}

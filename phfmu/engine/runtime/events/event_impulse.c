@@ -5,6 +5,11 @@
 
 #include "event_landing.h"
 
+int ph_refuse_event(ph_landing *l, int reason, double value, double limit) {
+    l->refusal = (ph_event_refusal){reason, l->t, value, limit, l->fired};
+    return PH_EVENT;
+}
+
 /* c and S of the n columns in l->which, at l->x and l->p; the columns of L stay in l->jump. */
 static void columns(ph_landing *l, int n) {
     static const double hp[3] = {1.0, 1.0, 1.0};

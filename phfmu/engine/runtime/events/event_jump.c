@@ -68,11 +68,6 @@ const ph_event_refusal *ph_land_refusal(const ph_landing *l) {
     return &l->refusal;
 }
 
-int ph_refuse_event(ph_landing *l, int reason, double value, double limit) {
-    l->refusal = (ph_event_refusal){reason, l->t, value, limit, l->fired};
-    return PH_EVENT;
-}
-
 static void set(double *p, const int *ptr, const int *which, const double *value, int i) {
     for (int j = ptr[i]; j < ptr[i + 1]; j++)
         p[which[j]] = value[j];

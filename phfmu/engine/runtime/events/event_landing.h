@@ -69,10 +69,10 @@ double ph_rounded(const ph_landing *l, int i);
 /* An instant is reached at the rates l->moved. */
 void ph_arrive(ph_landing *l);
 int ph_fits_direction(const ph_landing *l, int i, double rate);
-/* Events that set modes and are beyond zero, into l->fired. The same where a step of at most h begins after
- * something was set: the time itself is rounded there, so that a guard may be beyond zero by what it moves
- * in that; a trial tells. */
+/* Events that set modes and are beyond zero, into l->fired. */
 int ph_already(ph_landing *l);
+/* event_trial.c: the same where a step of at most h begins after something was set: the time itself is
+ * rounded there, so that a guard may be beyond zero by what it moves in that; a trial tells. */
 int ph_begun(ph_landing *l, double h);
 /* event_trial.c: takes a step of length l->h at most from l->start_x, and looks at the guards over it. */
 int ph_look(ph_landing *l);
@@ -84,8 +84,6 @@ int ph_try_step(ph_landing *l, int *leaves);
 double ph_guard_rate(const ph_landing *l, int i, double tau);
 int ph_first_zero(const ph_landing *l, const signed char *refused, ph_crossing *best);
 int ph_happen(ph_landing *l, ph_landed *out);
-/* What was taken of a communication step is that of `from`. */
-void ph_land_told(ph_landing *l, const ph_landing *from);
 /* event_impulse.c: the jumps of the events in l->fired at the parameters l->p after them; what it adds to the
  * energy of each component and what is lost. */
 int ph_jump_event(ph_landing *l, double *energy, double *lost);

@@ -20,13 +20,6 @@ static int join(ph_landing *l, double from) {
     return PH_OK;
 }
 
-void ph_land_told(ph_landing *l, const ph_landing *from) {
-    l->told = from->told;
-    l->told_from = from->told_from;
-    l->told_until = from->told_until;
-    memcpy(l->kept, from->kept, sizeof(double) * (size_t)ph_kept_size(l->in->model));
-}
-
 /* After an event the means are those of the step again; it has no derivative. */
 void ph_land_tell(ph_landing *l) {
     l->in->head->parts = 0;

@@ -115,6 +115,14 @@ const signed char *ph_land_stopped(const ph_landing *l, double *t, int *happened
     return l->stopped ? l->fired : NULL;
 }
 
+/* What was taken of a communication step is that of `from`. */
+static void take_told(ph_landing *l, const ph_landing *from) {
+    l->told = from->told;
+    l->told_from = from->told_from;
+    l->told_until = from->told_until;
+    memcpy(l->kept, from->kept, sizeof(double) * (size_t)ph_kept_size(l->in->model));
+}
+
 int ph_land_after(ph_landing *l, const ph_landing *from) {
     l->t0 = from->t0;
     l->grid = from->grid;
@@ -131,7 +139,7 @@ int ph_land_after(ph_landing *l, const ph_landing *from) {
     l->changed = l->stopped = 0;
     l->under_way = 1;
     if (l != from)
-        ph_land_told(l, from);
+        take_told(l, from);
     return ph_already(l);
 }
 
