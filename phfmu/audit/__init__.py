@@ -1,4 +1,4 @@
-"""Where every joule went: ledger rows and their closure, the crash-safe log, the report."""
+"""The energy audit: ledger rows and their closure, the crash-safe log, the report."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

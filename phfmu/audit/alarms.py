@@ -1,4 +1,4 @@
-"""What is not wrong and yet worth a look: levels below those at which a ledger is violated."""
+"""Alarms: levels below those at which a ledger is violated, worth a look."""
 
 from __future__ import annotations
 

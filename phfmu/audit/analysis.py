@@ -46,7 +46,7 @@ def audit_table(
 
 
 def verdict(source: "pa.Table | str | os.PathLike[str]", rtol: float = DEFAULT_RTOL) -> list[Violation]:
-    """What does not close in an audit table or log file; empty if everything does."""
+    """The violations in an audit table or log file; empty if everything closes."""
     return summarise(source, rtol).violations
 
 

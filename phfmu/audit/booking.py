@@ -1,4 +1,4 @@
-"""What the audit calls the energies of a run: components, ports and the junctions where these meet."""
+"""Names of the energies of a run in the audit: components, ports and the junctions where these meet."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TermKey:
 
 @dataclass(frozen=True)
 class Booking:
-    """What the columns of `Steps` are booked as: c components, q scalar ports; the junctions follow from the ports.
+    """The meaning of the columns of `Steps`: c components, q scalar ports; the junctions follow from the ports.
 
     `silent`: components that tell nothing of their energy, neither by ports nor by books (foreign units).
     `loose`: the coupling does not claim that junctions create no energy.

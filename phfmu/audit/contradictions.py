@@ -48,7 +48,7 @@ class Contradictions:
             self._same(block, "network", network, column, values, scale)
 
     def _scale(self, block: BookedSteps, where: str, rows: LogRows, i: int) -> None:
-        """What a residual is measured against holds the recorded `moved`: the recorded ratio must be made with it."""
+        """The scale of a residual holds the recorded `moved`: the recorded ratio must be made with it."""
         assert block.relative is not None
         relative = block.relative[:, i]
         self._same(block, where, rows, "residual_rel", relative, np.abs(relative))

@@ -1,4 +1,4 @@
-"""What happens outside the steps, and how often."""
+"""Events outside the steps, and their numbers."""
 
 from dataclasses import dataclass
 

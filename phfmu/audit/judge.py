@@ -1,4 +1,4 @@
-"""What closes and what does not: the one place that judges, for the ledger of a run and for the file of one.
+"""The judge of a ledger: the one place that says what closes, for the ledger of a run and for the file of one.
 
 A step is measured against the energies in play in it and, as rounding, against those that were in play so far,
 
@@ -35,7 +35,7 @@ FLOOR, ULPS, RUN, LEAST = (defined(HEADER)[name] for name in ("FLOOR", "ULPS", "
 
 @dataclass(slots=True)
 class Account:
-    """What is remembered of a component from step to step; energies in joule."""
+    """The record of a component from step to step; energies in joule."""
 
     H_start: float
     H_end: float
@@ -54,7 +54,7 @@ class Account:
 
     @property
     def allowed(self) -> float:
-        """What the residuals of the run may add up to."""
+        """The bound on the sum of the residuals of the run."""
         return RUN * math.sqrt(max(self.squares.value, 0.0))
 
 
@@ -174,7 +174,7 @@ class Judge:
         return permitted
 
     def _lost(self, block: BookedSteps) -> Floats:
-        """What the junctions have lost by projections [n,junctions], which is booked; what these would have created is not."""
+        """Energy that junctions have lost by projections [n,junctions], which is booked; what these would have created is not."""
         lost, works, names = np.zeros_like(block.junction_residual), block.steps.works, list(block.booking.junctions)
         for i, key in enumerate(block.booking.parts if works is not None else ()):
             if works is not None and key.part == PROJECTION:
@@ -231,7 +231,7 @@ class Judge:
 
     @property
     def quality(self) -> Quality:
-        """Of the network: estimated where a component is, none where no component tells anything."""
+        """The quality of the network: estimated where a component is, none where no component tells anything."""
         found = {account.quality for account in self.accounts.values()}
         return (
             Quality.ESTIMATED

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class ColumnType(StrEnum):
-    """What the values of a column are."""
+    """Types of the values of a column."""
 
     I64 = "i64"
     I32 = "i32"
@@ -16,7 +16,7 @@ class ColumnType(StrEnum):
 
 
 class RowKind(StrEnum):
-    """What a row of the table is about, and thereby which columns it fills."""
+    """Subjects of the rows of the table, which decide the columns that a row fills."""
 
     COMPONENT = "component"
     PORT = "port"
@@ -37,7 +37,7 @@ class Quality(StrEnum):
 
 
 class LedgerVerdict(StrEnum):
-    """What is said of a component, junction or network; one that is not judged is named by its quality."""
+    """Verdicts on a component, junction or network; one that is not judged is named by its quality."""
 
     CLOSED = "closed"
     VIOLATED = "VIOLATED"

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 class Sink(Protocol):
-    """Where rows go while the run is under way; `AuditWriter` is one."""
+    """Receiver of rows while the run is under way; `AuditWriter` is one."""
 
     def write_steps(self, block: BookedSteps) -> None: ...
 

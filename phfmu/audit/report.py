@@ -1,4 +1,4 @@
-"""Where the energy went, as text and as CSV.
+"""The report of an audit, as text and as CSV.
 
 Sheets of large networks: the rows that matter most, and one for the sum of all others.
 """

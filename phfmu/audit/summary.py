@@ -72,7 +72,7 @@ class PartSummary:
 
 @dataclass
 class TermSummary:
-    """What a term of H stored, or a part of R dissipated, over the run."""
+    """Energy that a term of H stored, or a part of R dissipated, over the run."""
 
     component: str
     term: str
@@ -118,7 +118,7 @@ class LedgerSummary:
 
     @property
     def share(self) -> float:
-        """What a component misses in a step or in the run, at most, as a share of what is allowed; above 1: it is violated."""
+        """The largest residual of a component in a step or in the run, as a share of what is allowed; above 1: it is violated."""
         judged = [c for c in self.components if c.verdict in (LedgerVerdict.CLOSED, LedgerVerdict.VIOLATED)]
         missed = [max(c.worst_ratio, c.run_ratio) for c in judged]
         return max([*missed, *(v.ratio for v in self.violations if v.kind in COMPONENT)], default=0.0)

@@ -1,4 +1,4 @@
-"""What does not close: its kind, where it is, and how it is told."""
+"""Violations of a ledger: their kind, where they are, and how they are told."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from phfmu.audit.summing.sums import ratio
 
 
 class ViolationKind(StrEnum):
-    """What does not close."""
+    """Kinds of violations."""
 
     # of a component
     BALANCE = "balance"

@@ -1,1 +1,1 @@
-"""What is wrong with a declaration: all problems at once, each with its remedy."""
+"""Checks of a declaration: all problems at once, each with its remedy."""

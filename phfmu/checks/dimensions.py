@@ -79,7 +79,7 @@ class _Check:
     # -- what should be ------------------------------------------------------------------------------------------------
 
     def costates(self, rows: tuple[Variable | Port, ...]) -> list[Dimension | None]:
-        """Of the rows of a block: of states z, of algebraic variables their effort, of ports their input."""
+        """Dimensions of costates of the rows of a block: z of states, effort of algebraic variables, input of ports."""
         found: list[Dimension | None] = []
         for v in rows:
             for known in self.known(ca.densify(self.entries.model.effort(v))):

@@ -180,7 +180,7 @@ def _pair(sample: Sample, pair: Pair) -> list[Problem]:
 
 
 def _apart(left: str, a: NDArray, right: str, b: NDArray, allowed: NDArray, names: list[str]) -> str:
-    """Where two vectors per point differ by more than `allowed`, "" if nowhere or not finite."""
+    """The place where two vectors per point differ by more than `allowed`, "" if nowhere or not finite."""
     excess = np.nan_to_num(np.abs(a - b) - allowed, nan=-1.0, posinf=-1.0)
     if not (excess > 0).any():
         return "" if np.isfinite(a - b).any() else f"{left} and {right} are not finite at any of the sampled points"

@@ -210,7 +210,7 @@ def _jumps(events: Sequence[StateEvent]) -> Iterator[Contact]:
 
 
 def _cosine(model: PHDAE, speed: ca.SX, c: ca.SX, read: ca.SX) -> float:
-    """Of the gradients of both in `read`, at the start; 0 where one of them is zero or unknown."""
+    """The cosine of the angle of both gradients in `read`, at the start; 0 where one of them is zero or unknown."""
     both = [ca.densify(ca.gradient(e, read)) for e in (speed, c)]
     known: list[Variable] = [*model.states, *model.parameters]
     at = [v.sx for v in known]

@@ -128,7 +128,7 @@ def _connected(sets: list[list[int]], n: int) -> list[list[int]]:
 
 
 def _indefinite(total: NDArray, names: list[str], blocks: list[Entry], sample: Sample) -> str:
-    """What is wrong with R (points x n x n), "" if it is positive semidefinite at every finite point."""
+    """The defect of R (points x n x n), "" if it is positive semidefinite at every finite point."""
     worst, text = 0.0, ""
     for i, R in enumerate(total):
         size, value, direction = lowest(R)

@@ -23,7 +23,7 @@ JUMP = 1e-7  # of the largest value on the line
 
 @dataclass(frozen=True)
 class _Seam:
-    """Where two pieces meet: the states there in words, the jump of H in joule, and whether its gradient jumps."""
+    """A place where two pieces meet: the states there in words, the jump of H in joule, and whether its gradient jumps."""
 
     where: str
     jump: float
@@ -86,7 +86,7 @@ def _parameters(entries: Entries) -> ca.SX:
 
 
 def _seams(entries: Entries, sample: Sample, expr: ca.SX, x: ca.SX, setting: Setting) -> list[_Seam]:
-    """Where pieces meet on lines through the start, with the parameters of `setting`."""
+    """The places where pieces meet on lines through the start, with the parameters of `setting`."""
     p, values = _parameters(entries), np.array(setting.parameters)
     since = f", {setting.since}" * bool(setting.since)
     both = ca.vertcat(expr, ca.gradient(expr, x))

@@ -95,7 +95,7 @@ def _called(args: argparse.Namespace) -> int:
 
 
 def _report(error: Exception) -> int:
-    """What went wrong on stderr, a line for each problem, and the exit code."""
+    """The problems on stderr, a line for each, and the exit code."""
     from phfmu.outcome.status import StepFailure
 
     text = error.args[0] if isinstance(error, KeyError) and error.args else str(error)

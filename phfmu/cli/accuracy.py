@@ -34,7 +34,7 @@ def require_fit(args: argparse.Namespace) -> None:
 
 
 def recorded(args: argparse.Namespace, step: float) -> Record | None:
-    """What keeps the rows of the run that is to be compared, None without --accuracy."""
+    """The recorder of the rows of the run that is to be compared, None without --accuracy."""
     if not args.accuracy:
         return None
     from phfmu.runs.accuracy import Record
@@ -149,7 +149,7 @@ def _line(c: Change) -> str:
 
 
 def _verdict(found: Accuracy) -> list[str]:
-    """What the observed order says."""
+    """The meaning of the observed order."""
     lost = [c for c in found.changes if c.error is None]
     lines = []
     if lost:

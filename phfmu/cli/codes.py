@@ -1,4 +1,4 @@
-"""What all verbs share: exit codes, and what a target may be."""
+"""Exit codes of all verbs, and the kinds of targets."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ class _Members:
 
     @cached_property
     def whole(self) -> Apart:
-        """What members exchange; those that handle events in themselves land alone."""
+        """The exchange of members; those that handle events in themselves land alone."""
         from phfmu.network.couplings.apart import Apart
 
         engine, parts = self.stepping.engine_of, self.stepping.parts_of
@@ -321,7 +321,7 @@ def _node_inputs(scheme: Scheme) -> bool:
 def _signals(
     args: argparse.Namespace, network: Network, stuck: Sequence[str], held: bool
 ) -> tuple[SignalExchange, list[str]]:
-    """What signals are over a step if some are `held`, and lines about what they are not: `stuck` units cannot take steps back.
+    """The course of signals over a step if some are `held`, and notes about it: `stuck` units cannot take steps back.
 
     ValueError where they are to be held and there are none.
     """

@@ -1,4 +1,4 @@
-"""What a run writes: the result table, the audit and the picture; begun with it, fed by it, kept however it ends."""
+"""Outputs of a run: the result table, the audit and the picture; begun with it, fed by it, kept however it ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a wrong command line is told: one line with what was meant, and where the options are listed."""
+"""Messages about a wrong command line: one line with what was meant, and where the options are listed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What changes during a run: the scene's events and the rows of --input.  The command line wins over the scene."""
+"""Changes during a run: the scene's events and the rows of --input.  The command line wins over the scene."""
 
 from __future__ import annotations
 

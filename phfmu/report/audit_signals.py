@@ -71,7 +71,7 @@ class AuditSignals:
 
     @cached_property
     def _makers(self) -> dict[str, tuple[str, Callable[[], Signal]]]:
-        """What each signal belongs to, and what makes it."""
+        """The owner of each signal, and the function that makes it."""
         h, made = self.history, dict[str, tuple[str, Callable[[], Signal]]]()
         for (component, port, _), c in h.ports.items():
             name = f"{component}.{port}.power"
@@ -146,7 +146,7 @@ def _residual(name: str, c: Columns) -> Signal:
 
 
 def _allowed(name: str, c: Columns) -> Signal:
-    """What the verdict allows at its usual tolerance: the log records how large the residual is against it."""
+    """The residual that the verdict allows at its usual tolerance: the log records how large the residual is against it."""
     there = (c["residual"] != 0.0) & (c["residual_rel"] > 0.0)
     allowed = RECORDED_RTOL * np.abs(c["residual"][there]) / c["residual_rel"][there]
     return Signal(f"{name}.allowed", "J", _middle(c)[there], allowed, topic=RESIDUAL, log=True, limit=True)

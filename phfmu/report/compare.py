@@ -108,14 +108,14 @@ def _together(a: Signal, b: Signal) -> tuple[NDArray[Any], NDArray[Any], NDArray
 
 
 def _last_rows(signal: Signal) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Of rows at one time the last one."""
+    """The last one of rows at one time."""
     t = np.asarray(signal.time, float)
     last = np.append(t[1:] > t[:-1], True)
     return t[last], np.asarray(signal.values, float)[last]
 
 
 def _at(wanted: NDArray[Any], t: NDArray[Any], v: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], bool]:
-    """Of the wanted times those within t, v there, and whether some are between rows."""
+    """The wanted times within t, v there, and whether some are between rows."""
     inside = wanted[(wanted >= t[0] - CLOSE * (1 + abs(t[0]))) & (wanted <= t[-1] + CLOSE * (1 + abs(t[-1])))]
     near = np.clip(np.searchsorted(t, inside), 1, len(t) - 1) if len(t) > 1 else np.zeros(len(inside), int)
     near = near - (np.abs(t[near - 1] - inside) < np.abs(t[near] - inside)) if len(t) > 1 else near

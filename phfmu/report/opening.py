@@ -1,4 +1,4 @@
-"""Which recording a file is."""
+"""Recognition of the kind of recording that a file is."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a run leaves to draw: signals over time and marks."""
+"""Recordings: signals over time and marks that a run leaves to draw."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ def together(marks: Iterable[Mark]) -> list[Mark]:
 
 
 class Recording(Protocol):
-    """What signals can be read from; `names` in the order of the file."""
+    """A source of signals; `names` in the order of the file."""
 
     @property
     def title(self) -> str: ...
@@ -58,12 +58,12 @@ class Recording(Protocol):
     def names(self) -> Sequence[str]: ...
     @property
     def kinds(self) -> Mapping[str, str]:
-        """Of signals that are told to be something."""
+        """The kinds of signals that are told to be something."""
         ...
 
     @property
     def labelled(self) -> Mapping[str, str]:
-        """What readers call signals -> their names, where the two differ."""
+        """Readers' names of signals -> their names, where the two differ."""
         ...
 
     def usual(self) -> list[str]:

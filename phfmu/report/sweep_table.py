@@ -39,7 +39,7 @@ class SweepTable:
         return SweepTable(self.title, self.varied, {n: self.measured[n] for n in names or self.measured}, self.notes)
 
     def grid(self, measure: str) -> tuple[Floats, Floats, Floats] | None:
-        """Of two names that vary: their values [m], [n] and the measure [n x m]; None unless each pair was run once."""
+        """The values [m], [n] of two names that vary, and the measure [n x m]; None unless each pair was run once."""
         x, y = self.varied.values()
         across, i = np.unique(x, return_inverse=True)
         up, j = np.unique(y, return_inverse=True)

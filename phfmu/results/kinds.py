@@ -1,4 +1,4 @@
-"""What signals are by their names: of files that do not say it."""
+"""Kinds of signals by their names, for files that do not say them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from phfmu.signals import CONSTRAINT, END, ENERGY, LEDGER, MARKS, MEAN, SignalKi
 
 
 def kinds_by_name(names: Sequence[str]) -> dict[str, SignalKind]:
-    """What signals are by their names alone, where nothing else tells; what none of the rules fits is no key."""
+    """Kinds of signals by their names alone, where nothing else tells; what none of the rules fits is no key."""
     bases = {n.partition("[")[0] for n in names}
     return {n: kind for n in names if (kind := _kind_by_name(n.partition("[")[0], bases))}
 

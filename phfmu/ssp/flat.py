@@ -86,7 +86,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Value:
-    """Of a variable before the start, in `unit` (None: in that of the variable)."""
+    """The value of a variable before the start, in `unit` (None: in that of the variable)."""
 
     value: float
     unit: Unit | None

@@ -41,7 +41,7 @@ Ends = tuple[str, str, str, str]
 
 @dataclass(frozen=True)
 class Part:
-    """Of one element: its attributes and children; `enumeration`: that a connector is of."""
+    """The kept part of one element: its attributes and children; `enumeration`: that a connector is of."""
 
     words: Mapping[str, str] = field(default_factory=dict)
     children: Mapping[str, Element] = field(default_factory=dict)
@@ -109,7 +109,7 @@ class Kept:
 
 
 def kept(root: Element, source: Source) -> Kept:
-    """Of a description that has been read."""
+    """The kept parts of a description that has been read."""
     system = root.find(tag("ssd", "System"))
     components, connectors = {}, {}
     for e in _within(system, "Elements"):

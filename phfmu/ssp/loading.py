@@ -86,7 +86,7 @@ def _unit(component: Component, structure: Structure, notes: list[str]) -> UnitF
 
 
 def _unit_of(unit: UnitFile, name: str) -> Unit | None:
-    """What the unit says that its variable is in."""
+    """The unit of measurement that the unit states for its variable."""
     found = unit.interface.units.get(unit.interface.variables[name].unit)
     return None if found is None else Unit(found.text, found.factor, 0.0, found.exponents)
 

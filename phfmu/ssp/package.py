@@ -1,4 +1,4 @@
-"""Where the files of a structure are: in an archive (.ssp), or beside a description (.ssd)."""
+"""Places of the files of a structure: in an archive (.ssp), or beside a description (.ssd)."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ _TRUTH = {"true": 1.0, "false": 0.0}
 
 @dataclass(frozen=True)
 class Source:
-    """Where a description is: its package, its name for messages, and `notes` of what is left out.
+    """The origin of a description: its package, its name for messages, and `notes` of what is left out.
 
     `component`: file of the unit whose bindings are read;  `lenient`: units of measurement that are not defined are not known.
     """

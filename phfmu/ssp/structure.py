@@ -1,4 +1,4 @@
-"""What a System Structure Description says, in its own words (names of fields are those of the standard)."""
+"""A System Structure Description in its own words (names of fields are those of the standard)."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Signal:
 
 
 class Files(Protocol):
-    """Where the files are that a description names; `path`: what holds them."""
+    """Places of the files that a description names; `path`: what holds them."""
 
     path: Path
 

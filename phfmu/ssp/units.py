@@ -41,7 +41,7 @@ def undefined(what: str, unit: str, lenient: bool, close: str = "") -> list[str]
 
 
 def named(text: str) -> Unit | None:
-    """What a unit text of this package or of an FMU is; None where it is no unit or cannot be read."""
+    """The unit that a unit text of this package or of an FMU means; None where it is no unit or cannot be read."""
     if not text or text == "1":
         return None
     try:

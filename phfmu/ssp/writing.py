@@ -183,7 +183,7 @@ def _links(network: Network, junction: Junction) -> Iterator[Wire]:
 
 
 def _converted(a: UnitFile, output: str, b: UnitFile, name: str) -> float:
-    """What the units of two connectors make of a value, without any transformation."""
+    """The conversion of a value by the units of two connectors, without any transformation."""
     ends = [(u, u.interface.variables[n]) for u, n in ((a, output), (b, name))]
     if not all(_told(u, v) for u, v in ends):
         return 1.0
@@ -241,7 +241,7 @@ def _told(unit: UnitFile, v: Scalar) -> bool:
 
 
 def _connected(unit: UnitFile) -> list[Scalar]:
-    """What becomes a connector."""
+    """The variables that become connectors."""
     return [v for v in unit.interface.variables.values() if v.causality in _KINDS]
 
 

@@ -69,7 +69,7 @@ class Threads:
 
 @dataclass(frozen=True)
 class Scheduler:
-    """Of a Dask cluster: its address (tcp://host:port), or the file that it wrote."""
+    """The address of a Dask cluster (tcp://host:port), or the file that it wrote."""
 
     address: str = ""
     file: str = ""

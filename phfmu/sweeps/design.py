@@ -1,4 +1,4 @@
-"""What varies from run to run: axes on the command line, their product, or the rows of a table."""
+"""Designs: what varies from run to run, by axes on the command line, their product, or the rows of a table."""
 
 from __future__ import annotations
 

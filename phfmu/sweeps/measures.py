@@ -1,4 +1,4 @@
-"""What is told of a run: one number from all values of a signal, at the start and at the end of each step."""
+"""Measures of a run: one number from all values of a signal, at the start and at the end of each step."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class NativeRuns:
         return Outcome(values, facts[:, 0].astype(int), facts[:, 1].copy(), tuple(errors))
 
     def _constants(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """What of H is constant in each run (n x components)."""
+        """The constant part of H in each run (n x components)."""
         p, found = self._model.p0.copy(), np.zeros((len(rows), self._model.step.ncomp))
         for row, own in zip(rows, found, strict=True):
             for place, column in self._parameters:

@@ -1,4 +1,4 @@
-"""What is known of runs that were made."""
+"""Outcomes of the runs of a sweep."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ ENDING = ".part"
 
 
 def digest(words: str, design: Design) -> str:
-    """Of all that the outcomes depend on: the design, and what is run."""
+    """Hash of all that the outcomes depend on: the design, and what is run."""
     text = "\n".join((words, *design.names))
     return hashlib.sha256(text.encode() + design.rows.astype("<f8").tobytes()).hexdigest()
 
@@ -79,7 +79,7 @@ class Parts:
             yield int(path.stem), found
 
     def told(self, runs: int) -> str:
-        """What is left of so many runs, in words."""
+        """The rest of so many runs, in words."""
         return f"{self.runs} of {runs} runs are in {self._folder}; the same command with --resume takes the others"
 
     def remove(self) -> None:

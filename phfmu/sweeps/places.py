@@ -1,4 +1,4 @@
-"""Where the values of a design go: parameters, states and free inputs of one composed model."""
+"""Places of the values of a design: parameters, states and free inputs of one composed model."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class Recipe:
         return Task(model, self.names, measures(self.measures, known), options)
 
     def runs(self, task: Task | None = None) -> Runs:
-        """What takes runs, one after the other; another thread needs another one."""
+        """A runner, which takes runs one after the other; another thread needs another one."""
         from phfmu.sweeps.general_runs import GeneralRuns
         from phfmu.sweeps.native_runs import NativeRuns, fits
 

@@ -1,4 +1,4 @@
-"""What all runs of a sweep have in common."""
+"""The common part of all runs of a sweep."""
 
 from __future__ import annotations
 

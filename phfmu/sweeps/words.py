@@ -1,4 +1,4 @@
-"""What sweeps are told in, and what their measures are."""
+"""Words of sweeps and of their measures."""
 
 #: an axis
 FORMS = "NAME=FROM:TO:COUNT, NAME=log:FROM:TO:COUNT or NAME=A,B,.."

@@ -165,7 +165,7 @@ def _used(columns: set[str]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Compacted:
-    """What became of a stream: rows, and whether an incomplete batch ended it or others failed their check."""
+    """The result of compacting a stream: rows, and whether an incomplete batch ended it or others failed their check."""
 
     rows: int
     torn: bool
@@ -237,7 +237,7 @@ def _table(batches: list["pa.RecordBatch"], schema: "pa.Schema") -> "pa.Table":
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What came out of a broken run's stream.
+    """The result of recovering a broken run's stream.
 
     `torn`: it ended in an incomplete batch;  `damaged`: how many batches fail their check;  `kept`: where the stream is then;
     `tables`: what is left of the table the run wrote too, the last written first (earlier ones are of earlier runs).
@@ -309,7 +309,7 @@ def there(path: str | os.PathLike[str]) -> Path:
 
 
 def _state(stream: Path) -> str:
-    """What a stream without its Parquet file tells of its run."""
+    """The state of a run as a stream without its Parquet file tells it."""
     try:
         with held(stream):
             return f"its run did not end: `phfmu audit recover {stream}`"

@@ -60,7 +60,7 @@ def require_whole(path: Path) -> None:
 
 
 def holds(metadata: Mapping[bytes, bytes] | None) -> dict[str, Any]:
-    """What the footer of an archive says that it holds; nothing of a file of another writer, or a stream."""
+    """The contents of an archive as its footer says; nothing of a file of another writer, or a stream."""
     try:
         found = json.loads((metadata or {}).get(HOLDS_KEY, b"{}"))
     except ValueError:
@@ -70,7 +70,7 @@ def holds(metadata: Mapping[bytes, bytes] | None) -> dict[str, Any]:
 
 
 def _footer(file: BinaryIO) -> tuple[int, bytes]:
-    """Where the footer starts, and its bytes with what follows; nothing where the end of the file is not one."""
+    """The start of the footer, and its bytes with what follows; nothing where the end of the file is not one."""
     size = file.seek(0, os.SEEK_END)
     if size < _TAIL:
         return size, b""

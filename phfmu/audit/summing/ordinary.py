@@ -142,7 +142,7 @@ class Ordinary:
         ]
 
     def _begin(self, accounts: Sequence[Account], sums: Sequence[CompensatedSum]) -> None:
-        """What compiled code goes on from."""
+        """The values that compiled code goes on from."""
         worst, parts, passed = self._sums.junctions, self._sums.parts, self._judge.passed
         state = [
             *(s.high for s in sums),
@@ -162,7 +162,7 @@ class Ordinary:
         self._own.worst_unexplained = self._sums.unexplained
 
     def _keep(self, accounts: Sequence[Account], sums: Sequence[CompensatedSum], H: Floats) -> None:
-        """What the last row leaves behind."""
+        """The values that the last row leaves behind."""
         state = self._state.tolist()
         for each, high, low in zip(sums, state, state[self._many :], strict=False):
             each.high, each.low = high, low

@@ -1,4 +1,4 @@
-"""What a run adds up: of components, ports, junctions, parts and the network."""
+"""Sums over a run: of components, ports, junctions, parts and the network."""
 
 from collections.abc import Sequence
 
@@ -28,7 +28,7 @@ class RunSums:
         self._met: Booking | None = None
 
     def meet(self, booking: Booking) -> None:
-        """What there is to be added up."""
+        """The entries that are to be added up."""
         if booking is self._met:
             return
         for port in booking.ports:

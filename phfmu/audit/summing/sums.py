@@ -125,7 +125,7 @@ def _running(sums: Sequence[CompensatedSum], x: Floats) -> tuple[Floats, Floats]
 
 
 def _error(before: Floats, x: Floats, after: Floats, error: Floats, part: Floats) -> Floats:
-    """What the addition after = before + x has rounded off, into `error`; `part` is overwritten."""
+    """The rounding of the addition after = before + x, into `error`; `part` is overwritten."""
     np.subtract(after, before, out=part)
     np.subtract(after, part, out=error)
     np.subtract(before, error, out=error)

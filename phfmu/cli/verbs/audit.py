@@ -100,7 +100,7 @@ def _window(text: str | None) -> Window | None:
 
 
 def _left(path: Path) -> str:
-    """What an unfinished table is good for; `path` is that of its file, its name that of the table and more."""
+    """The use that an unfinished table is of; `path` is that of its file, its name that of the table and more."""
     if path.name.rsplit(".", 3)[1] == "parquet":
         return f"the table of -o is lost, for Parquet cannot be read without its end; {shown(str(path))} may be deleted"
     return f"the table of -o is in {shown(str(path))}; its last line may be cut off"

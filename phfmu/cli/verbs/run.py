@@ -85,7 +85,7 @@ def _add_units(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_outputs(parser: argparse.ArgumentParser) -> None:
-    """What is written and told of a run."""
+    """The options about what is written and told of a run."""
     parser.add_argument("-o", "--output", metavar="FILE", help="result table, .csv or .parquet")
     parser.add_argument("--signals", action="append", default=[], metavar="PATTERN",
                         help="columns to keep, by name or pattern ('gen.*'); may be repeated (default: all)")  # fmt: skip
@@ -167,7 +167,7 @@ def call(args: argparse.Namespace) -> int:
 
 
 def _print_violated(result: Result, declared: Scene | None, events: Sequence[Event]) -> None:
-    """What does not close, and where dissipation is negative in a `declared` scene, which entries of R lose their sign."""
+    """The violations, and where dissipation is negative in a `declared` scene, the entries of R that lose their sign."""
     from phfmu.audit.violation import ViolationKind
 
     summary = result.ledger.summary()
@@ -201,7 +201,7 @@ def _every(text: str | None) -> int | float | None:
 
 
 def _print_signs_lost(scene: Scene, events: Sequence[Event], result: Result, components: set[str]) -> None:
-    """Where R of components with a negative dissipation lost its sign."""
+    """The entries at which R of components with a negative dissipation lost its sign."""
     from phfmu.checks.matrices import sign_lost
 
     declaration = scene.declaration()
@@ -255,7 +255,7 @@ def _print_worst(groups: dict[str, float]) -> None:
 
 
 def _print_notes(notes: list[str]) -> None:
-    """What was left out or done beside what was asked for."""
+    """The notes of what was left out or done beside what was asked for."""
     for note in notes[:NOTES]:
         print(note)
     if len(notes) > NOTES:

@@ -98,7 +98,7 @@ def call(args: argparse.Namespace) -> int:
 
 
 def _scheduler(args: argparse.Namespace) -> Scheduler | None:
-    """Of the cluster that is asked for; ValueError for two of them."""
+    """The cluster that is asked for; two of them raise ValueError."""
     from phfmu.sweeps.crew import Scheduler
 
     if args.scheduler and args.scheduler_file:
@@ -117,7 +117,7 @@ def _anywhere(args: argparse.Namespace) -> argparse.Namespace:
 
 
 def _folder(args: argparse.Namespace) -> Path | None:
-    """Where whole results go; ValueError for one that has some, unless they are gone on with."""
+    """The folder of whole results; one that has some raises ValueError, unless they are gone on with."""
     from pathlib import Path
 
     if args.folder is None:
@@ -129,7 +129,7 @@ def _folder(args: argparse.Namespace) -> Path | None:
 
 
 def _file(args: argparse.Namespace) -> Path | None:
-    """Where the table goes; ValueError for what cannot be written, before any run."""
+    """The file of the table; what cannot be written raises ValueError before any run."""
     from pathlib import Path
 
     if args.output is None:

@@ -46,7 +46,7 @@ class _Place:
         return self.height / 2 + (ARROW + 34 if self.above else 0) + 8
 
     def end(self, p: Passed) -> tuple[float, float]:
-        """Where a port ends at this node."""
+        """The point of this node at which a port ends."""
         side = self.left if p in self.left else self.right
         y = self.y + END * (side.index(p) - (len(side) - 1) / 2)
         return self.x + self.width / 2 * (-1 if side is self.left else 1), y

@@ -1,4 +1,4 @@
-"""Where the energy of a window went: from outside and from stores, through members and junctions, into stores and losses.
+"""Energy flows of a window: from outside and from stores, through members and junctions, into stores and losses.
 
 Each member and junction is a balance, power positive into the member:
 
@@ -95,7 +95,7 @@ def ports(history: History) -> list[Passed]:
 
 
 def created(history: History) -> dict[str, float]:
-    """What each junction created: the sum of what its ports supplied, exactly rounded."""
+    """Energy that each junction created: the sum of what its ports supplied, exactly rounded."""
     joined: dict[str, list[Floats]] = {}
     for (_, _, junction), c in history.ports.items():
         if junction:
@@ -112,7 +112,7 @@ def links(history: History) -> list[Link]:
 
 
 def imbalance(found: Sequence[Link], node: Node) -> float:
-    """What a node takes less what it gives."""
+    """Energy that a node takes less what it gives."""
     return math.fsum(
         link.energy * ((link.target == node) - (link.source == node))
         for link in found

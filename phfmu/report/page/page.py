@@ -43,7 +43,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Written:
-    """What a page does not show, in lines; whether the ledger is closed (also of a run without an audit)."""
+    """The result of writing a page: notes of what it does not show; whether the ledger is closed (also without an audit)."""
 
     notes: tuple[str, ...]
     closed: bool
@@ -196,7 +196,7 @@ def _events(found: Sequence[Mark]) -> Iterator[str]:
 
 
 def _kinds(found: Sequence[Mark]) -> Iterator[str]:
-    """What happened how often, first and last."""
+    """The kinds of events with their numbers, first and last times."""
     times: dict[str, list[float]] = {}
     for m in found:
         times.setdefault(m.text, []).append(m.time)

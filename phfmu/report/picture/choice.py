@@ -1,4 +1,4 @@
-"""Which signals a picture shows that nobody chose.
+"""Choice of the signals of a picture that nobody chose.
 
 At most `MOST` on an axis.  Of a result table: states, observables and inputs before values at ports, these before algebraic
 variables; first entries before second ones, so that every variable has its turn; no signal that is the negative of another

@@ -11,7 +11,7 @@ ENDINGS = {".png": "matplotlib", ".html": "plotly"}
 
 
 def check_picture(path: str | os.PathLike[str], option: str) -> None:
-    """What would fail after long work fails before it. Errors: ValueError for ending, folder, a package that is missing."""
+    """Check before long work of what would fail after it. Errors: ValueError for ending, folder, a package that is missing."""
     ending = Path(path).suffix
     if ending not in ENDINGS:
         raise ValueError(f"{option} {path}: the ending must be .png or .html")

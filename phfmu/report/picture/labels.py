@@ -27,7 +27,7 @@ class Label:
 
 
 def labels(marks: Sequence[Mark], start: float, stop: float, width: float) -> list[Label]:
-    """Where the texts stand above an axis of `width` pixels.
+    """Places of the texts above an axis of `width` pixels.
 
     Of more than `LABELLED` marks the first of each text says how many there are; more texts than that are not written.
     """
@@ -99,7 +99,7 @@ class Crowd:
 
     @property
     def mark(self) -> Mark:
-        """Where the crowd begins, and how many of what it is."""
+        """The start of the crowd, and how many of what it is."""
         first = self.marks[0]
         same = all(m.text == first.text for m in self.marks)
         what = f"{len(self.marks)} × {first.text}" if same else f"{len(self.marks)} events"

@@ -184,7 +184,7 @@ def _all_of(names: Sequence[str]) -> str:
 
 
 def thinned(signals: Sequence[Signal]) -> list[str]:
-    """What the reader must know of points that are not drawn."""
+    """The note about points that are not drawn."""
     notes = []
     if any(s.log and len(s.time) > 2 * BAND for s in signals):
         notes.append(f"magnitudes on log axes: the largest of each of {BAND} parts of the time")

@@ -1,4 +1,4 @@
-"""What stepping members apart costs: compiled, in Python, and composed; and how it grows with the members."""
+"""Cost of stepping members apart: compiled, in Python, and composed; and how it grows with the members."""
 
 from __future__ import annotations
 

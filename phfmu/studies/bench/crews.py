@@ -1,4 +1,4 @@
-"""What threads gain where coupled members take long: chains of links that hold each other by their tips."""
+"""Gain of threads where coupled members take long: chains of links that hold each other by their tips."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every feature of a model costs: C text, tables, compile time, library, FMU and step, with and without it."""
+"""Cost of every feature of a model: C text, tables, compile time, library, FMU and step, with and without it."""
 
 from __future__ import annotations
 

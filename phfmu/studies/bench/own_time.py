@@ -1,4 +1,4 @@
-"""Where the time of members apart goes: in their own functions, and in what joins them; told by the compiled loop itself."""
+"""Time of members apart: in their own functions, and in what joins them; told by the compiled loop itself."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class OwnTime:
 
 
 def own_time(stepper: Coupled, h: float) -> OwnTime:
-    """Of members that are stepped in compiled code, by one thread; RuntimeError if they are not."""
+    """The times of members that are stepped in compiled code, by one thread; RuntimeError if they are not."""
     from phfmu.network.couplings.compiled.master import PARTS
 
     if stepper._master is None:
@@ -60,14 +60,14 @@ def own_time(stepper: Coupled, h: float) -> OwnTime:
 
 
 def native(network: Network, k: int, h: float, coupling: Coupling | None = None) -> OwnTime:
-    """Of native members, by default at nodes."""
+    """The times of native members, by default at nodes."""
     from phfmu.studies.bench.apart import instances, joined, planned
 
     return own_time(joined(network, instances(planned(network, k)), coupling=coupling), h)
 
 
 def units(network: Network, k: int, h: float, version: str = "3.0") -> OwnTime:
-    """Of members exported as FMUs of order 2k, with inputs at nodes and impulses, where they take any."""
+    """The times of members exported as FMUs of order 2k, with inputs at nodes and impulses, where they take any."""
     from phfmu.network.couplings.coupled import Coupled
     from phfmu.network.members.fmu_member import FMUMember
 

@@ -1,4 +1,4 @@
-"""What is solved and how solutions are judged: one declaration, its events, times, a reference and error measures."""
+"""Problems and their measures: one declaration, its events, times, a reference and error measures."""
 
 from __future__ import annotations
 

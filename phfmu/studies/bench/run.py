@@ -21,7 +21,7 @@ PEERS = ("scipy", "casadi", "sundae", "mujoco", "exudyn")
 
 @dataclass(frozen=True)
 class Choice:
-    """What is compared: schemes NAME:ORDER, engines, steps [s], relative tolerances and names of peers."""
+    """A choice of what is compared: schemes NAME:ORDER, engines, steps [s], relative tolerances and names of peers."""
 
     schemes: tuple[str, ...] = ()
     engines: tuple[str, ...] = ("native",)

@@ -1,4 +1,4 @@
-"""What a sweep costs beside its steps, with one thread and with as many as cores, and where it ends."""
+"""Cost of a sweep beside its steps, with one thread and with as many as cores, and where it ends."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What happened, in numbers, and whether it meets the criterion; `holds` is None where the case cannot be posed.
+    """The outcome of a case in numbers, and whether it meets the criterion; `holds` is None where the case cannot be posed.
 
     `tested`: False if nothing moved, so that the criterion could not have failed.
     """

@@ -75,7 +75,7 @@ def full() -> Outcome:
 
 
 def _again(folder: Path) -> Outcome:
-    """What is left of a run is recovered, and the run is started again."""
+    """The rest of a run is recovered, and the run is started again."""
     from phfmu.audit import recover, summarise
 
     refused = started(folder, *RUN, "--stop", "0.01")

@@ -27,7 +27,7 @@ def ball(e: float, rest: bool = True) -> Any:
 
 
 def landed(unit: Any, h: float, n: int) -> tuple[list[Any], float]:
-    """What happened in n steps from 0, and the energy that is missing, relative to that at the start."""
+    """Events in n steps from 0, and the energy that is missing, relative to that at the start."""
     before, happened, booked = unit.signal("H").sum(), [], 0.0
     for part in unit.land(0.0, h, n, record=("dissipated", "supplied")):
         if part.rows:

@@ -15,7 +15,7 @@ M2, M3, M4, K24 = 3.0, 2.3, 1.7, 500.0
 
 
 def accelerations(q: Array, v: Array) -> Array:
-    """Of the four particles (4 x 3), index reduced: constraints twice differentiated."""
+    """Accelerations of the four particles (4 x 3), index reduced: constraints twice differentiated."""
     pull = 2.0 * K24 * ((q[3] - q[1]) @ (q[3] - q[1]) - 1.0) * (q[3] - q[1])  # spring 2-4, on particle 2
     a2, a4, bar, w = pull / M2, -pull / M4, q[3] - q[2], v[3] - v[2]
     tension = (w @ w + bar @ a4) / (bar @ bar * (1.0 / M3 + 1.0 / M4))

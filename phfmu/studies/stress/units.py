@@ -36,7 +36,7 @@ canHandleVariableCommunicationStepSize="true" canGetAndSetFMUstate="true" provid
 
 @cache
 def _folder() -> tempfile.TemporaryDirectory[str]:
-    """Of units that live as long as this process."""
+    """Folder of units that live as long as this process."""
     return tempfile.TemporaryDirectory(prefix="phfmu-stress-")
 
 
