@@ -1,8 +1,44 @@
 /* FMI 3.0 for Co-Simulation: the functions this unit has. The others are in fmi3_absent.c. */
 #include "fmi3Functions.h"
 
-#include "fmi3_arrays.h"
 #include "fmu.h"
+
+static int check_count(const fmu *f, const char *function, size_t expected, size_t given) {
+    if (expected == given)
+        return FMU_OK;
+    return fmu_refuse(f, "%s: %zu values for %zu scalar variables", function, given, expected);
+}
+
+/* Number of scalars of a variable; references that are not there are refused where they are used. */
+static size_t size_of(const fmu *f, unsigned ref) {
+    return ref < (unsigned)f->about->nvariable ? (size_t)f->about->sizes[ref] : 1;
+}
+
+/* *scalars: nvalues references of the scalars of the n variables `ref`, in `ref` itself without arrays, else
+ * in the `half` (0, 1) of the instance's own room, until the next call with it. FMU_ERROR if their number is
+ * another one. */
+static int scalars_of(fmu *f, const char *function, int half, const unsigned *ref, size_t n, size_t nvalues,
+                      const unsigned **scalars) {
+    size_t total = 0, room;
+    unsigned *place;
+    *scalars = ref;
+    if (!f || !f->about->sizes)
+        return check_count(f, function, n, nvalues);
+    for (size_t i = 0; i < n; i++)
+        total += size_of(f, ref[i]);
+    if (check_count(f, function, total, nvalues))
+        return FMU_ERROR;
+    room = (size_t)f->about->nvariable;
+    if (total > room)
+        return fmu_refuse(f, "%s: %zu values in one call, the unit has %zu variables; name none twice",
+                          function, total, room);
+    place = f->scalars + (half ? room : 0);
+    *scalars = place;
+    for (size_t i = 0; i < n; i++)
+        for (unsigned k = 0; k < (unsigned)size_of(f, ref[i]); k++)
+            *place++ = ref[i] + k;
+    return FMU_OK;
+}
 
 #define STATUS(call) ((fmi3Status)(call))
 
@@ -72,7 +108,7 @@ fmi3Status fmi3Reset(fmi3Instance instance) {
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, fmi3Float64 values[], size_t nValues) {
     const unsigned *scalars;
-    if (fmi3_scalars(instance, __func__, 0, valueReferences, nValueReferences, nValues, &scalars))
+    if (scalars_of(instance, __func__, 0, valueReferences, nValueReferences, nValues, &scalars))
         return fmi3Error;
     return STATUS(fmu_get(instance, __func__, scalars, nValues, values));
 }
@@ -80,7 +116,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, const fmi3Float64 values[], size_t nValues) {
     const unsigned *scalars;
-    if (fmi3_scalars(instance, __func__, 0, valueReferences, nValueReferences, nValues, &scalars))
+    if (scalars_of(instance, __func__, 0, valueReferences, nValueReferences, nValues, &scalars))
         return fmi3Error;
     return STATUS(fmu_set(instance, __func__, scalars, nValues, values));
 }
@@ -120,8 +156,8 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
                                         const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[],
                                         size_t nSensitivity) {
     const unsigned *from, *to;
-    if (fmi3_scalars(instance, __func__, 0, knowns, nKnowns, nSeed, &from) ||
-        fmi3_scalars(instance, __func__, 1, unknowns, nUnknowns, nSensitivity, &to))
+    if (scalars_of(instance, __func__, 0, knowns, nKnowns, nSeed, &from) ||
+        scalars_of(instance, __func__, 1, unknowns, nUnknowns, nSensitivity, &to))
         return fmi3Error;
     return STATUS(fmu_derivative(instance, __func__, 0, to, nSensitivity, from, nSeed, seed, sensitivity));
 }
@@ -131,8 +167,8 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
                                     const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[],
                                     size_t nSensitivity) {
     const unsigned *from, *to;
-    if (fmi3_scalars(instance, __func__, 0, unknowns, nUnknowns, nSeed, &to) ||
-        fmi3_scalars(instance, __func__, 1, knowns, nKnowns, nSensitivity, &from))
+    if (scalars_of(instance, __func__, 0, unknowns, nUnknowns, nSeed, &to) ||
+        scalars_of(instance, __func__, 1, knowns, nKnowns, nSensitivity, &from))
         return fmi3Error;
     return STATUS(fmu_derivative(instance, __func__, 1, to, nSeed, from, nSensitivity, seed, sensitivity));
 }
