@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import pi, sqrt
 
 import casadi as ca
@@ -11,6 +12,7 @@ from phfmu import (
     ELECTRICAL,
     PHDAE,
     ROTATIONAL,
+    Block,
     DeclarationError,
     Port,
     Variable,
@@ -64,53 +66,77 @@ def induction_machine(
     Machinery and Drive Systems, 2013, chapter 6.
     """
     _require(R_s, L_s, L_m, cages, J, pole_pairs)
-    size, flux = 1 + len(cages), v / (2.0 * pi * f)
+    w = 2.0 * pi * f
     stator_R = parameter("R_s", R_s, unit="ohm", min=0.0, description="stator resistance")
     stator_L = parameter("L_s", L_s, unit="H", positive=True, description="stator leakage inductance")
     mutual = parameter("L_m", L_m, unit="H", positive=True, description="magnetising inductance")
-    zero = parameter(
-        "L_0", L_s if L_0 is None else L_0, unit="H", positive=True, description="zero-sequence inductance"
-    )
-    rotor_R = [parameter(f"R_{k}", r, unit="ohm", description=f"cage {k}") for k, (r, _) in enumerate(cages, 1)]
-    rotor_L = [
-        parameter(f"L_{k}", x, unit="H", positive=True, description=f"leakage inductance of cage {k}")
-        for k, (_, x) in enumerate(cages, 1)
-    ]
+    L_0 = L_s if L_0 is None else L_0
+    zero = parameter("L_0", L_0, unit="H", positive=True, description="zero-sequence inductance")
     inertia = parameter("J", J, unit="kg.m2", positive=True, description="inertia of the shaft")
     friction = parameter("d", d, unit="N.m.s/rad", description="friction torque per speed of the shaft")
-    psi = state("psi_s", 3, unit="Wb", nominal=flux, description="stator fluxes", elements=PHASES)
-    rotor = [
-        state(f"psi_{k}", 2, unit="Wb", nominal=sqrt(1.5) * flux, description=f"fluxes of cage {k}, alpha and beta",
-              elements=("alpha", "beta"))
-        for k in range(1, size)
-    ]  # fmt: skip
-    nominal = 2.0 * pi * f / pole_pairs
-    p = state("p", unit="kg.m2/s", start=J * speed, nominal=J * nominal, description="angular momentum of the shaft")
+    psi = state("psi_s", 3, unit="Wb", nominal=v / w, description="stator fluxes", elements=PHASES)
+    rotor = [Cage.of(k, R, L, sqrt(1.5) * v / w, pole_pairs) for k, (R, L) in enumerate(cages, 1)]
+    speed_nominal = w / pole_pairs
+    p = state("p", unit="kg.m2/s", start=J * speed, nominal=J * speed_nominal, description="angular momentum of the shaft")
     stator = ca.mtimes(CLARKE, psi.sx)
-    fluxes, leakage = [stator[:2], *(x.sx for x in rotor)], [stator_L.sx, *(x.sx for x in rotor_L)]
-    turned = [pole_pairs * ca.vertcat(-x[1], x[0]) for x in rotor]
-    torque = sum((-ca.dot(t, x.z) for t, x in zip(turned, rotor, strict=True)), ca.SX(0))
+    stored = _magnetic([stator[:2], *(c.psi.sx for c in rotor)], [stator_L.sx, *(c.L.sx for c in rotor)], mutual.sx)
+    terminal = Port("terminal", ELECTRICAL, "effort", {psi: 1.0}, size=3, nominal=v, elements=PHASES,
+                    description="stator phases a, b, c; current into the machine")  # fmt: skip
+    shaft = Port("shaft", ROTATIONAL, "effort", {p: 1.0}, nominal=1.5 * v * i / speed_nominal,
+                 description="a positive torque accelerates")  # fmt: skip
+    slip = 1 - pole_pairs * p.z / w
     return PHDAE(
         "induction_machine",
-        states=(psi, *rotor, p),
-        parameters=(stator_R, stator_L, mutual, zero, *(x for pair in zip(rotor_R, rotor_L, strict=True) for x in pair),
-                    inertia, friction),
-        energies=(energy(_magnetic(fluxes, leakage, mutual.sx) + stator[2] ** 2 / (2 * zero.sx)), energy(p**2 / (2 * inertia))),
-        structure=tuple(_speed_voltage(x, p, t) for x, t in zip(rotor, turned, strict=True)),
-        dissipation=(damping(psi, stator_R), *(damping(x, r) for x, r in zip(rotor, rotor_R, strict=True)), damping(p, friction)),
-        ports=(
-            Port("terminal", ELECTRICAL, "effort", {psi: 1.0}, size=3, nominal=v, elements=PHASES,
-                 description="stator phases a, b, c; current into the machine"),
-            Port("shaft", ROTATIONAL, "effort", {p: 1.0}, nominal=1.5 * v * i / nominal,
-                 description="a positive torque accelerates"),
-        ),
+        states=(psi, *(c.psi for c in rotor), p),
+        parameters=(stator_R, stator_L, mutual, zero, *(x for c in rotor for x in (c.R, c.L)), inertia, friction),
+        energies=(energy(stored + stator[2] ** 2 / (2 * zero.sx)), energy(p**2 / (2 * inertia))),
+        structure=tuple(c.speed_voltage(p) for c in rotor),
+        dissipation=(damping(psi, stator_R), *(damping(c.psi, c.R) for c in rotor), damping(p, friction)),
+        ports=(terminal, shaft),
         observables=(
-            observable("Te", torque, unit="N.m", description="electrical torque, accelerating"),
+            observable("Te", sum((c.torque for c in rotor), ca.SX(0)), unit="N.m", description="electrical torque, accelerating"),
             observable("i", psi.z, unit="A", description="stator currents, into the machine", elements=PHASES),
-            observable("slip", 1 - pole_pairs * p.z / (2.0 * pi * f), description=f"of the shaft to a field of {f:g} Hz"),
+            observable("slip", slip, description=f"of the shaft to a field of {f:g} Hz"),
         ),
         description=f"induction machine, {2 * pole_pairs} poles, {len(cages)} cage{'s' if len(cages) != 1 else ''}",
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cage:
+    """A short-circuited rotor winding in alpha and beta: its parameters R and L (leakage), and its fluxes psi."""
+
+    R: Variable
+    L: Variable
+    psi: Variable
+    pole_pairs: int
+
+    @classmethod
+    def of(cls, number: int, R: float, L: float, flux: float, pole_pairs: int) -> Cage:
+        """The cage with this number; `flux` [Wb]: typical flux."""
+        return cls(
+            parameter(f"R_{number}", R, unit="ohm", description=f"cage {number}"),
+            parameter(f"L_{number}", L, unit="H", positive=True, description=f"leakage inductance of cage {number}"),
+            state(f"psi_{number}", 2, unit="Wb", nominal=flux, description=f"fluxes of cage {number}, alpha and beta",
+                  elements=("alpha", "beta")),
+            pole_pairs,
+        )  # fmt: skip
+
+    @property
+    def turned(self) -> ca.SX:
+        """The rate of the fluxes for each rad/s of the shaft."""
+        return self.pole_pairs * ca.vertcat(-self.psi[1], self.psi[0])
+
+    @property
+    def torque(self) -> ca.SX:
+        """Torque of the cage on the shaft."""
+        return -ca.dot(self.turned, self.psi.z)
+
+    def speed_voltage(self, p: Variable) -> Block:
+        """The skew block of J that turns the fluxes with the shaft and brakes the shaft with their torque."""
+        both = ca.SX(3, 3)
+        both[:2, 2], both[2, :2] = self.turned, -self.turned.T
+        return block([self.psi, p], both)
 
 
 def _magnetic(fluxes: Sequence[ca.SX], leakage: Sequence[ca.SX], mutual: ca.SX) -> ca.SX:
@@ -123,13 +149,6 @@ def _magnetic(fluxes: Sequence[ca.SX], leakage: Sequence[ca.SX], mutual: ca.SX) 
     return sum(ca.sumsqr(f - common) * g / 2 for f, g in zip(fluxes, inverse, strict=True)) + ca.sumsqr(common) / (
         2 * mutual
     )
-
-
-def _speed_voltage(psi: Variable, p: Variable, turned: ca.SX):
-    """The skew block of J that turns the flux of a cage with the shaft and brakes the shaft with its torque."""
-    both = ca.SX(3, 3)
-    both[:2, 2], both[2, :2] = turned, -turned.T
-    return block([psi, p], both)
 
 
 def _require(

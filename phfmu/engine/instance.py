@@ -1,4 +1,4 @@
-"""What an instance is: a component that a master can step, in Python or in compiled code."""
+"""The interface of an instance: a component that a master can step, in Python or in compiled code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Array = NDArray[Any]
 
 
 class Signals(ABC):
-    """What tells its values by block."""
+    """Base of whatever tells its values by block."""
 
     @abstractmethod
     def signals(self) -> dict[str, Array]:
@@ -84,12 +84,12 @@ class Instance(Signals):
     @property
     @abstractmethod
     def counts(self) -> dict[str, int]:
-        """What the solver did since the reset: steps, solves, iterations, restarts, line_searches, substeps, ..."""
+        """Counters of the solver since the reset: steps, solves, iterations, restarts, line_searches, substeps, ..."""
 
     @property
     @abstractmethod
     def rest_changes(self) -> list[RestChange]:
-        """Which redundant constraints rest instead of which others, the last changes since the start."""
+        """The redundant constraints that rest instead of others, by the last changes since the start."""
 
     @abstractmethod
     def output(self) -> Array:
@@ -101,7 +101,7 @@ class Instance(Signals):
 
     @abstractmethod
     def ledger(self) -> dict[str, Array]:
-        """Of the last communication step: stored, dissipated, supplied, numerical, moved per component, pairs per pair [J]."""
+        """Ledger of the last communication step [J]: stored, dissipated, supplied, numerical, moved by component, pairs."""
 
     @abstractmethod
     def sensitivity(self, end: bool = False) -> Array:
@@ -179,7 +179,7 @@ class Instance(Signals):
 
     @property
     def impulse_ports(self) -> tuple[PortImpulse, ...]:
-        """What each external port does with impulses, and why not more."""
+        """The use of impulses by each external port, and why not more."""
         return self._ports.offered
 
     def set_impulses(self, s0: ArrayLike, s1: ArrayLike) -> None:

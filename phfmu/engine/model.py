@@ -1,4 +1,4 @@
-"""What an engine needs of a discretised model."""
+"""The interface of a discretised model to an engine."""
 
 from __future__ import annotations
 

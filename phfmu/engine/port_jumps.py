@@ -81,7 +81,7 @@ def _jump_kernel(model: PHDAE) -> JumpKernel | None:
 
 
 def _coupled(S: ca.SX, n: int, ports: int) -> tuple[frozenset[int], ...]:
-    """Of n jumps the ports in the same block of S."""
+    """The ports in the same block of S, for each of n jumps."""
     own = range(n, n + ports)
     of = {i: frozenset(j - n for j in part if j in own) for part in components(S) for i in part}
     return tuple(of.get(i, frozenset()) for i in range(n))

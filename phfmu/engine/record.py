@@ -1,4 +1,4 @@
-"""What `run` and `land` of an instance record of the steps they take."""
+"""Records of the steps that `run` and `land` of an instance take."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Grid:
     pause: bool = False
 
     def start(self, i: int) -> float:
-        """Of its i-th step."""
+        """Start of its i-th step."""
         return self.t0 + (self.first + i) * self.h
 
 
@@ -67,7 +67,7 @@ def recordable(model: str, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def recorded(instance: Any, before: Mapping[str, int], names: Iterable[str]) -> dict[str, Array]:
-    """What is recorded of the last step, `before` which the solver had done that; StepFailure where its end has no values."""
+    """The record of the last step, `before` which the solver had done that; StepFailure where its end has no values."""
     spent = [float(instance.counts[name] - before[name]) for name in ("iterations", "solves")]
     now = instance.ledger() | {"counts": np.array(spent), "unknowns": instance.unknowns, "x": instance.x}
     now |= {name: instance.signal(block) for name, block in BLOCKS.items() if name in names}

@@ -1,4 +1,4 @@
-"""Which redundant constraints are left out instead of which others, told by name."""
+"""Redundant constraints that are left out instead of others, told by name."""
 
 from __future__ import annotations
 

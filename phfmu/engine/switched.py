@@ -199,7 +199,7 @@ class SwitchedInstance(Signals):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Of all modes together."""
+        """Counters of all modes together."""
         found = [i.counts for i in self._instances.values()]
         return {name: sum(c[name] for c in found) for name in found[0]}
 
@@ -275,7 +275,7 @@ class SwitchedInstance(Signals):
         return self.present.sensitivity()
 
     def node_sensitivity(self, inputs: Sequence[int] | None, impulses: bool, end: bool) -> NodeSensitivity:
-        """Of the last step, taken exactly; see `Instance.node_sensitivity`."""
+        """Sensitivity of the last step, taken exactly; see `Instance.node_sensitivity`."""
         return self.present.node_sensitivity(inputs, impulses, end)
 
     def signals(self) -> dict[str, Array]:

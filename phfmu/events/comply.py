@@ -1,4 +1,4 @@
-"""Which mode follows at an instant: 0 <= c, 0 <= mu, mu c = 0 for all unilateral switches, soon after it.
+"""The mode that follows at an instant: 0 <= c, 0 <= mu, mu c = 0 for all unilateral switches, soon after it.
 
 The equations are taken over a very short backward Euler step, in which rates of c count where c is zero, and impulses where it
 cannot stay: its complementarity problem is that of the limit.  Modes are tried by how many switches they change.

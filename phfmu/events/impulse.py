@@ -56,7 +56,7 @@ def impulses(S: Array, goal: Array, acts: NDArray[np.bool_], strict: int, least:
 def pushing(
     S: Array, goal: Array, pushes: NDArray[np.bool_], least: float, rounding: float, most: int
 ) -> NDArray[np.bool_] | None:
-    """Which columns act, with 0 <= m, 0 <= S m - goal, one of them zero, in the first ones (jumps) where `pushes`; others act.
+    """The columns that act, with 0 <= m, 0 <= S m - goal, one of them zero, in the first ones (jumps) where `pushes`; others act.
 
     The first that is wrong by more than `rounding` changes sides until none is, which ends for S positive definite (Murty,
     Opsearch 11, 1974); None where columns depend on each other, or after `most` sets.

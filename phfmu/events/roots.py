@@ -40,7 +40,7 @@ class Fit:
     divided: Array
 
     def coefficients(self, values: Array, from_zero: bool) -> Array:
-        """Of the guard, or of guard/tau where the guard is zero at the start."""
+        """Coefficients of the guard, or of guard/tau where the guard is zero at the start."""
         if from_zero:
             return self.divided @ (values[1:] / self.tau[1:])
         b = self.whole @ values
@@ -151,7 +151,7 @@ def turn(start: float, end: float, slope_start: float, slope_end: float) -> floa
 
 
 def vertex(left: tuple[float, float], middle: tuple[float, float], right: tuple[float, float]) -> float:
-    """Where the parabola through three points (x, y) is least; the middle one where it is not curved upwards."""
+    """The place where the parabola through three points (x, y) is least; the middle one where it is not curved upwards."""
     (a, ya), (b, yb), (c, yc) = left, middle, right
     before, after = (yb - ya) / (b - a), (yc - yb) / (c - b)
     curved = (after - before) / (c - a)

@@ -133,7 +133,7 @@ class Entry:
 
     @property
     def lost(self) -> float:
-        """What the jump dissipates (J)."""
+        """Energy that the jump dissipates (J)."""
         return -float(self.energy.sum())
 
 
@@ -283,7 +283,7 @@ class SwitchSystem:
         return tuple(Undetermined(int(i), n[i] * n) for i, n in zip(pivots(directions), scaled.T, strict=True))
 
     def _free(self, ga: Array) -> Array:
-        """What of the scaled algebraic variables no row g determines, a column each; dg/da is that of the mode, mostly."""
+        """Directions of the scaled algebraic variables that no row g determines, a column each; dg/da is mostly the mode's."""
         key = ga.tobytes()
         if key not in self._known:
             if len(self._known) >= KNOWN:

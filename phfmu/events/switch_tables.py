@@ -51,7 +51,7 @@ class SwitchTables:
 
 @dataclass(frozen=True, eq=False)
 class ModeRows:
-    """What is known of a mode without its model: `ph_mode_rows`."""
+    """The rows of a mode that are known without its model: `ph_mode_rows`."""
 
     nfree: int
     on: Powers
@@ -60,7 +60,7 @@ class ModeRows:
 
 
 def switch_tables(modes: Modes, plan: Plan, events: EventPlan, observables: int) -> SwitchTables:
-    """Of a model in whose plan and state events all modes agree; `observables`: how many it has in all modes."""
+    """The tables of a model in whose plan and state events all modes agree; `observables`: how many it has in all modes."""
     system, switches = modes.system, modes.switches
     a_end = plan.nx + 1 + plan.na + 2 * plan.nq + 3 * plan.ncomp
     equations = system.equations

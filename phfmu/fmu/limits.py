@@ -1,4 +1,4 @@
-"""What reading an archive may cost; beyond it the archive is refused with the number and the way out.
+"""Limits of what reading an archive may cost; beyond them the archive is refused with the number and the way out.
 
 The numbers hold units of a hundred thousand variables and keep the memory that a hostile archive can take near 100 MB.
 """

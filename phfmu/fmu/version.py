@@ -16,7 +16,7 @@ from typing import Any, Protocol, cast
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """What differs between versions of the standard, as data.
+    """Differences between versions of the standard, as data.
 
     `number`: `fmiVersion` of what is written; `reads`: pattern of that of what is read.  `prefix`: of functions, headers of the
     standard and names of archives.  `layers`: files of `runtime/` that no other version uses.  `names`: module, see Names.
@@ -54,7 +54,7 @@ class Version:
 
 
 class Caller(Protocol):
-    """What a file of names sees of `slave.Slave`: the binding, and calls that raise UnitCallError with the unit's words."""
+    """The view of a file of names on `slave.Slave`: the binding, and calls that raise UnitCallError with the unit's words."""
 
     name: str
     early_return: bool
@@ -81,7 +81,7 @@ class Names(Protocol):
         ...
 
     def unescaped(self, words: str) -> str:
-        """What the unit says, as it is meant."""
+        """The text of the unit, as it is meant."""
         ...
 
     def enter(self, slave: Caller, start: float, stop: float | None, tolerance: float | None) -> None:

@@ -42,7 +42,7 @@ def text_of(element: Element, *verbatim: str) -> bytes:
 
 
 class Tags(Protocol):
-    """What is told of a document that is read tag by tag."""
+    """The tags of a document that is read tag by tag."""
 
     def start(self, tag: str, attributes: Any) -> None: ...
 

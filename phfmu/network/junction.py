@@ -53,7 +53,7 @@ class Junction:
 
     @property
     def shared(self) -> Given:
-        """What all its ports have in common."""
+        """The member of the pair that all its ports have in common."""
         return SHARED[self.kind]
 
     def ports(self, members: Mapping[str, WithPorts]) -> dict[End, Port]:

@@ -1,4 +1,4 @@
-"""What kind of node each junction of a composed network is."""
+"""Kinds of nodes that the junctions of a composed network are."""
 
 from __future__ import annotations
 

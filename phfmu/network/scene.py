@@ -26,7 +26,7 @@ class Event:
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """What `phfmu run NAME` runs: stop time and step in seconds, events of the first kind; the grid lands on them.
+    """The run of `phfmu run NAME`: stop time and step in seconds, events of the first kind; the grid lands on them.
 
     `restart`: damping steps after each event, see `phfmu.runs.restart`.  `notes`: what of the file that the scene was
     read from is not in it, a line each.  `kept`: what that file says besides, for who writes it again.

@@ -46,7 +46,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Output:
-    """What a wire may begin at: its scalar names, their expression and unit."""
+    """An output at which a wire may begin: its scalar names, their expression and unit."""
 
     names: list[str]
     expr: ca.SX
@@ -124,7 +124,7 @@ class _Told:
 
 
 def _told(member: PHDAE | UnitFile, name: str, end: str) -> _Told:
-    """That of the input or output `name` of a member."""
+    """The unit of the input or output `name` of a member."""
     if isinstance(member, PHDAE):
         inputs, bare = signal_inputs(member), name.partition("[")[0]
         text = inputs[name] if name in inputs else outputs(member)[bare].unit
@@ -190,7 +190,7 @@ def _refuse_work(model: PHDAE, names: Sequence[str], target: str) -> None:
 
 
 def works(model: PHDAE, names: Sequence[str]) -> str:
-    """What of a model, other than flows, depends on signals; "" if nothing does."""
+    """The parts of a model, other than flows, that depend on signals; "" if none does."""
     symbols = signal_symbols(model, names)
     places = [
         *(("H", e.expr) for e in model.energies),

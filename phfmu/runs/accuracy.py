@@ -53,7 +53,7 @@ class Record:
     def columns(
         self, names: Sequence[str], units: Sequence[str], kinds: Sequence[str], labels: Mapping[str, str] | None = None
     ) -> None:
-        """What the columns are, before the first row."""
+        """Takes the names of the columns, before the first row."""
         self.names, self.units, self.kinds = list(names), list(units), list(kinds)
         self.low, self.high = np.full(len(names), inf), np.full(len(names), -inf)
 

@@ -60,7 +60,7 @@ class ToleranceMissed(StepFailure):
 
 @dataclass
 class Control:
-    """What the controller carries from step to step.
+    """The state of the controller from step to step.
 
     `h`: the proposal;  `last`: error of the last accepted step;  `rejected`: trial steps that were taken back;  `smallest`,
     `largest`: sizes of accepted steps.
@@ -136,7 +136,7 @@ class Adaptive:
         return goal, replace(steps, iterations=np.array([spent]))
 
     def sized(self, t: float, end: float) -> tuple[float, float]:
-        """Where one accepted step from t ends, and its iterations; guards are not looked at, and the step is not recorded."""
+        """The end of one accepted step from t, and its iterations; guards are not looked at, and the step is not recorded."""
         if self._sizes is not None:
             found = self._sizes.take(t, end, 1)
             if found.failure is not None:
@@ -206,7 +206,7 @@ class Adaptive:
         return float(ratio[worst]), worst
 
     def _advice(self, t: float) -> str:
-        """What is true for this model and its limits."""
+        """Advice that is true for this model and its limits."""
         lower = ", lower --min-step" if self.min_step > _least(t) else ""
         jump = "" if self.stepper.model.declaration.constraints or self.stepper.model.loses_energy else (
             ", or take restart steps (--restart) if the state jumps at an event"

@@ -42,7 +42,7 @@ class Booked:
         self.event: float | None = None
 
     def rows(self, parts: Iterable[Landing], also: float = 0.0, *, damped: bool = False) -> Rows:
-        """Of parts that `land` of the stepper yields; `also`: iterations of trials that are booked with the first step."""
+        """Rows of the parts that `land` of the stepper yields; `also`: iterations of trials, booked with the first step."""
         self.event = None
         try:
             for begun, size, steps, happened in parts:
@@ -124,11 +124,11 @@ class EventSteps:
         return over, self.restart
 
     def facts(self) -> dict[str, Any]:
-        """What the result says about the steps."""
+        """Facts about the steps for the result."""
         return {"restarted": self._damped.taken} if self._damped else {}
 
     def notes(self) -> list[str]:
-        """What was not as asked for, one line each."""
+        """Notes of what was not as asked for, one line each."""
         return (self._damped.notes() if self._damped else []) + self._ringing.notes()
 
 
@@ -191,11 +191,11 @@ class AdaptiveEventSteps:
             return None
 
     def facts(self) -> dict[str, Any]:
-        """What the result says about the steps."""
+        """Facts about the steps for the result."""
         return self._adaptive.facts() | ({"restarted": self._damped.taken} if self._damped else {})
 
     def notes(self) -> list[str]:
-        """What was not as asked for, one line each."""
+        """Notes of what was not as asked for, one line each."""
         return self._damped.notes() if self._damped else []
 
 

@@ -116,11 +116,11 @@ class FixedSteps:
                 self._pace.handed_over(count)
 
     def facts(self) -> dict[str, Any]:
-        """What the result says about the steps."""
+        """Facts about the steps for the result."""
         return {"restarted": self._damped.taken} if self._damped else {}
 
     def notes(self) -> list[str]:
-        """What was not as asked for, one line each."""
+        """Notes of what was not as asked for, one line each."""
         cut = [_shorter(self._cut, self.book.steps, self.step)] if self._cut else []
         return cut + (self._damped.notes() if self._damped else []) + self._ringing.notes()
 
@@ -200,11 +200,11 @@ class AdaptiveSteps:
             yield self._booked(times, rows)
 
     def facts(self) -> dict[str, Any]:
-        """What the result says about the steps."""
+        """Facts about the steps for the result."""
         return {"restarted": self._restarted, **self.adaptive.facts()}
 
     def notes(self) -> list[str]:
-        """What was not as asked for, one line each."""
+        """Notes of what was not as asked for, one line each."""
         return not_damped(self._wanted - self._restarted, self._wanted)
 
     def _taken(

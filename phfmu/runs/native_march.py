@@ -42,7 +42,7 @@ def _library() -> ctypes.CDLL:
 
 
 class Controlled(Protocol):
-    """What `Adaptive` has for its march: instances, tolerances and limits, the controller, and how it tells of a miss."""
+    """The interface of `Adaptive` to its march: instances, tolerances and limits, the controller, and how it tells of a miss."""
 
     stepper: Monolithic
     other: Any

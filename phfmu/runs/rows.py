@@ -63,7 +63,7 @@ class Rows:
             self._keep(time, values, inside)
 
     def _chosen(self, time: Array, every: int | float) -> Array:
-        """Which rows are kept (n)."""
+        """The rows that are kept (n)."""
         if isinstance(every, int):
             number = self._seen + np.arange(len(time))
             self._seen += len(time)

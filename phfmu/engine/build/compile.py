@@ -113,7 +113,7 @@ def _system(target: str, flags: Sequence[str]) -> Toolchain | None:
 
 @functools.cache
 def _version(path: str) -> str:
-    """What the compiler says in its first line."""
+    """The first line that the compiler prints about itself."""
     return subprocess.run([path, "--version"], capture_output=True, text=True).stdout.partition("\n")[0]
 
 
@@ -191,7 +191,7 @@ class _Asked:
 
 
 def find(sources: Mapping[str, Source], *, flags: Sequence[str] = ()) -> Build | None:
-    """What `compile` gives for this machine if it needs no compiler, from the cache."""
+    """The build that `compile` gives for this machine if it needs no compiler, from the cache."""
     try:
         return _Asked.of(sources, None, flags, None).find()
     except CompilerMissing:

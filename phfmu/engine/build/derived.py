@@ -1,4 +1,4 @@
-"""What the C tables of a plan hold beside its own arrays: sizes, sums of products multiplied out, runs, groups in order."""
+"""Parts of the C tables of a plan beside its own arrays: sizes, sums of products multiplied out, runs, groups in order."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class KernelOperations:
 
     @property
     def tables(self) -> dict[str, Operations]:
-        """What each function of the kernel in the runtime works out."""
+        """The tables of each function of the kernel in the runtime."""
         ledger = {} if self.ledger is None else {"ledger": self.ledger}
         return {"value": self.function.only(1), "full": self.function, **ledger}
 

@@ -174,7 +174,7 @@ class _Work:
         return result
 
     def run(self, *options: str) -> None:
-        """What zig keeps of its own C library is cached; of what it compiles here, `cache.py` keeps enough."""
+        """The cache of zig's own C library is kept; of what it compiles here, `cache.py` keeps enough."""
         own = {"ZIG_GLOBAL_CACHE_DIR": str(self.root / "zig"), "ZIG_LOCAL_CACHE_DIR": str(self.folder / "zig")}
         command = [*self.tools.program, *self.tools.options, *options]
         pipe = subprocess.PIPE

@@ -61,7 +61,7 @@ class Operations:
 
     @cached_property
     def digest(self) -> bytes:
-        """Of the content: equal functions have the same, however CasADi shares work between their operations."""
+        """Hash of the content: equal functions have the same, however CasADi shares work between their operations."""
         content = [np.array(part, np.int64) for part in (self.arguments, self.results)]
         parts = [*content, self.constants, self.code, self.out]
         return hashlib.sha256(b"".join(len(p).to_bytes(8, "little") + p.tobytes() for p in parts)).digest()

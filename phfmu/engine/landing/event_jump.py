@@ -57,7 +57,7 @@ DEPENDENT, MOST, GAIN, PILE, AGAIN, SLIDES, NO_MODE, SHARED = range(8)  # places
 
 @dataclass(frozen=True)
 class Laws:
-    """Of n jumps: rests: it ends with restitution 0;  most: largest |c|;  pushes: its impulse is not negative."""
+    """Laws of n jumps: rests: it ends with restitution 0;  most: largest |c|;  pushes: its impulse is not negative."""
 
     rests: NDArray[np.bool_]
     most: Array

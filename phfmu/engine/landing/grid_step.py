@@ -10,11 +10,11 @@ from phfmu.outcome.limits import LIMITS
 
 
 class Lander(Protocol):
-    """What lands: one instance, or members together."""
+    """The interface of whatever lands: one instance, or members together."""
 
     @property
     def location(self) -> Location:
-        """Of the guards as they are now: with switches each mode has its own."""
+        """Location of the guards as they are now: with switches each mode has its own."""
         ...
 
     @property

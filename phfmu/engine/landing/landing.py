@@ -35,7 +35,7 @@ class Change:
 
 
 class Structure(Protocol):
-    """What has an instance for each mode of its switches; see `SwitchedInstance`."""
+    """The interface of an instance for each mode of its switches; see `SwitchedInstance`."""
 
     @property
     def present(self) -> Any:

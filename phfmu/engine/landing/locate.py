@@ -1,4 +1,4 @@
-"""Where a step ends: guards over a trial, the first zero, the step that ends on it; the twin of
+"""The end of a step: guards over a trial, the first zero, the step that ends on it; the twin of
 runtime/events/event_locate.c, event_trial.c and event_guards.c.
 
 A step is tried, the guards are looked at on its collocation polynomial, and the first zero gives a first length of a shorter
@@ -183,7 +183,7 @@ class Location:
         return best
 
     def _turn(self, trial: Trial, i: int) -> Crossing | None:
-        """Where a guard turns back that no polynomial saw at zero, with the slope 0; one that left zero crosses it again."""
+        """The turn of a guard that no polynomial saw at zero, with the slope 0; a guard that left zero may cross it again."""
         begins, ends = (trial.slopes[:, i] * trial.h).tolist()
         if i in trial.from_zero:
             least = self._zero(i, trial.t + trial.h, abs(trial.slopes[0, i]))
@@ -291,7 +291,7 @@ class Location:
         return max(LIMITS["GUARD_ZERO"] * self.plan.nominal[i], LIMITS["GUARD_CLOCK"] * EPS * abs(t) * rate)
 
     def _rounded(self, t: float, i: int) -> float:
-        """What may be left of guard i if it was zero where this instant was reached."""
+        """The largest rest of guard i if it was zero where this instant was reached."""
         return float(LIMITS["GUARD_ARRIVED"] * EPS * abs(t) * self._arrival.rates[i])
 
     def _is_zero(self, trial: Trial, i: int, g: float, tau: float) -> bool:

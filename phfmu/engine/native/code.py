@@ -1,4 +1,4 @@
-"""What is made of the equations of a model, as ph_code: compiled, or tables that the runtime interprets.
+"""The code of a model's equations as ph_code: compiled, or tables that the runtime interprets.
 
 Both have the same token and give the same bits.  A model that is new begins interpreted, at once; where its run is long enough
 to earn it, the compiler works beside the run, and what it makes takes the place of the tables as soon as it is there.

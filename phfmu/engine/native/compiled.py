@@ -1,4 +1,4 @@
-"""What native instances of a model share: the runtime, tables and code, made once."""
+"""The common part of native instances of a model: the runtime, tables and code, made once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from phfmu.engine.native.library import runtime
 
 @dataclass(frozen=True)
 class Made:
-    """What instances share and never write to."""
+    """The part that instances share and never write to."""
 
     lib: ctypes.CDLL
     tables: CTables
@@ -34,7 +34,7 @@ _ONE = RLock()
 
 
 def made_of(model: Model, kind: Kind = "auto", announce: Announce = None) -> Made:
-    """Of a model; `announce` is called before a compiler runs that has to be waited for."""
+    """The common part for a model; `announce` is called before a compiler runs that has to be waited for."""
     if kind not in get_args(Kind):
         raise ValueError(f"kernels '{kind}': expected auto, compiled or interpreted")
     with _ONE:

@@ -1,4 +1,4 @@
-"""Where a native instance and what belongs to it are in memory, for compiled code that steps it itself."""
+"""Addresses of a native instance and of what belongs to it, for compiled code that steps it itself."""
 
 from __future__ import annotations
 

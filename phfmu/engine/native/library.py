@@ -65,7 +65,7 @@ class Directions(ctypes.Structure):
 
     @classmethod
     def of(cls, du: NDArray[np.float64], dx: NDArray[np.float64], dy: NDArray[np.float64]) -> Directions:
-        """Of arrays that outlive the call."""
+        """The structure for arrays that outlive the call."""
         return cls(len(du), du.ctypes.data, dx.ctypes.data, dy.ctypes.data)
 
 
@@ -88,7 +88,7 @@ def typed(lib: ctypes.CDLL, signatures: Signatures) -> ctypes.CDLL:
 
 
 def placed(lib: ctypes.CDLL, name: str, *about: Any, more: Sequence[Any] = ()) -> tuple[NDArray[np.float64], int]:
-    """What `name_init` makes of `about` and `more` in memory of `name_size` bytes: that memory, to be kept, and the address."""
+    """Memory of `name_size` bytes with the result of `name_init` from `about` and `more`, to be kept, and its address."""
     memory = np.zeros(getattr(lib, f"{name}_size")(*about) // 8 + 1)
     return memory, getattr(lib, f"{name}_init")(memory.ctypes.data, *about, *more)
 
@@ -158,7 +158,7 @@ def runtime_sources(*parts: str) -> dict[str, Path]:
 
 
 def headers() -> dict[str, Path]:
-    """What the code of a model includes."""
+    """The headers that the code of a model includes."""
     return {name: path for name, path in runtime_sources(*PARTS).items() if not name.endswith(".c")}
 
 

@@ -80,11 +80,11 @@ class NativeLanding:
 
     @property
     def address(self) -> int:
-        """Of the landing in memory."""
+        """Address of the landing in memory."""
         return self._in
 
     def on(self, n: int, record: Iterable[str], check: Callable[[int], None], pause: bool = False) -> Iterator[Landed]:
-        """What is left of n grid steps, up to the first event if it is to `pause` there."""
+        """The rest of n grid steps, up to the first event if it is to `pause` there."""
         sizes = record_widths(self._model, self._width)
         room = Room({name: np.full((n + STEPS, sizes[name]), np.nan) for name in record}, n + STEPS,
                     self._plan.n, self._model.step.ncomp, self._width, pause=pause)  # fmt: skip
@@ -122,7 +122,7 @@ class NativeLanding:
 
 
 class Room:
-    """What steps and events are written to: `rows` for `steps` of them, and EVENTS events of `n` guards.
+    """Memory that steps and events are written to: `rows` for `steps` of them, and EVENTS events of `n` guards.
 
     `width`: of the signals after an event;  `changed` (EVENTS x switches): 1 = went off, 2 = on;  `pause`: it is full after
     the events of one time
@@ -155,7 +155,7 @@ class Room:
         return bool(self.out.done or (self.out.pause and self.out.events))
 
     def parts(self, words: Callable[[NDArray[np.int8]], tuple[str, ...]] = lambda _: ()) -> Iterator[Landed]:
-        """What the last call wrote; `words`: what a row of `changed` says."""
+        """The steps and events of the last call; `words`: what a row of `changed` says."""
         begin = 0
         for i in range(self.out.events):
             who, end = self._fired[i], int(self._step[i])

@@ -58,7 +58,7 @@ class _Refusal(ctypes.Structure):
 
 @dataclass(frozen=True)
 class _Compiled:
-    """What changes of modes of a model share: tables, code, and what is known of modes."""
+    """The common part of changes of modes of a model: tables, code, and what is known of modes."""
 
     lib: ctypes.CDLL
     tables: ModeTables

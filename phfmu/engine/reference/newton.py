@@ -222,7 +222,7 @@ class Newton:
         return bool((np.abs(r) <= FLOOR * size).all())
 
     def _rounding(self, w: Array, fixed: Fixed, nominal: float = 0.0) -> Array:
-        """What rounding leaves in each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is.
+        """Rounding of each row: eps sum_j |A_ij| (|w_j| + |x_j|), x_j the state whose increment w_j is.
 
         nominal = 1 judges constraint rows by the nominal size of their unknowns: where they lose rank, their multipliers
         crawl without end for less.

@@ -51,7 +51,7 @@ class Present:
         }  # fmt: skip
 
     def _start(self, s: State) -> tuple[Array, Fixed]:
-        """Where the instant system starts from, and what is fixed in it."""
+        """The start of the instant system, and what is fixed in it."""
         plan = self.model.instant
         w = np.zeros(plan.nw)
         w[plan.mean_w] = s.a[plan.mean_a]
@@ -61,7 +61,7 @@ class Present:
         return s.x, np.append(inputs_at(self.model, s.u, np.array([s.theta])), 1.0), s.p, 1.0
 
     def choose_rests(self, s: State) -> None:
-        """Which constraints rest at a state or with parameters that were set."""
+        """Choice of the constraints that rest at a state or with parameters that were set."""
         if s.placed and len(self.model.instant.hold):
             s.change_rest(rest_start.chosen(self._newton, *self._start(s)), s.x[-1])
         s.placed = False

@@ -1,4 +1,4 @@
-"""Which constraints rest at a state or with parameters that were set: the readable twin of runtime/rest_start.c.
+"""Choice of the constraints that rest at a state or with parameters that were set: the readable twin of runtime/rest_start.c.
 
 The plan's, but not those that are needed there, and those that depend on the others there.  From the matrix of the
 instant system, whose columns are the forces of the multipliers.

@@ -1,4 +1,4 @@
-"""What the descriptions of all versions have in common: the unit, its units, names and dates, how to build it."""
+"""The common part of the descriptions of all versions: the unit, its units, names and dates, how to build it."""
 
 from __future__ import annotations
 

@@ -102,17 +102,17 @@ class PortMap:
 
     @property
     def input_sign(self) -> float:
-        """Of the inputs into the component, in units of the domain."""
+        """Sign of the inputs into the component, in units of the domain."""
         return self.input_factor * (self.sign if self.given == self.domain.summed else 1.0)
 
     @property
     def output_sign(self) -> float:
-        """Of the outputs into the component, in units of the domain."""
+        """Sign of the outputs into the component, in units of the domain."""
         return self.output_factor * (self.sign if self.given != self.domain.summed else 1.0)
 
     @property
     def displacement_sign(self) -> float:
-        """Of the displacements, as of the outputs."""
+        """Sign of the displacements, which is that of the outputs."""
         return self.displacement_factor * (self.sign if self.given != self.domain.summed else 1.0)
 
 
@@ -188,7 +188,7 @@ def _add_signals(root: Element, port: Port, k: int) -> None:
 
 
 def _add_impulses(step: Element, unit: Unit) -> dict[str, PortImpulse]:
-    """What the ports of a unit with impulses do with them; empty without."""
+    """The use of impulses by the ports of a unit; empty without."""
     if unit.kernels is None:
         return {}
     names = [n for p in unit.declaration.ports if p.external for n in p.input_names()]

@@ -113,7 +113,7 @@ def _at_nodes(unit: Unit) -> str:
 
 
 def _signs(unit: Unit) -> str:
-    """What changes its sign between units, told for each port: a plain connection gets it wrong, with closed ledgers."""
+    """Changes of sign between units, told for each port: a plain connection gets it wrong, with closed ledgers."""
     ports = [p for p in unit.declaration.ports if p.external and not p.signal]
     if not ports:
         return ""

@@ -67,7 +67,7 @@ def events_symbol(i: int) -> str:
 
 
 def symbols(files: Iterable[str]) -> Iterator[str]:
-    """What the linker sees of the files of modes."""
+    """The symbols of the files of modes that the linker sees."""
     for name in files:
         found = re.fullmatch(r"(mode|guards)(\d+)\.c", name)
         if found:

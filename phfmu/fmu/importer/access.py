@@ -1,4 +1,4 @@
-"""What a compiled master needs of a unit of this package that lives in this process: functions, variables, its books."""
+"""Access of a compiled master to a unit of this package that lives in this process: functions, variables, its books."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Access:
         return References(scalars, self._version)
 
     def failure(self, function: str, status: int, t: float, h: float) -> UnitFailure:
-        """Of a step from t by h in which a function answered with this status; after a fatal one the unit is dead."""
+        """The failure of a step from t by h in which a function answered with this status; after a fatal one the unit is dead."""
         error = self._slave.refused(function, status)
         return UnitFailure(self.values.name, t, h, error.function, error.answer, error.words)
 

@@ -34,7 +34,7 @@ METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 @dataclass(frozen=True)
 class Extracted:
-    """What running a unit needs: the folder that its files are in, and the name of the library there."""
+    """The extracted files of a unit: the folder that they are in, and the name of the library there."""
 
     path: Path
     folder: Path
@@ -93,7 +93,7 @@ class Archive:
 
     @cached_property
     def folder(self) -> Path:
-        """What running it needs, extracted; the folder lives as long as this object."""
+        """The folder of the extracted files; it lives as long as this object."""
         wanted = [n for n in self._names if _needed(n, self.library)]
         folder = Path(tempfile.mkdtemp(prefix="phfmu-"))
         finalize(self, shutil.rmtree, folder, ignore_errors=True)
@@ -105,7 +105,7 @@ class Archive:
 
     @property
     def extracted(self) -> Extracted:
-        """What running it needs; this object has to live as long."""
+        """The extracted files; this object has to live as long."""
         return Extracted(self.path, self.folder, self.library, self.interface)
 
 

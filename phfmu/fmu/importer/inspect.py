@@ -1,4 +1,4 @@
-"""What an FMU is and what is wrong with it, without running it."""
+"""Inspection of an FMU and of what is wrong with it, without running it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def fmu_info(path: str | Path) -> str:
 
 
 def limit_lines(face: UnitInterface) -> list[str]:
-    """What the unit asks of an importer, as far as it is not usual."""
+    """Demands of the unit on an importer, as far as they are not usual."""
     clocks = f"has {counted(face.clocks, 'clock')}, which {'ticks' if face.clocks == 1 else 'tick'} in Event Mode only"
     return [
         text
@@ -109,7 +109,7 @@ def _ports_wanted(file: UnitFile) -> list[str]:
 
 
 def _here(archive: Archive) -> str:
-    """What to know before it is run on this machine."""
+    """Lines to know before it is run on this machine."""
     try:
         return f" (here: {archive.library})"
     except FMUError:

@@ -40,7 +40,7 @@ class LeftOut:
 
 
 class ModelDescription:
-    """What the document says; the tags of `phfmu.fmu.xml.read`."""
+    """The contents of the document; the tags of `phfmu.fmu.xml.read`."""
 
     def __init__(self, name: str):
         self.file = name

@@ -1,4 +1,4 @@
-"""What a unit exchanges in a step beside held inputs and means: values at its nodes, impulses at its ends, their derivatives."""
+"""Exchange of a unit in a step beside held inputs and means: values at its nodes, impulses at its ends, their derivatives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 def impulse_ports(ports: Sequence[PortMap]) -> tuple[PortImpulse, ...]:
-    """What the ports of a manifest do with impulses; empty of a unit without."""
+    """The use of impulses by the ports; empty for a unit without."""
     places = {n: i for i, n in enumerate(n for p in ports for n in p.inputs)}
     return tuple(
         PortImpulse(p.name, Impulse(p.impulse), tuple(places[n] for n in p.inputs), p.linear, p.why)
@@ -33,7 +33,7 @@ def impulse_ports(ports: Sequence[PortMap]) -> tuple[PortImpulse, ...]:
 
 
 class NodeExchange:
-    """Of a unit exported with inputs at nodes; all arguments and results count into the component.
+    """The exchange of a unit exported with inputs at nodes; all arguments and results count into the component.
 
     Its `all` scalars at a node are nu of ports, then the signals that it takes, then those that it sends: their inputs are
     no one's, and the outputs of those that are taken are zero.
@@ -74,7 +74,7 @@ class NodeExchange:
 
     @cached_property
     def impulse_ports(self) -> tuple[PortImpulse, ...]:
-        """What each port does with impulses; empty if the unit was exported without."""
+        """The use of impulses by the ports; empty for a unit without."""
         return impulse_ports(self._values.ports)
 
     def set_impulses(self, s0: ArrayLike, s1: ArrayLike) -> None:

@@ -52,7 +52,7 @@ def domain_of(effort: Unit | None, flow: Unit | None) -> Domain | None:
 
 
 def factor_to(wanted: str, units: Mapping[str, Unit | None], where: str) -> float:
-    """What a value of the variables in `units` is multiplied by to be in the unit `wanted`; 1 where they have none.
+    """The factor from values of the variables in `units` to the unit `wanted`; 1 where they have none.
 
     FMUError for another dimension, or variables of different units.
     """
@@ -77,7 +77,7 @@ KEYS = ("effort", "flow", "sign", "domain", "displacement", "effort_unit", "flow
 
 
 def sidecar(path: Path) -> Path:
-    """Where the ports of a unit may be told."""
+    """The file that may tell the ports of a unit."""
     return path.with_name(path.stem + ENDING)
 
 
@@ -159,7 +159,7 @@ class _Table:
             raise FMUError(f"{self.where}: {error}") from None
 
     def _given(self, members: Mapping[str, tuple[str, ...]]) -> Given:
-        """Which of the two are inputs."""
+        """The one of the two that is an input."""
         causality = {m: {self.interface.variables[n].causality for n in names} for m, names in members.items()}
         inputs = [m for m, found in causality.items() if found == {"input"}]
         if len(inputs) != 1 or any("input" in found for m, found in causality.items() if m not in inputs):

@@ -129,7 +129,7 @@ class PortValues:
         self.u.values[:], self.u_nodes.values[:], self.held = memory["u"], memory["u_nodes"], memory["held"]
 
     def of_steps(self) -> set[str]:
-        """What a master exchanges in a step, beside inputs, outputs and means."""
+        """Values that a master exchanges in a step, beside inputs, outputs and means."""
         return {s.name for r in (self.y_nodes, self.sent, self.jump, self.pair_energies) for s in r.scalars}
 
     def others(self) -> list[str]:

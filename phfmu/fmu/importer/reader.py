@@ -132,7 +132,7 @@ class FMUInstance:
 
     @property
     def time(self) -> float:
-        """Where it is [s]."""
+        """The present time [s]."""
         return self.steps.time
 
     @property
@@ -194,7 +194,7 @@ class FMUInstance:
 
     @cached_property
     def _derivatives(self) -> list[Derivative]:
-        """Of the mean outputs, by each input."""
+        """Derivatives of the mean outputs, by each input."""
         means, version = self._values.y_mean, VERSIONS[self.interface.version]
         return [] if means is None else [Derivative(means, known, version) for known in self._values.u.scalars]
 
@@ -249,7 +249,7 @@ class FMUInstance:
         return [n for n, v in self.interface.variables.items() if v.causality in kinds and n not in left]
 
     def variable(self, name: str) -> Scalar:
-        """What the unit says about a variable."""
+        """The variable as the unit describes it."""
         return self.interface.scalars([name], "variable")[0]
 
     def get(self, names: Iterable[str]) -> Array:
@@ -290,7 +290,7 @@ class FMUInstance:
         return self._books.gap()
 
     def ledger(self) -> dict[str, Array]:
-        """Of the last step: stored, dissipated, supplied (1 each) and energy through each pair (nu) [J].
+        """Ledger of the last step: stored, dissipated, supplied (1 each) and energy through each pair (nu) [J].
 
         `moved` (1), the sum over its energies of |change|, is there if the unit tells it; what cannot close is small to it.
         An estimated unit keeps to itself what it dissipates: stored is what was supplied.

@@ -1,4 +1,4 @@
-"""What a unit answers when it does not do as asked: the call that failed, and the step that fails of it."""
+"""Refusals of a unit: the call that failed, and the step that fails of it."""
 
 from __future__ import annotations
 

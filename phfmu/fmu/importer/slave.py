@@ -36,7 +36,7 @@ _LIVE: Counter[Path] = Counter()
 
 
 class AnySlave(Protocol):
-    """What an instance asks of a unit, in this process or in one of its own."""
+    """The interface of an instance to a unit, in this process or in one of its own."""
 
     words: deque[str]
     dead: bool
@@ -112,7 +112,7 @@ class Slave:
 
     @property
     def address(self) -> int:
-        """Of the instance, as functions of the library take it."""
+        """Address of the instance, as functions of the library take it."""
         return int(self.fmu.component)
 
     def last_words(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ _STEP, _MOVED = ("storedStep", "dissipatedStep", "suppliedStep"), "movedStep"
 
 
 class Books(Protocol):
-    """What an instance asks of them: `begin` at the start; after a step `look`, then `book` with what that gave."""
+    """The interface of an instance to its books: `begin` at the start; after a step `look`, then `book` with what that gave."""
 
     #: the ledger is a quadrature of port power, because the unit does not tell its own
     estimated: bool
@@ -47,11 +47,11 @@ class Books(Protocol):
         ...
 
     def gap(self) -> float | None:
-        """What the ledgers of the steps do not explain [J]; None if that is not told."""
+        """Energy that the ledgers of the steps do not explain [J]; None if that is not told."""
         ...
 
     def ledger(self, h: float) -> dict[str, Array]:
-        """Of the last step, of length h."""
+        """Ledger of the last step, of length h."""
         ...
 
     def memory(self) -> dict[str, Any]:

@@ -49,7 +49,7 @@ class UnitFile:
 
     @property
     def found(self) -> str:
-        """Where it was found, for messages."""
+        """The place at which it was found, for messages."""
         return self.source or str(self.path)
 
     @property

@@ -1,4 +1,4 @@
-"""What a unit says about itself: its variables and abilities, and the ports of the manifest."""
+"""The interface of a unit as it describes itself: its variables and abilities, and the ports of the manifest."""
 
 from __future__ import annotations
 

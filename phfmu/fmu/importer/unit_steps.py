@@ -102,7 +102,7 @@ class UnitSteps:
         return self._part(t, h, reached, looked)
 
     def _part(self, t: float, h: float, reached: float, looked: Array) -> float:
-        """Of a step that ended before its end."""
+        """The part of a step that ended before its end."""
         if reached > t:
             self.time, self.h = reached, reached - t
             self._books.book(self.h, looked)

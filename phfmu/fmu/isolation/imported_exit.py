@@ -55,7 +55,7 @@ def lead(library: ctypes.CDLL, to: Any) -> None:
 
 
 def _places(library: ctypes.CDLL) -> Iterator[int]:
-    """Where the addresses of these functions stand in the table of the library."""
+    """Places of the addresses of these functions in the table of the library."""
     link = _LinkMap.from_address(library._handle)
     known = dict[int, int]()
     entry = link.dynamic

@@ -1,4 +1,4 @@
-"""What belongs to the process stays as it was, whatever the library of a foreign unit does to it.
+"""The state of the process stays as it was, whatever the library of a foreign unit does to it.
 
 A library may change the rounding of every later number (`fesetround`, or flushing of denormal numbers, which some compilers
 switch on as a library is loaded), make faults of floating-point exceptions, ignore or block the signals that end this process,

@@ -87,7 +87,7 @@ class RemoteSlave:
         self._answers.put(None)
 
     def _pass_on(self) -> None:
-        """What the library prints, line by line."""
+        """Output of the library, line by line."""
         count = 0
         for line in self._process.stderr:
             text = plain(line.decode("utf-8", "replace").rstrip(), LONGEST)
@@ -104,7 +104,7 @@ class RemoteSlave:
         return self._message([verb, arguments], verb)
 
     def _message(self, message: Any, verb: str) -> Any:
-        """What is given; the errors of `Slave`, and UnitFailure."""
+        """The message that is given; the errors of `Slave`, and UnitFailure."""
         function = f"{self._version.prefix}{_FUNCTIONS.get(verb, verb)}"
         if self.dead:
             raise UnitCallError(self.name, function, "fatal", ["it met a fatal error before"])

@@ -102,7 +102,7 @@ class Server:
 
 
 def answer(server: Server, verb: str, arguments: list[Any]) -> tuple[str, Any]:
-    """What a verb of `Server` gives, or why not."""
+    """The answer of a verb of `Server`, or why there is none."""
     from phfmu.fmu.export.variables import FMUError
     from phfmu.fmu.importer.refusal import UnitCallError
 

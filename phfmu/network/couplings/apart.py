@@ -1,4 +1,4 @@
-"""What members of a network exchange when they are stepped apart, and which order follows; in words."""
+"""The exchange of members that are stepped apart, and the order that follows; in words."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Apart:
         return [n for n in self.landing_alone if n in ends]
 
     def order(self) -> str:
-        """What `--order` is composed and apart."""
+        """The meaning of `--order`, composed and apart."""
         held, units = self.held, self.network.units
         if self.network.wires:  # which say more than that events happen inside steps then
             held = [n for n in held if n not in self.landing_alone]

@@ -1,4 +1,4 @@
-"""Which coupling fits a network, and why."""
+"""Choice of the coupling that fits a network, and why."""
 
 from __future__ import annotations
 

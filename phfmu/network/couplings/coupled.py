@@ -247,7 +247,7 @@ class Coupled:
         return self._agreed.step(step, self.last.xi, self._solved, lambda found: xi_at_end(self._exchange, found))
 
     def _solved(self, step: Step) -> Solution:
-        """Of an iteration that is given up, units that do not repeat a step are told."""
+        """The solution of the step; of an iteration that is given up, units that do not repeat a step are told."""
         try:
             return self.coupling.solve(self.joined, self.last, step)
         except Unconverged as failure:
@@ -350,7 +350,7 @@ class Coupled:
             changed = False
 
     def _known(self, t: float, h: float) -> dict[str, Any]:
-        """What is known of the step just taken: the fields of `Steps`."""
+        """The record of the step just taken: the fields of `Steps`."""
         known = {"signals": self.read(), "H": self.energies(), "iterations": self.last.iterations}
         test = {"accepted_by": self.last.accepted_by} if self.last.accepted_by else {}
         book = booked(self.joined, self._works, self.last, h)

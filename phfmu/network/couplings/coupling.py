@@ -1,4 +1,4 @@
-"""What a coupling of members is: it finds the junction unknowns of one step; `Coupled` does all else.
+"""The interface of couplings: a coupling finds the junction unknowns of one step; `Coupled` does all else.
 
 A coupling is one file with one class; `newton.py` is one.  It is given the members with the equations of their junctions
 (`Joined`), what it found for the step before, and the step; it leaves every member at the end of the step.

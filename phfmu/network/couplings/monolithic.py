@@ -102,7 +102,7 @@ class Monolithic:
         return {"": self.instance.rest_changes}
 
     def _settled(self) -> Any:
-        """Whose constraints the state keeps: those of the mode of its switches, unless the next landing has yet to find it."""
+        """The instance whose constraints the state keeps: that of the mode, unless the next landing has yet to find it."""
         switched = self.model.modes is not None and not self.instance.unsettled
         return self.instance.present if switched else self.instance
 
@@ -247,7 +247,7 @@ class Monolithic:
         instance.do_step(t, h)
 
     def wanted(self, instance: Any) -> tuple[str, ...]:
-        """What `steps_of` needs of a run of the instance."""
+        """The records that `steps_of` needs of a run of the instance."""
         wanted = (*LEDGER, "numerical") if instance.model.loses_energy else LEDGER
         return (*wanted, "unknowns") if self.booking.parts or self.unknowns_told else wanted
 
@@ -263,7 +263,7 @@ class Monolithic:
         return replace(steps, works=self._lost(instance, r)) if self.booking.parts else steps
 
     def _lost(self, instance: Any, r: dict[str, Array]) -> Array:
-        """What projections lost in each step (steps x parts); no other scheme has any."""
+        """Energy that projections lost in each step (steps x parts); no other scheme has any."""
         parts = self.booking.parts
         if instance.model is not self.model:
             return np.zeros((len(r["signals"]), len(parts)))

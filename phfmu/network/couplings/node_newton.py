@@ -169,7 +169,7 @@ class NodeNewton:
         return bool((left <= FLOOR * np.finfo(float).eps * size).all())
 
     def _settled(self, z: Unknowns, trial: Trial, step: Step) -> tuple[Unknowns, Trial]:
-        """Of an accepted trial, with one more impulse where sums at the end are more than rounding; outputs are linear in it."""
+        """The solution of an accepted trial, with one more impulse where sums at the end exceed rounding."""
         e, n = self.exchange, len(self.exchange.columns)
         if not (np.abs(trial.ends) > END * trial.size[n:]).any():
             return z, trial
@@ -200,7 +200,7 @@ class NodeNewton:
         return NodeSolution(xi, y, trials, accepted_by, h=h, works=works, found=z)
 
     def before(self) -> Before:
-        """What a step starts from, of the members where they are."""
+        """The start of a step, of the members where they are."""
         e = self.exchange
         S, sums = e.clusters.blank(), np.zeros(len(e.bare))
         for s in e.shares:
@@ -210,7 +210,7 @@ class NodeNewton:
         return Before(S, sums)
 
     def works(self, z: Unknowns, before: Before, trial: Trial, h: float) -> Array:
-        """What the junctions take of a trial [J], from rows and impulses alone: W is their sum (N + 2 bare)."""
+        """Energy that the junctions take of a trial [J], from rows and impulses alone: W is their sum (N + 2 bare)."""
         m, m1 = z.m
         times = self.exchange.clusters.times
         start, end = m * (before.sums + times(before.S, m) / 2), m1 * (trial.ends - times(trial.S, m1) / 2)
@@ -277,7 +277,7 @@ class NodeNewton:
 
 
 def forecast(missed: Sequence[Array]) -> Array:
-    """What a continuation will miss: the polynomial through what the last ones did, the latest first."""
+    """The miss that a continuation will have: the polynomial through what the last ones did, the latest first."""
     n = len(missed)
     return np.sum([(-1) ** j * comb(n, j + 1) * m for j, m in enumerate(missed)], axis=0)
 

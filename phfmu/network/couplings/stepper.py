@@ -1,4 +1,4 @@
-"""What the run loop drives, whether one composed model, one unit or coupled members."""
+"""The interface of the run loop to what it drives: one composed model, one unit or coupled members."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ class Stepper(Protocol):
 
     @property
     def units(self) -> dict[str, str]:
-        """Of `names` and of the free inputs; "1" is none."""
+        """Units of `names` and of the free inputs; "1" is none."""
         ...
 
     @property
     def kinds(self) -> Mapping[str, SignalKind]:
-        """Of `names`, as far as they are told by more than their form."""
+        """Kinds of `names`, as far as they are told by more than their form."""
         ...
 
     @property
     def labels(self) -> Mapping[str, str]:
-        """What readers call those of `names` and inputs whose entries have names."""
+        """Readers' names of those of `names` and inputs whose entries have names."""
         ...
 
     def inputs(self) -> dict[str, float]:

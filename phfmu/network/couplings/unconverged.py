@@ -1,4 +1,4 @@
-"""What to do where a coupling gives up its iteration: refuse the step, halve it, or keep the best trial and tell.
+"""Policies where a coupling gives up its iteration: refuse the step, halve it, or keep the best trial and tell.
 
 `Halving` and `Accepting` are couplings around another one.
 """
@@ -73,7 +73,7 @@ def plain(coupling: Coupling) -> Coupling:
 
 
 def booked(joined: Joined, parts: Works, last: Solution, h: float) -> dict[str, Any]:
-    """What members and junctions booked in a step of length h, with what `last` took of it before."""
+    """The bookings of members and junctions in a step of length h, with what `last` took of it before."""
     book = joined.ledger()
     if not parts.keys:
         return added(book, last.earlier)

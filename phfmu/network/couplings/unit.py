@@ -112,6 +112,6 @@ class FMUStepper:
         return Steps.stacked(rows)
 
     def _row(self) -> dict[str, Any]:
-        """What is known of the last step: the fields of `Steps`."""
+        """The record of the last step: the fields of `Steps`."""
         known = {"signals": self.read(), "H": self.energies(), "events": self.member.happened()}
         return known | self.member.ledger()

@@ -1,4 +1,4 @@
-"""What a coupling does at its junctions in a step, part by part; the parts of a junction add up to the sum of its ports.
+"""Works of a coupling at its junctions in a step, part by part; the parts of a junction add up to the sum of its ports.
 
     W = h sum_i b_i xi_i.r_i + m.(r_0 + S0 m/2) + m'.(r_e - S1 m'/2) + h xi.P^T (Y - Y_p)
 

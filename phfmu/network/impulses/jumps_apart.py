@@ -19,7 +19,7 @@ ROUNDING = 1e-12
 
 
 class JumpsApart:
-    """What the jumps of members share with others: velocities of rigid links, currents of nodes where inductors meet."""
+    """The part of the members' jumps that others share: velocities of rigid links, currents of nodes where inductors meet."""
 
     def __init__(self, joined: Joined, sums: EndSums):
         self._joined, self._sums = joined, sums

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Share:
-    """Of one member: W (rows) of its states x1, parameters p, shifts s and impulses m, where these are, and its parts."""
+    """The share of one member: W (rows) of its states x1, parameters p, shifts s and impulses m, their places, and its parts."""
 
     work: ca.Function
     x: list[int]

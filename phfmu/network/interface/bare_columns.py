@@ -1,4 +1,4 @@
-"""Which common variables of coupled members carry impulses: bare nodes, all of whose ports take pairs of them.
+"""Common variables of coupled members that carry impulses: bare nodes, all of whose ports take pairs of them.
 
 With S = sum_j P_j^T S_j P_j over the members (A/(V s)), variables that S couples are a cluster: they share branches. Of a cluster
 all carry impulses or none does, by the rule of composed models (`terms/bare.py`); where that projects, members apart do without.
@@ -89,7 +89,7 @@ class Kicked:
         self._position[list(columns)] = np.arange(self.n)
 
     def at(self, offer: Offer, place: slice) -> Ints:
-        """Which of the columns each impulse of a member is fed by, -1: none; `place`: its inputs among all."""
+        """The column that each impulse of a member is fed by, -1: none; `place`: its inputs among all."""
         return self._position[self._column[place][offer.kicked]]
 
     def inductance(self, parts: Iterable[tuple[Ints, Array]]) -> csr_array:
@@ -99,7 +99,7 @@ class Kicked:
 
 
 def clusters(S: csr_array) -> list[Ints]:
-    """What S couples, in order."""
+    """The columns that S couples, in order."""
     count, label = connected_components(S, directed=False)
     order = np.argsort(label, kind="stable")
     return np.split(order, np.searchsorted(label[order], np.arange(1, count)))

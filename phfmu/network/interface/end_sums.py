@@ -54,7 +54,7 @@ class EndSums:
 
     @property
     def units(self) -> dict[str, str]:
-        """Of the names; checks have that of composed models."""
+        """Units of the names; checks have that of composed models."""
         own = self.joined.units
         return {end_name(n): own[n] for n in self.joined.face.names} | dict.fromkeys(self.checks, "1")
 
@@ -93,7 +93,7 @@ class EndSums:
 
     @property
     def held_outputs(self) -> NDArray[np.bool_]:
-        """Which outputs (nu) are in rows that no junction unknown changes at an instant, once `values` was asked for."""
+        """The outputs (nu) in rows that no junction unknown changes at an instant, once `values` was asked for."""
         assert self._maps is not None
         P, _, Q = self._maps
         return np.asarray(abs(P @ Q).sum(axis=1)).ravel() > UNIT

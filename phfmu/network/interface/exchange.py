@@ -1,4 +1,4 @@
-"""What coupled members exchange in a step: k_J values per common variable of a junction J, impulse pairs at bare nodes.
+"""Exchange of coupled members in a step: k_J values per common variable of a junction J, impulse pairs at bare nodes.
 
 k_J is the least of its members'. With c_m, b_m the nodes and weights of a member and l_i the Lagrange basis on the nodes of J,
 
@@ -164,7 +164,7 @@ class Exchange:
         return np.bincount(self.columns, self.weights * values, len(self.counts))[: len(self.k)].astype(float)
 
     def at_end(self, values: Array) -> Array:
-        """Of each column of the interface the polynomial at the end of the step."""
+        """The polynomial of each column of the interface at the end of the step."""
         return np.bincount(self.columns, self.at_ends * values, len(self.counts))[: len(self.k)].astype(float)
 
     @cached_property

@@ -25,7 +25,7 @@ class Followed:
         return self.data(t + 0.5 * h) * self._signs
 
     def own(self, place: slice) -> NDArray[np.intp]:
-        """Which of the data belong to the inputs at `place`."""
+        """The data that belong to the inputs at `place`."""
         return np.flatnonzero((self.places >= place.start) & (self.places < place.stop))
 
     def at_nodes(self, free: Array, place: slice, c: Array, grid: tuple[float, float, int], n: int) -> Array:

@@ -1,4 +1,4 @@
-"""What the states of coupled members must meet at their junctions, whatever the junction unknowns are.
+"""Conditions on the states of coupled members at their junctions, whatever the junction unknowns are.
 
 With y(U) the outputs at one instant and G = dy/dU, the junction rows r(xi) = P^T y(P xi + U_free) + C xi change by
 M dxi, M = P^T G P + C.  Combinations N of the rows with N^T M = 0 constrain the states alone: sums of currents of

@@ -61,7 +61,7 @@ class Interface:
 
     @cached_property
     def row_nominal(self) -> Array:
-        """What a row is measured by where all of its terms are zero (n)."""
+        """The size that a row is measured by where all of its terms are zero (n)."""
         return np.maximum(abs(self.C) @ self.nominal, 1e-3)
 
     def commons(self) -> list[int]:
@@ -83,7 +83,7 @@ class Interface:
 
 
 class Joinable(Protocol):
-    """Whose ports are joined; `places`: port name -> slice of its `nu` external inputs."""
+    """A member whose ports are joined; `places`: port name -> slice of its `nu` external inputs."""
 
     @property
     def name(self) -> str: ...

@@ -61,7 +61,7 @@ class Joined:
         self._abs_C = abs(self.C)
 
     def components(self, member: str) -> slice:
-        """Where those of a member are among the components of all."""
+        """Places of the components of a member among those of all."""
         first = 0
         for m in self.members:
             end = first + len(m.booking.components)
@@ -110,7 +110,7 @@ class Joined:
             m.begin(u[place])
 
     def follow(self, t: float, h: float) -> None:
-        """What follows data as it is held over a step."""
+        """Data that inputs follow, as they are held over a step."""
         if self.followed is not None:
             self.free[self.followed.places] = self.followed.middle(t, h)
 
@@ -155,7 +155,7 @@ class Joined:
         return self.matrix(parts)
 
     def states(self, needed: bool = True) -> list[Any]:
-        """Of all members; where they are not `needed`, None for those that cannot save theirs."""
+        """States of all members; where they are not `needed`, None for those that cannot save theirs."""
         return [m.get_state() if needed or m.saves else None for m in self.members]
 
     def restore(self, states: list[Any]) -> None:
@@ -164,14 +164,14 @@ class Joined:
                 m.set_state(s)
 
     def unsteady(self, h: float) -> str:
-        """Which members do not repeat a step of length h from where they are, in words."""
+        """Members that do not repeat a step of length h from where they are, in words."""
         return "; ".join(f"{m.name} {words}" for m in self.members if (words := m.unsteady(h)))
 
     # -- what can be set, what there is to tell -----------------------------------------------------------------------
 
     @property
     def units(self) -> dict[str, str]:
-        """Of the members' names and inputs, and of the junction unknowns."""
+        """Units of the members' names and inputs, and of the junction unknowns."""
         own = {of_member(m.name, n): unit for m in self.members for n, unit in m.units.items()}
         for j in self.network.junctions:
             unknown = junction_unknowns(self.network.members, j)
@@ -239,7 +239,7 @@ class Joined:
         return np.concatenate([m.end_output() for m in self.members])
 
     def happened(self) -> list[StepEvent]:
-        """What happened within the last step of the members, in order of time."""
+        """Events within the last step of the members, in order of time."""
         found, first, n = list[StepEvent](), 0, len(self.booking.components)
         for m in self.members:
             end = first + len(m.booking.components)

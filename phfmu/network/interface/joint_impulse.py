@@ -54,7 +54,7 @@ class Fired:
 
 
 class Party(Protocol):
-    """What takes part with [jumps that have fired | ports | constraints]; components: those of the member with energy in play."""
+    """A member with [jumps that fired | ports | constraints]; components: those of the member with energy in play."""
 
     fired: Fired | None
 
@@ -115,7 +115,7 @@ class UnitParty:
 
 @dataclass(frozen=True)
 class Place:
-    """Of a party: its ports by the impulses a between members (ports x a), and its first component among all."""
+    """The place of a party: its ports by the impulses a between members (ports x a), and its first component among all."""
 
     at: Array
     component: int

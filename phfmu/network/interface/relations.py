@@ -115,7 +115,7 @@ class Relations:
 
     @cached_property
     def row_nominal(self) -> Array:
-        """What a row is measured by where all of its terms are zero."""
+        """The size that a row is measured by where all of its terms are zero."""
         sizes = [np.abs(r.B).max(axis=1, initial=0) for _, r, _ in self._own]
         return np.maximum(np.concatenate([np.zeros(0), *sizes]), 1e-3)
 

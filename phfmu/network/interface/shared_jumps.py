@@ -1,4 +1,4 @@
-"""Which jumps junctions share between members, and what these do together: see `joint_impulse.py` for the system.
+"""Jumps that junctions share between members, and what these do together: see `joint_impulse.py` for the system.
 
 A jump is shared where S couples it with an impulse between members (`impulse_directions.py`): at a rigid link, or at a node where
 only states meet.
@@ -30,7 +30,7 @@ Array = NDArray[Any]
 
 
 class SharedJumps:
-    """Of the members of `joined`; nothing is made for networks without jumps."""
+    """Shared jumps of the members of `joined`; nothing is made for networks without jumps."""
 
     def __init__(self, joined: Joined):
         self._joined = joined
@@ -86,7 +86,7 @@ class SharedJumps:
 
     @cached_property
     def _offers(self) -> list[Offer | None]:
-        """Of units."""
+        """Offers of units."""
         return [None if isinstance(m, EngineMember) else _offer(m) for m in self._joined.members]
 
     def _inputs(self, i: int) -> list[int]:
@@ -98,7 +98,7 @@ class SharedJumps:
 
     @cached_property
     def _at(self) -> list[Array]:
-        """Of each member its ports with impulses by the impulses between members (ports x a)."""
+        """Ports with impulses of each member by the impulses between members (ports x a)."""
         inputs = [np.array(self._inputs(i), int) for i in range(len(self._joined.members))]
         face, places = self._joined.face, self._joined.places
         at = [p.start + own for p, own in zip(places, inputs, strict=True)]

@@ -1,4 +1,4 @@
-"""What members stepped apart tell together: the columns of the composed model, in its order, then what members add to them."""
+"""Columns of members stepped apart: those of the composed model, in its order, then what members add to them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TOLD = [name for name, block, _ in LEDGER if block != "gap"]
 
 
 class Section(IntEnum):
-    """Of the columns of a composed model, in their order; MORE: it has nothing of the kind."""
+    """A section of the columns of a composed model, in their order; MORE: it has nothing of the kind."""
 
     FREE_PORT = 0
     FED_PORT = 1

@@ -94,7 +94,7 @@ def booking(model: Model, parameters: NDArray[np.float64] | None = None) -> Book
 
 
 class Constants:
-    """What of H is constant, by component: each summand with all states at zero, or at the start where it has no value there."""
+    """The constant part of H, by component: each summand with all states at zero, or at the start where it has no value there."""
 
     def __init__(self, model: Model):
         d = model.declaration
@@ -115,6 +115,6 @@ class Constants:
 
 
 def booked(model: Model) -> NDArray[np.intp]:
-    """Which pairs of its ledger are booked: all but signals, whose power is zero."""
+    """The pairs of its ledger that are booked: all but signals, whose power is zero."""
     found = [at + j for p, at in ordered_ports(model.declaration) if not p.signal for j in range(p.n)]
     return np.array(found, int)

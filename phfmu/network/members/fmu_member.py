@@ -214,7 +214,7 @@ class FMUMember:
 
     @property
     def states(self) -> dict[str, float]:
-        """What has a value at the start and moves."""
+        """The variables that have a value at the start and move."""
         names = [n for n in self.names if (v := self.unit.variable(n)).causality == "local" and v.start is not None]
         return dict(zip(names, self.unit.get(names).tolist(), strict=True))
 

@@ -44,7 +44,7 @@ class Inputs:
 
     @property
     def units(self) -> dict[str, str]:
-        """Of the names."""
+        """Units of the names."""
         d = self.model.declaration
         ports = {n: p.input_unit for p in d.ports if p.external for n in p.input_names()}
         return ports | {n: v.unit for v in d.parameters if v.signal for n in v.names()}
@@ -73,7 +73,7 @@ class Inputs:
         return given
 
     def set(self, name: str, value: float) -> str:
-        """What was set, "parameter" or "input" (of a port, or a signal); "" if `name` is not known.
+        """The kind of value that was set, "parameter" or "input" (of a port, or a signal); "" if `name` is not known.
 
         The bare name of a vector sets all entries.
         """

@@ -1,4 +1,4 @@
-"""What a coupling asks of a member, whether Python, native or FMU."""
+"""The interface of a coupling to a member, whether Python, native or FMU."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Member(Protocol):
-    """What the coupling asks of a member; `places`: port name -> slice of the stacked external inputs.
+    """The interface of a coupling to a member; `places`: port name -> slice of the stacked external inputs.
 
     `input_sign` (nu): times it, an input called by its name counts into the member in units of the domain: -1 at outward
     ports of units, 1000 where a unit says kN.
@@ -47,17 +47,17 @@ class Member(Protocol):
 
     @property
     def units(self) -> dict[str, str]:
-        """Of `names`, of the inputs of ports and of the signals that it takes."""
+        """Units of `names`, of the inputs of ports and of the signals that it takes."""
         ...
 
     @property
     def kinds(self) -> Mapping[str, SignalKind]:
-        """Of `names`, as far as they are told by more than their form."""
+        """Kinds of `names`, as far as they are told by more than their form."""
         ...
 
     @property
     def labels(self) -> Mapping[str, str]:
-        """What readers call those of `names` and inputs whose entries have names."""
+        """Readers' names of those of `names` and inputs whose entries have names."""
         ...
 
     @property
@@ -100,12 +100,12 @@ class Member(Protocol):
     def get_state(self) -> Any: ...
     def set_state(self, state: Any) -> None: ...
     def unsteady(self, h: float, /) -> str:
-        """What differs when a step from here is repeated, in words; "" if nothing does."""
+        """The difference when a step from here is repeated, in words; "" if there is none."""
         ...
 
     def ledger(self) -> dict[str, Array]: ...
     def happened(self) -> list[StepEvent]:
-        """What happened within the last step."""
+        """Events within the last step."""
         ...
 
     def energies(self) -> Array: ...

@@ -1,4 +1,4 @@
-"""What a coupling of order 2k asks of a member: inputs and outputs at the k nodes of a step, impulses at its ends.
+"""The interface of a coupling of order 2k to a member: inputs and outputs at the k nodes of a step, impulses at its ends.
 
 A member that takes none of that takes the mean of its inputs, held over the step, as the one value of a step with one node.
 """
@@ -29,7 +29,7 @@ MOVE = 1e-6  # relative change of an input in differences
 
 
 class Offer(Protocol):
-    """What a member's ports do with impulses: by port name, and the inputs that take some, in the order of `jump`."""
+    """The use of impulses by a member's ports: by port name, and the inputs that take some, in the order of `jump`."""
 
     name: str
 
@@ -121,7 +121,7 @@ class UnitOffer:
 
 
 class InstanceNodes:
-    """Of a member whose instance takes them: an engine that steps by collocation, or a unit exported with inputs at nodes."""
+    """Values at nodes of a member whose instance takes them: a collocation engine, or a unit exported with inputs at nodes."""
 
     def __init__(self, member: EngineMember | FMUMember, rule: Nodes, offer: Offer | None):
         self.member, self.rule, self.offer = member, rule, offer
@@ -191,7 +191,7 @@ class InstanceNodes:
 
 
 class HeldNodes:
-    """Of any other member: one node, no impulses."""
+    """Values of any other member: one node, no impulses."""
 
     offer: Offer | None = None
 

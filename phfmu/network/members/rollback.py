@@ -131,7 +131,7 @@ class _Steps:
 
 
 def unsteady(unit: FMUInstance, h: float) -> str:
-    """What differs when a step of length h is taken twice from here, in words; "" if nothing does, or not much.
+    """The difference when a step of length h is taken twice from here, in words; "" if there is none, or not much.
 
     The unit is back afterwards, as far as it can.
     """
@@ -159,7 +159,7 @@ def _judged(names: list[str], first: Array, again: Array, how: str = REPEATED) -
 
 
 def response(make: Callable[[], FMUInstance], h: float) -> tuple[Array, Array]:
-    """Of the first step: mean outputs (nu) and their derivatives by the held inputs (nu x nu), by an instance for each."""
+    """The response in the first step: mean outputs (nu) and their derivatives by the held inputs (nu x nu), an instance each."""
 
     def means(j: int | None) -> tuple[Array, float]:
         with make() as unit:

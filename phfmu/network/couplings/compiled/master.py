@@ -156,7 +156,7 @@ class Master:
         return followed.at_nodes(self.joined.free[place], place, nodes(self.found.parts[i].k).c, grid, n)
 
     def _begin(self, last: Solution, h: float) -> int:
-        """Where the first step starts from; 1: the continuation of the step before, which is made there.
+        """The start of the first step; 1: the continuation of the step before, which is made there.
 
         Time decides where calls end, so it must not matter: what one has left, the next goes on from.
         """
@@ -269,7 +269,7 @@ class Master:
 
 
 def _jump_entries(part: Part, found: Exchanged) -> Array:
-    """Where the S of a member is among the blocks of all clusters, -1: at no bare node."""
+    """Places of the S of a member among the blocks of all clusters, -1: at no bare node."""
     cluster = np.searchsorted(found.cluster, part.bare, "right") - 1
     at = np.where(part.bare >= 0, part.bare - found.cluster[cluster], -1)
     width = np.diff(found.cluster)[cluster[part.bare >= 0][:1]] if len(part.bare) else 0

@@ -1,4 +1,4 @@
-"""What members exchange, as lists of numbers for the compiled master: unknowns z = (xi at nodes | impulses m | m')."""
+"""The exchange of members as lists of numbers for the compiled master: unknowns z = (xi at nodes | impulses m | m')."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Ints = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class Part:
-    """Of a member: the lists of `ph_share`."""
+    """The lists of `ph_share` for a member."""
 
     member: Member
     held: bool
@@ -59,7 +59,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Told:
-    """Of a member, a row a step: its columns, stored energies, outputs at the end, and its ledger."""
+    """Rows of a member, one a step: its columns, stored energies, outputs at the end, and its ledger."""
 
     columns: Array
     H: Array
@@ -69,7 +69,7 @@ class Told:
 
 @dataclass(frozen=True)
 class Exchanged:
-    """Of all members: the lists of `ph_master`; bare columns stand cluster by cluster, `place`: of each in the exchange."""
+    """The lists of `ph_master` for all members; bare columns stand cluster by cluster, `place`: of each in the exchange."""
 
     parts: list[Part]
     columns: int
@@ -111,13 +111,13 @@ class Exchanged:
 
     @property
     def unpacked(self) -> Ints:
-        """Where the unknowns of the exchange stand here."""
+        """Places of the unknowns of the exchange here."""
         at = np.argsort(self.place) + self.nodes
         return np.concatenate([np.arange(self.nodes), at, at + len(self.bare)]).astype(np.int32)
 
 
 def exchanged(joined: Joined, coupling: Coupling, held: Sequence[Wire] = ()) -> Exchanged:
-    """What members exchange under a coupling; `held`: signals that are held over a step."""
+    """The exchange of members under a coupling; `held`: signals that are held over a step."""
     if isinstance(coupling, NodeNewton):
         e = coupling.exchange
         shares, columns, C, weights, k, bare = e.shares, e.columns, e.C, e.weights, e.counts, e.bare

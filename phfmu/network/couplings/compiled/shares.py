@@ -91,7 +91,7 @@ class NativeShare:
 
 
 class Own(Protocol):
-    """What belongs to a member of its share; `values`: fields of `ph_share`."""
+    """The memory of a member's share; `values`: fields of `ph_share`."""
 
     values: dict[str, Any]
 
@@ -104,7 +104,7 @@ class Own(Protocol):
         ...
 
     def failure(self) -> StepFailure | None:
-        """Of the last step, if it cannot be asked again; else what refused one is left to the loop in Python."""
+        """The failure of the last step, if it cannot be asked again; else what refused one is left to the loop in Python."""
         ...
 
     def told(self, rows: Array, h: float) -> Told:
@@ -117,7 +117,7 @@ Make = Callable[[Part, Structures, ctypes.CDLL], Own]
 
 
 def own_share(member: Member) -> Make | None:
-    """What makes the share of a member; None of those that are stepped in Python, and that take no step back."""
+    """The maker of the share of a member; None of those that are stepped in Python, and that take no step back."""
     if not member.saves:
         return None
     if isinstance(member, EngineMember):

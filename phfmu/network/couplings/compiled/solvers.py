@@ -31,7 +31,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Tables:
-    """What solvers are made of; `z`: the unknowns, which are those of the last step between calls."""
+    """The tables that solvers are made of; `z`: the unknowns, which are those of the last step between calls."""
 
     joined: Joined
     found: Exchanged
@@ -186,7 +186,7 @@ class InTurnSolver:
 
 
 def _by_row(n: int, rows: list[Any], width: int) -> tuple[Array, Array]:
-    """Where each of n rows begins among tuples (row, ..), in their order, and these as columns."""
+    """The first place of each of n rows among tuples (row, ..), in their order, and these as columns."""
     table = np.array(rows, float).reshape(-1, width)
     table = table[np.argsort(table[:, 0], kind="stable")]
     return np.searchsorted(table[:, 0], np.arange(n + 1)), table.T
@@ -199,5 +199,5 @@ SOLVERS: dict[type, Any] = {
 
 
 def solver_of(coupling: Coupling) -> Any:
-    """What makes the solver of a coupling; None of those that the master does not have."""
+    """The maker of the solver of a coupling; None of those that the master does not have."""
     return SOLVERS.get(type(coupling))

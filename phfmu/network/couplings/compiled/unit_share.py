@@ -117,12 +117,12 @@ class UnitShare:
         return [*v.y_nodes.scalars, *v.sent.scalars], at, sign
 
     def _nodes(self, places: Any) -> list[int]:
-        """Of places among the nu those at all nodes, node by node."""
+        """Places at all nodes of places among the nu, node by node."""
         own = list(places)
         return [node * self._member.nu + i for node in range(self._part.k) for i in own]
 
     def _known(self, kicked: Sequence[int]) -> list[Any]:
-        """What each direction is along, one call each."""
+        """The variables that each direction is along, one call each."""
         part, v, nu = self._part, self._access.values, self._member.nu
         found: list[tuple[Scalar, float]] = []
         for at in part.inputs.tolist():
@@ -156,7 +156,7 @@ class UnitShare:
     # -- steps ------------------------------------------------------------------------------------------------------
 
     def begin(self, n: int) -> None:
-        """What only events change, as it is before the steps."""
+        """Reads what only events change, as it is before the steps."""
         if len(self._before):
             self._before[:] = self._member.unit.get(self._member.told_of_events)
 
@@ -169,7 +169,7 @@ class UnitShare:
         self._access.stepped(t, h, given, self._part.held)
 
     def failure(self) -> UnitFailure | None:
-        """Of a fatal error, after which the unit is dead."""
+        """The fatal error after which the unit is dead."""
         if self._struct.answer != FATAL:
             return None
         function = ctypes.string_at(self._struct.refused).decode()

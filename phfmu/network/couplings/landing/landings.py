@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def landings(
     joined: Joined, coupling: Coupling, steps: AllSteps
 ) -> tuple[Exchange | None, Together | Switching | None, Switching | None]:
-    """What members exchange at nodes, if they do; how they land together, if they do so; the same, if as one with switches.
+    """The exchange of members at nodes, how they land together, and the same as one with switches; None for what they do not.
 
     ValueError for a member that has no steps of its own.
     """

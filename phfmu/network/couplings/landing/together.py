@@ -126,7 +126,7 @@ class Together:
             raise
 
     def _happened(self, t: float, h: float, fired: list[int], events: int) -> StepEvent:
-        """What happens at members at once, as one event."""
+        """Events of members at once, as one event."""
         own = dict(self._plan.of(fired))
         decided = {i: self._landings[i].decided(t, h, numbers, events) for i, numbers in own.items()}
         struck, (energy, lost) = self._struck(t, own, decided)

@@ -89,7 +89,7 @@ class HeldSignals:
             self._write(hop.write, self._now, xi)
 
     def forget(self) -> None:
-        """What comes is not the continuation of the last step."""
+        """Forgets the samples: the next step is not the continuation of the last one."""
         self.before = None
 
     def hold(self, h: float, xi: Array) -> None:
@@ -126,7 +126,7 @@ class HeldSignals:
         self._write(self._held, self._cut((self._now + self._whole(w)) / 2.0), xi)
 
     def sent_under(self, w: Array, xi: Array) -> Array:
-        """What the held wires give at the present time where they have brought w."""
+        """Values of the held wires at the present time where they have brought w."""
         found = self._whole(w)
         self._write(self._held, found, xi)
         for member, names, places in self._hop_held.read:

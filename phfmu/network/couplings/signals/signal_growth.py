@@ -23,7 +23,7 @@ STEADY = 1.5
 
 
 class SignalGrowth:
-    """Of held signals, step after step."""
+    """Growth of held signals, step after step."""
 
     def __init__(self, wires: Sequence[Wire]):
         self._wires = wires
