@@ -12,9 +12,21 @@ _E, _M, _S = "phfmu.components.electrical.", "phfmu.components.mechanical.", "ph
 _C = "phfmu.components.control."
 
 LIBRARY: dict[str, tuple[str, str, str]] = {
-    "synchronous_machine": ("component", _E + "synchronous_machine", "field and damper windings, abc terminals"),
-    "machine_at_bus": ("component", _E + "synchronous_machine", "machine with its line folded in: no bare node"),
-    "induction_machine": ("component", _E + "induction_machine", "squirrel-cage machine with any number of cages"),
+    "synchronous_machine": (
+        "component",
+        _E + "machines.synchronous_machine",
+        "field and damper windings, abc terminals",
+    ),
+    "machine_at_bus": (
+        "component",
+        _E + "machines.synchronous_machine",
+        "machine with its line folded in: no bare node",
+    ),
+    "induction_machine": (
+        "component",
+        _E + "machines.induction_machine",
+        "squirrel-cage machine with any number of cages",
+    ),
     "rl_line": ("component", _E + "rl_line", "three-phase series line"),
     "infinite_bus": ("component", _E + "infinite_bus", "stiff three-phase grid"),
     "rlc_load": ("component", _E + "rlc_load", "three-phase parallel R, L, C to ground"),
@@ -33,7 +45,7 @@ LIBRARY: dict[str, tuple[str, str, str]] = {
     "rc_node": ("component", _E + "branches", "capacitor and resistor to ground"),
     "resistor": ("component", _E + "resistor", "resistor to ground: feedthrough, no state"),
     "transformer": ("component", _E + "resistor", "ideal transformer: feedthrough, no state"),
-    "dc_motor": ("component", _E + "dc_motor", "permanent-magnet DC motor"),
+    "dc_motor": ("component", _E + "machines.dc_motor", "permanent-magnet DC motor"),
     "four_particle": ("component", _M + "four_particle", "four particles, two bars, two springs, a damper"),
     "mass_spring": ("component", _M + "mass_spring", "two masses, two springs, singular mass matrix reduced"),
     "chain": ("component", _M + "chain", "ten rigid links that hang from a support"),

@@ -2,12 +2,13 @@
 
 from phfmu.components.electrical.branches import rc_node, rl_branch, rl_link
 from phfmu.components.electrical.breaker import breaker, clearing_fault, ideal_diode
-from phfmu.components.electrical.dc_motor import dc_motor
-from phfmu.components.electrical.induction_machine import induction_machine
 from phfmu.components.electrical.infinite_bus import infinite_bus
-from phfmu.components.electrical.machine_data import MachineData, MachineDataError, machine_names, machine_set
-from phfmu.components.electrical.machine_init import OperatingPoint, operating_point, steady_state
-from phfmu.components.electrical.machine_per_unit import from_inductances, from_per_unit, reactances
+from phfmu.components.electrical.machines.dc_motor import dc_motor
+from phfmu.components.electrical.machines.induction_machine import induction_machine
+from phfmu.components.electrical.machines.machine_data import MachineData, MachineDataError, machine_names, machine_set
+from phfmu.components.electrical.machines.machine_init import OperatingPoint, operating_point, steady_state
+from phfmu.components.electrical.machines.machine_per_unit import from_inductances, from_per_unit, reactances
+from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus, synchronous_machine
 from phfmu.components.electrical.rectifiers import rectifier_bridge, six_pulse_bridge
 from phfmu.components.electrical.resistor import resistor, transformer
 from phfmu.components.electrical.rl_line import rl_line
@@ -15,7 +16,6 @@ from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.sources import current_source, voltage_source
 from phfmu.components.electrical.switch import fault_resistor
 from phfmu.components.electrical.switches import chopper, diode, ideal_switch, thyristor
-from phfmu.components.electrical.synchronous_machine import machine_at_bus, synchronous_machine
 
 __all__ = [
     "MachineData",

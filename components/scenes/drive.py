@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from phfmu import Network, Scene
-from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.mechanical.rotational import flexible_shaft, rotational_inertia
 
 

@@ -6,11 +6,11 @@ from math import sqrt
 
 from phfmu import Event, Network, Scene
 from phfmu.components.electrical.infinite_bus import infinite_bus
-from phfmu.components.electrical.machine_data import machine_set
-from phfmu.components.electrical.machine_init import ALPHA, steady_state
+from phfmu.components.electrical.machines.machine_data import machine_set
+from phfmu.components.electrical.machines.machine_init import ALPHA, steady_state
+from phfmu.components.electrical.machines.synchronous_machine import Coordinates, synchronous_machine
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
-from phfmu.components.electrical.synchronous_machine import Coordinates, synchronous_machine
 
 
 def ladder(n: int = 3, *, coordinates: Coordinates = "dq-flux") -> Scene:

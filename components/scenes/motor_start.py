@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from phfmu import Event, Network, Scene
-from phfmu.components.electrical.induction_machine import induction_machine
 from phfmu.components.electrical.infinite_bus import infinite_bus
+from phfmu.components.electrical.machines.induction_machine import induction_machine
 from phfmu.components.electrical.rl_line import rl_line
 
 

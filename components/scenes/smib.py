@@ -8,10 +8,10 @@ from math import sqrt
 from phfmu import PHDAE, Event, Network, Scene
 from phfmu.components.electrical.breaker import breaker, clearing_fault
 from phfmu.components.electrical.infinite_bus import infinite_bus
-from phfmu.components.electrical.machine_data import MachineData, machine_set
-from phfmu.components.electrical.machine_init import OperatingPoint, steady_state
+from phfmu.components.electrical.machines.machine_data import MachineData, machine_set
+from phfmu.components.electrical.machines.machine_init import OperatingPoint, steady_state
+from phfmu.components.electrical.machines.synchronous_machine import Coordinates, machine_at_bus, synchronous_machine
 from phfmu.components.electrical.rl_line import rl_line
-from phfmu.components.electrical.synchronous_machine import Coordinates, machine_at_bus, synchronous_machine
 
 
 def smib(machine: str = "kundur555_1q", *, coordinates: Coordinates = "dq-flux", name: str = "smib") -> Scene:

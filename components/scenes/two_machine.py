@@ -7,12 +7,12 @@ from dataclasses import replace
 from math import sqrt
 
 from phfmu import Event, Network, Scene
-from phfmu.components.electrical.machine_data import MachineData, machine_set
-from phfmu.components.electrical.machine_init import ALPHA, steady_state
+from phfmu.components.electrical.machines.machine_data import MachineData, machine_set
+from phfmu.components.electrical.machines.machine_init import ALPHA, steady_state
+from phfmu.components.electrical.machines.synchronous_machine import Coordinates, synchronous_machine
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.switch import fault_resistor
-from phfmu.components.electrical.synchronous_machine import Coordinates, synchronous_machine
 
 FAULT_R = 0.05
 

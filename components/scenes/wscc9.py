@@ -7,14 +7,14 @@ from math import pi, sqrt
 from typing import Any
 
 from phfmu import Event, Network, Scene
-from phfmu.components.electrical.machine_data import MachineData
-from phfmu.components.electrical.machine_init import ALPHA
-from phfmu.components.electrical.machine_per_unit import from_per_unit
+from phfmu.components.electrical.machines.machine_data import MachineData
+from phfmu.components.electrical.machines.machine_init import ALPHA
+from phfmu.components.electrical.machines.machine_per_unit import from_per_unit
+from phfmu.components.electrical.machines.synchronous_machine import Coordinates, synchronous_machine
 from phfmu.components.electrical.resistor import transformer
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.electrical.switch import fault_resistor
-from phfmu.components.electrical.synchronous_machine import Coordinates, synchronous_machine
 from phfmu.operating import PV, Load, NetworkPoint, Slack, Specification, operating_point
 
 BASE, VOLTAGE, FREQUENCY = 100e6, 230e3, 60.0

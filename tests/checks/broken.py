@@ -19,8 +19,8 @@ from phfmu import (
     skew,
     state,
 )
+from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.electrical.sources import voltage_source
-from phfmu.components.electrical.synchronous_machine import synchronous_machine
 from tests.checks.models import oscillator, resistive
 
 

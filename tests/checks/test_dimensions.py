@@ -25,7 +25,7 @@ from phfmu import (
     time,
 )
 from phfmu.cli import main
-from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
 from phfmu.declare.dimension import JOULE, Dimension, Walk, of_unit
@@ -147,7 +147,7 @@ def test_a_model_without_units_is_not_judged():
 def test_the_command_line_warns_and_is_strict_on_request(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "wrong.py").write_text(
-        "from dataclasses import replace\nfrom phfmu.components.electrical.dc_motor import dc_motor\n"
+        "from dataclasses import replace\nfrom phfmu.components.electrical.machines.dc_motor import dc_motor\n"
         "def m(): return dc_motor().mapped(lambda v: replace(v, unit='F') if v.name == 'L' else v, lambda p: p)\n"
     )
     for arguments, code in (["check", "wrong.py:m"], 0), (["check", "wrong.py:m", "--strict"], 1):

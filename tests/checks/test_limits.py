@@ -29,7 +29,7 @@ from phfmu import (
     state,
 )
 from phfmu.cli import main
-from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, build
 from phfmu.components.mechanical.net import net
 from phfmu.declare.parameter_limits import Limit, limits
@@ -158,7 +158,7 @@ def test_the_values_of_a_run_are_checked_before_it(tmp_path: Path, capsys, monke
     Path("in.csv").write_text("time,R\n0,0.4\n0.005,-0.1\n")
     refused("run dc_motor --input in.csv --stop 0.01", "R = -0.1 at t = 0.005 s")
     Path("late.py").write_text(
-        "from phfmu import Event, Scene\nfrom phfmu.components.electrical.dc_motor import dc_motor\n"
+        "from phfmu import Event, Scene\nfrom phfmu.components.electrical.machines.dc_motor import dc_motor\n"
         "def s(): return Scene('late', dc_motor(), 0.02, 1e-3, (Event(0.01, 'd', -1.0),))\n"
     )
     refused("run late.py:s", "parameter 'd': is -1 N.m.s/rad after the event d = -1 at t = 0.01 s")

@@ -147,6 +147,6 @@ def test_unknown_model_is_told_with_the_known_ones():
 
 
 def _file(name):
-    from phfmu.components.electrical.machine_data import _file as sets
+    from phfmu.components.electrical.machines.machine_data import _file as sets
 
     return sets()[name]

@@ -41,7 +41,7 @@ from phfmu import (
     sweep,
 )
 from phfmu.cli import main
-from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.declare.error import DeclarationError
 from phfmu.declare.variable import VariableKind
 from phfmu.fmu.export.description import Unit
@@ -192,7 +192,7 @@ def test_a_full_matrix_that_is_diagonal_is_diagonal(mass):
 @pytest.mark.parametrize("name", ["json", "numpy", "casadi", "phfmu"])
 def test_a_model_file_may_be_called_like_a_module(name, tmp_path, capsys):
     path = tmp_path / f"{name}.py"
-    path.write_text("from phfmu.components.electrical.dc_motor import dc_motor as m\n")
+    path.write_text("from phfmu.components.electrical.machines.dc_motor import dc_motor as m\n")
     before = importlib.import_module(name)
     assert main(["run", f"{path}:m", "--stop", "1e-3", "--step", "1e-3", "--engine", "python", "--quiet"]) == 0
     assert sys.modules[name] is before and capsys.readouterr().err == ""
@@ -234,7 +234,7 @@ def test_events_of_a_scene_are_checked(tmp_path, capsys):
     late = check_scene(Scene("s", dc_motor(), 10.0, 0.01, (Event(9.0, "R", -1.0),)))
     assert [p.rule for p in late] == ["limit", "passivity"] and "after the event R = -1 at t = 9 s" in late[0].reason
     (tmp_path / "s.py").write_text(
-        "from phfmu import Event, Scene\nfrom phfmu.components.electrical.dc_motor import dc_motor\n"
+        "from phfmu import Event, Scene\nfrom phfmu.components.electrical.machines.dc_motor import dc_motor\n"
         "def s(): return Scene('s', dc_motor(), 1.0, 0.01, (Event(0.1, 'Rr', 1.0),))\n"
     )
     assert main(["check", f"{tmp_path / 's.py'}:s"]) == 1

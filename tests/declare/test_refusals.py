@@ -13,7 +13,7 @@ import pytest
 import phfmu
 from phfmu import DeclarationError, InconsistentState, Network, Options, PythonInstance, Refusal, build_model, run
 from phfmu.cli import main
-from phfmu.components.electrical.machine_data import MachineDataError, machine_set
+from phfmu.components.electrical.machines.machine_data import MachineDataError, machine_set
 from phfmu.components.library import build
 from phfmu.components.mechanical.translational import mass, spring
 from phfmu.network.couplings.monolithic import Monolithic

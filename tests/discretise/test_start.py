@@ -16,7 +16,7 @@ from phfmu import (
     project_start,
     run,
 )
-from phfmu.components.electrical.machine_data import machine_set
+from phfmu.components.electrical.machines.machine_data import machine_set
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.translational import mass
 from phfmu.components.scenes.oscillator import oscillator

@@ -21,8 +21,8 @@ from phfmu import (
     run,
 )
 from phfmu.components.electrical.breaker import breaker
-from phfmu.components.electrical.machine_data import machine_set
-from phfmu.components.electrical.synchronous_machine import synchronous_machine
+from phfmu.components.electrical.machines.machine_data import machine_set
+from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.library import build
 from phfmu.components.scenes.smib import circuit
 from phfmu.runs.result import Result

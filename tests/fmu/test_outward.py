@@ -15,7 +15,7 @@ from lxml import etree
 
 from phfmu import Collocated, Coupled, EngineMember, Event, Network, Options, PythonInstance, build_model, export, run
 from phfmu.cli import main
-from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.mechanical.translational import mass, spring

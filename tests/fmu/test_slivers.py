@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from phfmu import Scene, build_model, export
-from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.library import LIBRARY, SWITCHED, build
 from phfmu.components.mechanical.four_particle import four_particle
 from phfmu.components.mechanical.heavy_top import heavy_top

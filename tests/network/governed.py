@@ -26,8 +26,8 @@ from phfmu import (
     signal_output,
     state,
 )
+from phfmu.components.electrical.machines.synchronous_machine import machine_at_bus
 from phfmu.components.electrical.sources import voltage_source
-from phfmu.components.electrical.synchronous_machine import machine_at_bus
 from phfmu.components.mechanical.torque_source import torque_source
 from phfmu.components.scenes.smib import circuit, smib
 from phfmu.components.scenes.speed_control import speed_control

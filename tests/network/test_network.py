@@ -20,7 +20,7 @@ from phfmu import (
     export,
     run,
 )
-from phfmu.components.electrical.dc_motor import dc_motor
+from phfmu.components.electrical.machines.dc_motor import dc_motor
 from phfmu.components.electrical.rl_line import rl_line
 from phfmu.components.electrical.rlc_load import rlc_load
 from phfmu.components.mechanical.translational import mass, spring

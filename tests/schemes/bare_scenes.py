@@ -18,10 +18,10 @@ from phfmu import (
     energy,
     state,
 )
-from phfmu.components.electrical.machine_data import machine_set
-from phfmu.components.electrical.machine_init import steady_state
+from phfmu.components.electrical.machines.machine_data import machine_set
+from phfmu.components.electrical.machines.machine_init import steady_state
+from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 from phfmu.components.electrical.rl_line import rl_line
-from phfmu.components.electrical.synchronous_machine import synchronous_machine
 
 RATED = 18881.48  # A, peak, of kundur555_1q
 STOP = 0.02

@@ -83,7 +83,7 @@ def test_a_port_alone_at_a_junction_is_not_sent_round_in_circles():
 @pytest.mark.parametrize("name", ["kundur555_1q", "krause_hydro325"])
 def test_cases_of_the_machine_follow_its_data(name, monkeypatch):
     """Rated speed, voltage and the changes come from the data set and the component, not from numbers of one machine."""
-    from phfmu.components.electrical.machine_data import machine_set
+    from phfmu.components.electrical.machines.machine_data import machine_set
 
     monkeypatch.setattr(machine, "MACHINE", name)
     data, model = machine_set(name), machine.machine()

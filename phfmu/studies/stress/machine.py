@@ -17,9 +17,9 @@ H = 1e-4
 
 def machine(**changes: Any) -> Any:
     """The turbo generator of the library in its steady state, with changed data."""
-    from phfmu.components.electrical.machine_data import machine_set
-    from phfmu.components.electrical.machine_init import steady_state
-    from phfmu.components.electrical.synchronous_machine import synchronous_machine
+    from phfmu.components.electrical.machines.machine_data import machine_set
+    from phfmu.components.electrical.machines.machine_init import steady_state
+    from phfmu.components.electrical.machines.synchronous_machine import synchronous_machine
 
     return synchronous_machine(machine_set(MACHINE, **changes), start=steady_state(machine_set(MACHINE)))
 
@@ -34,7 +34,7 @@ def scaled(model: PHDAE, factors: dict[str, float]) -> PHDAE:
 
 def voltages(unit: Any, n: int, amplitude: float) -> np.ndarray:
     """Inputs over n steps: balanced terminal voltages, `amplitude` times the rated ones; field and torque as at the start."""
-    from phfmu.components.electrical.machine_data import machine_set
+    from phfmu.components.electrical.machines.machine_data import machine_set
 
     data = machine_set(MACHINE)
     phase = data.omega * H * (np.arange(n)[:, None] + 0.5) - 2 * np.pi / 3 * np.arange(3)
@@ -85,7 +85,7 @@ def wide() -> Outcome:
 
 def impossible(words: str, **changes: Any) -> Outcome:
     """Data that no machine has: refused with these words."""
-    from phfmu.components.electrical.machine_data import MachineDataError
+    from phfmu.components.electrical.machines.machine_data import MachineDataError
 
     return refused(lambda: machine(**changes), MachineDataError, words)
 

@@ -8,8 +8,8 @@ from math import cos, sin
 import casadi as ca
 
 from phfmu import Variable, parameter
-from phfmu.components.electrical.machine_data import COUPLING, MachineData
-from phfmu.components.electrical.machine_init import ALPHA
+from phfmu.components.electrical.machines.machine_data import COUPLING, MachineData
+from phfmu.components.electrical.machines.machine_init import ALPHA
 
 #: names of the entries of three-phase quantities, in the stator's frame and in the rotor's
 PHASES, ROTATING = ("a", "b", "c"), ("d", "q", "0")

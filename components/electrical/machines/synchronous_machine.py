@@ -24,9 +24,9 @@ from phfmu import (
     skew,
     state,
 )
-from phfmu.components.electrical.machine_data import MachineData, machine_set
-from phfmu.components.electrical.machine_init import OperatingPoint, operating_point, steady_state
-from phfmu.components.electrical.park import (
+from phfmu.components.electrical.machines.machine_data import MachineData, machine_set
+from phfmu.components.electrical.machines.machine_init import OperatingPoint, operating_point, steady_state
+from phfmu.components.electrical.machines.park import (
     PHASES,
     ROTATING,
     Inductances,

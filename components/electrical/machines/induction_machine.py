@@ -23,7 +23,7 @@ from phfmu import (
     parameter,
     state,
 )
-from phfmu.components.electrical.park import PHASES
+from phfmu.components.electrical.machines.park import PHASES
 
 #: orthonormal Clarke matrix: phases a, b, c -> alpha, beta, 0
 CLARKE = ca.DM([[1.0, -0.5, -0.5], [0.0, sqrt(0.75), -sqrt(0.75)], [sqrt(0.5)] * 3]) * sqrt(2.0 / 3.0)
@@ -59,31 +59,25 @@ def induction_machine(
 
     R_s, L_s: resistance and leakage inductance of the stator;  L_m: magnetising inductance, 3/2 of the peak mutual inductance of
     two phases;  L_0: zero-sequence inductance (default L_s);  cages: (resistance, leakage inductance) each;
-    speed [rad/s]: of the shaft at the start, where all fluxes are zero;  v [V], f [Hz], i [A]: rated peak phase voltage, frequency,
-    peak current.
+    speed [rad/s]: of the shaft at the start, where all fluxes are zero;  v [V], f [Hz], i [A]: rated peak phase voltage,
+    frequency, peak current.
     A second cage makes deep bars or a double cage.  No angle is a state: a round rotor does not tell one.
     Defaults: 50 hp, 460 V, 60 Hz, four poles.  Source: Krause, Wasynczuk, Sudhoff, Pekarek, Analysis of Electric
     Machinery and Drive Systems, 2013, chapter 6.
     """
     _require(R_s, L_s, L_m, cages, J, pole_pairs)
     w = 2.0 * pi * f
-    stator_R = parameter("R_s", R_s, unit="ohm", min=0.0, description="stator resistance")
-    stator_L = parameter("L_s", L_s, unit="H", positive=True, description="stator leakage inductance")
-    mutual = parameter("L_m", L_m, unit="H", positive=True, description="magnetising inductance")
-    L_0 = L_s if L_0 is None else L_0
-    zero = parameter("L_0", L_0, unit="H", positive=True, description="zero-sequence inductance")
+    stator_R, stator_L, mutual, zero = _stator(R_s, L_s, L_m, L_s if L_0 is None else L_0)
     inertia = parameter("J", J, unit="kg.m2", positive=True, description="inertia of the shaft")
     friction = parameter("d", d, unit="N.m.s/rad", description="friction torque per speed of the shaft")
     psi = state("psi_s", 3, unit="Wb", nominal=v / w, description="stator fluxes", elements=PHASES)
     rotor = [Cage.of(k, R, L, sqrt(1.5) * v / w, pole_pairs) for k, (R, L) in enumerate(cages, 1)]
     speed_nominal = w / pole_pairs
-    p = state("p", unit="kg.m2/s", start=J * speed, nominal=J * speed_nominal, description="angular momentum of the shaft")
+    p = state(
+        "p", unit="kg.m2/s", start=J * speed, nominal=J * speed_nominal, description="angular momentum of the shaft"
+    )
     stator = ca.mtimes(CLARKE, psi.sx)
     stored = _magnetic([stator[:2], *(c.psi.sx for c in rotor)], [stator_L.sx, *(c.L.sx for c in rotor)], mutual.sx)
-    terminal = Port("terminal", ELECTRICAL, "effort", {psi: 1.0}, size=3, nominal=v, elements=PHASES,
-                    description="stator phases a, b, c; current into the machine")  # fmt: skip
-    shaft = Port("shaft", ROTATIONAL, "effort", {p: 1.0}, nominal=1.5 * v * i / speed_nominal,
-                 description="a positive torque accelerates")  # fmt: skip
     slip = 1 - pole_pairs * p.z / w
     return PHDAE(
         "induction_machine",
@@ -92,13 +86,32 @@ def induction_machine(
         energies=(energy(stored + stator[2] ** 2 / (2 * zero.sx)), energy(p**2 / (2 * inertia))),
         structure=tuple(c.speed_voltage(p) for c in rotor),
         dissipation=(damping(psi, stator_R), *(damping(c.psi, c.R) for c in rotor), damping(p, friction)),
-        ports=(terminal, shaft),
+        ports=_ports(psi, p, v, 1.5 * v * i / speed_nominal),
         observables=(
             observable("Te", sum((c.torque for c in rotor), ca.SX(0)), unit="N.m", description="electrical torque, accelerating"),
             observable("i", psi.z, unit="A", description="stator currents, into the machine", elements=PHASES),
             observable("slip", slip, description=f"of the shaft to a field of {f:g} Hz"),
         ),
         description=f"induction machine, {2 * pole_pairs} poles, {len(cages)} cage{'s' if len(cages) != 1 else ''}",
+    )  # fmt: skip
+
+
+def _stator(R_s: float, L_s: float, L_m: float, L_0: float) -> tuple[Variable, Variable, Variable, Variable]:
+    """The parameters of the stator, and the magnetising inductance."""
+    return (
+        parameter("R_s", R_s, unit="ohm", min=0.0, description="stator resistance"),
+        parameter("L_s", L_s, unit="H", positive=True, description="stator leakage inductance"),
+        parameter("L_m", L_m, unit="H", positive=True, description="magnetising inductance"),
+        parameter("L_0", L_0, unit="H", positive=True, description="zero-sequence inductance"),
+    )
+
+
+def _ports(psi: Variable, p: Variable, v: float, torque: float) -> tuple[Port, Port]:
+    """Terminal and shaft with their typical voltage [V] and torque [N.m]."""
+    return (
+        Port("terminal", ELECTRICAL, "effort", {psi: 1.0}, size=3, nominal=v, elements=PHASES,
+             description="stator phases a, b, c; current into the machine"),
+        Port("shaft", ROTATIONAL, "effort", {p: 1.0}, nominal=torque, description="a positive torque accelerates"),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from phfmu import Problem, meant
-from phfmu.components.electrical.machine_data import MachineData, MachineDataError, Wrong, machine_set
+from phfmu.components.electrical.machines.machine_data import MachineData, MachineDataError, Wrong, machine_set
 
 #: a rotor winding in the circuit: resistance and leakage reactance
 Branch = tuple[float, float]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from phfmu.components.electrical.machine_data import COUPLING, MachineData, MachineDataError, machine_set
+from phfmu.components.electrical.machines.machine_data import COUPLING, MachineData, MachineDataError, machine_set
 
 ALPHA = (0.0, 2.0 * pi / 3.0, -2.0 * pi / 3.0)
 

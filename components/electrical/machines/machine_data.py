@@ -110,7 +110,7 @@ class MachineData:
 
 @lru_cache(maxsize=1)
 def _file() -> dict[str, dict[str, Any]]:
-    sets = json.loads(files("phfmu.components.electrical").joinpath("machines.json").read_text())
+    sets = json.loads(files("phfmu.components.electrical.machines").joinpath("machines.json").read_text())
     return {name: entry for name, entry in sets.items() if isinstance(entry, dict)}
 
 
