@@ -30,20 +30,10 @@ CLARKE = ca.DM([[1.0, -0.5, -0.5], [0.0, sqrt(0.75), -sqrt(0.75)], [sqrt(0.5)] *
 
 
 def induction_machine(
-    R_s: float = 0.087,
-    L_s: float = 0.8e-3,
-    L_m: float = 34.7e-3,
-    cages: Sequence[tuple[float, float]] = ((0.228, 0.8e-3),),
-    J: float = 1.662,
-    *,
-    d: float = 0.0,
-    pole_pairs: int = 2,
-    L_0: float | None = None,
-    speed: float = 0.0,
-    v: float = 375.6,
-    f: float = 60.0,
-    i: float = 80.0,
-) -> PHDAE:
+    R_s: float = 0.087, L_s: float = 0.8e-3, L_m: float = 34.7e-3, cages: Sequence[tuple[float, float]] = ((0.228, 0.8e-3),),
+    J: float = 1.662, *, d: float = 0.0, pole_pairs: int = 2, L_0: float | None = None, speed: float = 0.0, v: float = 375.6,
+    f: float = 60.0, i: float = 80.0,
+) -> PHDAE:  # fmt: skip
     """Three-phase induction machine with squirrel cages, all stator transients, in motor sign.
 
     psi_s' = v - R_s i_s,  psi_k' = -R_k i_k + pole_pairs omega (-psi_k,beta, psi_k,alpha),  p' = tau + Te - d omega,  omega = p/J
