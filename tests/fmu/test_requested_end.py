@@ -9,15 +9,14 @@ import pytest
 
 from phfmu import FMUInstance
 from phfmu.audit.analysis import summarise
-from phfmu.cli import main
 from phfmu.fmu.importer.refusal import UnitFailure
 from phfmu.fmu.importer.slave import Slave
 from phfmu.outcome.status import EndRequested
 from tests.fmu import foreign
+from tests.network.unit_members import pump_folder, table
 from tests.wide import wide
 
 VERSIONS = ["2.0", "3.0"]
-SIDECAR = '[flange]\neffort = "F"\nflow = "v"\nsign = 1\n'
 SCENE = """
 from phfmu import Network, Scene
 from phfmu.components.mechanical.translational import spring
@@ -34,15 +33,7 @@ def joined():
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    (tmp_path / "joined.py").write_text(SCENE)
-    (tmp_path / "pump.ports.toml").write_text(SIDECAR)
-    return tmp_path
-
-
-def table(folder: Path, target: str, *options: str) -> np.ndarray:
-    out = folder / "out.csv"
-    assert main(["run", str(folder / target), "-o", str(out), *options]) == 0
-    return np.genfromtxt(out, delimiter=",", names=True, deletechars="")
+    return pump_folder(tmp_path, "joined.py", SCENE)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -15,14 +15,13 @@ from phfmu.fmu.importer.unit_file import unit_file
 from phfmu.network.members.rollback import WAYS
 from phfmu.network.members.unit_member import tried
 from tests.fmu import foreign
-from tests.network.unit_members import unit_members
+from tests.network.unit_members import pump_folder, table, unit_members
 from tests.wide import wide
 
 VERSIONS = ["2.0", "3.0"]
 #: of `keeps`: a step told False begins at the last point told True;  leaves the unit where it was;  after one told True nothing
 #: is restored;  the last two at once
 LAST_POINT, STAYS, FINAL, STAYS_AND_FINAL = KEEPS = range(1, 5)
-SIDECAR = '[flange]\neffort = "F"\nflow = "v"\nsign = 1\n'
 SCENE = """
 from phfmu import Network, Scene
 from phfmu.components.mechanical.translational import mass, spring
@@ -49,15 +48,7 @@ def outputs():
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    (tmp_path / "scene.py").write_text(SCENE)
-    (tmp_path / "pump.ports.toml").write_text(SIDECAR)
-    return tmp_path
-
-
-def table(folder: Path, target: str, *options: str) -> np.ndarray:
-    out = folder / "out.csv"
-    assert main(["run", f"{folder}/{target}", "-o", str(out), *options]) == 0
-    return np.genfromtxt(out, delimiter=",", names=True, deletechars="")
+    return pump_folder(tmp_path, "scene.py", SCENE)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

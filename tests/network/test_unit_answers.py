@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 
 from phfmu import (
-    Coupled,
     StepFailure,
     build_model,
     export,
@@ -22,16 +20,9 @@ from phfmu import (
 from phfmu.components.scenes.oscillator import oscillator
 from phfmu.fmu.importer.access import Access
 from tests.network.both_loops import SAME
-from tests.network.unit_members import unit_members
 from tests.wide import slow
 
 pytestmark = pytest.mark.usefixtures("compiler")
-
-
-@pytest.fixture
-def made(tmp_path: Path) -> Iterator[Callable[..., Coupled]]:
-    with unit_members(tmp_path) as make:
-        yield make
 
 
 DO_STEP = ctypes.CFUNCTYPE(

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from phfmu import (
-    Coupled,
     StepFailure,
 )
 from phfmu.components.mechanical.contacts import bumper
@@ -25,16 +22,10 @@ from phfmu.outcome.steps import Steps
 from phfmu.signals import CONSTRAINT
 from tests.network.both_loops import SAME
 from tests.network.test_master import BOOKS, pulled
-from tests.network.unit_members import MIXED, unit_members
+from tests.network.unit_members import MIXED
 from tests.wide import slow
 
 pytestmark = pytest.mark.usefixtures("compiler")
-
-
-@pytest.fixture
-def made(tmp_path: Path) -> Iterator[Callable[..., Coupled]]:
-    with unit_members(tmp_path) as make:
-        yield make
 
 
 SCENES = {oscillator: 1e-2, drive: 1e-3, smib: 1e-3, two_machine: 2e-4, speed_control: 1e-3}

@@ -9,7 +9,10 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phfmu import Collocated, Coupled, EngineMember, FMUInstance, NativeInstance, PythonInstance, build_model, export
+from phfmu.cli import main
 from phfmu.network.members.fmu_member import FMUMember
 
 UNITS = {"fmi2": "2.0", "fmi3": "3.0"}
@@ -39,3 +42,21 @@ def unit_members(tmp_path: Path) -> Iterator[Callable[..., Coupled]]:
             return Coupled(net, members, **how)
 
         yield make
+
+
+#: of the unit of another tool that `tests.fmu.foreign` makes: its port
+SIDECAR = '[flange]\neffort = "F"\nflow = "v"\nsign = 1\n'
+
+
+def pump_folder(folder: Path, scene: str, text: str) -> Path:
+    """The folder with the file of a scene, and the ports of the unit `pump.fmu` that it names."""
+    (folder / scene).write_text(text)
+    (folder / "pump.ports.toml").write_text(SIDECAR)
+    return folder
+
+
+def table(folder: Path, target: str, *options: str) -> np.ndarray:
+    """The rows of a run by command, by name."""
+    out = folder / "out.csv"
+    assert main(["run", f"{folder}/{target}", "-o", str(out), *options]) == 0
+    return np.genfromtxt(out, delimiter=",", names=True, deletechars="")
