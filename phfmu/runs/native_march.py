@@ -11,8 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.build.compile import compile, host_flags
-from phfmu.engine.native.library import Column, Record, record_widths, runtime_sources
+from phfmu.engine.native.library import Column, Record, record_widths, runtime
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.couplings.monolithic import Monolithic
@@ -22,19 +21,16 @@ from phfmu.outcome.steps import Steps
 Array = NDArray[Any]
 
 RUNTIME = Path(__file__).parent / "runtime"
-HEADER = Header((RUNTIME / "march.h",), ("ph_march",), "ph_march_calls")
+HEADER = Header((RUNTIME / "march.h",), ("ph_march",))
 #: what the controller carries from step to step
 CONTROL = ("h", "last", "smallest", "largest", "rejected")
 MISSED = -1
-OWN = ("run", "step_exactly", "save", "load", "signals", "counts")
-OTHER = ("continue", "step", "step_exactly", "signals", "counts")
 
 
 @cache
 def _library() -> ctypes.CDLL:
-    """The same for every model; CompilerMissing, CompileError."""
-    headers = {n: p for n, p in runtime_sources().items() if n.endswith(".h")}
-    lib = ctypes.CDLL(str(compile(headers | {p.name: p for p in RUNTIME.iterdir()}, flags=host_flags()).path))
+    """The runtime with the signatures of march.h; CompilerMissing, CompileError."""
+    lib = runtime()[1]
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_march_steps.restype = integer
     lib.ph_march_steps.argtypes = [pointer, ctypes.POINTER(Record), ctypes.c_double, integer, ctypes.POINTER(integer)]
@@ -73,11 +69,9 @@ class NativeMarch:
         self._adaptive, self._exactly = adaptive, exactly
         own, other, memory = adaptive.stepper.instance, adaptive.other, Structures(HEADER)
         self._own, self._other, self._memory, self._lib = own.handle, other.handle, memory, _library()
-        calls = [getattr(self._own.lib, f"ph_{n}") for n in OWN]
-        calls += [getattr(self._other.lib, f"ph_{n}") for n in OTHER]
         n = adaptive.stepper.model.step.nx
         self._march = memory.fill("ph_march", {
-            "calls": memory.functions(calls), "in": self._own.instance, "companion": self._other.instance,
+            "in": self._own.instance, "companion": self._other.instance,
             "nx": n, "order": adaptive.order, "exactly": int(exactly),
             "rtol": adaptive.rtol, "atol": adaptive.atol, "min_step": adaptive.min_step, "max_step": adaptive.max_step,
             "nominal": adaptive.nominal, "before": np.zeros(n), "state": np.zeros(self._own.state_size // 8 + 1),

@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.audit.judge import HEADER as HEADER_OF_JUDGE
 from phfmu.discretise.model import CONSISTENCY
-from phfmu.engine.build.compile import compile, host_flags
-from phfmu.engine.native.library import enums, runtime_sources
+from phfmu.engine.native.library import enums, runtime
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.members.columns import Columns, Constants
@@ -29,7 +27,7 @@ from phfmu.sweeps.words import KINDS
 RUNTIME = Path(__file__).parent / "runtime"
 #: kind of structure -> the field of `ph_runs` that lists them
 LISTS = {"place": "places", "change": "changes", "stretch": "stretches", "measure": "measures"}
-HEADER = Header((RUNTIME / "runs.h",), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"), "ph_runs_calls")
+HEADER = Header((RUNTIME / "runs.h",), (*(f"ph_runs_{kind}" for kind in LISTS), "ph_runs"))
 #: what runs.c answers for runs that were told to stop
 STOPPED = -2
 #: of each component, what the judge remembers
@@ -46,10 +44,8 @@ def fits(task: Task) -> bool:
 
 @cache
 def _library() -> ctypes.CDLL:
-    """The same for every model; CompilerMissing, CompileError."""
-    headers = {n: p for n, p in runtime_sources().items() if n.endswith(".h")}
-    sources = headers | {p.name: p for p in (HEADER_OF_JUDGE, *RUNTIME.iterdir())}
-    lib = ctypes.CDLL(str(compile(sources, flags=host_flags()).path))
+    """The runtime with the signatures of runs.h; CompilerMissing, CompileError."""
+    lib = runtime()[1]
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_runs_take.restype = integer
     lib.ph_runs_take.argtypes = [pointer, pointer, integer, pointer, integer, pointer, pointer, ctypes.POINTER(integer)]
@@ -138,7 +134,7 @@ class NativeRuns:
         work |= dict.fromkeys(("value", "held", "time"), len(measured))
         found = layout["observables"]
         return {
-            "calls": memory.calls(self._instance.handle.lib), "in": self._instance.handle.instance,
+            "in": self._instance.handle.instance,
             **{n: getattr(plan, n) for n in ("np", "nx", "nu", "nq", "ncomp")},
             **{f"n{kind}": len(rows) for kind, rows in listed.items()},
             "ncheck": len(model.checks), "check": found.stop - len(model.checks), "energy": energies,

@@ -7,11 +7,11 @@ from struct import unpack_from
 
 import pytest
 
-from phfmu import NativeInstance, build_model
+from phfmu import build_model
 from phfmu.components.library import build
 from phfmu.engine.build.compile import compile, host_flags, host_target
-from phfmu.network.couplings.compiled import master_library
-from phfmu.sweeps import native_runs
+from phfmu.engine.native.compiled import made_of
+from phfmu.engine.native.library import library_sources
 
 WRITTEN = {".data", ".bss", ".tdata", ".tbss"}
 COUNT = '#include "phfmu.h"\nPH_API long count(void);\nstatic long n;\nlong count(void) { return n++; }\n'
@@ -35,16 +35,17 @@ def written(path: str | Path) -> dict[str, int]:
 
 @needs
 def test_libraries_have_no_data_that_is_written() -> None:
-    """Of a model with all that it can have, of coupled members, of sweeps."""
-    model = NativeInstance(build_model(build("four_particle"))).handle.lib
-    for lib in (model, master_library.library(), native_runs._library()):
-        assert written(lib._name) == {}, lib._name
+    """The runtime, and the code of a model."""
+    made = made_of(build_model(build("four_particle")), "compiled")
+    assert made.code.build is not None
+    for path in (made.lib._name, made.code.build.path):
+        assert written(path) == {}, path
 
 
 @needs
 @pytest.mark.slow
 def test_a_count_is_found() -> None:
     """One that all instances would share."""
-    headers = {p.name: p for p in master_library.sources().values() if p.suffix == ".h"}
+    headers = {p.name: p for p in library_sources().values() if p.suffix == ".h"}
     found = written(compile({**headers, "count.c": COUNT}, flags=host_flags()).path)
     assert sum(found.values()) == 8

@@ -18,8 +18,7 @@ from phfmu.engine.build.codegen import kernel_table, tangent_text
 from phfmu.engine.build.compile import host_flags
 from phfmu.engine.build.tables import c_text
 from phfmu.engine.model import kernels
-from phfmu.engine.native.library import runtime_sources
-from phfmu.network.couplings.compiled import master_library
+from phfmu.engine.native.library import library_sources
 
 FOUND = 66
 #: what instances, and members of the master, do all the time
@@ -40,9 +39,7 @@ def sources(model: Model) -> dict[str, str | Path]:
     made = {"kernels.c": table.text, "tangents.c": tangent_text(table, model.step, model.instant)}
     made["model.c"] = c_text(model, table.index, tangents="ph_tangents")
     program = Path(__file__).parent / "threads.c"
-    runtime, master = runtime_sources("events"), master_library.sources()
-    own = {f"master_{n}" if n in runtime and runtime[n] != path else n: path for n, path in master.items()}
-    return {**runtime, **own, **made, program.name: program}
+    return {**library_sources(), **made, program.name: program}
 
 
 def compiled(files: dict[str, str | Path], folder: Path) -> Path:

@@ -87,16 +87,6 @@ static void instances_of_their_own(void) {
     }
 }
 
-static const ph_calls calls = {
-    .save = ph_save,
-    .load = ph_load,
-    .set_input = ph_set_input,
-    .step_parts = ph_step_parts,
-    .refresh = ph_refresh,
-    .sensitivity = ph_sensitivity,
-    .ledger = ph_ledger,
-};
-
 /* A member whose inputs are the unknowns; numbers: 0, 1, .. */
 static ph_share share(int i, const int *numbers, const double *ones) {
     const ph_plan *p = ph_the_model.step;
@@ -105,7 +95,7 @@ static ph_share share(int i, const int *numbers, const double *ones) {
     int offset[PH_NBLOCK + 1];
     ph_native *of = room(sizeof(ph_native));
     ph_share s = {.kind = ph_kind_native(), .of = of, .nu = nu, .stride = p->nq, .k = 1, .ncomp = p->ncomp};
-    *of = (ph_native){.calls = &calls, .in = in, .parts = 1, .nq = p->nq, .width = width};
+    *of = (ph_native){.in = in, .parts = 1, .nq = p->nq, .width = width};
     ph_layout(&ph_the_model, offset);
     of->nsignal = offset[PH_NBLOCK];
     s.length = of->nsignal + 5 * s.ncomp + p->nq;

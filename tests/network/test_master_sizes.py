@@ -1,10 +1,9 @@
-"""The compiled loop with many members: what it begins with, what it compiles."""
+"""The compiled loop with many members: what it begins with."""
 
 from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,8 +20,6 @@ from phfmu import (
     run,
 )
 from phfmu.components.mechanical.translational import mass, spring
-from phfmu.components.scenes.oscillator import oscillator
-from phfmu.network.couplings.compiled import master_library
 from phfmu.network.couplings.compiled.master_pattern import Pattern, exchanged
 from phfmu.network.couplings.node_newton import newton
 from phfmu.network.interface.joined import Joined
@@ -89,23 +86,3 @@ def test_a_ring_of_many_members() -> None:
     two = run(stepper, Options(stop=0.2, step=0.02))
     assert np.abs(two.column("m7.q") - one.column("m7.q")).max() <= SAME
     assert two.ledger.summary().closed
-
-
-def test_what_is_not_coupled_natively_compiles_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused() -> Any:
-        raise AssertionError("compiled")
-
-    monkeypatch.setattr("phfmu.network.couplings.compiled.master.library", refused)
-    scene = oscillator()
-    net: Any = scene.system
-    model = build_model(scene.declaration(), Collocated(1))
-    Monolithic(model, NativeInstance(model)).advance(0.0, 0.01, 2)
-    Coupled(net, members(net, 1, PythonInstance)).advance(0.0, 0.01, 2)
-    with pytest.raises(AssertionError, match="compiled"):
-        Coupled(net, members(net, 1)).advance(0.0, 0.01, 2)
-
-
-def test_one_library_is_for_every_network() -> None:
-    """Of what models compile it has the sparse factors only."""
-    own = {p.name for p in master_library.RUNTIME.iterdir()}
-    assert {n for n in master_library.sources() if n.endswith(".c")} - own == {"lu.c"}

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
-from pathlib import Path
 from typing import Any
 
-from phfmu.engine.build.compile import compile
-
-RUNTIME = Path(__file__).parent.parent / "runtime"
+from phfmu.engine.native.library import runtime
 
 
 @cache
 def library() -> Any:
     """The functions of runtime/sums.c; CompilerMissing, CompileError."""
-    lib = ctypes.CDLL(str(compile({p.name: p for p in sorted(RUNTIME.iterdir())}).path))
+    lib = runtime()[1]
     size, pointer = ctypes.c_ssize_t, ctypes.c_void_p
     lib.ph_sums_down.restype = lib.ph_sums_across.restype = lib.ph_most_down.restype = None
     lib.ph_sums_down.argtypes = [size, size, *[pointer] * 4]

@@ -148,6 +148,9 @@ def load(path: Path) -> ctypes.CDLL:
 
 #: folders of the runtime that not everything has
 PARTS = ("events", "modes", "interpret")
+#: whose folders `runtime` the library has besides, and no unit: the judge of ledgers, steps that keep a tolerance, sweeps,
+#: the master of coupled members
+DRIVERS = ("audit", "runs", "sweeps", "network/couplings")
 
 
 def runtime_sources(*parts: str) -> dict[str, Path]:
@@ -157,16 +160,22 @@ def runtime_sources(*parts: str) -> dict[str, Path]:
     return {p.name: p for p in files if p.suffix in (".c", ".h", ".inc")}
 
 
+def library_sources() -> dict[str, Path]:
+    """All of the library: what steps models, and what drives these steps."""
+    folders = (RUNTIME.parent.parent / place / "runtime" for place in DRIVERS)
+    return runtime_sources(*PARTS) | {p.name: p for folder in folders for p in sorted(folder.iterdir())}
+
+
 def headers() -> dict[str, Path]:
     """The headers that the code of a model includes."""
     return {name: path for name, path in runtime_sources(*PARTS).items() if not name.endswith(".c")}
 
 
 def runtime(announce: Callable[[], None] | None = None) -> tuple[Build, ctypes.CDLL]:
-    """The library that steps all models; CompilerMissing, CompileError."""
+    """The library that steps and drives all models; CompilerMissing, CompileError."""
     folder = cache_folder()
     if folder not in _BUILT:
-        _BUILT[folder] = compile_once(runtime_sources(*PARTS), announce)
+        _BUILT[folder] = compile_once(library_sources(), announce)
     return _BUILT[folder], load(_BUILT[folder].path)
 
 

@@ -13,11 +13,9 @@ import numpy as np
 from phfmu.discretise.model import Model
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.build.mode_tables import ModeTables
-from phfmu.engine.build.tables import RUNTIME
 from phfmu.engine.native.code import Code, Kind, code_of
 from phfmu.engine.native.library import Record, Signatures, placed, record_widths, runtime, typed
 from phfmu.engine.native.native_landing import STEPS, LandedRows, Room
-from phfmu.engine.native.structures import Header
 from phfmu.engine.record import Grid
 from phfmu.events.comply import most_held
 from phfmu.events.modes import Mode
@@ -25,8 +23,6 @@ from phfmu.events.switch_tables import mode_rows, switch_tables
 from phfmu.outcome.status import EventRefused, Status
 from phfmu.outcome.steps import Landed
 
-#: what a mode is called by
-CALLS = Header((RUNTIME / "modes" / "modes.h",), (), "ph_mode_calls")
 ROWS = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 MOST = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
 
@@ -41,7 +37,7 @@ class _Mode(ctypes.Structure):
     """ph_mode."""
 
     _fields_ = [
-        *((n, ctypes.c_void_p) for n in ("rows", "calls", "instance", "landing", "fresh")),
+        *((n, ctypes.c_void_p) for n in ("rows", "instance", "landing", "fresh")),
         ("length", ctypes.c_int),
     ]
 
@@ -192,14 +188,10 @@ class NativeModes:
         landing, _ = instance.landing
         landing.stop_before(np.ones(self._model.events.n, np.int8))
         state = np.frombuffer(fresh, np.uint8)
-        handle = instance.handle
-        names = CALLS.functions(CALLS.calls)
-        calls = (ctypes.c_void_p * len(names))(
-            *(ctypes.cast(getattr(handle.lib, n), ctypes.c_void_p).value for n in names)
+        self._keep.append(state)
+        return _Mode(
+            self._rows(0, on), instance.handle.instance, landing.address, state.ctypes.data, instance.layout["H"].stop
         )
-        self._keep += [state, calls]
-        return _Mode(self._rows(0, on), ctypes.addressof(calls), handle.instance, landing.address, state.ctypes.data,
-                     instance.layout["H"].stop)  # fmt: skip
 
     def _most(self, _: int, on: int, a: int, j: int) -> float:
         values = np.frombuffer((ctypes.c_double * self._model.step.na).from_address(a))

@@ -1,4 +1,4 @@
-"""Structures of a C header as Python fills them, for libraries that step native instances themselves."""
+"""Structures of a C header as Python fills them, for compiled code that steps native instances itself."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from phfmu.engine.build.tables import ARRAYS, Field, declared, for_ctypes
 
 
 class Header:
-    """Structures `names` of headers (one field a line), and `calls`: the one of functions of the library of a model."""
+    """Structures `names` of headers (one field a line)."""
 
-    def __init__(self, paths: Sequence[Path], names: Sequence[str], calls: str):
-        self._text, self._names, self.calls = "".join(p.read_text() for p in paths), tuple(names), calls
+    def __init__(self, paths: Sequence[Path], names: Sequence[str]):
+        self._text, self._names = "".join(p.read_text() for p in paths), tuple(names)
 
     @cached_property
     def fields(self) -> dict[str, tuple[Field, ...]]:
@@ -41,11 +41,6 @@ class Structures:
     def __init__(self, header: Header) -> None:
         self._header = header
         self._keep: list[Any] = []
-
-    def calls(self, lib: ctypes.CDLL) -> int:
-        """Address of the functions of a model's library."""
-        names = self._header.functions(self._header.calls)
-        return self.functions([getattr(lib, "ph_" + n) for n in names])
 
     def functions(self, functions: Sequence[Any]) -> int:
         """Address of a structure of these functions of libraries."""

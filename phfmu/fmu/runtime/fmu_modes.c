@@ -21,31 +21,6 @@ typedef struct world {
     size_t largest;        /* of their states */
 } world;
 
-static const ph_mode_calls calls = {
-    .ph_state_size = ph_state_size,
-    .ph_save = ph_save,
-    .ph_load = ph_load,
-    .ph_refresh = ph_refresh,
-    .ph_signals = ph_signals,
-    .ph_input = ph_input,
-    .ph_parameters = ph_parameters,
-    .ph_set_parameters = ph_set_parameters,
-    .ph_set_x = ph_set_x,
-    .ph_initialise = ph_initialise,
-    .ph_continue = ph_continue,
-    .ph_land_from = ph_land_from,
-    .ph_land_more = ph_land_more,
-    .ph_land_stopped = ph_land_stopped,
-    .ph_land_after = ph_land_after,
-    .ph_land_begin = ph_land_begin,
-    .ph_land_on = ph_land_on,
-    .ph_land_tell = ph_land_tell,
-    .ph_happen_jump = ph_happen_jump,
-    .ph_happen_undo = ph_happen_undo,
-    .ph_happen_parameters = ph_happen_parameters,
-    .ph_happen_flags = ph_happen_flags,
-};
-
 static const fmu_switches *about(const fmu *f) {
     return f->about->landing->switches;
 }
@@ -110,7 +85,6 @@ static int make(fmu *f, world *w, int i) {
     if (!fresh)
         return 0;
     whole->rows = &about(f)->rows[i];
-    whole->calls = &calls;
     whole->fresh = fresh;
     ph_save(whole->in, fresh);
     whole->landing = ph_landing_init(fresh + state, whole->in, mode->events);

@@ -1,6 +1,5 @@
 /* Many steps that keep a tolerance in one call, recorded as those of ph_run are. Each trial is taken twice
- * from the same state, by the instance and by a companion under another scheme; what both are is a matter of
- * the libraries of their models, called through a table of functions. */
+ * from the same state, by the instance and by a companion under another scheme. */
 #include "march.h"
 
 #include <math.h>
@@ -29,7 +28,7 @@ static double fitted(const ph_march *m, double goal, double *end) {
 /* Largest difference of the two solutions relative to its tolerance, and the state it belongs to; not a
  * number if any is none. */
 static double estimate(ph_march *m) {
-    const double *x = m->calls->signals(m->in), *other = m->calls->estimated(m->companion);
+    const double *x = ph_signals(m->in), *other = ph_signals(m->companion);
     double most = 0.0;
     m->worst = 0;
     for (int i = 0; i < m->nx && !isnan(most); i++) {
@@ -45,19 +44,17 @@ static double estimate(ph_march *m) {
 
 /* A step of both from the same state; iterations of steps that were not refused add up. */
 static int trial(ph_march *m, const ph_record *record, double h) {
-    const ph_march_calls *c = m->calls;
-    const long long *own = c->counts(m->in), *other = c->estimate_counts(m->companion);
+    const long long *own = ph_counts(m->in), *other = ph_counts(m->companion);
     const long long began = own[PH_ITERATIONS], begun = other[PH_ITERATIONS];
-    int done, status = c->follow(m->companion, m->in);
+    int done, status = ph_continue(m->companion, m->in);
     m->estimator = 1;
     if (status == PH_OK)
-        status =
-            m->exactly ? c->estimate_exactly(m->companion, m->t, h, 1) : c->estimate(m->companion, m->t, h);
+        status = m->exactly ? ph_step_exactly(m->companion, m->t, h, 1) : ph_step(m->companion, m->t, h);
     if (status)
         return status;
     m->spent += (double)(other[PH_ITERATIONS] - begun);
     m->estimator = 0;
-    status = m->exactly ? c->step_exactly(m->in, m->t, h, 1) : c->run(m->in, m->t, h, 1, record, &done);
+    status = m->exactly ? ph_step_exactly(m->in, m->t, h, 1) : ph_run(m->in, m->t, h, 1, record, &done);
     if (status == PH_OK) /* a record counts those of the step alone, not those of its end values */
         m->spent += record->counts.data ? record->counts.data[0] : (double)(own[PH_ITERATIONS] - began);
     return status;
@@ -88,12 +85,11 @@ static int shrink(ph_march *m, double h, double factor) {
 
 /* One step: shorter ones until the tolerance is met; where it ends. */
 static int accepted(ph_march *m, const ph_record *record, double goal, double *end) {
-    const ph_march_calls *c = m->calls;
     double limit = PH_GROW;
     m->spent = 0.0;
-    c->save(m->in, m->state);
+    ph_save(m->in, m->state);
     if (m->nx > 0)
-        memcpy(m->before, c->signals(m->in), sizeof(double) * (size_t)m->nx);
+        memcpy(m->before, ph_signals(m->in), sizeof(double) * (size_t)m->nx);
     for (;;) {
         double factor = PH_SHRINK;
         int status;
@@ -109,7 +105,7 @@ static int accepted(ph_march *m, const ph_record *record, double goal, double *e
             limit = 1.0;
             status = PH_MISSED;
         }
-        c->load(m->in, m->state);
+        ph_load(m->in, m->state);
         if (!shrink(m, m->size, factor))
             return status;
     }

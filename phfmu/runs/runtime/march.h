@@ -28,23 +28,7 @@
 /* Beside those of ph_status: the smallest step misses the tolerance. */
 #define PH_MISSED -1
 
-/* Functions of the libraries of two models: of the one that steps, and of its companion, which estimates. */
-typedef struct ph_march_calls {
-    int (*run)(ph_instance *, double, double, int, const ph_record *, int *);
-    int (*step_exactly)(ph_instance *, double, double, int);
-    void (*save)(const ph_instance *, void *);
-    int (*load)(ph_instance *, const void *);
-    const double *(*signals)(const ph_instance *);
-    const long long *(*counts)(const ph_instance *);
-    int (*follow)(ph_instance *, const ph_instance *);
-    int (*estimate)(ph_instance *, double, double);
-    int (*estimate_exactly)(ph_instance *, double, double, int);
-    const double *(*estimated)(const ph_instance *);
-    const long long *(*estimate_counts)(const ph_instance *);
-} ph_march_calls;
-
 typedef struct ph_march {
-    const ph_march_calls *calls;
     ph_instance *in;
     ph_instance *companion;
     int nx;

@@ -1,8 +1,7 @@
 /* Many runs of one model in compiled code: starts, steps and what is measured of each.
  *
- * The model is a library of its own, called through a table of functions; this is the same for every model
- * and is compiled once. Only what is measured is worked out: values of the present time are solved for if
- * asked. The Python side reads the field lists from here: one field a line.
+ * Only what is measured is worked out: values of the present time are solved for if asked. The Python side
+ * reads the field lists from here: one field a line.
  */
 #include "runs.h"
 
@@ -26,7 +25,7 @@ static double sum(const ph_runs *s, const double *signals, const ph_runs_measure
 
 /* Stored energy from the signals: at the start, and where parameters changed it. */
 static void count_stored(const ph_runs *s) {
-    memcpy(s->now, s->calls->signals(s->in) + s->energy, sizeof(double) * (size_t)s->ncomp);
+    memcpy(s->now, ph_signals(s->in) + s->energy, sizeof(double) * (size_t)s->ncomp);
     memset(s->carry, 0, sizeof(double) * (size_t)s->ncomp);
 }
 
@@ -122,7 +121,7 @@ static double owes(const ph_runs *s) {
     const double *row[6];
     double worst = 0.0, most;
     for (int i = 0; i < 6; i++)
-        row[i] = s->calls->ledger(s->in, s->row[i]);
+        row[i] = ph_ledger(s->in, s->row[i]);
     most = play(s, row);
     for (int k = 0; k < s->ncomp; k++) {
         const double missing = row[0][k] + row[1][k] + row[3][k] - row[2][k], before = s->now[k];
@@ -160,8 +159,7 @@ static void forget(const ph_runs *s) {
 }
 
 static int start(const ph_runs *s, const double *row) {
-    const ph_runs_calls *c = s->calls;
-    int status = c->reset(s->in);
+    int status = ph_reset(s->in);
     memcpy(s->p, s->p0, sizeof(double) * (size_t)s->np);
     memcpy(s->x, s->x0, sizeof(double) * (size_t)s->nx);
     memcpy(s->u, s->u0, sizeof(double) * (size_t)s->nu);
@@ -170,12 +168,12 @@ static int start(const ph_runs *s, const double *row) {
         (q->kind == PARAMETER ? s->p : q->kind == STATE ? s->x : s->u)[q->index] = row[q->column];
     }
     if (!status)
-        status = c->set_parameters(s->in, s->p);
+        status = ph_set_parameters(s->in, s->p);
     if (!status)
-        status = c->set_x(s->in, s->t0, s->x);
+        status = ph_set_x(s->in, s->t0, s->x);
     if (!status)
-        status = c->set_input(s->in, s->u);
-    return status ? status : c->initialise(s->in);
+        status = ph_set_input(s->in, s->u);
+    return status ? status : ph_initialise(s->in);
 }
 
 static int change(const ph_runs *s, const ph_runs_stretch *stretch) {
@@ -186,11 +184,11 @@ static int change(const ph_runs *s, const ph_runs_stretch *stretch) {
         *(g->kind == PARAMETER ? &parameters : &inputs) = 1;
     }
     if (parameters)
-        status = s->calls->set_parameters(s->in, s->p);
+        status = ph_set_parameters(s->in, s->p);
     if (inputs && !status)
-        status = s->calls->set_input(s->in, s->u);
+        status = ph_set_input(s->in, s->u);
     if (parameters && !status) {
-        status = s->calls->refresh(s->in);
+        status = ph_refresh(s->in);
         if (!status)
             count_stored(s);
     }
@@ -198,7 +196,7 @@ static int change(const ph_runs *s, const ph_runs_stretch *stretch) {
 }
 
 static int consistent(const ph_runs *s) {
-    const double *found = s->calls->signals(s->in) + s->check;
+    const double *found = ph_signals(s->in) + s->check;
     for (int i = 0; i < s->ncheck; i++)
         if (!(fabs(found[i]) <= s->tolerance[i]))
             return 0;
@@ -206,7 +204,6 @@ static int consistent(const ph_runs *s) {
 }
 
 static int one(const ph_runs *s, const double *row, double *out, double *facts) {
-    const ph_runs_calls *c = s->calls;
     int status = start(s, row);
     forget(s);
     facts[0] = facts[1] = 0.0;
@@ -214,27 +211,27 @@ static int one(const ph_runs *s, const double *row, double *out, double *facts) 
         const ph_runs_stretch *r = &s->stretches[i];
         status = change(s, r);
         if (i == 0 && !status) {
-            status = c->refresh(s->in); /* for H */
+            status = ph_refresh(s->in); /* for H */
             if (!status && !consistent(s))
                 status = PH_RUNS_INCONSISTENT;
             if (!status) {
                 count_stored(s);
-                begin(s, c->signals(s->in), s->t0);
+                begin(s, ph_signals(s->in), s->t0);
             }
         }
         for (int n = 0; n < r->n && !status; n++) {
             double missing;
             status = *(const volatile int *)s->stop ? PH_RUNS_STOPPED : 0;
             if (!status)
-                status = c->step(s->in, r->t + (double)n * r->h, r->h);
+                status = ph_step(s->in, r->t + (double)n * r->h, r->h);
             if (!status && s->refresh)
-                status = c->refresh(s->in);
+                status = ph_refresh(s->in);
             if (status)
                 break;
             missing = owes(s);
             facts[0] += 1.0;
             facts[1] = missing <= facts[1] ? facts[1] : missing;
-            add(s, c->signals(s->in), r->t + (double)(n + 1) * r->h, r->h);
+            add(s, ph_signals(s->in), r->t + (double)(n + 1) * r->h, r->h);
         }
     }
     if (!status) {

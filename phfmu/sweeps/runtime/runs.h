@@ -8,19 +8,6 @@
 #define PH_RUNS_INCONSISTENT -1
 #define PH_RUNS_STOPPED -2
 
-/* Functions of the library of the model. */
-typedef struct ph_runs_calls {
-    int (*reset)(ph_instance *);
-    int (*set_parameters)(ph_instance *, const double *);
-    int (*set_x)(ph_instance *, double, const double *);
-    int (*set_input)(ph_instance *, const double *);
-    int (*initialise)(ph_instance *);
-    int (*step)(ph_instance *, double, double);
-    int (*refresh)(ph_instance *);
-    const double *(*signals)(ph_instance *);
-    const double *(*ledger)(const ph_instance *, int);
-} ph_runs_calls;
-
 /* Where the value of a column goes. */
 typedef struct ph_runs_place {
     int kind;
@@ -52,7 +39,6 @@ typedef struct ph_runs_measure {
 } ph_runs_measure;
 
 typedef struct ph_runs {
-    const ph_runs_calls *calls;
     ph_instance *in;
     int np;
     int nx;

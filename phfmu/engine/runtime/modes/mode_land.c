@@ -6,7 +6,7 @@
 /* The row of an event at t, and what it switched. */
 static void tell(ph_modes *m, double t, ph_landed *out) {
     const ph_switches *sw = m->sw;
-    const double *table = m->present->calls->ph_signals(m->present->in);
+    const double *table = ph_signals(m->present->in);
     double *row = out->event_signals + out->events * (sw->told + sw->ncomp);
     memcpy(row, table, sizeof(double) * (size_t)sw->told);
     memcpy(row + sw->told, table + m->present->length - sw->ncomp, sizeof(double) * (size_t)sw->ncomp);
@@ -28,7 +28,7 @@ static void trim(const ph_modes *m, const ph_record *r, int begin, int end) {
 static int settle(ph_modes *m, double t, ph_landed *out, signed char *changed) {
     const ph_switches *sw = m->sw;
     const ph_mode *mode = m->present;
-    const double *p = mode->calls->ph_parameters(mode->in);
+    const double *p = ph_parameters(mode->in);
     signed char *own = changed + out->events * sw->n;
     double *energy = out->event_energy + out->events * sw->ncomp;
     double *lost = out->event_lost + out->events * sw->ncomp;
@@ -53,25 +53,25 @@ static int happen(ph_modes *m, ph_landed *out, signed char *changed) {
     double *energy = out->event_energy + out->events * sw->ncomp;
     double *lost = out->event_lost + out->events * sw->ncomp, t;
     int count, status;
-    old->calls->ph_land_stopped(old->landing, &t, &count);
-    status = old->calls->ph_happen_jump(old->landing, energy, lost);
+    ph_land_stopped(old->landing, &t, &count);
+    status = ph_happen_jump(old->landing, energy, lost);
     if (status)
         return status;
-    old->calls->ph_happen_flags(old->landing, out->event_fired + out->events * sw->nevent);
-    status = ph_mode_change(m, old->calls->ph_happen_parameters(old->landing), NULL, m->grid, energy, lost,
+    ph_happen_flags(old->landing, out->event_fired + out->events * sw->nevent);
+    status = ph_mode_change(m, ph_happen_parameters(old->landing), NULL, m->grid, energy, lost,
                             changed + out->events * sw->n);
     if (status) {
-        old->calls->ph_happen_undo(old->landing);
+        ph_happen_undo(old->landing);
         return status;
     }
     tell(m, t, out);
-    return m->present->calls->ph_land_after(m->present->landing, old->landing);
+    return ph_land_after(m->present->landing, old->landing);
 }
 
 static int stopped(const ph_modes *m) {
     double t;
     int count;
-    return m->present->calls->ph_land_stopped(m->present->landing, &t, &count) != NULL;
+    return ph_land_stopped(m->present->landing, &t, &count) != NULL;
 }
 
 void ph_modes_from(ph_modes *m, double t0, double h, int first, int n, int changed) {
@@ -102,12 +102,12 @@ int ph_modes_land(ph_modes *m, const ph_record *record, ph_landed *out, signed c
         if (status)
             return status;
         m->pending = 0;
-        m->present->calls->ph_land_from(m->present->landing, m->t0, m->grid, m->first, m->n, m->changed);
+        ph_land_from(m->present->landing, m->t0, m->grid, m->first, m->n, m->changed);
     }
     while (status == PH_OK && !out->done) {
         const int steps = out->steps;
         if (!stopped(m)) {
-            status = m->present->calls->ph_land_more(m->present->landing, record, out);
+            status = ph_land_more(m->present->landing, record, out);
             trim(m, record, steps, out->steps);
         }
         if (status || out->done || !stopped(m) || out->events == out->events_room)
@@ -126,16 +126,16 @@ int ph_modes_on(ph_modes *m, ph_landed *out, signed char *changed) {
         if (status)
             return status;
         m->pending = 0;
-        status = m->present->calls->ph_land_begin(m->present->landing, m->t0, h, m->n);
+        status = ph_land_begin(m->present->landing, m->t0, h, m->n);
         if (out->events)
             return status;
     }
     if (status)
         return status;
-    status = m->present->calls->ph_land_on(m->present->landing, out);
+    status = ph_land_on(m->present->landing, out);
     if (status || out->done || !stopped(m))
         return status;
     status = happen(m, out, changed);
-    m->present->calls->ph_land_tell(m->present->landing);
+    ph_land_tell(m->present->landing);
     return status;
 }

@@ -107,14 +107,14 @@ static int refuse_all(ph_modes *m) {
 /* What the instance is at: states, algebraic variables and inputs. */
 static int read(ph_modes *m, const ph_mode *old) {
     const ph_switches *sw = m->sw;
-    const int status = old->calls->ph_refresh(old->in);
-    const double *table = old->calls->ph_signals(old->in);
+    const int status = ph_refresh(old->in);
+    const double *table = ph_signals(old->in);
     if (status)
         return status;
     memcpy(m->x, table, sizeof(double) * (size_t)sw->nx);
     memcpy(m->a, table + sw->a_end, sizeof(double) * (size_t)sw->na);
     if (sw->nu > 0)
-        memcpy(m->u, old->calls->ph_input(old->in), sizeof(double) * (size_t)sw->nu);
+        memcpy(m->u, ph_input(old->in), sizeof(double) * (size_t)sw->nu);
     m->t = table[sw->nx];
     return PH_OK;
 }
@@ -160,13 +160,13 @@ static int enter(ph_modes *m, const ph_mode *old) {
         return refuse_all(m);
     m->entered = now;
     if (now != old) {
-        status = now->calls->ph_load(now->in, now->fresh);
-        status = status ? status : now->calls->ph_continue(now->in, old->in);
+        status = ph_load(now->in, now->fresh);
+        status = status ? status : ph_continue(now->in, old->in);
     }
-    status = status ? status : now->calls->ph_set_parameters(now->in, m->p);
+    status = status ? status : ph_set_parameters(now->in, m->p);
     if (status == PH_OK && memcmp(m->then, m->x, sizeof(double) * (size_t)sw->nx) != 0)
-        status = now->calls->ph_set_x(now->in, m->t, m->then);
-    status = status ? status : now->calls->ph_initialise(now->in);
+        status = ph_set_x(now->in, m->t, m->then);
+    status = status ? status : ph_initialise(now->in);
     if (status == PH_OK) {
         m->present = now;
         m->entered = NULL;

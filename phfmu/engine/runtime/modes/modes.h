@@ -2,8 +2,7 @@
  * the next without leaving compiled code.
  *
  * The twin of engine/switched.py, events/switch_system.py and events/comply.py, whose words are used here. A
- * mode is a model of its own with the states, parameters and inputs of all others; its instance may be of
- * another library. */
+ * mode is a model of its own with the states, parameters and inputs of all others. */
 #ifndef PH_MODES_H
 #define PH_MODES_H
 
@@ -44,36 +43,9 @@ typedef struct ph_mode_rows {
     const double *free_row; /* nfree*na */
 } ph_mode_rows;
 
-/* Functions of the library that an instance is of, by their names. */
-typedef struct ph_mode_calls {
-    size_t (*ph_state_size)(const ph_instance *in);
-    void (*ph_save)(const ph_instance *in, void *out);
-    int (*ph_load)(ph_instance *in, const void *from);
-    int (*ph_refresh)(ph_instance *in);
-    const double *(*ph_signals)(const ph_instance *in);
-    const double *(*ph_input)(const ph_instance *in);
-    const double *(*ph_parameters)(const ph_instance *in);
-    int (*ph_set_parameters)(ph_instance *in, const double *p);
-    int (*ph_set_x)(ph_instance *in, double t, const double *x);
-    int (*ph_initialise)(ph_instance *in);
-    int (*ph_continue)(ph_instance *in, const ph_instance *from);
-    void (*ph_land_from)(ph_landing *l, double t0, double h, int first, int n, int changed);
-    int (*ph_land_more)(ph_landing *l, const ph_record *record, ph_landed *out);
-    const signed char *(*ph_land_stopped)(const ph_landing *l, double *t, int *happened);
-    int (*ph_land_after)(ph_landing *l, const ph_landing *from);
-    int (*ph_land_begin)(ph_landing *l, double t, double h, int n);
-    int (*ph_land_on)(ph_landing *l, ph_landed *out);
-    void (*ph_land_tell)(ph_landing *l);
-    int (*ph_happen_jump)(ph_landing *l, double *energy, double *lost);
-    void (*ph_happen_undo)(ph_landing *l);
-    const double *(*ph_happen_parameters)(const ph_landing *l);
-    void (*ph_happen_flags)(const ph_landing *l, signed char *fired);
-} ph_mode_calls;
-
 /* A mode with its instance, which others may use in between. Its landing stops before all events. */
 typedef struct ph_mode {
     const ph_mode_rows *rows;
-    const ph_mode_calls *calls;
     ph_instance *in;
     ph_landing *landing;
     const void *fresh; /* the state of an instance that is new */

@@ -1,4 +1,4 @@
-"""The compiled master as Python sees it: the structures of `runtime/master.h`, and its library, the same for every network."""
+"""The compiled master as Python sees it: the structures of `runtime/master.h`, and its functions of the runtime."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import ctypes
 from functools import cache
 from pathlib import Path
 
-from phfmu.engine.build.compile import compile, host_flags
-from phfmu.engine.native.library import runtime_sources
+from phfmu.engine.native.library import runtime
 from phfmu.engine.native.structures import Header
 from phfmu.network.couplings.acceptance import RULES
 
@@ -31,21 +30,13 @@ STRUCTURES = (
     "ph_in_turn",
     "ph_held",
 )
-HEADER = Header(HEADERS, STRUCTURES, "ph_calls")
-#: of the runtime of models, what the master has in common with it
-SHARED = "lu.c"
-
-
-def sources() -> dict[str, Path]:
-    """File name -> path."""
-    common = {n: p for n, p in runtime_sources().items() if n.endswith(".h") or n == SHARED}
-    return common | {p.name: p for p in sorted(RUNTIME.iterdir())}
+HEADER = Header(HEADERS, STRUCTURES)
 
 
 @cache
 def library() -> ctypes.CDLL:
-    """The library with its signatures; CompilerMissing, CompileError."""
-    lib = ctypes.CDLL(str(compile(sources(), flags=host_flags()).path))
+    """The runtime with the signatures of the master; CompilerMissing, CompileError."""
+    lib = runtime()[1]
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_master_lu_size.restype, lib.ph_master_lu_size.argtypes = ctypes.c_size_t, [integer] * 3
     lib.ph_master_lu_init.restype, lib.ph_master_lu_init.argtypes = None, [pointer]

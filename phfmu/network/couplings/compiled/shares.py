@@ -57,8 +57,8 @@ class NativeShare:
         values = {
             "np": plan.np, "ntold": len(told), "ntaken": len(part.taken), "told_first": told[:, 0], "told_count": told[:, 1],
             "taken": self._member.parameter_places(part.taken), "p": np.zeros(plan.np),
-            "calls": m.calls(handle.lib), "in": handle.instance, "kicks": kicks.address if kicks else None,
-            "chain_calls": m.calls(chain.lib) if chain else None, "chain": chain.address if chain else None,
+            "in": handle.instance, "kicks": kicks.address if kicks else None,
+            "chain": chain.address if chain else None,
             "parts": self._member.parts, "nq": plan.nq, "nsignal": self._signals, "width": width, "impulses": own,
             "signals": handle.signals, "values": kicks.values.ctypes.data if kicks else None,
             "du": unit, "ds": np.eye(part.kicks)[part.kicked], "ds_end": np.zeros((part.directions, part.kicks)),

@@ -1,9 +1,8 @@
 /* Members of a network in compiled code, stepped apart and joined: the co-simulation master. Couplings are
  * solvers of it (ph_solver), the equations of which are in the files in Python of the same names.
  *
- * Each member is a library of its own, native or that of a unit, and many may be loaded at once under the
- * same names, so that they are called through tables of functions. This is a library of its own too: it is
- * the same for every network and is compiled once, and what is not coupled has nothing of it.
+ * Members are instances, or units in libraries of their own, many of which may be loaded at once under the
+ * same names: each is called through a table of functions.
  *
  * Whatever is not plain here, a member that refuses a step or rows that do not converge, is left to the
  * Python twin: the members are put back to the start of the step.

@@ -18,7 +18,7 @@ static int joining(const ph_share *s, int status) {
 static int keep(const ph_share *s) {
     const ph_native *m = s->of;
     ph_lap(s->clock, PH_EXCHANGING);
-    m->calls->save(m->in, m->kept);
+    ph_save(m->in, m->kept);
     if (m->impulses)
         memcpy(m->kept_values, m->values, bytes(4 * m->impulses));
     return joining(s, PH_OK);
@@ -29,54 +29,53 @@ static int restore(const ph_share *s) {
     ph_lap(s->clock, PH_EXCHANGING);
     if (m->impulses)
         memcpy(m->values, m->kept_values, bytes(4 * m->impulses));
-    return joining(s, m->calls->load(m->in, m->kept));
+    return joining(s, ph_load(m->in, m->kept));
 }
 
 static int step(const ph_share *s, double t, double h) {
     const ph_native *m = s->of;
     int status;
     ph_lap(s->clock, PH_EXCHANGING);
-    status = (m->chain ? m->calls->set_node_inputs : m->calls->set_input)(m->in, s->u);
+    status = (m->chain ? ph_set_node_inputs : ph_set_input)(m->in, s->u);
     if (status == PH_OK && s->nkick)
-        status = m->calls->set_impulses(m->kicks, s->s);
+        status = ph_set_impulses(m->kicks, s->s);
     if (status)
         return joining(s, status);
     ph_lap(s->clock, PH_STEPPING);
-    status = m->kicks ? m->calls->step_impulses(m->kicks, t, h, m->parts)
-                      : m->calls->step_parts(m->in, t, h, m->parts);
+    status = m->kicks ? ph_step_impulses(m->kicks, t, h, m->parts) : ph_step_parts(m->in, t, h, m->parts);
     return joining(s, status);
 }
 
 static int refresh(const ph_share *s) {
     const ph_native *m = s->of;
     ph_lap(s->clock, PH_EXCHANGING);
-    return joining(s, m->calls->refresh(m->in));
+    return joining(s, ph_refresh(m->in));
 }
 
 static int jump(const ph_share *s) {
     const ph_native *m = s->of;
     ph_lap(s->clock, PH_EXCHANGING);
-    m->calls->jump(m->kicks, s->jump);
+    ph_jump(m->kicks, s->jump);
     return joining(s, PH_OK);
 }
 
 static int more(const ph_share *s) {
     const ph_native *m = s->of;
     ph_lap(s->clock, PH_EXCHANGING);
-    return joining(s, m->calls->kick_more(m->kicks, s->s));
+    return joining(s, ph_kick_more(m->kicks, s->s));
 }
 
 static int present(const ph_share *s) {
     const ph_native *m = s->of;
     ph_lap(s->clock, PH_EXCHANGING);
-    return joining(s, m->calls->set_input(m->in, s->now));
+    return joining(s, ph_set_input(m->in, s->now));
 }
 
 /* dy of held inputs, one value each. */
 static int held(const ph_share *s) {
     const ph_native *m = s->of;
     double *S = m->dx;
-    int status = m->calls->sensitivity(m->in, S);
+    int status = ph_sensitivity(m->in, S);
     for (int d = 0; d < s->ninput; d++)
         for (int i = 0; i < s->nu; i++)
             s->dy[d * s->nu + i] = S[i * s->nu + s->input[d]];
@@ -91,11 +90,11 @@ static int at_nodes(const ph_share *s) {
     int status;
     ph_clear(m->dx, through * m->width);
     if (s->nkick)
-        m->calls->impulses_along(m->kicks, 0, s->nbare, m->ds, m->dx + s->ninput * m->width);
-    m->calls->save(m->in, m->copied);
-    status = m->chain_calls->load(m->chain, m->copied);
+        ph_impulses_along(m->kicks, 0, s->nbare, m->ds, m->dx + s->ninput * m->width);
+    ph_save(m->in, m->copied);
+    status = ph_load(m->chain, m->copied);
     if (status == PH_OK)
-        status = m->chain_calls->step_along(m->chain, &nodes);
+        status = ph_step_along(m->chain, &nodes);
     if (!s->nkick || status)
         return status;
     ph_clear(s->dy + through * kn, s->nbare * kn);
@@ -104,8 +103,8 @@ static int at_nodes(const ph_share *s) {
         for (int i = 0; i < s->nbare; i++)
             s->dend[(through + j) * s->nu + s->kicked_output[i]] =
                 s->jump[s->kicked[i] * s->nkick + s->kicked[j]];
-    m->calls->impulses_along(m->kicks, 1, through, m->ds_end, m->dx);
-    return m->chain_calls->end_along(m->chain, &end);
+    ph_impulses_along(m->kicks, 1, through, m->ds_end, m->dx);
+    return ph_end_along(m->chain, &end);
 }
 
 static int along(const ph_share *s) {
@@ -125,7 +124,7 @@ static int record(const ph_share *s, double *to) {
     for (int i = 0; i < PH_NROW; i++) {
         const int n = i == PH_ROW_PAIRS ? m->nq : s->ncomp;
         if (n)
-            memcpy(to, m->calls->ledger(m->in, i), bytes(n));
+            memcpy(to, ph_ledger(m->in, i), bytes(n));
         to += n;
     }
     return PH_OK;
@@ -145,10 +144,10 @@ static int tell(const ph_share *s) {
 static int take(const ph_share *s) {
     const ph_native *m = s->of;
     ph_lap(s->clock, PH_EXCHANGING);
-    memcpy(m->p, m->calls->parameters(m->in), bytes(m->np));
+    memcpy(m->p, ph_parameters(m->in), bytes(m->np));
     for (int i = 0; i < m->ntaken; i++)
         m->p[m->taken[i]] = s->taken[i];
-    return joining(s, m->calls->set_parameters(m->in, m->p));
+    return joining(s, ph_set_parameters(m->in, m->p));
 }
 
 const ph_kind *ph_kind_native(void) {

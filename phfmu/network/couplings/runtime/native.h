@@ -1,35 +1,13 @@
-/* A native member: functions of its library, and what they work on. */
+/* A native member: an instance, and what the master works on beside it. */
 #ifndef PH_NATIVE_H
 #define PH_NATIVE_H
 
 #include "impulses.h"
 #include "phfmu.h"
 
-typedef struct ph_calls {
-    void (*save)(const ph_instance *, void *);
-    int (*load)(ph_instance *, const void *);
-    int (*set_input)(ph_instance *, const double *);
-    int (*set_node_inputs)(ph_instance *, const double *);
-    int (*step_parts)(ph_instance *, double, double, int);
-    int (*refresh)(ph_instance *);
-    int (*set_parameters)(ph_instance *, const double *);
-    const double *(*parameters)(const ph_instance *);
-    int (*sensitivity)(ph_instance *, double *);
-    int (*step_along)(ph_instance *, const ph_directions *);
-    int (*end_along)(ph_instance *, const ph_directions *);
-    const double *(*ledger)(const ph_instance *, int);
-    int (*set_impulses)(ph_impulses *, const double *);
-    int (*step_impulses)(ph_impulses *, double, double, int);
-    int (*kick_more)(ph_impulses *, const double *);
-    void (*jump)(ph_impulses *, double *);
-    void (*impulses_along)(ph_impulses *, int, int, const double *, double *);
-} ph_calls;
-
 typedef struct ph_native {
-    const ph_calls *calls;
     ph_instance *in;
     ph_impulses *kicks; /* NULL: it takes none */
-    const ph_calls *chain_calls;
     ph_instance *chain; /* the instance with tangents; NULL: inputs are held */
     int parts;          /* internal steps of a step */
     int nq;
