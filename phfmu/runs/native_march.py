@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from phfmu.engine.native.library import Column, Record, record_widths, runtime
+from phfmu.engine.native.library import Column, Record, drivers, record_widths
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.couplings.monolithic import Monolithic
@@ -30,7 +30,7 @@ MISSED = -1
 @cache
 def _library() -> ctypes.CDLL:
     """The runtime with the signatures of march.h; CompilerMissing, CompileError."""
-    lib = runtime()[1]
+    lib = drivers()
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_march_steps.restype = integer
     lib.ph_march_steps.argtypes = [pointer, ctypes.POINTER(Record), ctypes.c_double, integer, ctypes.POINTER(integer)]

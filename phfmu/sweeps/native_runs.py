@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phfmu.discretise.model import CONSISTENCY
-from phfmu.engine.native.library import enums, runtime
+from phfmu.engine.native.library import drivers, enums
 from phfmu.engine.native.native import NativeInstance
 from phfmu.engine.native.structures import Header, Structures
 from phfmu.network.members.columns import Columns, Constants
@@ -45,7 +45,7 @@ def fits(task: Task) -> bool:
 @cache
 def _library() -> ctypes.CDLL:
     """The runtime with the signatures of runs.h; CompilerMissing, CompileError."""
-    lib = runtime()[1]
+    lib = drivers()
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_runs_take.restype = integer
     lib.ph_runs_take.argtypes = [pointer, pointer, integer, pointer, integer, pointer, pointer, ctypes.POINTER(integer)]

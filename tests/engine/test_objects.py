@@ -19,7 +19,7 @@ from phfmu.engine.build.compile import CompileError, compile, host_flags
 from phfmu.engine.build.kernels import Kernels
 from phfmu.engine.model import kernels
 from phfmu.engine.native.code import Compiled, source
-from phfmu.engine.native.library import library_sources, runtime
+from phfmu.engine.native.library import PARTS, drivers, library_sources, runtime, runtime_sources
 from phfmu.fmu.export.export import export
 
 #: two sources that share a header by way of another, and one that stands alone
@@ -71,9 +71,11 @@ def made(**parameters: float) -> Compiled:
 def test_a_further_library_compiles_only_what_others_have_not(
     compiled: Callable[[], list[str]],
 ) -> None:
-    sources = library_sources()
+    steps, sources = runtime_sources(*PARTS), library_sources()
     runtime()
-    assert compiled() == sorted(n for n in sources if n.endswith(".c"))
+    assert compiled() == sorted(n for n in steps if n.endswith(".c"))
+    drivers()
+    assert compiled() == sorted(n for n in sources if n.endswith(".c") and n not in steps)
     assert not made(k=100.0).build.reused
     assert compiled() == ["kernels.c"]
     assert not made().build.reused

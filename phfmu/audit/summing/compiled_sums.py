@@ -6,13 +6,13 @@ import ctypes
 from functools import cache
 from typing import Any
 
-from phfmu.engine.native.library import runtime
+from phfmu.engine.native.library import summing
 
 
 @cache
 def library() -> Any:
     """The functions of runtime/sums.c; CompilerMissing, CompileError."""
-    lib = runtime()[1]
+    lib = summing()
     size, pointer = ctypes.c_ssize_t, ctypes.c_void_p
     lib.ph_sums_down.restype = lib.ph_sums_across.restype = lib.ph_most_down.restype = None
     lib.ph_sums_down.argtypes = [size, size, *[pointer] * 4]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -148,8 +148,8 @@ def load(path: Path) -> ctypes.CDLL:
 
 #: folders of the runtime that not everything has
 PARTS = ("events", "modes", "interpret")
-#: whose folders `runtime` the library has besides, and no unit: the judge of ledgers, steps that keep a tolerance, sweeps,
-#: the master of coupled members
+#: whose folders `runtime` have what drives steps: the judge of ledgers, steps that keep a tolerance, sweeps, the master of
+#: coupled members
 DRIVERS = ("audit", "runs", "sweeps", "network/couplings")
 
 
@@ -160,10 +160,15 @@ def runtime_sources(*parts: str) -> dict[str, Path]:
     return {p.name: p for p in files if p.suffix in (".c", ".h", ".inc")}
 
 
+def driver_sources(*places: str) -> dict[str, Path]:
+    """The sources of some of the DRIVERS: file name -> path."""
+    folders = (RUNTIME.parent.parent / place / "runtime" for place in places)
+    return {p.name: p for folder in folders for p in sorted(folder.iterdir())}
+
+
 def library_sources() -> dict[str, Path]:
-    """All of the library: what steps models, and what drives these steps."""
-    folders = (RUNTIME.parent.parent / place / "runtime" for place in DRIVERS)
-    return runtime_sources(*PARTS) | {p.name: p for folder in folders for p in sorted(folder.iterdir())}
+    """All of the library that steps models and drives these steps."""
+    return runtime_sources(*PARTS) | driver_sources(*DRIVERS)
 
 
 def headers() -> dict[str, Path]:
@@ -172,11 +177,30 @@ def headers() -> dict[str, Path]:
 
 
 def runtime(announce: Callable[[], None] | None = None) -> tuple[Build, ctypes.CDLL]:
-    """The library that steps and drives all models; CompilerMissing, CompileError."""
-    folder = cache_folder()
-    if folder not in _BUILT:
-        _BUILT[folder] = compile_once(library_sources(), announce)
-    return _BUILT[folder], load(_BUILT[folder].path)
+    """The library that steps all models; CompilerMissing, CompileError."""
+    build = _built("steps", runtime_sources(*PARTS), announce)
+    return build, load(build.path)
+
+
+def drivers() -> ctypes.CDLL:
+    """The library that also drives steps, which a first sweep, coupled run or run within a tolerance waits for.
+
+    It has the same functions, and they have no state of their own: it steps the instances of the other one.
+    """
+    return load(_built("drivers", library_sources()).path)
+
+
+def summing() -> ctypes.CDLL:
+    """The small library of the sums of a run and the judge of its steps, which steps nothing."""
+    return ctypes.CDLL(str(_built("summing", driver_sources("audit")).path))
+
+
+def _built(name: str, sources: Mapping[str, Path], announce: Callable[[], None] | None = None) -> Build:
+    """The library `name`, compiled once for a cache."""
+    key = name, cache_folder()
+    if key not in _BUILT:
+        _BUILT[key] = compile_once(sources, announce)
+    return _BUILT[key]
 
 
 def require_runtime() -> None:
@@ -187,8 +211,8 @@ def require_runtime() -> None:
         runtime()
 
 
-#: by cache
-_BUILT: dict[Path, Build] = {}
+#: by name and cache
+_BUILT: dict[tuple[str, Path], Build] = {}
 
 
 def view(address: int, n: int, dtype: Any = np.float64) -> NDArray[Any]:

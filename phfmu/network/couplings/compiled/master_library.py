@@ -6,7 +6,7 @@ import ctypes
 from functools import cache
 from pathlib import Path
 
-from phfmu.engine.native.library import runtime
+from phfmu.engine.native.library import drivers
 from phfmu.engine.native.structures import Header
 from phfmu.network.couplings.acceptance import RULES
 
@@ -35,8 +35,8 @@ HEADER = Header(HEADERS, STRUCTURES)
 
 @cache
 def library() -> ctypes.CDLL:
-    """The runtime with the signatures of the master; CompilerMissing, CompileError."""
-    lib = runtime()[1]
+    """The library with the signatures of the master; CompilerMissing, CompileError."""
+    lib = drivers()
     pointer, integer = ctypes.c_void_p, ctypes.c_int
     lib.ph_master_lu_size.restype, lib.ph_master_lu_size.argtypes = ctypes.c_size_t, [integer] * 3
     lib.ph_master_lu_init.restype, lib.ph_master_lu_init.argtypes = None, [pointer]
