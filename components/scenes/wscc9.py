@@ -57,7 +57,7 @@ def wscc9(
     events = (Event(t_fault, "fault.G", 1.0), Event(t_clear, "fault.G", 0.0))
     net = _point(coordinates).started()
     net.description = "nine buses, three machines; three-phase fault at bus 7"
-    return Scene("wscc9", net, stop=stop, step=5e-5, events=events, description=net.description, restart=2)
+    return Scene("wscc9", net, stop=stop, step=5e-5, events=events, description=net.description, restart=4)
 
 
 def wscc9_steady(*, stop: float = 1.0, coordinates: Coordinates = "dq-flux") -> Scene:

@@ -46,7 +46,7 @@ EVENTS = {
 STOPPED = {("breaker_opening", "jacobi"), ("smib_breaker", "anderson, stopped")}
 SCENES = [n for n, (kind, *_) in LIBRARY.items() if kind == "scene"]
 #: nodes where only inductive branches meet: no output gives their voltage at an instant
-BARE = {"smib", "smib_hydro", "two_machine", "smib_breaker", "six_pulse"}
+BARE = {"smib", "smib_hydro", "two_machine", "smib_breaker", "six_pulse", "motor_start", "wscc9", "wscc9_steady"}
 QUICK = {"oscillator", "drive"}
 
 COUPLINGS: dict[str, Callable[[Any], Any]] = {

@@ -62,8 +62,11 @@ class Flat:
 
         for sign, blocks in ((1.0, d.structure), (-1.0, d.dissipation)):
             for block in blocks:
-                rows, z = at(block.variables), ca.vertcat(*(d.effort(v) for v in block.variables))
-                f[rows] += sign * ca.mtimes(block.matrix, z)
+                z = ca.vertcat(*(self._effort(v) for v in block.variables))
+                rows = [r for v in block.variables for r in (at([v]) if v.kind != "port" else self._port_rows(v))]
+                for row, value in zip(rows, ca.vertsplit(ca.mtimes(block.matrix, z)), strict=True):
+                    if row is not None:
+                        f[row] += sign * value
         for port in d.ports:
             self._add_port(f, port, at)
         for row, g in zip(self.constraint_rows, self.constraints, strict=True):
@@ -74,6 +77,15 @@ class Flat:
                 f[v] -= jac[0, q] * self.a[row]
                 f[n1 + row] += jac[0, q] * self._z[0][v]
         return ca.substitute(f, *self._z)
+
+    def _effort(self, v) -> ca.SX:
+        """Costate of a variable in a block; of a port its input, or what feeds it."""
+        return ca.vertcat(*v.bound) if v.kind == "port" and v.bound is not None else self.declaration.effort(v)
+
+    def _port_rows(self, port) -> list[int | None]:
+        """The row that takes -y of each entry of a port in a block: that of the variable which feeds it, None without one."""
+        bound = port.bound or [None] * port.n
+        return [None if s is None else self.terms.n1 + self._locator.find(s, port.name).index for s in bound]
 
     def _add_port(self, f: ca.SX, port, at) -> None:
         n1 = self.terms.n1
