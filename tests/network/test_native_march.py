@@ -172,3 +172,18 @@ def test_events_between_marches_are_landed_on(compiler: None) -> None:
     one, two = both(model, Options(stop=1.0, step=0.05, rtol=1e-5, events=events))
     same(one, two)
     assert {0.1, 1 / 3, 1.0} <= set(one.time)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_a_companion_on_shared_terms_is_that_of_a_declaration_of_its_own(k: int) -> None:
+    """What schemes of one declaration share decides nothing: names and twenty steps are the same to the last bit."""
+    declaration = SCENE.declaration()
+    model = build_model(declaration, Collocated(k))
+    made, anew = build_model(declaration, Radau(k)), build_model(SCENE.declaration(), Radau(k))
+    assert made.instant is model.instant and anew.instant is not model.instant
+    assert (made.row_names, made.instant_names, made.checks) == (anew.row_names, anew.instant_names, anew.checks)
+    one, two = NativeInstance(made), NativeInstance(anew)
+    for instance in (one, two):
+        instance.run(0.0, 1e-4, 20)
+    for name, values in one.signals().items():
+        assert np.array_equal(values, two.signals()[name]), name
