@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-#: what the child does first: everything in C is compiled with them
+#: what the child does first: everything in C is compiled with them; the tests' own modules are found behind all others
 PREAMBLE = f"""
-import importlib.util
+import importlib.util, sys
+sys.path.append({str(Path(__file__).parents[1])!r})
 find = importlib.util.find_spec
 importlib.util.find_spec = lambda name, *more: None if name == "ziglang" else find(name, *more)
 from phfmu.engine.build import compile as c
